@@ -165,4 +165,4 @@ METHODS: dict[str, Callable[[Extent], jm.AbstractMethod]] = {
     "elasticity 1/d": lambda wall: jm.LinearElasticity(jm.ByDistance(1.0)),
     "local correction": lambda wall: jm.SurfaceReconstruction(jm.RBF(), jm.LocalCorrection()),
 }
-"""The list of methods by title, for the lengths of a boundary; then those with parameters that the list does not have."""
+"""The list of methods by title, for the lengths of a boundary; then methods with parameters that the list does not have."""

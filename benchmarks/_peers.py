@@ -1,4 +1,4 @@
-"""Others who evaluate a thin plate spline with a linear polynomial: functions of nothing, ready to run, of those installed."""
+"""Other packages that evaluate a thin plate spline with a linear polynomial; only installed packages are run."""
 
 from collections.abc import Callable, Iterator
 

@@ -269,7 +269,7 @@ def circle(count: int, centre: tuple[float, float], radius: float) -> np.ndarray
 
 
 def one_of(bodies: dict[str, np.ndarray], name: str, motion: Callable[[np.ndarray, float], np.ndarray], mesh: jm.Mesh):
-    """A motion of one of several bodies that are one moving boundary; the others rest."""
+    """A motion of one of several bodies that are one moving boundary; all other bodies rest."""
     nodes = mesh.patch(*bodies)
     own = np.isin(nodes, mesh.patch(name))
     centre = bodies[name].mean(axis=0)

@@ -1,4 +1,4 @@
-"""Boundaries that slide or repeat, against the same ones held: blocks, blades, a wing's root on a round body and on a fuselage.
+"""Boundaries that slide or repeat, against held ones: blocks, blades, a wing's root on a round body and on a fuselage.
 
     python benchmarks/boundaries.py
 

@@ -225,7 +225,7 @@ def of_peers(case: Case) -> list[dict]:
 def compared(rows: list[dict]) -> list[tuple[str, int, int, float, float, float, float, float, float]]:
     """Compares methods over all rows by largest skewness, relative to the best of the row, which inverts no cell.
 
-    For each method: its rows, without those that it refuses; rows with inverted cells; the share within `CLOSE` of the best; its
+    For each method: its rows, without rows that it refuses; rows with inverted cells; the share within `CLOSE` of the best; its
     worst ratio to the best where it inverts none; medians of skewness, angle, limit and time.
     """
     best: dict[tuple, float] = {}

@@ -25,7 +25,7 @@ Motion = Callable[[float], np.ndarray]
 def row(
     name: str, mesh: jm.Mesh, plans: dict[str, jm.Plan], motion: Motion, amount: float, steps: int = 1
 ) -> list[str]:
-    """One line: what is left of the gap, then each method. Each of several steps leaves the same share of what was left."""
+    """One line: what is left of the gap, then each method. Each of several steps leaves an equal share of what was left."""
     shares = [1 - (1 - amount) ** ((j + 1) / steps) for j in range(steps)] if steps > 1 else [amount]
     path = np.stack([motion(share) for share in shares])
     left = jm.inspect(plans["default"], path[-1], mesh=mesh).gap_left

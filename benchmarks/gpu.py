@@ -82,7 +82,7 @@ def grown(tree: Any, rows: int, n: int) -> Any:
 
 
 def steps(function: Callable, arguments: tuple, platform: str = "cuda") -> int:
-    """Exports a program, and counts the rounds of its loops: of those within another, as often as that goes round."""
+    """Exports a program, and counts the rounds of its loops. A loop within another counts as often as the outer one goes round."""
     arrays, static = eqx.partition(arguments, lambda leaf: hasattr(leaf, "dtype"))
     traced = jax.jit(lambda arrays: function(*eqx.combine(arrays, static)))
     exported = jax.export.export(traced, platforms=[platform])(arrays)

@@ -1,15 +1,22 @@
 """What `improve` repairs, and what it costs: the paper's airfoil pitched beyond its limit, its wing with a flap.
 
 python benchmarks/improve.py [--wing]
+python benchmarks/improve.py --worst [--points 1200] [--row "pitch 180" ...]
+
+`--worst` compares `improve` and `improve(worst=True)` on awkward.py's motions, and on the championship's motions after which
+`prepare`'s default leaves the smallest Jacobian ratios. `--row` chooses rows by the words with which their names begin.
 """
 
 import argparse
+import sys
 import time
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from _measure import about
+from _arena import all_cases
+from _measure import about, table
+from awkward import motions
 from limits import pitch
 
 import jaxmorph as jm
@@ -74,14 +81,26 @@ def derivative(mesh: jm.Mesh, plan: jm.Plan, base: np.ndarray) -> None:
     )
 
 
-def airfoil(points: int) -> None:
+def pitched(points: int):
+    """Makes the airfoil's rows: name, mesh, plan and displacements."""
     mesh = cases.naca0015(points=points)
     wall, far = mesh.patch("airfoil"), mesh.patch("farfield")
     base = mesh.points[wall]
     default, graph = jm.prepare(mesh.points, wall, far), jm.prepare(mesh.points, wall, far, method=jm.DelaunayGraph())
-    for plan, name, degrees in ((default, "default", 15), (graph, "graph mapping", 90), (default, "default", 150)):
-        report(f"airfoil, {degrees} degrees, {name}", mesh, jm.deform(plan, pitch(base, degrees)))
-    derivative(mesh, default, base)
+    for plan, name, degrees in (
+        (default, "default", 15),
+        (default, "default", 60),
+        (graph, "graph mapping", 90),
+        (default, "default", 150),
+    ):
+        yield f"airfoil, {degrees} degrees, {name}", mesh, plan, pitch(base, degrees)
+
+
+def airfoil(points: int) -> None:
+    for name, mesh, plan, u in pitched(points):
+        report(name, mesh, jm.deform(plan, u))
+        if name.startswith("airfoil, 15"):
+            derivative(mesh, plan, mesh.points[mesh.patch("airfoil")])
 
 
 def wing(points: int) -> None:
@@ -92,12 +111,65 @@ def wing(points: int) -> None:
         report(f"wing, flap {degrees} degrees, default", mesh, jm.deform(plan, flap(mesh.points[moving], degrees)))
 
 
+HARDEST = {
+    "cascade": ("pitch 45", "heave 0.5", "pitch 15"),
+    "O-grid": ("pitch 45",),
+    **{f"bricks, {kind}": ("dent",) for kind in ("hexahedron", "tetra", "pyramid", "wedge")},
+}
+"""Motions of the championship's cases without planes after which the default's Jacobian ratios are smallest."""
+
+
+def hard_rows(points: int, chosen: tuple[str, ...]):
+    """Makes the mesh and the moved points of each row."""
+    for name, mesh, plan, u in pitched(points):
+        if name.startswith(chosen):
+            yield name, mesh, jm.deform(plan, u)
+    for name, make in motions(points).items():
+        if name.startswith(chosen):
+            mesh, moving, fixed, motion, steps = make()
+            path = np.stack([motion((j + 1) / steps) for j in range(steps)])
+            plan = jm.prepare(mesh, moving, fixed)
+            yield f"{name}, one step", mesh, jm.deform(plan, path[-1])
+            yield f"{name}, {steps} steps", mesh, jm.march(plan, path)[1]
+    wanted = {(case, motion) for case, names in HARDEST.items() for motion in names}
+    wanted = {(case, motion) for case, motion in wanted if f"{case}: {motion}".startswith(chosen)}
+    for case in all_cases(points) if wanted else ():
+        for motion in (motion for motion in case.motions if (case.name, motion) in wanted):
+            yield f"{case.name}: {motion}", case.mesh, jm.deform(case.plan(None), case.motions[motion](case.wall, 1.0))
+
+
+def compare(points: int, chosen: tuple[str, ...]) -> None:
+    """Smallest Jacobian ratio and largest skewness, before, improved and with `worst`; CPU seconds of a second call."""
+    rows = []
+    for name, mesh, moved in hard_rows(points, chosen):
+        line, took = [name, str(int(jm.quality(mesh, moved).inverted))], []
+        for worst in (None, False, True):
+            found = moved
+            for _ in range(0 if worst is None else 2):
+                began = time.process_time()
+                result = jax.block_until_ready(jm.improve(mesh, moved, worst=bool(worst)))
+                found, cpu = result.points, time.process_time() - began
+            quality = jm.quality(mesh, found)
+            took += [] if worst is None else [f"{cpu:.1f}"]
+            line.append(f"{float(quality.min_jacobian_ratio):.3f}, {float(quality.max_skewness):.3f}")
+        rows.append([*line, *took])
+        print(*rows[-1], sep=" | ", flush=True)
+        jax.clear_caches()
+    table(rows, ("motion", "inverted", "before: ratio, skewness", "`improve`", "`worst=True`", "CPU, s", "`worst`"))
+
+
 if __name__ == "__main__":
     jax.config.update("jax_enable_x64", True)
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--wing", action="store_true", help="the wing instead of the airfoil")
     parser.add_argument("--points", type=int)
+    parser.add_argument("--worst", action="store_true", help="`improve` against `improve(worst=True)`")
+    parser.add_argument("--row", nargs="+", default=[""], help="words that begin a row's name")
     arguments = parser.parse_args()
+    if arguments.worst:
+        about(points=arguments.points or 1200)
+        compare(arguments.points or 1200, tuple(arguments.row))
+        sys.exit()
     about(points=arguments.points or (64_943 if arguments.wing else 39_666))
     print("\n| case | inverted before | after | max skewness | steps | residual | first, s | CPU | again, s | CPU |")
     print("|---|---|---|---|---|---|---|---|---|---|")

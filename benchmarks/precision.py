@@ -69,7 +69,7 @@ def summed(distance: np.ndarray, weights: np.ndarray, dtype) -> np.ndarray:
 
 
 def sums() -> None:
-    """Compares sums in single precision with those in double precision, over the default's sources."""
+    """Compares sums in single and in double precision, over the default's sources."""
     rows = []
     for case, mesh, moving, u in problems():
         points = np.asarray(mesh.points, float)

@@ -39,7 +39,7 @@ def extruded(stations: int, first_cell: float) -> jm.Mesh:
 
 
 def timed(call) -> tuple[float, dict[str, float]]:
-    """CPU seconds of a call, and those of its parts (by a profiler, which counts wall time of one thread)."""
+    """CPU seconds of a call and of its parts. The profiler counts wall time of one thread."""
     profile = cProfile.Profile(time.process_time)
     began = time.process_time()
     profile.runcall(call)

@@ -56,7 +56,7 @@ METHODS: dict[str, Callable[[float], jm.AbstractMethod]] = {
 """By name, for a body of a size. "layer" is `NearWall`; "both" and "multiscale, layer" are it around `Multiscale`."""
 
 STANDARD = ("default", "layer", "published", "classic RBF", "graph alone")
-"""Those of the documentation's table: the default, the same without its fit, and the three that it is measured against."""
+"""Methods of the documentation's table: the default, the default without its fit, and three to measure it against."""
 
 DENSE = 4_000
 """Surface nodes of the classic RBF, at most: it is left out of the wing, where it takes minutes and gigabytes."""

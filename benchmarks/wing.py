@@ -1,4 +1,4 @@
-"""The paper's wing by the classic RBF too, every surface node a source: the table of `jaxmorph demo agard445`, and that one.
+"""The paper's wing by the classic RBF too, every surface node a source: the table of `jaxmorph demo agard445` with one more row.
 
 python benchmarks/wing.py [--points 64943]
 

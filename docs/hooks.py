@@ -19,6 +19,7 @@ import subprocess
 import sys
 
 import nbformat
+import numpy as np
 from latex2mathml.converter import convert
 from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File
@@ -82,7 +83,8 @@ def linked(text: str, document: str, page: str) -> str:
             raise PluginError(f"{document} links to {address}, which is not there.")
         goal = DOCUMENTS.get(file, re.sub(r"^docs/(pages/)?", "", file).replace(".ipynb", ".md"))
         if goal == file and file.split("/")[0] != "notebooks":
-            return words if words == f"`{file}`" else f"{words} (`{file}`)"
+            named = words.strip("`") in (file, posixpath.basename(file))
+            return f"`{file}`" if named else f"{words} (`{file}`)"
         goal = posixpath.relpath(goal, posixpath.dirname(page) or ".")
         return f"[{words}]({goal}{'#' + anchor if anchor else ''})"
 
@@ -121,15 +123,14 @@ def gallery(files: list[pathlib.Path]) -> str:
 
 
 def thumbnail(file: pathlib.Path) -> bytes:
-    """Returns the picture of a notebook that holds most, 400 pixels wide and of at most 40 kB, as JPEG."""
+    """Returns the main part of the picture with most ink in a notebook, of at most 40 kB, as JPEG."""
     outputs = (each for cell in nbformat.read(file, as_version=4).cells for each in cell.get("outputs", []))
     pictures = [text for each in outputs for kind, text in each.get("data", {}).items() if kind.startswith("image/")]
     if not pictures:
         raise PluginError(f"{file.name} has no picture: run it, and save it with its outputs.")
-    with Image.open(io.BytesIO(base64.b64decode(max(pictures, key=len)))) as picture:
-        small = picture.convert("RGB").resize(
-            (400, round(400 * picture.height / picture.width)), Image.Resampling.LANCZOS
-        )
+    parts = [main_part(Image.open(io.BytesIO(base64.b64decode(text))).convert("RGB")) for text in pictures]
+    small = max(parts, key=lambda part: (np.asarray(part).min(axis=2) < 225).sum())
+    small.thumbnail((480, 300), Image.Resampling.LANCZOS)
     for quality in (85, 70, 50, 30):
         content = io.BytesIO()
         small.save(content, "JPEG", quality=quality, optimize=True)
@@ -138,10 +139,22 @@ def thumbnail(file: pathlib.Path) -> bytes:
     return content.getvalue()
 
 
+def main_part(picture: Image.Image) -> Image.Image:
+    """Cuts out the largest part of a picture between white columns and rows: of several axes one, without labels."""
+    for axis in (0, 1, 0, 1):
+        ink = np.concatenate([[False], (np.asarray(picture).min(axis=2) < 225).any(axis=axis), [False]])
+        begins, ends = np.flatnonzero(np.diff(ink.astype(int)) == 1), np.flatnonzero(np.diff(ink.astype(int)) == -1)
+        widest = np.argmax(ends - begins)
+        box = [0, 0, *picture.size]
+        box[axis], box[axis + 2] = int(begins[widest]), int(ends[widest])
+        picture = picture.crop((box[0], box[1], box[2], box[3]))
+    return picture
+
+
 def commands() -> str:
     """Returns the page of the command line: the help of `jaxmorph`, then of each command, whole."""
     top = printed("--help")
-    names = re.findall(r"^    ([a-z]+)(?: |$)", top, flags=re.MULTILINE)
+    names = re.findall(r"^    ([a-z0-9]+)(?: |$)", top, flags=re.MULTILINE)
     parts = ["# Commands\n\nWhat `jaxmorph --help` and the help of each command print.", block("jaxmorph", top)]
     for name in names:
         text = printed(name, "--help")
@@ -164,6 +177,8 @@ def mathml(source, language, css_class, options, md, **_) -> str:
     """Returns an equation in LaTeX as MathML, with its number at the right."""
     number = re.search(r"\\tag\{(\w+)\}", source)
     equation = convert(source.replace(number[0], "") if number else source, display="block")
+    # of a least value the index stands below
+    equation = re.sub(r"<msub>(<mo>min</mo>)(<mi>\w</mi>|<mrow>.*?</mrow>)</msub>", r"<munder>\1\2</munder>", equation)
     return f'<div class="{css_class}">{equation}<span>{f"({number[1]})" if number else ""}</span></div>'
 
 

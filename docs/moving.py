@@ -31,15 +31,18 @@ def wing():
     plan = jm.prepare(mesh, "wing", "farfield", symmetry="symmetry")
     moved = np.asarray(jm.deform(plan, cases.agard445_mode(mesh.points[plan.moving], 1, BENDING)))
 
+    left = np.array([1.0, -1.0, 1.0])  # the left wing: `cut` draws lines on the side that it is seen from
+
     def draw(phase):
         points = mesh.points + phase * (moved - mesh.points)  # `deform` is linear
         change = np.abs(jm.quality(mesh, points).volume_ratio - 1)
-        plane = jm.Plane((0, 1, 0), (0, 0.45, 0))
-        plotter = plot.cut(mesh, points, plane=plane, values=change, limits=(0, 0.2), bar=False)
-        plot.surface(mesh, points, patch="wing", plotter=plotter)
+        plane = jm.Plane((0, 1, 0), (0, -0.4, 0))
+        plotter = plot.cut(mesh, points * left, plane=plane, values=change, limits=(0, 0.15), bar=False)
+        plot.surface(mesh, points * left, patch="wing", plotter=plotter)
+        plotter.hide_axes()
         plotter.window_size = 1000, 900
-        plotter.camera_position = [(-0.98, -2.2, 2.05), (0.62, 0.4, 0.05), (0, 0, 1)]
-        plotter.camera.parallel_projection, plotter.camera.parallel_scale = True, 0.5
+        plotter.camera_position = [(-1.45, -3.72, 2.62), (0.67, -0.54, 0.07), (0, 0, 1)]
+        plotter.camera.parallel_projection, plotter.camera.view_angle = False, 12.5
         pixels = plotter.screenshot(return_img=True)
         plotter.close()
         return pixels
@@ -72,8 +75,8 @@ def main(path):
         )
         left.imshow(draw_wing(phase.item()))
         left.set_axis_off()
-        left.set_title("wing: change of the cells' volume", fontsize=10)
-        right.set_title("airfoil: skewness of the cells", fontsize=10)
+        left.set_title("volume of cells, changed by 0 (pale) to 15 %", fontsize=10)
+        right.set_title("skewness of cells, 0 (pale) to 0.3", fontsize=10)
         draw_airfoil(phase.item(), right)
         right.set(xlabel="x / chord", ylabel="y / chord")
         return right

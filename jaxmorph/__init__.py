@@ -9,12 +9,14 @@ page on theory prints the equations that docstrings cite. The paper builds on
 - their reduction to few sources: Rendall and Allen, Journal of Computational Physics 228, 2009;
 - Delaunay graph mapping: Liu, Qin and Xia, Journal of Computational Physics 211, 2006.
 
-The public names stand in `_public.py`. The first use of one imports all of them but `_LATER`, and
-JAX with them: the command line shows its help without. Submodules are imported when they are first
-used.
+The public names stand in `_public.py`. The first use of a name imports its module, and JAX with it:
+the command line shows its help without. Submodules are imported when they are first used.
 """
 
+import functools
 import importlib
+import pathlib
+import re
 import typing
 
 if typing.TYPE_CHECKING:
@@ -23,23 +25,19 @@ if typing.TYPE_CHECKING:
     from . import integrations as integrations
     from . import io as io
     from . import plot as plot
-    from ._advice.fewest_steps import Steps as Steps
-    from ._advice.fewest_steps import fewest_steps as fewest_steps
-    from ._advice.valid_steps import ValidSteps as ValidSteps
-    from ._improve.improve import Improvement as Improvement
-    from ._improve.improve import improve as improve
+    from . import shapes as shapes
     from ._public import *  # noqa: F403
 
 __version__: str
 
-_LATER = {
-    **dict.fromkeys(("Improvement", "improve"), "._improve.improve"),
-    **dict.fromkeys(("Steps", "fewest_steps"), "._advice.fewest_steps"),
-    "ValidSteps": "._advice.valid_steps",
-}
-"""Names whose modules need optimistix and lineax: not imported (0.25 s) before they are used."""
-
 _SUBMODULES = ("cases", "cli", "integrations", "io", "plot", "shapes")
+
+
+@functools.cache
+def _modules() -> dict[str, str]:
+    """Lists the module of each public name, in the lines of `_public.py`."""
+    lines = pathlib.Path(__file__).with_name("_public.py").read_text()
+    return {name: module for module, name in re.findall(r"(?m)^from (\S+) import \w+ as (\w+)$", lines)}
 
 
 def __getattr__(name: str) -> typing.Any:
@@ -47,16 +45,12 @@ def __getattr__(name: str) -> typing.Any:
         return importlib.import_module(f"{__name__}.{name}")
     if name == "__version__":
         return importlib.import_module("importlib.metadata").version(__name__)
-    if name in _LATER:
-        globals()[name] = getattr(importlib.import_module(_LATER[name], __name__), name)
-        return globals()[name]
-    if name == "__all__" or not name.startswith("_"):
-        public = importlib.import_module(f"{__name__}._public")
-        names = {key: value for key, value in vars(public).items() if not key.startswith("_") and key != "jaxtyping"}
-        globals().update(names, __all__=sorted({*names, *_LATER, *_SUBMODULES}))
-        if name in globals():
-            return globals()[name]
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    if name == "__all__":
+        return sorted({*_modules(), *_SUBMODULES})
+    if name.startswith("_") or name not in _modules():
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    globals()[name] = getattr(importlib.import_module(_modules()[name], __name__), name)
+    return globals()[name]
 
 
 def __dir__() -> list[str]:

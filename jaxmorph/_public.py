@@ -1,14 +1,16 @@
-"""The public names of jaxmorph, by room, without names that need an optimiser."""
+"""The public names of jaxmorph, by room: `__init__` reads these lines, and imports what is used."""
 
-from . import shapes as shapes
 from ._advice.choice import Choice as Choice
 from ._advice.choose import choose as choose
 from ._advice.estimate import Estimate as Estimate
 from ._advice.estimate import estimate as estimate
+from ._advice.fewest_steps import Steps as Steps
+from ._advice.fewest_steps import fewest_steps as fewest_steps
 from ._advice.inspect import inspect as inspect
 from ._advice.inspection import Inspection as Inspection
 from ._advice.largest_step import LargestStep as LargestStep
 from ._advice.largest_step import largest_step as largest_step
+from ._advice.valid_steps import ValidSteps as ValidSteps
 from ._boundary.outer_faces import FreeFaces as FreeFaces
 from ._boundary.outer_faces import boundary_faces as boundary_faces
 from ._boundary.periodic import Periodic as Periodic
@@ -28,6 +30,8 @@ from ._host.sources.reduction import Corners as Corners
 from ._host.sources.reduction import GaussPoints as GaussPoints
 from ._host.sources.reduction import KDTree as KDTree
 from ._improve.curve import curve as curve
+from ._improve.improve import Improvement as Improvement
+from ._improve.improve import improve as improve
 from ._mesh.elevate import elevate as elevate
 from ._mesh.mesh import Mesh as Mesh
 from ._methods.base import AbstractField as AbstractField

@@ -96,6 +96,15 @@ def here(folder, monkeypatch):
     return folder
 
 
+@pytest.fixture
+def closed_figures():
+    """Closes all figures of matplotlib after a test."""
+    yield
+    from matplotlib import pyplot
+
+    pyplot.close("all")
+
+
 @pytest.fixture(autouse=True)
 def stack_limit():
     """gmsh lifts it for good, and the threads of processes that later tests start would have too little of it."""

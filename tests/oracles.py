@@ -124,3 +124,10 @@ def jacobians_inside(shape: str, order: int, lattice: np.ndarray, nodes: np.ndar
     slopes = np.einsum("smj,mn->jsn", slopes, functions)
     determinants = np.linalg.det(np.moveaxis(np.tensordot(nodes, slopes, (1, 2)), (0, 1, 2, 3), (0, 2, 3, 1)))
     return determinants / (1 - places[:, 2]) ** 2 if shape == "pyramid" else determinants
+
+
+def corner_areas(mesh: jm.Mesh, points) -> np.ndarray:
+    """Twice the signed areas (k, 4) of the triangles at the corners of each quad, by the cross product."""
+    x = np.asarray(points)[mesh.cells["quad"]]
+    after, before = np.roll(x, -1, axis=1) - x, np.roll(x, 1, axis=1) - x
+    return after[..., 0] * before[..., 1] - after[..., 1] * before[..., 0]

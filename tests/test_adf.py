@@ -113,7 +113,7 @@ def test_hostile_files_are_refused(tmp_path):
 
     made, root = heap()
     good = made.finish(root)
-    refused(good, "0 CGNS bases")
+    refused(good, "no CGNS base with zones")
     refused(good[:150], "a place 0 beyond the 150 bytes")
     refused(good[:100] + b"N" + good[101:], "numbers of format 'N'; those of IEEE are read")
     refused(good[:110] + b"08" + good[112:], "sizes of numbers")

@@ -108,10 +108,3 @@ def test_mode_is_one_polynomial_for_numpy_and_jax(mode):
     assert agard445_mode(points.astype(np.float32), mode).dtype == np.float32
     assert agard445_mode(jnp.asarray(points, jnp.float32), mode).dtype == jnp.float32
     assert agard445_mode(points.tolist(), mode, 0.1) == pytest.approx(u)
-
-
-def test_mode_refuses_what_it_cannot_do():
-    with pytest.raises(ValueError, match="`mode` is 3; there are modes 1, 2"):
-        agard445_mode(np.zeros((4, 3)), 3)
-    with pytest.raises(ValueError, match=r"shape \(4, 2\)"):
-        agard445_mode(np.zeros((4, 2)), 1)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from oracles import corner_areas
 
 import jaxmorph as jm
 from jaxmorph import cases
@@ -56,14 +57,6 @@ def test_horns_of_ice_grow_on_an_airfoil():
     report = marched(mesh, "airfoil", np.stack([-0.8 * horn, 0.6 * np.sign(y) * horn], axis=1), 5)
     assert int(report.inverted) == 0
     assert float(report.min_jacobian_ratio) > 0.8
-
-
-def corner_areas(mesh, points):
-    """Twice the signed areas of the triangles at the four corners of each quad, by the cross product."""
-    (quads,) = mesh.cells.values()
-    corners = np.asarray(points)[quads]
-    before, after = np.roll(corners, 1, axis=1) - corners, np.roll(corners, -1, axis=1) - corners
-    return after[..., 0] * before[..., 1] - after[..., 1] * before[..., 0]
 
 
 @pytest.mark.parametrize(("degrees", "centre", "blend"), [(90.0, 0.7, 0.4), (180.0, 0.25, None)], ids=["flap", "pitch"])

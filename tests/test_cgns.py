@@ -226,3 +226,130 @@ def test_periodic_interfaces_are_pairs(is_turned, tmp_path):
     )
     u = 0.05 * np.sin(mesh.points[moving])
     np.testing.assert_allclose(jm.deform(plan, u), jm.deform(whole, u), rtol=0, atol=1e-12)
+
+
+def same(mesh, other):
+    np.testing.assert_array_equal(mesh.points, other.points)
+    assert mesh.cells.keys() == other.cells.keys()
+    for name, nodes in other.patches.items():
+        np.testing.assert_array_equal(mesh.patches[name], nodes)
+    volumes = [np.sort(np.asarray(jm.quality(each).volume)) for each in (mesh, other)]
+    np.testing.assert_allclose(*volumes, rtol=1e-12)
+
+
+@pytest.mark.parametrize("form", ["version 3", "parents", "parents of version 3"])
+def test_polyhedra_in_the_forms_of_other_writers(tmp_path, form):
+    """Rows that begin with their count (before version 4 of CGNS), and faces that name their cells, without NFACE_n."""
+    joined_polyhedra(tmp_path / "a.cgns")
+    joined_polyhedra(tmp_path / "b.cgns")
+    with h5py.File(tmp_path / "b.cgns", "r+") as file:
+        zone = file["Base/p"]
+        faces, cells = zone["faces"], zone["cells"]
+        starts, members = cells["ElementStartOffset/ data"][()], cells["ElementConnectivity/ data"][()]
+        if "parents" in form:
+            parents = np.zeros((2, len(faces["ElementStartOffset/ data"]) - 1), np.int32)
+            for cell, row in enumerate(np.split(members, starts[1:-1])):
+                parents[(row < 0).astype(int), np.abs(row) - 1] = len(parents[0]) + 1 + cell
+            cgns.node(faces, "ParentElements", "DataArray_t", parents)
+            del zone["cells"]
+        for section in (each for each in (faces, zone.get("cells")) if each is not None and "version 3" in form):
+            rows = np.split(section["ElementConnectivity/ data"][()], section["ElementStartOffset/ data"][1:-1])
+            del section["ElementStartOffset"], section["ElementConnectivity"]
+            counted = np.concatenate([[len(row), *row] for row in rows]).astype(np.int32)
+            cgns.node(section, "ElementConnectivity", "DataArray_t", counted)
+    mesh = io.read(tmp_path / "b.cgns")
+    same(mesh, io.read(tmp_path / "a.cgns"))
+    io.write(tmp_path / "c.cgns", mesh.moved(mesh.points * np.pi))
+    same(io.read(tmp_path / "c.cgns"), mesh.moved(mesh.points * np.pi))
+
+
+def test_a_region_of_cells_is_no_patch_and_families_above_are_groups(tmp_path):
+    """gmsh has a condition for the volume too, and names a physical group as the family of families."""
+    cgns.unstructured(tmp_path / "a.cgns")
+    with h5py.File(tmp_path / "a.cgns", "r+") as file:
+        cgns.condition(file["Base/all"], "fluid", [[1], [2]], "V_1", "CellCenter")
+        cgns.node(cgns.node(file["Base"], "wall", "Family_t"), "solid", "FamilyName_t", "solid")
+    mesh = io.read(tmp_path / "a.cgns")
+    assert list(mesh.patches) == ["wall", "high", "some", "old", "unnamed"]
+    np.testing.assert_array_equal(mesh.patch("solid"), mesh.patch("wall"))
+
+
+def test_zones_join_under_a_condition(tmp_path):
+    """Where the file says that zones meet, a condition that lies there, as gmsh writes it, does not part them."""
+    cgns.two_blocks(tmp_path / "a.cgns")
+    cgns.two_blocks(tmp_path / "b.cgns")
+    with h5py.File(tmp_path / "b.cgns", "r+") as file:
+        for zone, other, places in (("one", "two", [[4, 1, 1], [4, 3, 3]]), ("two", "one", [[1, 1, 1], [1, 3, 3]])):
+            cgns.condition(file[f"Base/{zone}"], "between", places)
+            found = cgns.node(file[f"Base/{zone}"], "ZoneGridConnectivity", "ZoneGridConnectivity_t")
+            joint = cgns.node(found, "between", "GridConnectivity1to1_t", other)
+            cgns.node(joint, "PointRange", "IndexRange_t", np.array(places, np.int32))
+    same(io.read(tmp_path / "b.cgns"), io.read(tmp_path / "a.cgns"))
+
+
+def test_sections_are_patches_where_there_are_no_conditions(tmp_path):
+    """SU2 takes its markers so."""
+    points = cgns.unstructured(tmp_path / "a.cgns")
+    with h5py.File(tmp_path / "a.cgns", "r+") as file:
+        del file["Base/all/ZoneBC"]
+    mesh = io.read(tmp_path / "a.cgns")
+    assert list(mesh.patches) == ["sides", "ends", "unnamed"]
+    np.testing.assert_array_equal(mesh.patch("sides"), np.arange(8))
+    np.testing.assert_array_equal(mesh.patch("ends"), [1, 2, 8])
+    assert len(points) == 10
+
+
+@pytest.mark.parametrize("is_list", [False, True])
+def test_faces_of_a_block_one_cell_thick(tmp_path, is_list):
+    """Faces in one row lie across the axis in which they are behind the last cell, or which has several cells."""
+    x, y, z = np.meshgrid(np.linspace(0, 1, 4), np.linspace(0, 1, 5), [0, 1], indexing="ij")
+    wanted = {
+        "imin": ([[1, 1, 1], [1, 4, 1]], x == 0),
+        "imax": ([[4, 1, 1], [4, 4, 1]], x == 1),
+        "jmin": ([[1, 1, 1], [3, 1, 1]], y == 0),
+        "kmax": ([[1, 1, 2], [3, 4, 2]], z == 1),
+    }
+    with h5py.File(tmp_path / "a.cgns", "w", track_order=True) as file:
+        zone = cgns.zone(cgns.base(file, 3, 3), "one", (x, y, z))
+        for name, (places, _) in wanted.items():
+            low, high = np.array(places)
+            each = np.stack(np.meshgrid(*map(np.arange, low, high + 1), indexing="ij"), axis=-1).reshape(-1, 3)
+            what = {"what": "PointList"} if is_list else {}
+            cgns.condition(zone, name, each if is_list else places, None, "FaceCenter", **what)
+    mesh = io.read(tmp_path / "a.cgns")
+    for name, (_, nodes) in wanted.items():
+        np.testing.assert_array_equal(mesh.patch(name), np.flatnonzero(nodes.ravel(order="F")))
+
+
+def test_bases(tmp_path):
+    """The base of the cells of the highest dimension is read; a range of 1e12 elements takes no memory."""
+    cgns.unstructured(tmp_path / "a.cgns")
+    with h5py.File(tmp_path / "a.cgns", "r+") as file:
+        cgns.node(file, "Empty", "CGNSBase_t", np.array([3, 3], np.int32))
+        wall = cgns.node(file, "Surface", "CGNSBase_t", np.array([2, 3], np.int32))
+        cgns.elements(cgns.zone(wall, "wall", tuple(np.eye(3)), 1), "faces", 5, [1, 2, 3], 1, 1)
+    assert len(io.read(tmp_path / "a.cgns").points) == 10
+    with h5py.File(tmp_path / "a.cgns", "r+") as file:
+        more = cgns.node(file, "More", "CGNSBase_t", np.array([3, 3], np.int32))
+        file.copy("Base/all", more, "all")
+    with pytest.raises(ValueError, match=r"2 bases of 3-D cells in this file \(Base, More\)"):
+        io.read(tmp_path / "a.cgns")
+    with h5py.File(tmp_path / "a.cgns", "r+") as file:
+        del file["More"]
+        values = file["Base/all/ZoneBC/high/PointRange"]
+        del values[" data"]
+        values[" data"] = np.array([[1], [10**12]])
+    with pytest.raises(ValueError, match="condition high names elements beyond the last one, 5"):
+        io.read(tmp_path / "a.cgns")
+
+
+def test_names_that_are_not_utf_8(tmp_path):
+    cgns.two_blocks(tmp_path / "a.cgns")
+    with h5py.File(tmp_path / "a.cgns", "r+") as file:
+        conditions = file["Base/one/ZoneBC"]
+        conditions[b"sym\xe9trie"] = conditions["c"]
+        del conditions["c"]
+    mesh = io.read(tmp_path / "a.cgns")
+    assert "sym\xe9trie" in mesh.patches
+    io.write(tmp_path / "b.cgns", mesh.moved(mesh.points * np.pi))
+    same(io.read(tmp_path / "b.cgns"), mesh.moved(mesh.points * np.pi))

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 import jaxmorph as jm
+from jaxmorph._advice.methods import METHODS, entry
+from jaxmorph._advice.rivals import Extent
 from jaxmorph._host.cells.lagrange import lagrange_types
 from jaxmorph._host.cells.topology import CORNERS
 
@@ -163,3 +165,60 @@ def test_bad_input_is_refused_in_a_sentence():
     folded[0] = 1.7 * folded[0]
     with pytest.warns(UserWarning, match=r"of 36 cells are invalid before the wall is curved"):
         jm.curve(high.moved(folded), unit(folded[high.patch("wall")]) * 1.0, "wall", "far")
+
+
+@pytest.mark.parametrize(
+    ("kind", "nodes", "words"),
+    [
+        ("triangle21", 21, "unknown cell type 'triangle21'; known are .* and of order 2 to 4 line3"),
+        ("hexahedron26", 26, "unknown cell type 'hexahedron26'"),
+        ("hexahedron27", 26, r"cells of type 'hexahedron27' have shape \(1, 26\); expected \(k, 27\)"),
+    ],
+)
+def test_orders_and_cells_that_are_not_known_are_told(kind, nodes, words):
+    with pytest.raises(ValueError, match=words):
+        jm.Mesh(np.random.default_rng(0).normal(size=(nodes, 3)), {kind: np.arange(nodes)[None]})
+
+
+def test_a_mesh_that_is_invalid_from_the_start_is_judged_by_its_own_margin():
+    """Its folded cell is told, and is no fault of a motion that leaves it as it is."""
+    mesh = jm.elevate(ring(), 2)
+    folded = np.array(mesh.points)
+    folded[mesh.cells["quad9"][0, 4]] *= 1.6  # the middle of an edge, beyond the opposite edge
+    start = mesh.moved(folded)
+    alone = jm.proof(start)
+    assert alone.invalid == 2  # the two cells of this edge
+    assert f"{len(start.cells['quad9']) - 2} proven valid, 2 invalid" in str(alone)
+    turn = np.array([[0.8, -0.6], [0.6, 0.8]])
+    turned = jm.proof(start, folded @ turn.T)
+    np.testing.assert_allclose(turned.margin, alone.margin, atol=1e-9)
+    np.testing.assert_array_equal(turned.is_invalid, alone.is_invalid)
+    assert int(jm.quality(start).inverted) == 2
+    relative = jm.quality(start, folded @ turn.T)
+    np.testing.assert_allclose(relative.jacobian_ratio, 1, rtol=1e-9)  # of the places that were sound
+    assert int(relative.inverted) == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [entry.name for entry in METHODS])
+def test_every_method_moves_a_p2_cylinder_and_no_cell_folds_on_the_way(name):
+    """High-order nodes are points like any others: four motions, proven inside of every cell at every instant."""
+    mesh = jm.curve(jm.elevate(ring(16, 4), 2), unit, "wall", "far")
+    nodes = mesh.patch("wall")
+    wall, angle = mesh.points[nodes], np.arctan2(*mesh.points[nodes].T[::-1])
+    turn = np.deg2rad(20)
+    rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    method = entry(name).make(Extent(wall, mesh.points[mesh.patch("far")]))
+    plan = jm.prepare(mesh, "wall", "far", method=method)
+    motions = (
+        wall @ rotation.T - wall,
+        0 * wall + [0.15, 0.05],
+        wall * [0.15, -0.15],
+        0.04 * wall * np.cos(4 * angle)[:, None],
+    )
+    for u in motions:
+        points = np.asarray(jm.deform(plan, u))
+        np.testing.assert_allclose(points[nodes], wall + u, atol=1e-9)
+        report = jm.proof(mesh, points, base=mesh.points if plan.is_linear else None)
+        assert report.valid == report.count
+        assert report.min_margin > 0.3

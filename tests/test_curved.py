@@ -136,3 +136,14 @@ def test_gmsh_files_move_and_come_back(tmp_path, kind, order, version, binary):
     dimension = mesh.points.shape[1]
     number = gmsh.model.mesh.getElements(dimension)[0][0]
     np.testing.assert_allclose(jm.quality(mesh.moved(moved)).volume, volumes(number), rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("order", "is_complete", "words"),
+    [(5, True, "elements of type 28, line6; read are those of order 1 to 4"), (3, False, "with all inner nodes")],
+)
+def test_orders_that_are_not_read_are_told_in_one_sentence(tmp_path, order, is_complete, words):
+    disc(order, "triangle", is_complete=is_complete)
+    save(tmp_path / "a.msh")
+    with pytest.raises(ValueError, match=words):
+        io.read(tmp_path / "a.msh")

@@ -14,6 +14,7 @@ import pytest
 from documents import ROOT, blocks_and_output
 
 import jaxmorph as jm
+from jaxmorph.cli._requests import COMMANDS
 
 PAGES = ROOT / "docs" / "pages"
 WITH_CODE = sorted(str(page.relative_to(ROOT)) for page in PAGES.rglob("*.md") if "```python" in page.read_text())
@@ -106,6 +107,13 @@ def test_pages_are_narrow():
             if not line.startswith("![") and (len(line) > (120 if is_row else 100) or (is_row and line.count("|") > 7)):
                 wide.append(f"{page.name}: {line[:70]}")
     assert not wide, "\n".join(wide)
+
+
+def test_each_command_has_its_help_and_a_row():
+    help_of, rows = (PAGES / "commands.md").read_text(), (PAGES / "files.md").read_text()
+    for name in COMMANDS:
+        assert f"\n## `jaxmorph {name}`\n" in help_of
+        assert f"\n| `jaxmorph {name}` |" in rows
 
 
 @pytest.mark.slow

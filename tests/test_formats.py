@@ -7,6 +7,7 @@ import exodus
 import foam
 import h5py
 import meshio
+import mfem_meshes
 import numpy as np
 import pytest
 from foam import PATCHES, mixed
@@ -42,6 +43,8 @@ def written(folder: pathlib.Path, ending: str) -> pathlib.Path:
         corners = np.asarray(mesh.cells["hexahedron"])
         blocks, sets = [("box", "hexahedron", corners)], [("floor", mesh.patch("floor"))]
         exodus.write(path, np.asarray(mesh.points), blocks, node_sets=sets)
+    elif ending == ".mesh":
+        path.write_text(mfem_meshes.straight(mesh, "floor"))
     elif ending == ".xyz":
         grid = np.stack(np.meshgrid(*(np.linspace(0, 1, 3),) * 3, indexing="ij"))
         write_plot3d(path, [grid], "text")
@@ -73,7 +76,7 @@ def test_every_pair_is_decided_before_any_work(tmp_path, capsys, source, to):
     else:
         io.write(out, moved)
         np.testing.assert_array_equal(io.read(out).points, moved.points)
-    one_way = (".cgns", "", ".med", ".e", ".xyz")
+    one_way = (".cgns", "", ".med", ".e", ".xyz", ".mesh")
     assert bool(refusal) == (to in one_way and source != to)
     assert {path.name for path in tmp_path.iterdir()} <= {f"in{source}", f"out{to}"}
 

@@ -11,7 +11,7 @@ from meshes import unit_box
 
 import jaxmorph as jm
 from jaxmorph import cases, io
-from jaxmorph._boundary.boundary import find_boundary
+from jaxmorph._boundary.arguments import find_boundary
 from jaxmorph._kernels.compile import quickly_compiled
 from jaxmorph.cli import main
 

@@ -12,7 +12,7 @@ from jax import export
 from jax.experimental import pallas
 
 import jaxmorph as jm
-from jaxmorph._kernels import gpu, log
+from jaxmorph._kernels import contraction, gpu, log
 from jaxmorph._methods.rbf import fused
 
 BASES = [
@@ -38,7 +38,7 @@ def interpreted(monkeypatch):
         words = jax.lax.bitcast_convert_type(1 / x, jnp.uint64)
         return jax.lax.bitcast_convert_type(words & jnp.uint64(0xFFFFFFFF00000000), x.dtype)
 
-    monkeypatch.setattr(gpu, "fma", fma)
+    monkeypatch.setattr(contraction, "fma", fma)
     monkeypatch.setattr(log, "rough_reciprocal", rough_reciprocal)
     monkeypatch.setattr(pallas, "pallas_call", functools.partial(pallas.pallas_call, interpret=True))
 
@@ -79,14 +79,14 @@ def test_products_are_contracted_into_sums(monkeypatch, sign):
         calls.append(negated)
         return (-a if negated == 1 else a) * b + (-c if negated == 3 else c)
 
-    monkeypatch.setattr(gpu, "fma", fma)
+    monkeypatch.setattr(contraction, "fma", fma)
 
     def function(a, b, c):
         once, twice = a * b, b * c
         return once + sign * 2 - c, a - twice, twice, a**2 - b, c - jnp.square(a)
 
     x = tuple(jnp.asarray(numbers(4, seed=i)) for i in range(3))
-    found = gpu.contracted(function, *x)
+    found = contraction.contracted(function, *x)
     np.testing.assert_allclose(found, function(*x), rtol=0, atol=1e-15)
     assert calls == [None, 3, 1]
 

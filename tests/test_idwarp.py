@@ -15,11 +15,13 @@ import pytest
 
 import jaxmorph as jm
 from jaxmorph import cases, io
+from jaxmorph.io._format import Source
 
 MPI = pytest.importorskip("mpi4py.MPI")
 pytest.importorskip("h5py")
 idwarp = pytest.importorskip("jaxmorph.integrations.idwarp")
 USMesh, MultiUSMesh = idwarp.USMesh, idwarp.MultiUSMesh
+walls_of = pytest.importorskip("jaxmorph.integrations.idwarp._walls").walls_of
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 PLANES = {
     1: [[[0, 0, 0], [1, 0, 0]]],
@@ -354,6 +356,53 @@ def test_several_grids_of_one_file_move_each_by_itself(tmp_path):
     assert np.array_equal(older.getWarpGrid()[0][0], nodes[first[2] : first[3]].ravel())
 
 
+@pytest.mark.parametrize("step", [1e-40, 1e-200])
+def test_complex_steps_are_the_forward_product(grids, step, tmp_path):
+    """As IDWarp's own tests take them: a step of all coordinates at once, and the derivative as the imaginary part over it."""
+    settled = {"gridFile": str(grids["structured"][0]), "specifiedSurfaces": ["Floor"], "useRotations": False}
+    mesh, real = (kind(options=settled, comm=MPI.COMM_SELF) for kind in (idwarp.USMesh_C, USMesh))
+    points, random = real.getSurfaceCoordinates(), np.random.default_rng(0)
+    assert np.array_equal(mesh.getSurfaceCoordinates(), points.astype(complex))
+    tangent = random.normal(size=points.shape)
+    mesh.setSurfaceCoordinates(meshes.bump(points) + 1j * step * tangent)
+    mesh.warpMesh()
+    real.setSurfaceCoordinates(meshes.bump(points))
+    change = real.warpDerivFwd(tangent, solverVec=False)
+    assert np.array_equal(mesh.getWarpGrid().real, real.getWarpGrid())
+    np.testing.assert_allclose(mesh.getCommonGrid().imag / step, change, atol=1e-13)
+    order = random.permutation(len(change))
+    mesh.setExternalMeshIndices(order)
+    np.testing.assert_allclose(mesh.getSolverGrid().imag / step, change[order], atol=1e-13)
+    np.testing.assert_array_equal(mesh.getSurfaceCoordinates().imag, step * tangent)
+    mesh.writeGrid(str(tmp_path / "moved.cgns"))
+    written = io.read(tmp_path / "moved.cgns")
+    assert np.array_equal(written.in_file_order(written.points).ravel(), real.getCommonGrid())
+    with pytest.raises(ValueError, match="coordinates"):
+        real.setSurfaceCoordinates(points + 1j)
+
+
+def test_several_grids_take_complex_steps(tmp_path):
+    path, step = str(tmp_path / "overset.cgns"), 1e-200
+    nodes, (points, zones) = meshes.write_overset(path), meshes.overset_floors()
+    options = {"wing": {"useRotations": False}, "tip": {"useRotations": False}}
+    mesh, real = (kind(path, options, MPI.COMM_SELF) for kind in (idwarp.MultiUSMesh_C, MultiUSMesh))
+    for each in (mesh, real):
+        each.setExternalMeshIndices(np.arange(nodes.size).tolist())
+        each.setSurfaceDefinition(points.tolist(), np.arange(len(points)).tolist(), [4] * len(zones), zones.tolist())
+    tangent = np.random.default_rng(0).normal(size=points.shape)
+    mesh.setSurfaceCoordinates(meshes.bump(points) + 1j * step * tangent)
+    mesh.warpMesh()
+    real.setSurfaceCoordinates(meshes.bump(points))
+    change = real.warpDerivFwd(tangent)
+    assert np.array_equal(mesh.getSolverGrid().real, real.getSolverGrid())
+    np.testing.assert_allclose(mesh.getSolverGrid().imag / step, change, atol=1e-13)
+    faces = np.repeat(np.isin(zones, [0, 1, 2]), 4)  # the last grid stays
+    np.testing.assert_allclose(mesh.getSurfaceCoordinates().imag / step, tangent * faces[:, None], rtol=1e-15)
+    assert np.abs(change).max() > 1
+    mesh.writeGrid(str(tmp_path / "moved"))
+    assert (tmp_path / "moved.cgns").exists()
+
+
 def test_several_grids_refuse_nonsense(tmp_path):
     path = str(tmp_path / "overset.cgns")
     meshes.write_overset(path)
@@ -525,7 +574,10 @@ def test_the_adapter_stands_on_public_names():
                 names = [*(node.module or "").split("."), *(alias.name for alias in node.names)]
                 assert "jaxmorph" not in names[:1] or not any(name.startswith("_") for name in names), file
             if isinstance(node, ast.Attribute) and node.attr.startswith("_") and not node.attr.startswith("__"):
-                assert ast.unparse(node.value) in ("self", "mesh", "Grid", "USMesh"), (file, node.attr)
+                assert ast.unparse(node.value) in ("self", "mesh", "Grid", "USMesh", "self._mesh_class"), (
+                    file,
+                    node.attr,
+                )
 
 
 def test_the_extra_says_what_else_it_needs():
@@ -561,3 +613,18 @@ def test_two_processes_have_what_one_has(grids, tmp_path):
     old, new = io.Decomposed(tmp_path / "case"), io.Decomposed(tmp_path / "moved")
     assert len(old) == len(new) == 2
     assert np.abs(np.asarray(new.read(1).points) - np.asarray(old.read(1).points)).max() > 0.01
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "becomes"),
+    [("sym_overset", "", "free"), ("asymmetric_part", "", ""), ("symm", "", "flat"), ("sym", "overset", "free"),
+     ("overset", "BCSymmetryPlane", "flat"), ("near_overset", "UserDefined", "free"), ("side", "symmetryPlane", "flat")],
+)  # fmt: skip
+def test_patches_are_sorted_by_kind_then_by_name(name, kind, becomes):
+    """What the file says counts; a name counts by the beginnings of its words."""
+    points = np.stack(np.meshgrid([0.0, 1], [0, 1], [0, 1], indexing="ij"), axis=-1).reshape(-1, 3)
+    source = Source(pathlib.Path("a.cgns"), "CGNS", None, kinds={name: kind} if kind else {})
+    mesh = jm.Mesh(points, {"hexahedron": np.array([[0, 4, 6, 2, 1, 5, 7, 3]])}, {name: np.array([0, 2, 4, 6])}, source)
+    options = {"specifiedSurfaces": None, "symmetrySurfaces": None, "symmetryPlanes": None}
+    walls = walls_of(mesh, options)
+    assert {part for part in ("flat", "free") if name in getattr(walls, part)} == ({becomes} - {""})

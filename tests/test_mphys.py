@@ -13,7 +13,8 @@ from jaxmorph import cases, shapes
 
 om = pytest.importorskip("openmdao.api")
 pytest.importorskip("mphys")
-pytestmark = pytest.mark.filterwarnings("ignore")  # MPhys's variables are distributed, also where there is one process
+# MPhys's variables are distributed, also where there is one process
+pytestmark = [pytest.mark.filterwarnings("ignore"), pytest.mark.usefixtures("here")]
 
 
 def wing(x, p):
@@ -24,11 +25,6 @@ def wing(x, p):
 
 
 SHAPE = shapes.Function(wing, {"twist": 0.0, "rise": 0.0})
-
-
-@pytest.fixture(autouse=True)
-def elsewhere(monkeypatch, tmp_path):
-    monkeypatch.chdir(tmp_path)
 
 
 @pytest.fixture(scope="module")

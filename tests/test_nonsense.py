@@ -1,4 +1,4 @@
-"""Nonsense at every door: each argument of each public callable, and an answer that names it."""
+"""Nonsense for each argument of each public callable, and an answer that names it."""
 
 import re
 import warnings

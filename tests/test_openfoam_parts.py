@@ -16,7 +16,7 @@ from scipy.spatial import KDTree
 
 import jaxmorph as jm
 from jaxmorph import io
-from jaxmorph._boundary.boundary import find_boundary
+from jaxmorph._boundary.arguments import find_boundary
 from jaxmorph._boundary.outer_faces import OuterFaces
 from jaxmorph._host.package.ranks import Agreement, Alone, together
 from jaxmorph.cli import main

@@ -11,13 +11,10 @@ from meshes import lattice, write_ring
 import jaxmorph as jm
 
 om = pytest.importorskip("openmdao.api")
-pytestmark = pytest.mark.filterwarnings("ignore:inverted cells are not seen")
-
-
-@pytest.fixture(autouse=True)
-def elsewhere(monkeypatch, tmp_path):
-    """OpenMDAO makes folders where it runs."""
-    monkeypatch.chdir(tmp_path)
+pytestmark = [  # OpenMDAO makes folders where it runs
+    pytest.mark.filterwarnings("ignore:inverted cells are not seen"),
+    pytest.mark.usefixtures("here"),
+]
 
 
 @pytest.fixture(scope="module")

@@ -51,7 +51,7 @@ def test_what_prepare_refuses():
             jm.prepare(*arguments, method=GRAPH)
 
 
-def test_shapes_are_compared_at_the_door():
+def test_shapes_are_compared_first():
     """A gather beyond the end is clamped in silence: nine rows for ten nodes must not pass, nor any other shape, traced or not."""
     mesh = body(2)
     plan = jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=GRAPH)

@@ -1,11 +1,13 @@
 """Pictures, judged by what was drawn: numbers of polygons, their places and their colours."""
 
 import importlib
+import itertools
 import sys
 
 import matplotlib
 
 matplotlib.use("Agg")
+
 
 import foam
 import jax.numpy as jnp
@@ -18,11 +20,7 @@ from scipy.spatial import ConvexHull
 import jaxmorph as jm
 from jaxmorph import cases, io, plot
 
-
-@pytest.fixture(autouse=True)
-def close_figures():
-    yield
-    plt.close("all")
+pytestmark = pytest.mark.usefixtures("closed_figures")
 
 
 @pytest.fixture(scope="module")
@@ -44,6 +42,33 @@ def test_mesh_draws_each_cell_in_its_colour():
     np.testing.assert_array_equal(outlines(faces)[0][:4], mesh.points[[0, 1, 2, 3]])
     np.testing.assert_array_equal(outlines(faces)[1][:3], mesh.points[[1, 4, 5]])
     assert (axis.get_xlabel(), axis.get_ylabel()) == ("x", "y")
+
+
+def test_a_value_that_all_cells_have_is_the_light_end():
+    faces = plot.mesh(mixed(), values=np.full(3, 0.25)).collections[0]
+    assert faces.get_clim()[0] == 0.25
+    assert faces.get_clim()[1] > 1
+
+
+@pytest.mark.parametrize("size", [1e-3, 0.2, 40.0])
+def test_numbers_and_names_are_within_the_figure(airfoil, size):
+    """As first drawn, for windows whose numbers have many digits."""
+    window = ((1 - size, 1 + size), (-size, size))
+    values = np.linspace(0.9871, 0.9913, len(airfoil.cell_ids))
+    for ax in (plot.before_after(airfoil, airfoil.points, window=window), plot.mesh(airfoil, window=window)):
+        assert_inside(ax)
+    assert_inside(plot.mesh(airfoil, values=values, label="V/V0", window=window))
+
+
+def assert_inside(ax):
+    ax.figure.canvas.draw()
+    drawn, (width, height) = ax.figure.get_tightbbox(), ax.figure.get_size_inches()
+    assert min(drawn.x0, drawn.y0) >= 0
+    assert drawn.x1 <= width
+    assert drawn.y1 <= height
+    labels = [text.get_window_extent() for text in ax.get_xticklabels() if text.get_text()]
+    shown = [box for box in labels if ax.bbox.x0 - 1 <= (box.x0 + box.x1) / 2 <= ax.bbox.x1 + 1]
+    assert all(left.x1 < right.x0 for left, right in itertools.pairwise(shown))
 
 
 def test_walls_are_drawn_stronger_than_the_lines_between_cells():
@@ -451,6 +476,17 @@ def test_cut_shows_the_cells_that_the_plane_meets():
     plotter.close()
     with pytest.raises(ValueError, match="nothing to draw"):
         plot.cut(mesh, plane=jm.Plane((1.0, 0, 0), (7.0, 0, 0)))
+
+
+def test_a_cut_along_nodes_has_each_edge_once():
+    """Round-off of nodes in the plane does not cut the cells on both its sides by turns."""
+    box = bricks(4)
+    points = box.points + np.random.default_rng(0).uniform(-1e-13, 1e-13, box.points.shape)
+    plotter = plot.cut(box, points, plane=jm.Plane((0, 1.0, 0), (0, 0.5, 0)))
+    section, lines, _ = plotter.meshes
+    plotter.close()
+    assert section.n_cells == 16
+    assert lines.n_cells == 2 * 4 * 5
 
 
 def test_a_cut_shows_whole_polyhedra(tmp_path):

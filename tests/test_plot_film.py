@@ -23,10 +23,7 @@ from jaxmorph import plot
 WINDOW = ((-0.5, 2.5), (-0.5, 1.5))
 
 
-@pytest.fixture(autouse=True)
-def close_figures():
-    yield
-    plt.close("all")
+pytestmark = pytest.mark.usefixtures("closed_figures")
 
 
 def frames_of(path):

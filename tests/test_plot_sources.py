@@ -15,11 +15,7 @@ from scipy.spatial import cKDTree
 import jaxmorph as jm
 from jaxmorph import plot
 
-
-@pytest.fixture(autouse=True)
-def close_figures():
-    yield
-    plt.close("all")
+pytestmark = pytest.mark.usefixtures("closed_figures")
 
 
 def circle(radius, n, half=False):
@@ -163,12 +159,8 @@ def test_errors_with_a_symmetry_plane():
 
 def test_errors_refuse_what_has_no_answer():
     plan = planned()
-    with pytest.raises(ValueError, match=r"shape \(3, 2\)"):
-        plot.surface_errors(plan, np.ones((3, 2)), [jm.KDTree(2)])
     with pytest.raises(ValueError, match="zero"):
         plot.surface_errors(plan, np.zeros((40, 2)), [jm.KDTree(2)])
-    with pytest.raises(ValueError, match="empty"):
-        plot.surface_errors(plan, np.ones((40, 2)), [])
     with pytest.raises(ValueError, match="no sources"):
         plot.surface_errors(planned(jm.DelaunayGraph()), np.ones((40, 2)), [jm.KDTree(2)])
     with pytest.raises(ValueError, match="empty"):

@@ -7,7 +7,7 @@ import foam
 import jax
 import numpy as np
 import pytest
-from meshes import bricks, drum, mixed, ring, square, turn, unit_box, wedges
+from meshes import bricks, drum, grid, mixed, ring, square, turn, unit_box, wedges
 
 import jaxmorph as jm
 from jaxmorph import cases, io
@@ -222,13 +222,10 @@ def test_improve_says_what_is_proven():
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        (lambda: jm.proof(square(), np.zeros((3, 2))), r"`points` has shape \(3, 2\)"),
         (lambda: jm.proof(square(), base=np.zeros((3, 2))), r"`base` has shape \(3, 2\)"),
-        (lambda: jm.proof(square(), depth=-1), "`depth` must be a whole number"),
         (lambda: jm.proof(jm.Mesh(np.zeros((3, 3)), {"triangle": [[0, 1, 2]]})), "no cells that fill 3-D space"),
         (lambda: jm.proof(jm.Mesh(np.zeros((3, 3)))), "the mesh has no cells"),
         (lambda: jax.jit(lambda x: jm.proof(square(), x).lower)(square().points), "`proven_margin` is traced"),
-        (lambda: jm.proven_margin(square(), square().points, sharpness=0.0), "`sharpness`"),
     ],
 )
 def test_bad_input_is_refused(call, words):
@@ -315,3 +312,46 @@ def test_the_command_line_proves_and_gates(tmp_path, capsys, monkeypatch):
     assert main(["deform", "box.su2", "folded.su2", *motion, "--translate", "0", "0", "1.5"]) == 1
     assert "beyond --proven" in capsys.readouterr().err
     assert not (tmp_path / "folded.su2").exists()
+
+
+HALF_TURN = ["--rotate", "180", "--axis", "0", "0", "1", "--about", "0.5", "0.5", "0.5", "--proven", "--no-dry-run"]
+"""det J of a straight half turn is (1 - 2 t)^2: zero in the middle, 1 at the end. In four steps it is (1 + cos 45) / 2 at least."""
+
+
+@pytest.mark.parametrize(
+    ("flags", "valid", "when"),
+    [
+        ([], 0, "at every instant of the motion."),
+        (["--steps", "4"], 8, "at every instant of the motion, step by step in 4 steps."),
+        (["--method", "turning"], 8, "where the motion ends, but not on the way, where nodes leave straight lines."),
+    ],
+)
+def test_the_gate_proves_the_whole_motion(tmp_path, capsys, monkeypatch, flags, valid, when):
+    monkeypatch.chdir(tmp_path)
+    io.write("box.su2", unit_box(2))
+    every = ["--moving", "x0", "x1", "y0", "y1", "z0", "z1"]
+    assert main(["deform", "box.su2", "turned.su2", *every, *HALF_TURN, *flags]) == (valid == 0)
+    said = capsys.readouterr()
+    assert f"proven: {valid} of 8 cells fold nowhere inside, {when}" in re.sub(r"\s+", " ", said.out)
+    assert re.search(r"inverted cells +0 +0", said.out)
+    assert max(map(len, said.out.split("\n"))) <= 80
+    if flags[:1] == ["--steps"]:  # the margin of the worst step, by its closed form
+        margin = float(re.search(r"min proven margin +0 +1 +([0-9.]+)", said.out)[1])
+        assert 0.8 < margin <= (1 + np.cos(np.pi / 4)) / 2
+
+
+@pytest.mark.parametrize(("steps", "valid"), [("1", 0), ("4", 12)])
+@pytest.mark.filterwarnings("ignore:.*the case is decomposed")
+def test_the_gate_proves_the_motion_of_parts(tmp_path, capsys, steps, valid):
+    mesh = grid(*(np.arange(n + 1.0) for n in (3, 2, 2)))
+    points, cells = (
+        np.asarray(mesh.points),
+        [foam.cell(foam.HEXAHEDRON, *row) for row in mesh.cells["hexahedron"].tolist()],
+    )
+    case = (tmp_path / "case", points, cells, [("all", "wall", lambda nodes: True)])
+    foam.write_case(*case)
+    foam.write_parts(*case, [0 if k < 4 else 1 for k in range(len(cells))])
+    flags = ["--moving", "all", "--decomposed", *HALF_TURN, "--steps", steps]
+    assert main(["deform", str(case[0]), str(tmp_path / "turned"), *flags]) == (valid == 0)
+    said = re.sub(r"\s+", " ", capsys.readouterr().out)
+    assert f"proven: {valid} of 12 cells fold nowhere inside, at every instant of the motion" in said

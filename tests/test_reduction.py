@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from cases import body
 from meshes import lattice
+from scipy.spatial.distance import cdist, pdist
 
 import jaxmorph as jm
 from jaxmorph import cases as jm_cases
@@ -58,7 +59,13 @@ def test_the_papers_source_numbers():
     assert len(jm.KDTree(2)(mesh.points[mesh.patch("farfield")])) == 6
 
 
-@pytest.mark.parametrize("reduction", [jm.KDTree(7), jm.KDTree(5, jm.GaussPoints(), extremes=True), jm.AllPoints()])
+@pytest.mark.parametrize(
+    "reduction",
+    [
+        *(jm.KDTree(7), jm.KDTree(5, jm.GaussPoints(), extremes=True), jm.AllPoints()),
+        *(jm.FarthestPoints(40), jm.FarthestPoints(40, extremes=True), jm.Greedy(30), jm.Graded()),
+    ],
+)
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_order_does_not_matter_and_nothing_is_named_twice(reduction, dimension):
     grid = lattice(*[np.linspace(0, 1, 9)] * dimension)  # ties everywhere
@@ -128,12 +135,15 @@ def test_points_coincide_within_a_few_units_in_the_last_place(dtype, size):
             assert len(jm.KDTree(8, separation=0.0)(points)) == distinct
 
 
-def test_separation():
+@pytest.mark.parametrize("make", [jm.KDTree, jm.FarthestPoints, jm.Greedy])
+def test_separation(make):
+    """Sources keep their distance; where farthest points stop, no other point is farther from them."""
     points = np.concatenate([np.random.default_rng(2).normal(size=(200, 2)), [[0.0, 0.0], [1e-9, 0.0]]])
-    wide = jm.KDTree(64, separation=0.05)(points)
-    distance = np.linalg.norm(points[wide][:, None] - points[wide][None], axis=2) + np.eye(len(wide)) * 9
-    assert distance.min() > 0.05 * np.linalg.norm(np.ptp(points, axis=0))
-    assert 10 < len(wide) < len(jm.KDTree(64, separation=0.0)(points))
+    wide, least = make(64, separation=0.05)(points), 0.05 * np.linalg.norm(np.ptp(points, axis=0))
+    assert pdist(points[wide]).min() > least
+    assert 10 < len(wide) < len(make(64, separation=0.0)(points))
+    if make is jm.FarthestPoints:
+        assert cdist(points, points[make(200, separation=0.05)(points)]).min(axis=1).max() <= least
 
 
 def test_extremes():
@@ -156,7 +166,8 @@ def test_all_points_takes_one_of_coincident_ones():
 @pytest.mark.parametrize("count", [0, 1, 2])
 def test_hardly_any_points(count):
     points = np.arange(2.0 * count).reshape(count, 2)
-    for reduction in (jm.KDTree(4), jm.KDTree(4, extremes=count > 0), jm.AllPoints()):
+    more = jm.FarthestPoints(4, extremes=True), jm.Greedy(4), jm.Graded()
+    for reduction in (jm.KDTree(4), jm.KDTree(4, extremes=count > 0), jm.AllPoints(), *more):
         assert reduction(points).tolist() == list(range(count))
 
 
@@ -164,10 +175,7 @@ def test_hardly_any_points(count):
     ("options", "message"),
     [
         ({}, "needs `leaves`"),
-        ({"leaves": 0}, "`leaves` must be a whole number of at least 1, not 0"),
-        ({"points_per_leaf": -1}, "`points_per_leaf` must be a whole number of at least 1"),
         ({"leaves": 1, "smallest_box": 2.0, "largest_box": 1.0}, "smallest_box <= largest_box"),
-        ({"leaves": 1, "separation": 1.0}, "`separation` must be a real number of 0 or more and below 1, not 1.0"),
     ],
 )
 def test_options_that_make_no_sense(options, message):

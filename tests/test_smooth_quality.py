@@ -90,13 +90,3 @@ def test_it_is_a_penalty_under_jit_vmap_and_in_float32():
     single = jm.smooth_quality(mesh, many[0].astype(jnp.float32))
     assert single.aspect_ratio.dtype == jnp.float32
     np.testing.assert_allclose(single.aspect_ratio, alone[0].aspect_ratio, rtol=1e-4)
-
-
-def test_bad_input_is_named():
-    mesh = pair("quad")
-    with pytest.raises(ValueError, match="shape"):
-        jm.smooth_quality(mesh, np.zeros((3, 2)))
-    with pytest.raises(ValueError, match="no cells"):
-        jm.smooth_quality(jm.Mesh(mesh.points))
-    with pytest.raises(ValueError, match="`sharpness` must be a real number above 0"):
-        jm.smooth_quality(mesh, sharpness=0.0)

@@ -84,6 +84,21 @@ def test_single_precision_leaves_fixed_digits_alone(tmp_path):
     np.testing.assert_array_equal(io.read(tmp_path / "out.su2").points.astype(np.float32), points)
 
 
+def test_what_older_programs_write(tmp_path):
+    """Fortran's exponents, names in Latin-1, and no markers at all."""
+    (tmp_path / "a.su2").write_bytes(
+        PLAIN.replace("1.5 0.25", "1.5D0 2.5d-1").replace("lower", "sous la fl\xe8che").encode("latin-1")
+    )
+    mesh = io.read(tmp_path / "a.su2")
+    np.testing.assert_array_equal(mesh.points, POINTS)
+    assert list(mesh.patches) == ["sous la fl\xe8che", "upper"]
+    io.write(tmp_path / "b.su2", mesh.moved(np.where(POINTS[:, :1] == 0, 7.5, POINTS)))
+    assert b"1.5D0 2.5d-1 1" in (tmp_path / "b.su2").read_bytes()
+    assert io.read(tmp_path / "b.su2").points[[0, 3]].tolist() == [[7.5, 7.5]] * 2
+    mesh = io.read(written(tmp_path / "c.su2", PLAIN[: PLAIN.index("NMARK")] + "NMARK= 0\n"))
+    np.testing.assert_array_equal(mesh.patch("boundary"), np.arange(6))
+
+
 SOLIDS = """NDIME=3
 NELEM=4
 12 0 1 2 3 4 5 6 7

@@ -5,8 +5,10 @@ import json
 import math
 import pathlib
 
+import jax
 import numpy as np
 import pytest
+import scipy.interpolate
 from meshes import bricks
 
 import jaxmorph as jm
@@ -32,6 +34,12 @@ def folder(tmp_path_factory):
     top = np.flatnonzero(x[:, 2] == 1)
     sides = np.setdiff1d(np.flatnonzero((x[:, :2] % 1 == 0).any(axis=1) & (x[:, 2] > 0)), [])
     io.write(folder / "brick.su2", jm.Mesh(x, brick.cells, {**brick.patches, "top": top, "sides": sides}))
+    names = {"floor": (2, 0), "lid": (2, 1), "wall": (0, 0), "side": (1, 0)}
+    sides = {name: np.flatnonzero(x[:, axis] == place) for name, (axis, place) in names.items()}
+    io.write(folder / "room.su2", jm.Mesh(x, brick.cells, sides))
+    inner = [corner for corner in brick.cells["hexahedron"][21] if x[corner, 1] == 0.5]  # a marker within the mesh
+    text = (folder / "room.su2").read_text().replace("NMARK= 4", "NMARK= 5")
+    (folder / "room.su2").write_text(text + f"MARKER_TAG= cut\nMARKER_ELEMS= 1\n9 {' '.join(map(str, inner))}\n")
     return folder
 
 
@@ -111,6 +119,103 @@ def test_the_four_digits_of_naca(folder):
     np.testing.assert_allclose(after[side, 1], (mean + np.sign(up) * half)[side], atol=1e-15)
 
 
+def su2_loop(x, up, kind, numbers, value):
+    """Displacements across x as SU2's loops over the nodes of the wall have them; `up` are ordinates of normals."""
+    moves = np.zeros_like(x)
+    for row, (t, y) in enumerate(x):
+        if kind == "SURFACE_BUMP":
+            start, end, place = numbers
+            size, ahead = end - start, t - start
+            power = math.log10(0.5) / math.log10((place - start) / size)
+            if 0 < ahead < size:
+                moves[row, 1] = value * math.sin(math.pi * (ahead / size) ** power) ** 3
+        elif kind == "CST":
+            side, k, n = int(numbers[0]), numbers[1] - 1, numbers[2] - 1
+            t = max(0.0, t)
+            share = math.factorial(n) / (math.factorial(k) * math.factorial(n - k)) * t**k * (1 - t) ** (n - k)
+            if up[row] > 0 if side else up[row] < 0:
+                moves[row, 1] = value * math.sqrt(t) * (1 - t) * share
+        elif kind == "PARABOLIC":
+            centre, thick = numbers[0], numbers[1] / 100
+            arc = thick * (t * t - t) / (2.0 * (centre * centre - centre))
+            moves[row, 1] = arc - y if up[row] > 0 else -arc - y if up[row] < 0 else 0
+    return moves
+
+
+@pytest.mark.parametrize(
+    "listed",
+    [
+        [("SURFACE_BUMP", (0.2, 0.7, 0.4), 0.02), ("CST", (0, 5, 7), 0.03), ("CST", (1, 2, 6), 0.05)],
+        [("PARABOLIC", (0.5, 12), 1.0)],
+    ],
+)
+def test_kinds_that_look_at_x(folder, listed):
+    param = "; ".join(str(numbers) for _, numbers, _ in listed)
+    kinds, values = ", ".join(kind for kind, *_ in listed), ", ".join(str(value) for *_, value in listed)
+    case = config(folder, kinds, param, values)
+    (x, after), up = moved(case), heights(case.mesh)
+    np.testing.assert_allclose(after, x + sum(su2_loop(x, up, *each) for each in listed), atol=1e-15)
+    assert np.abs(after - x).max() > 0.01
+    slope = shapes.project(case.shape, x, case.parameters, np.ones_like(x))
+    if case.constants:
+        assert case.constants == ["PARABOLIC[0]"]
+        return
+    expected = [su2_loop(x, up, kind, numbers, 1.0).sum() for kind, numbers, _ in listed]
+    np.testing.assert_allclose(slope, expected, rtol=1e-12)
+
+
+def test_bumps_of_the_camber_line(folder):
+    """Both sides move across the chord, which is turned here; behind 0.99 nothing moves."""
+    mesh, angle, shift = io.read(folder / "airfoil.su2"), np.deg2rad(8), np.array([0.3, -0.2])
+    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])  # nose up
+    io.write(folder / "pitched.su2", mesh.moved(np.asarray(mesh.points) @ turn.T + shift))
+    case = config(folder, "HICKS_HENNE_CAMBER, HICKS_HENNE_CAMBER", "(0.3); (0.8)", "0.02, 0.01", mesh="pitched")
+    x, after = moved(case)
+    tail = x[np.argmax(x[:, 0])]
+    nose = x[np.argmax(np.linalg.norm(x - tail, axis=1))]
+    along = (tail - nose) / np.linalg.norm(tail - nose)
+    np.testing.assert_allclose(along, turn[:, 0], atol=0.02)
+    up = np.zeros(len(x))
+    for row, t in enumerate(np.maximum((x - nose) @ along, 0)):
+        for place, value in ((0.3, 0.02), (0.8, 0.01)):
+            bump = math.sin(math.pi * t ** (math.log10(0.5) / math.log10(place))) ** 3 if t > 1e-15 else 0.0
+            up[row] += value * bump * (t <= 0.99)
+    np.testing.assert_allclose(after - x, up[:, None] * np.array([-along[1], along[0]]), atol=1e-14)
+    assert up.max() > 0.019
+
+
+def test_whole_meshes_move(folder):
+    mesh = io.read(folder / "airfoil.su2")
+    for kind, param, value, expected in (
+        ("SCALE_GRID", "(1.0)", 0.001, lambda p: 0.001 * p),
+        ("TRANSLATE_GRID", "(3, 4, 0)", 0.5, lambda p: p + np.array([0.3, 0.4])),
+        ("ROTATE_GRID", "(0.25, 0.1, 0, 0.25, 0.1, 1)", 30, lambda p: (
+            turned(np.column_stack([p, np.zeros(len(p))]), np.array([0.25, 0.1, 0]), np.array([0.25, 0.1, 1]), 30)[:, :2])),
+    ):  # fmt: skip
+        case = config(folder, kind, param, value, more="MARKER_SYM= farfield\n", marker="")
+        assert (set(case.moving), case.fixed, case.symmetry) == (set(mesh.patches), (), ())
+        plan = jm.prepare(case.mesh, case.moving, case.fixed, symmetry=case.symmetry, method=jm.RBF.classic())
+        points = jm.deform(plan, shapes.displacement(case.shape, plan, case.parameters))
+        np.testing.assert_allclose(points, expected(np.asarray(mesh.points)), atol=1e-9)
+
+
+def test_walls_stay_in_symmetry_planes(folder):
+    """A node of a marker in MARKER_SYM keeps its height above that plane, and so do those of a marker that is in both lists."""
+    case = config(
+        folder,
+        "TRANSLATION",
+        "(1, 2, 3)",
+        "0.01",
+        "MARKER_SYM= ( wall, side )\nMARKER_INTERNAL= ( cut )\n",
+        "room",
+        "floor, wall",
+    )
+    x, after = moved(case)
+    expected = np.array([0.01, 0.02, 0.03]) * np.column_stack([x[:, 0] > 0, x[:, 1] > 0, np.ones(len(x))])
+    np.testing.assert_allclose(after - x, expected, atol=1e-16)
+    assert (case.moving, case.symmetry, case.fixed) == (("floor", "wall"), ("side",), ("lid",))
+
+
 def box_of_su2(case, listed, length=1.0, fixed=((), (), ())):
     """Moves control points as SU2 does, in its loops over boxes that are always 3-D; returns them before and after."""
     flat = len(CORNERS[0]) == case.mesh.points.shape[1]
@@ -146,6 +251,19 @@ def box_of_su2(case, listed, length=1.0, fixed=((), (), ())):
                 continue
             control[i, j, 0, 2] += -values[0] if "THICK" in kind else values[0]
             control[i, j, 1, 2] += values[0]
+        elif kind == "FFD_GULL":
+            if numbers[0] not in fixed[1]:
+                control[:, numbers[0], :, 2] += values[0]
+        elif kind == "FFD_NACELLE":
+            i, j, k, *way = numbers
+            for theta in dict.fromkeys([j, counts[1] - 1 - j]):
+                if i in fixed[0] or theta in fixed[1] or k in fixed[2]:
+                    break
+                control[slice(None) if i == -1 else i, theta, k] += values[0] * np.array([way[0], 0, way[1]])
+        elif kind == "FFD_CONTROL_SURFACE":
+            a, b = np.array(numbers[:3]), np.array(numbers[3:])
+            for place in itertools.product(range(counts[0] - 2), range(2, counts[1] - 2), range(counts[2])):
+                control[place] = turned(control[place], a, b, -values[0])
         elif kind == "FFD_ROTATION":
             control = turned(control, np.array(numbers[:3]), np.array(numbers[3:]), values[0])
         elif kind == "FFD_TWIST":
@@ -219,6 +337,41 @@ LISTED = [
 ]
 
 
+def test_wings_gulls_and_nacelles(folder):
+    listed = [
+        ("FFD_GULL", [2], [0.05]),
+        ("FFD_NACELLE", [1, 1, 0, 1.0, 0.5], [0.02]),
+        ("FFD_NACELLE", [-1, 0, 1, 0.5, 1.0], [0.01]),
+        ("FFD_CONTROL_SURFACE", [0.25, 0, 0, 0.25, 1, 0.5], [4]),
+    ]
+    param = "; ".join(f"(BOX, {', '.join(map(str, numbers))})" for _, numbers, _ in listed)
+    value = ", ".join(str(values[0]) for _, _, values in listed)
+    kinds = ", ".join(kind for kind, _, _ in listed)
+    case = config(folder, kinds, param, value, solid(WHOLE, degrees="(3, 5, 1)"), mesh="brick", marker="floor")
+    check_box(case, listed)
+
+
+def test_a_box_of_splines_gives_the_wall_at_rest(folder):
+    """Coordinates in the box are those at which the lattice at rest gives the wall: else SU2 would move it by nothing."""
+    more = solid(WHOLE, degrees="(5, 4, 2)", more="FFD_BLENDING= BSPLINE_UNIFORM\nFFD_BSPLINE_ORDER= 4, 3, 2\n")
+    case = config(folder, "FFD_CAMBER", "(BOX, 1, 1)", "0.1", more, mesh="brick", marker="floor")
+    (box,) = case.boxes
+    nodes, places = box.surface["floor"]
+    knots = [np.clip(np.arange(-p, n + 1) / (n - p), 0, 1) for n, p in zip((6, 5, 3), (3, 2, 1), strict=True)]
+    weights = [
+        np.nan_to_num(scipy.interpolate.BSpline(each, np.eye(n), p)(places[:, axis]))
+        for axis, (each, n, p) in enumerate(zip(knots, (6, 5, 3), (3, 2, 1), strict=True))
+    ]
+    at_rest = np.einsum("ma,mb,mc,abcd->md", *weights, box.control)
+    np.testing.assert_allclose(at_rest, np.asarray(case.mesh.points)[nodes], atol=1e-14)
+    (after,) = case.moved_boxes
+    x, wall = moved(case)
+    np.testing.assert_allclose(
+        wall - x, np.einsum("ma,mb,mc,abcd->md", *weights, after.control - box.control), atol=1e-14
+    )
+    assert np.abs(wall - x).max() > 0.01
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("continuity", ["NO_DERIVATIVE", "2ND_DERIVATIVE", "USER_INPUT", None])
 def test_boxes_in_3d(folder, continuity):
@@ -274,11 +427,25 @@ DEFINITION_DV= ( 30, 0.5 | airfoil | 1, 0.3 ); ( HICKS_HENNE, 1.0 | airfoil | 0,
     np.testing.assert_allclose(defined.shape(x, [0.02, 0.02, 0.1]), plain + up, atol=1e-15)
 
 
+def test_names_are_in_any_case_and_the_result_is_su2s(folder):
+    io.write(folder / "airfoil.vtu", io.read(folder / "airfoil.su2"))
+    lines = "mesh_filename= airfoil.vtu\nMesh_Out_Filename= moved\ndv_kind= SCALE\nDV_MARKER= airfoil\nDV_VALUE= 1.1\n"
+    (folder / "case.cfg").write_text(lines)
+    case = su2.read_config(folder / "case.cfg")
+    assert (case.output, case.parameters.tolist()) == (folder / "moved.su2", [1.1])
+
+
 @pytest.mark.parametrize(
     ("change", "says"),
     [
         ({"kind": "HICKS_HENN"}, "HICKS_HENN is not taken .did you mean HICKS_HENNE"),
-        ({"kind": "SURFACE_BUMP"}, "SURFACE_BUMP is not taken; .*TRANSLATION"),
+        ({"kind": "AIRFOIL"}, "AIRFOIL is not taken; .*TRANSLATION"),
+        ({"kind": "SURFACE_BUMP", "param": "(0.2, 0.4, 0.5)"}, "it must lie between"),
+        ({"kind": "CST", "param": "(1, 4, 3)"}, "CST has the function 4 of 3"),
+        ({"kind": "HICKS_HENNE_CAMBER", "param": "(1)"}, "a bump has its top at 1"),
+        ({"kind": "HICKS_HENNE_CAMBER, SCALE", "param": "(0.5); (1)", "value": "1, 1"}, "SU2 moves by one sort"),
+        ({"kind": "SCALE_GRID, SCALE", "param": "(1); (1)", "value": "1, 1"}, "SCALE_GRID is taken alone"),
+        ({"kind": "TRANSLATE_GRID", "param": "(0, 0, 1)"}, "vector without length"),
         ({"kind": "FFD_TWIST_2D"}, "FFD_TWIST_2D is not taken"),
         ({"param": "(1, 0.3, 4)"}, "HICKS_HENNE has 2 parameters, found 3"),
         ({"param": "(1, 0.3); (0, 0.2)"}, "2 groups of parameters for 1 of DV_KIND"),
@@ -325,11 +492,11 @@ def test_a_gradient_by_boxes_is_its_differences(folder):
     case = config(folder, kinds, param, value, solid(WHOLE), mesh="brick", marker="floor")
     x, rng = moved(case)[0], np.random.default_rng(0)
     weights = rng.normal(size=x.shape)
-    gradient = shapes.project(case.shape, x, case.parameters, weights)
-    for k in range(len(gradient)):
-        step = 1e-6 * np.eye(len(gradient))[k]
-        difference = np.vdot(weights, case.shape(x, step) - case.shape(x, -step)) / 2e-6
-        np.testing.assert_allclose(gradient[k], difference, rtol=1e-6, atol=1e-9)
+    gradient = np.asarray(shapes.project(case.shape, x, case.parameters, weights))
+    place = jax.jit(lambda step: case.shape(x, step))
+    steps = 1e-6 * np.eye(len(gradient))
+    differences = [np.vdot(weights, place(step) - place(-step)) / 2e-6 for step in steps]
+    np.testing.assert_allclose(gradient, differences, rtol=1e-6, atol=1e-9)
 
 
 @pytest.mark.slow
@@ -394,7 +561,7 @@ def test_dot_takes_the_volume_through_the_mesh(folder, tmp_path, capsys):
     assert "no file of sensitivities is there (SOLUTION_ADJ_FILENAME= solution_adj.dat" in capsys.readouterr().err
     (tmp_path / "solution_adj.dat").write_bytes((535532).to_bytes(4, "little") + bytes(16))
     assert main(words) == 2
-    assert "RESTART_ASCII" in capsys.readouterr().err
+    assert "a binary restart of 0 nodes" in capsys.readouterr().err
     assert main([*words, "--sensitivity", str(tmp_path / "sens.npz")]) == 0
     case = su2.read_config(tmp_path / "case.cfg")
     plan = jm.prepare(case.mesh, case.moving, case.fixed, method=jm.RBF.classic())

@@ -43,6 +43,18 @@ def test_vtk_reads_all_arrays_that_are_written(tmp_path, ending, dtype):
     }
 
 
+def test_a_compression_that_is_not_read_is_told(tmp_path):
+    from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridWriter
+
+    writer = vtkXMLUnstructuredGridWriter()
+    writer.SetInputData(mixed().to_pyvista())
+    writer.SetFileName(str(tmp_path / "a.vtu"))
+    writer.SetCompressorTypeToLZ4()
+    writer.Write()
+    with pytest.raises(ValueError, match=r"a\.vtu: compressed by LZ4"):
+        io.read(tmp_path / "a.vtu")
+
+
 @pytest.mark.parametrize("large", [2**31, -(2**31) - 1])
 def test_numbers_beyond_four_bytes_keep_their_value(tmp_path, large):
     mesh = bricks(1)

@@ -10,7 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Real
 
-from .._boundary.boundary import Boundary, find_boundary
+from .._boundary.arguments import find_boundary
+from .._boundary.boundary import Boundary
 from .._boundary.images import Images
 from .._boundary.periodic import Periodic
 from .._boundary.slide import Slide

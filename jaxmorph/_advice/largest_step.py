@@ -123,7 +123,7 @@ class Corners:
         for kind, ids, sign, judged, bound in self.parts:
             values = _polynomials(kind, start, end, ids) * sign
             values[0] -= bound
-            rows, columns = np.nonzero(judged)
+            rows, columns = np.nonzero(judged[: values.shape[1]])
             roots = first_roots(values[:, rows, columns])
             if len(roots) and roots.min() < best:
                 best, worst = float(roots.min()), offset + int(columns[roots.argmin()])
@@ -135,7 +135,7 @@ class Corners:
         is_above = jnp.array(True)
         for kind, ids, sign, judged, bound in self.parts:
             jacobians = sign[None] * corner_jacobians(kind, points, ids)
-            is_above &= jnp.all(jnp.where(judged, jacobians > bound[None], True))
+            is_above &= jnp.all(jnp.where(judged[: len(jacobians)], jacobians > bound[None], True))
         return is_above
 
 

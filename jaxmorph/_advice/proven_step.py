@@ -70,7 +70,7 @@ class _Search:
         self.step, self.cell = 1.0, -1
 
     def through(self, cells: _Cells, offset: int) -> None:
-        """Looks at all cells, then into those that may end the step before any corner does."""
+        """Looks at all cells, then into cells that may end the step before any corner does."""
         size = max(1, ROOM // (4 * bernstein.count(cells.space)))
         blocks = np.split(np.arange(cells.ids.shape[1]), range(size, cells.ids.shape[1], size))
         for block in blocks:
@@ -106,7 +106,7 @@ def _first(excess: Float[np.ndarray, "t n p"]) -> Float[np.ndarray, " p"]:
 
 
 def _powers(values: Float[np.ndarray, "t k"]) -> Float[np.ndarray, "4 k"]:
-    """Turns Bernstein coefficients of degree 2 or 3 into those of powers, lowest first."""
+    """Turns Bernstein coefficients of degree 2 or 3 into coefficients of powers, lowest first."""
     if len(values) == 3:
         a, b, c = values
         return np.stack([a, 2 * (b - a), a - 2 * b + c, np.zeros_like(a)])

@@ -2,7 +2,9 @@
 
 import numpy as np
 
-from .._host.sources.reduction import KDTree, drop_close, roundoff
+from .._host.package.rounding import roundoff
+from .._host.sources.reduction import KDTree
+from .._host.sources.separation import drop_close
 
 UNRESOLVED = 1 / 3
 """Share of the largest displacement that sources may miss between them."""

@@ -84,7 +84,7 @@ class ValidSteps(Module, optx.AbstractSearch):
 
         def guard(y: Any, args: Any) -> Any:
             shapes = jax.eval_shape(objective, y, args)
-            infinite = lambda: jax.tree.map(lambda each: jnp.full(each.shape, jnp.inf, each.dtype), shapes)  # noqa: E731
+            infinite = lambda: jax.tree.map(lambda leaf: jnp.full(leaf.shape, jnp.inf, leaf.dtype), shapes)  # noqa: E731
             return jax.lax.cond(self.holds(y), lambda: objective(y, args), infinite)
 
         return guard

@@ -77,10 +77,10 @@ class Faceted(AbstractWall):
         return distance_from_edges(x, ends) < 1e-9 * np.ptp(np.asarray(self.vertices), axis=0).max()
 
     def at(self, points):
-        return Faceted(self.nodes, points[self.nodes], self.faces, self.around)
+        return type(self)(self.nodes, points[self.nodes], self.faces, self.around)
 
     def renumbered(self, place):
-        return Faceted(place[np.asarray(self.nodes)], self.vertices, self.faces, self.around)
+        return type(self)(place[np.asarray(self.nodes)], self.vertices, self.faces, self.around)
 
     def nearest(self, x: Float[Array, "k d"]) -> tuple[Float[Array, "k d"], Float[Array, "k d"]]:
         """Finds the nearest points of the faces, and the normals there."""
@@ -102,10 +102,10 @@ class Faceted(AbstractWall):
         squared = jnp.sum((vertices - x[None]) ** 2, axis=1)
         vertex = jnp.argmin(squared)
         corners = vertices[jnp.asarray(self.faces)[jnp.asarray(self.around)[vertex]]]
-        places = jax.vmap(_nearest_of, in_axes=(None, 0))(x, corners)
+        places = jax.vmap(nearest_of, in_axes=(None, 0))(x, corners)
         distances = jnp.sum((places - x[None]) ** 2, axis=1)
         chosen = jnp.argmin(jax.lax.stop_gradient(distances))
-        place, normal = places[chosen], _normal(corners[chosen])
+        place, normal = places[chosen], normal_of(corners[chosen])
         # At a node several faces meet. There the tangent is at right angles to the mean normal of
         # the faces.
         node, smooth = vertices[vertex], normals[vertex]
@@ -115,12 +115,12 @@ class Faceted(AbstractWall):
         return jnp.where(is_node, tangent, place), jnp.where(is_node, smooth, normal)
 
 
-def _nearest_of(x: Float[Array, " d"], corners: Float[Array, "d d"]) -> Float[Array, " d"]:
+def nearest_of(x: Float[Array, " d"], corners: Float[Array, "d d"]) -> Float[Array, " d"]:
     """Finds the nearest point of a triangle, or of a line."""
     if len(corners) == 2:
         return _on_edge(x, corners[0], corners[1])
     first, second, third = corners
-    normal = _normal(corners)
+    normal = normal_of(corners)
     inside = x - jnp.sum((x - first) * normal) * normal
     sides = [
         jnp.sum(jnp.cross(b - a, inside - a) * normal) for a, b in ((first, second), (second, third), (third, first))
@@ -146,7 +146,7 @@ def _areas(points: Float[Array, "v d"], faces: Int[Array | np.ndarray, "e d"]) -
     return jnp.cross(others[0] - first, others[1] - first)
 
 
-def _normal(corners: Float[Array, "d d"]) -> Float[Array, " d"]:
+def normal_of(corners: Float[Array, "d d"]) -> Float[Array, " d"]:
     normal = _areas(corners, np.arange(len(corners))[None])[0]
     length = norm(normal)
     return normal / jnp.where(length > 0, length, 1)

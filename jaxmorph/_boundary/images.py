@@ -35,7 +35,7 @@ class Images(eqx.Module):
     pairings: tuple[Pairing, ...]
 
     def at(self, pairings: Sequence[Pairing]) -> "Images":
-        """Replaces the translations of the pairings by those of `pairings`. Traced."""
+        """Takes the translations of `pairings` in place of its own. Traced."""
         shifts, moved = self.shifts, []
         for p, (old, new) in enumerate(zip(self.pairings, pairings, strict=True)):
             shift = jnp.asarray(new.shift, shifts.dtype)
@@ -54,7 +54,7 @@ class Images(eqx.Module):
         return jnp.where(self.kind[:, None] == 0, u[self.rows], image)
 
     def extended(self, u: Float[Array, "o d"]) -> Float[Array, "b d"]:
-        """Computes displacements of all rows from those of own rows, which need not be `kept`."""
+        """Computes displacements of all rows; displacements `u` of own rows need not be `kept`."""
         return self.vectors(self.kept(u))
 
     def kept(self, u: Float[Array, "o d"]) -> Float[Array, "o d"]:

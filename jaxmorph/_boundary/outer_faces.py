@@ -79,7 +79,7 @@ def outer_faces(mesh: Mesh) -> OuterFaces | None:
         return _of_polyhedra(mesh.polyhedra, points, mesh.between)
     sides = boundary_sides(cells, len(points))
     if mesh.between is not None:
-        sides = {kind: each[~is_among(each, mesh.between)] for kind, each in sides.items()}
+        sides = {kind: corners[~is_among(corners, mesh.between)] for kind, corners in sides.items()}
     return OuterFaces(seen_from_outside(points, linear_cells(sides)), owners(sides))
 
 

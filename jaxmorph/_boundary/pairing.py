@@ -22,7 +22,7 @@ class Pairing(eqx.Module):
     - `alone` (s,): nodes on the axis of a rotation, which the transform does not move.
     - `keeps` (d, d): projection onto the vectors that the transform does not turn.
     - `turn`: number of sectors in a whole turn; 0 if no power of the transform is the identity.
-    - `copies`: the number of images on either side.
+    - `copies`: the number of images on either side; 0 for pairs that do no more than move alike.
     - `is_rotation`: whether the transform is a rotation.
     """
 
@@ -138,7 +138,11 @@ def _union(one: Pairing, other: Pairing) -> Pairing:
 
 
 def check_pairings(pairings: Sequence[Pairing], planes: Sequence[Plane], size: float) -> None:
-    """Raises `ValueError` for transforms that turn a symmetry plane, or that do not commute."""
+    """Raises `ValueError` for transforms that turn a symmetry plane, or that do not commute.
+
+    Pairs without images may lie across a plane.
+    """
+    pairings = [pairing for pairing in pairings if pairing.copies]
     for k, pairing in enumerate(pairings):
         for normal in (plane.normal for plane in planes):
             along = pairing.matrix @ normal

@@ -2,6 +2,8 @@
 
 import contextlib
 import dataclasses
+import itertools
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -12,7 +14,7 @@ from .._host.package.cores import Tree
 from .._host.package.errors import MeshError, place_of
 from .._host.package.rounding import spacing
 from .pairing import ALONG_AXIS, Pairing
-from .symmetry import tolerance
+from .symmetry import Plane, tolerance
 
 MISMATCH = 1e-4
 """Largest allowed distance of a node from its partner's image, relative to the node spacing."""
@@ -99,6 +101,24 @@ def paired(
                 with contextlib.suppress(ValueError):
                     return _paired(Periodic(*sides, copies=copies, **axis), first, second, points)
         raise
+
+
+def across_one_layer(planes: Sequence[Plane], points: Float[np.ndarray, "n d"]) -> tuple[Pairing, ...]:
+    """Pairs the nodes of two parallel planes that hold all nodes: those of one layer of cells.
+
+    The pairs move alike, and make no images. There are none where the planes' nodes do not match.
+    """
+    nodes = [np.flatnonzero(plane.holds(points)) for plane in planes]
+    for k, other in itertools.combinations(range(len(planes)), 2):
+        normal, first, second = planes[k].normal, nodes[k], nodes[other]
+        if len(first) != len(second) or len(first) + len(second) != len(points):
+            continue
+        if abs(normal @ planes[other].normal) > 0.5:
+            translation = (planes[other].origin - planes[k].origin) @ normal * normal
+            with contextlib.suppress(ValueError):
+                found = _paired(Periodic(first, second, translation=translation), first, second, points)
+                return (dataclasses.replace(found, copies=0),)
+    return ()
 
 
 def _paired(

@@ -41,7 +41,7 @@ class Plane(Module):
         length = np.linalg.norm(normal)
         if normal.shape != origin.shape or not length > 0:
             raise ValueError(
-                f"a plane needs a normal that is not zero and an origin of the same length, got {normal}, {origin}."
+                f"a plane needs a normal that is not zero and an origin of as many components, got {normal}, {origin}."
             )
         self.normal, self.origin = normal / length, origin
 

@@ -8,8 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from .._boundary.boundary import walls_of
+from .._boundary.arguments import walls_of
 from .._boundary.pairing import Pairing
+from .._boundary.smooth_faces import smoothed
 from .._boundary.tracks import Track, check_repeated, tracks_of
 from .._boundary.walls import Flat
 from .._host.cells.pieces import boundary_faces
@@ -42,7 +43,7 @@ def constraints_of_mesh(mesh: Mesh, fixed, symmetry, sliding, periodic) -> Const
     ways = [nodes for _, nodes in walls]
     ways += [np.append(side, pairing.alone) for pairing in pairings for side in (pairing.first, pairing.second)]
     fixed_nodes = _boundary(mesh, ways) if fixed is None else np.asarray(fixed, dtype=int)
-    return Constraints(np.append(fixed_nodes, edges), tracks, pairings)
+    return Constraints(np.append(fixed_nodes, edges), tuple(map(smoothed, tracks)), pairings)
 
 
 def constraints_of_plan(plan: Plan, mesh: Mesh) -> Constraints:
@@ -58,7 +59,7 @@ def constraints_of_plan(plan: Plan, mesh: Mesh) -> Constraints:
     partners = [pairing.nodes for pairing in boundary.pairings]
     led = np.concatenate([data, sliding, *partners, *(nodes for _, nodes in flat)])
     fixed_nodes = np.concatenate([_boundary(mesh, [led]), data, edges])
-    return Constraints(fixed_nodes, (*boundary.tracks, *tracks), boundary.pairings)
+    return Constraints(fixed_nodes, tuple(map(smoothed, (*boundary.tracks, *tracks))), boundary.pairings)
 
 
 def prepared(

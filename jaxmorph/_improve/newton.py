@@ -1,5 +1,6 @@
 """Newton's method for a mesh's distortion: optimistix's line search, positive Hessians of cells."""
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -15,7 +16,7 @@ from .._host.cells.topology import CORNERS, DIMENSION
 from .._host.linear.hessians import Pattern, solve, solve_exactly
 from .._kernels.callback import host_call
 from .._quality import measures
-from .._quality.distortion import Target, energy, energy_of_cells, samples
+from .._quality.distortion import Target, energy, energy_of_cells, samples, stiffened
 from .._quality.vector import Vector, corners
 from .hessian import blocks
 from .ways import Ways
@@ -30,7 +31,8 @@ NEAR = 1.0
 class Distortion(eqx.Module):
     """A mesh's energy by the free nodes' motion y (n, d) from their start, in units of `scale`.
 
-    `ways` lead the nodes of walls and periodic pairs; None without walls and pairs.
+    `ways` lead the nodes of walls and periodic pairs; None without walls and pairs. With a
+    `stiffness` the distortion of a sample stays below 1 / stiffness.
     """
 
     cells: dict[str, Integer[Array, "_k _c"]]
@@ -40,6 +42,7 @@ class Distortion(eqx.Module):
     softness: Float[Array, ""]
     ways: Ways | None
     size: float = eqx.field(static=True)
+    stiffness: Float[Array, ""] | None = None
 
     def points(self, y: Float[Array, "n d"], base: Float[Array, "n d"]) -> Float[Array, "n d"]:
         """Places the nodes; fixed nodes stay at `base`, bit for bit."""
@@ -55,7 +58,7 @@ class Distortion(eqx.Module):
         total = jnp.zeros((), points.dtype)
         for kind, ids in self.cells.items():
             x, goal = corners(points, ids), self.targets[kind]
-            total += jnp.sum(energy_of_cells(kind, x, goal, self.softness, self.size))
+            total += jnp.sum(energy_of_cells(kind, x, goal, self.softness, self.size, self.stiffness))
         return total
 
     def shift(self) -> Float[Array, " n"]:
@@ -72,6 +75,23 @@ class Distortion(eqx.Module):
             least.append(jnp.min(jnp.where(goal.counts > 0, samples(kind, corners(points, ids), goal)[1], 1)))
         return jnp.min(jnp.stack(least))
 
+    def worst(self, y: Float[Array, "n d"], base: Float[Array, "n d"]) -> Float[Array, ""]:
+        """Computes the largest distortion of a sample, without stiffness."""
+        points, worst = self.points(y, base), []
+        for kind, ids in self.cells.items():
+            goal = self.targets[kind]
+            values = energy(*samples(kind, corners(points, ids), goal), self.softness, self.size, points.shape[1])
+            worst.append(jnp.max(jnp.where(goal.counts > 0, values, 0), initial=0))
+        return jnp.max(jnp.stack(worst))
+
+    def movable(self) -> "Distortion":
+        """Leaves out samples whose nodes are all held: no motion lowers their distortion."""
+        targets = {}
+        for kind, ids in self.cells.items():
+            moves = jnp.any(_shares(kind) != 0, axis=2) @ self.free[ids].T
+            targets[kind] = self.targets[kind]._replace(counts=self.targets[kind].counts * moves)
+        return dataclasses.replace(self, targets=targets)
+
     def blocks(self, y: Float[Array, "n d"], base: Float[Array, "n d"], floor: Any = 0.0) -> Float[Array, "d d pairs"]:
         """Computes second derivatives for pairs of a cell's corners; with `ways`, of single nodes.
 
@@ -87,7 +107,8 @@ class Distortion(eqx.Module):
         slopes = None if self.ways is None else _columns(lambda y: self.points(y, base), y)
 
         def cell_energy(squared, tau):
-            return energy(squared, tau, self.softness, self.size, d)
+            value = energy(squared, tau, self.softness, self.size, d)
+            return value if self.stiffness is None else stiffened(value, self.stiffness)
 
         for kind, ids in self.cells.items():
             goal = self.targets[kind]

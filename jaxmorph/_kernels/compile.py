@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .kept import kept
 from .values import is_known
 
 OPTIONS = {
@@ -61,7 +62,11 @@ def compiled(function: Function) -> Function:
         for_cpu = any(isinstance(leaf, jax.Array) for leaf in arrays)
         token = _is_for_cpu.set(for_cpu)
         try:
-            return direct(len(arrays) == len(leaves), _is_quick.get(), for_cpu)(*arguments, **keywords)
+            state = _is_quick.get(), for_cpu
+            program = kept(function, (arguments, keywords), state, lambda: _known_options(state[0]))
+            if program is not None:
+                return program()
+            return direct(len(arrays) == len(leaves), *state)(*arguments, **keywords)
         finally:
             _is_for_cpu.reset(token)
 

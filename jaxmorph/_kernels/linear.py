@@ -1,4 +1,4 @@
-"""JAX operations linear in their first argument, with transposes of the same kind."""
+"""JAX operations linear in their first argument; their transposes are such operations too."""
 
 import functools
 import inspect
@@ -16,7 +16,7 @@ from jax.interpreters import ad, batching, mlir
 
 
 def _changed(compute: Callable, primals: Sequence[Any], tangents: Sequence[Any]) -> Any:
-    """Computes the derivative of `compute` by those arguments but the first that vary."""
+    """Computes the derivative of `compute` by all arguments that vary, but the first."""
     moving = [i for i, tangent in enumerate(tangents) if i and not isinstance(tangent, ad.Zero)]
 
     def of_moving(*values):

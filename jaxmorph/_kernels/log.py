@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from .compile import is_for_cpu
-from .gpu import is_in_kernel, rough_reciprocal
+from .instructions import is_in_kernel, rough_reciprocal
 
 _ROOT_HALF = 0x3FE6A09E00000000
 """The bits of sqrt(1/2), rounded down to a multiple of 2^32."""

@@ -51,6 +51,27 @@ def on_host(*values: Any) -> bool:
     return is_readable(values) and all(device.platform == "cpu" for leaf in arrays for device in leaf.devices())
 
 
+def taken(values: Any, rows: Any) -> Any:
+    """Returns some rows of an array; those of an array in the host's memory without a program."""
+    if not _is_plain(values, rows):
+        return values[rows]
+    return jax.device_put(np.asarray(values)[rows], values.sharding)
+
+
+def replaced(values: Any, rows: Any, new: Any) -> Any:
+    """Returns an array with other rows, in the host's memory without a program."""
+    if not _is_plain(values, rows, new):
+        return values.at[rows].set(new)
+    result = np.array(values)
+    result[rows] = np.asarray(new)
+    return jax.device_put(result, values.sharding)
+
+
+def _is_plain(values: Any, *others: Any) -> bool:
+    """Checks whether values are an array of one CPU, and all else is known."""
+    return isinstance(values, jax.Array) and on_host(values, others) and len(values.devices()) == 1
+
+
 def is_readable(*values: Any) -> bool:
     """Checks whether this process can read values: nothing is traced or in another process."""
     arrays = (leaf for leaf in jax.tree.leaves(values) if isinstance(leaf, jax.Array))

@@ -33,11 +33,11 @@ def elevate(mesh: Mesh, order: int) -> Mesh:
         raise ValueError(f"`order` is {order}; meshes of order 2, 3 and 4 can be made.")
     if mesh.is_curved or mesh.polyhedra is not None or not mesh.cells:
         raise ValueError(f"{mesh} cannot be elevated: linear cells are needed, of the types {', '.join(CORNERS)}.")
-    targets = {kind: _type(kind, order) for kind in mesh.cells}
-    keys = {kind: _keys(np.asarray(ids), targets[kind]) for kind, ids in mesh.cells.items()}
+    targets = {kind: of_order(kind, order) for kind in mesh.cells}
+    keys = {kind: node_keys(np.asarray(ids), targets[kind]) for kind, ids in mesh.cells.items()}
     # a new node is known by its corners and their weights, in ascending order: cells that share a
     # face agree on it
-    every = np.concatenate([each.reshape(-1, each.shape[2]) for each in keys.values()])
+    every = np.concatenate([key.reshape(-1, key.shape[2]) for key in keys.values()])
     nodes, number = np.unique(every, axis=0, return_inverse=True)
     n, number = len(mesh.points), number.ravel()
     cells, first = {}, 0
@@ -54,13 +54,14 @@ def elevate(mesh: Mesh, order: int) -> Mesh:
     return Mesh(points, cells, _patches(mesh, cells, len(points)))
 
 
-def _type(kind: str, order: int) -> Lagrange:
+def of_order(kind: str, order: int) -> Lagrange:
+    """Returns the type of complete cells of an order, by the type of its linear cell."""
     return next(
         cell for cell in lagrange_types().values() if (cell.shape, cell.order, cell.is_complete) == (kind, order, True)
     )
 
 
-def _keys(ids: np.ndarray, cell: Lagrange) -> np.ndarray:
+def node_keys(ids: np.ndarray, cell: Lagrange) -> np.ndarray:
     """Lists corners and weights in turn (k, new, 16) of each cell's new nodes.
 
     Corners ascend, with zeros in front.
@@ -73,7 +74,8 @@ def _keys(ids: np.ndarray, cell: Lagrange) -> np.ndarray:
         weights > 0, np.take_along_axis(np.repeat(ids[:, None], weights.shape[1], axis=1), order, axis=2), 0
     )
     keys = np.zeros((*weights.shape[:2], 16), np.int64)
-    keys[:, :, 16 - 2 * weights.shape[2] :] = np.stack([corners, weights], axis=3).reshape(*weights.shape[:2], -1)
+    width = 2 * weights.shape[2]
+    keys[:, :, 16 - width :] = np.stack([corners, weights], axis=3).reshape(*weights.shape[:2], width)
     return keys
 
 
@@ -90,7 +92,7 @@ def _weights(cell: Lagrange) -> np.ndarray:
         left = p - x[2]
         base = [(left - x[0]) * (left - x[1]), x[0] * (left - x[1]), x[0] * x[1], (left - x[0]) * x[1]]
         return np.stack([*base, x[2] * left], axis=1)
-    factors = [(p - each, each) for each in x]
+    factors = [(p - share, share) for share in x]
     signs = [(0, 0), (1, 0), (1, 1), (0, 1)]
     signs = signs if d == 2 else [(*sign, z) for z, sign in itertools.product((0, 1), signs)]
     return np.stack([np.prod([factors[axis][s] for axis, s in enumerate(sign)], axis=0) for sign in signs], axis=1)

@@ -118,7 +118,7 @@ def block_of(kind: str, ids: Any) -> tuple[str, np.ndarray]:
     ids, shape = np.asarray(ids), SHAPES[kind]
     if kind == shape or kind in VTK_QUADRATIC or shape not in VTK_LAGRANGE:
         return kind, reordered(kind, ids, None, MESHIO)
-    return next(name for name, each in LAGRANGE.items() if each == shape), reordered(kind, ids, None, VTK_ORDER)
+    return next(name for name, lagrange in LAGRANGE.items() if lagrange == shape), reordered(kind, ids, None, VTK_ORDER)
 
 
 def _refuse_unknown(kinds) -> None:
@@ -185,7 +185,7 @@ def _cells(grid: Grid) -> dict[str, np.ndarray]:
 
 
 def _sets(grid: Grid) -> dict[str, np.ndarray]:
-    """Makes patches of named cell sets, without those of full dimension: regions of the volume."""
+    """Makes patches of named cell sets, without sets of full dimension: regions of the volume."""
     levels, patches = grid.levels, {}
     for name, members in grid.cell_sets.items():
         for (_, corners), level, inside in zip(grid.blocks, levels, members, strict=True):

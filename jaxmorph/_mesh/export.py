@@ -56,7 +56,7 @@ def unstructured_grid(pyvista: Any, cells: Mapping[str, Any], points: np.ndarray
     for kind, ids in cells.items():
         number = (VTK | VTK_QUADRATIC).get(kind, VTK_LAGRANGE.get(SHAPES[kind]))
         if number is None:
-            raise ValueError(f"VTK has no cells of type {kind}; of pyramids it has those with 5 and 13 nodes.")
+            raise ValueError(f"VTK has no cells of type {kind}; it has pyramids of 5 and 13 nodes.")
         nodes = reordered(kind, np.asarray(ids), None, VTK_ORDER)
         rows.append(np.column_stack([np.full(len(nodes), nodes.shape[1]), nodes]).ravel())
         numbers.append(np.full(len(nodes), number, np.uint8))
@@ -80,7 +80,7 @@ def _points(mesh: Parts, old: np.ndarray | None) -> np.ndarray:
 
 
 def _checked(mesh: Parts, point_data: Arrays | None, cell_data: Arrays | None) -> tuple[Arrays, Arrays]:
-    """Checks that arrays have a row for each point or cell, and adds patches to those of points.
+    """Checks that arrays have a row for each point or cell, and adds patches as arrays of points.
 
     Vectors of a 2-D mesh get a third component 0.
     """

@@ -10,11 +10,12 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Integer, Real
 
 from .._host.cells.pieces import linear_cells
-from .._host.cells.topology import NODES, SHAPES, canonical_type
+from .._host.cells.topology import SHAPES, canonical_type
 from .._host.package.arguments import check, checked, shown
 from .._kernels.module import Module
 from .._kernels.values import is_known
 from . import exchange, export
+from .arrays import check_parts, floats, ids_of
 from .patches import patch_names
 from .polyhedra import Polyhedra
 
@@ -48,30 +49,18 @@ class Mesh(Module):
     source: Any = eqx.field(static=True, default=None)
 
     def __init__(self, points, cells=None, patches=None, source=None):
-        self.points = _floats(points)
+        self.points = floats(points)
         check("cells", cells, Mapping[str, Any] | None, Mesh)
         check("patches", patches, Mapping[str, Any] | None, Mesh)
         types = {kind: canonical_type(kind) for kind in cells or {}}
         twice = sorted(kind for kind, name in types.items() if list(types.values()).count(name) > 1)
         if twice:
             raise ValueError(f"cells of one type have several names ({', '.join(twice)}): join them.")
-        cells = {types[kind]: _ids(corners) for kind, corners in dict(cells or {}).items()}
+        cells = {types[kind]: ids_of(corners) for kind, corners in dict(cells or {}).items()}
         self.cells = {kind: cells[kind] for kind in sorted(cells)}  # as JAX sorts the keys of a dict
-        self.patches = {name: np.unique(_ids(nodes)) for name, nodes in dict(patches or {}).items()}
+        self.patches = {name: np.unique(ids_of(nodes)) for name, nodes in dict(patches or {}).items()}
         self.source = source
-        self._check()
-
-    def _check(self) -> None:
-        if self.points.ndim != 2 or self.points.shape[1] not in (2, 3):
-            raise ValueError(f"`points` has shape {self.points.shape}; expected (n, 2) or (n, 3).")
-        n = self.points.shape[0]
-        for kind, corners in self.cells.items():
-            if corners.ndim != 2 or corners.shape[1] != NODES[kind]:
-                raise ValueError(f"cells of type {kind!r} have shape {corners.shape}; expected (k, {NODES[kind]}).")
-        for name, ids in (self.cells | self.patches).items():
-            if ids.size and (ids.min() < 0 or ids.max() >= n):
-                bad = int(ids.max()) if ids.max() >= n else int(ids.min())
-                raise ValueError(f"{name!r} names node {bad}, but the mesh has {n} points (0 to {n - 1}).")
+        check_parts(self.points, self.cells, self.patches)
 
     @checked
     def patch(self, *names: str) -> np.ndarray:
@@ -177,7 +166,7 @@ class Mesh(Module):
 
         **Raises:** `ValueError` when the shape of `points` differs.
         """
-        places = _floats(points)
+        places = floats(points)
         if tuple(places.shape) != tuple(self.points.shape):
             raise ValueError(f"`points` has shape {tuple(places.shape)}; this mesh has {tuple(self.points.shape)}.")
         return self._with("points", places)
@@ -261,32 +250,3 @@ class Mesh(Module):
         cells = ", ".join(f"{len(corners)} {kind}" for kind, corners in self.cells.items()) or "no cells"
         patches = ", ".join(f"{name} ({len(nodes)})" for name, nodes in self.patches.items()) or "none"
         return f"Mesh({n} points in {d}-D; {cells}; patches: {patches})"
-
-
-def _floats(points) -> Any:
-    """Returns coordinates as floats; a JAX array stays one, for quality traces through points."""
-    if isinstance(points, type):
-        raise ValueError(f"`points` is {shown(points)}; coordinates are real numbers (n, d).")
-    try:
-        points = points if hasattr(points, "shape") else np.asarray(points)
-    except ValueError:
-        raise ValueError(
-            f"`points` are rows of several lengths: {shown(points)}; coordinates are (n, 2) or (n, 3)."
-        ) from None
-    if np.ma.is_masked(points):
-        raise ValueError(
-            f"`points` masks {np.ma.count_masked(points)} coordinates; a node needs all of its coordinates."
-        )
-    points = points.data if isinstance(points, np.ma.MaskedArray) else points
-    if not (np.issubdtype(points.dtype, np.integer) or jnp.issubdtype(points.dtype, np.floating)):
-        raise ValueError(f"`points` holds {points.dtype}; coordinates are real numbers.")
-    return points.astype(float) if np.issubdtype(points.dtype, np.integer) else points
-
-
-def _ids(values) -> np.ndarray:
-    ids = np.asarray(values)
-    if ids.size == 0:
-        return ids.astype(np.int64)
-    if ids.dtype.kind not in "iu":
-        raise ValueError(f"ids must be integers, not {ids.dtype}.")
-    return ids

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import ArrayLike, Int, Integer, Real
 
-from .._boundary.boundary import Boundary, find_boundary
+from .._boundary.arguments import find_boundary
+from .._boundary.boundary import Boundary
 from .._boundary.periodic import Periodic
 from .._boundary.slide import Slide
 from .._boundary.symmetry import Plane

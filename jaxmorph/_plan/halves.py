@@ -9,7 +9,8 @@ import jax
 import numpy as np
 from jaxtyping import Int, Integer, Real
 
-from .._boundary.boundary import Boundary, find_boundary
+from .._boundary.arguments import find_boundary
+from .._boundary.boundary import Boundary
 from .._boundary.names import checked_points
 from .._boundary.outer_faces import OuterFaces
 from .._boundary.periodic import Periodic

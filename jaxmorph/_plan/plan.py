@@ -15,7 +15,7 @@ from .._boundary.tracks import Track
 from .._host.package.arguments import checked
 from .._kernels.compile import compiled
 from .._kernels.module import Module
-from .._kernels.values import is_known
+from .._kernels.values import as_jax, is_known, on_host, taken
 from .._methods.base import AbstractField, AbstractMethod, Located
 from .._methods.blocks import map_points
 from .._methods.reconstruction import SurfaceReconstruction
@@ -131,12 +131,12 @@ class Plan(Module):
     @property
     def moving(self) -> Int[Array, " m"]:
         """Node ids of the moving nodes; row i of a displacement moves node `moving[i]`."""
-        return self.surface.nodes[: self.n_moving]
+        return taken(self.surface.nodes, slice(self.n_moving))
 
     @property
     def fixed(self) -> Int[Array, " f"]:
         """Node ids of the fixed nodes."""
-        return self.surface.nodes[self.n_moving : len(self.surface.nodes) - self.n_guided]
+        return taken(self.surface.nodes, slice(self.n_moving, len(self.surface.nodes) - self.n_guided))
 
     @property
     def guided(self) -> Int[Array, " g"]:
@@ -181,7 +181,7 @@ class Plan(Module):
     def surface_points(self) -> Float[Array, "o d"]:
         """Base coordinates of `surface_nodes`, also of nodes that other pieces have."""
         if not self.is_piece:
-            return self.points[self.surface.nodes]
+            return taken(self.points, self.surface.nodes)
         if self.images is None:
             return self.surface.points
         rows = jnp.zeros((len(self.surface.nodes), self.points.shape[1]), self.points.dtype)
@@ -190,7 +190,7 @@ class Plan(Module):
     @property
     def moving_points(self) -> Float[Array, "m d"]:
         """Base coordinates of `moving`, also of nodes that other pieces have."""
-        return self.surface_points[: self.n_moving]
+        return taken(self.surface_points, slice(self.n_moving))
 
     def check_surface(self, call: str) -> None:
         """Raises `ValueError`, on the host, for a piece that lacks nodes of the surface."""
@@ -258,7 +258,12 @@ def extended(plan: Plan, u: Any) -> Float[Array, "o d"]:
         raise ValueError(f"`u` holds {u.dtype}; a displacement is real numbers of shape ({m}, {d}).")
     if u.shape != (m, d):
         raise ValueError(f"`u` has shape {u.shape}; this plan moves {m} points in {d} dimensions.")
-    return jnp.zeros((len(plan.surface.nodes), d), plan.points.dtype).at[:m].set(u.astype(plan.points.dtype))
+    shape, dtype = (len(plan.surface.nodes), d), plan.points.dtype
+    if not on_host(plan.surface.nodes, u):
+        return jnp.zeros(shape, dtype).at[:m].set(u.astype(dtype))
+    vectors = np.zeros(shape, dtype)
+    vectors[:m] = np.asarray(u).astype(dtype)
+    return as_jax(vectors)
 
 
 class Shared(eqx.Module):

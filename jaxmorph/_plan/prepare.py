@@ -9,11 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Integer, PyTree, Real
 
-from .._boundary.boundary import Boundary, find_boundary, renumbered
+from .._boundary.arguments import find_boundary
+from .._boundary.boundary import Boundary, renumbered
 from .._boundary.images import Images, images_of
 from .._boundary.kinds import by_kinds
 from .._boundary.pairing import check_pairings
-from .._boundary.periodic import Periodic
+from .._boundary.periodic import Periodic, across_one_layer
 from .._boundary.slide import Slide
 from .._boundary.symmetry import Plane, check_planes, on_facing
 from .._host.package.errors import warn
@@ -99,7 +100,8 @@ def between_planes(boundary: Boundary, method: AbstractMethod | None) -> Boundar
 
     Two parallel mirrors have endless images. A field with some of the images has a step beside the
     plane, by which cells invert. So parallel planes make no images. A field without images guides
-    the nodes of the planes, which then are data of the mesh's field.
+    the nodes of the planes, which then are data of the mesh's field. Where planes hold all nodes,
+    as those of one layer of cells, guided nodes that face each other move alike.
     """
     if boundary.planes:
         check_planes(boundary.planes, boundary.points)
@@ -108,7 +110,12 @@ def between_planes(boundary: Boundary, method: AbstractMethod | None) -> Boundar
     others = np.setdiff1d(np.flatnonzero(on_facing(boundary.planes, boundary.points)), boundary.nodes)
     if not len(others):
         return boundary
-    return dataclasses.replace(boundary, guided=np.union1d(boundary.guided, others))
+    free, place = np.zeros(len(boundary.points), bool), np.arange(len(boundary.points))
+    free[others] = True
+    layer = across_one_layer(boundary.planes, boundary.points)
+    layer = tuple(pairing.renumbered(np.where(free, place, -1)) for pairing in layer)
+    guided, pairings = np.union1d(boundary.guided, others), (*boundary.pairings, *layer)
+    return dataclasses.replace(boundary, guided=guided, pairings=pairings)
 
 
 def refuse_cells(method: AbstractMethod) -> None:

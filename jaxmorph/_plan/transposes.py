@@ -37,4 +37,4 @@ def transposable(plan: Any, *arguments: Any) -> Any:
 
 def _lacks_tables(plan: Any) -> bool:
     rows = filter(is_rows, jax.tree.leaves(plan, is_leaf=is_rows))
-    return any(each.table is None for each in rows)
+    return any(operator.table is None for operator in rows)

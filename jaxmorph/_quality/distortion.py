@@ -112,10 +112,26 @@ def energy(
     return (1 - size) * shape + size * (1 + tau**2) / (2 * chi) - 1
 
 
-def energy_of_cells(kind: str, x: list[Vector], goal: Target, softness: Any, size: float) -> Float[Array, " k"]:
-    """Averages the energy over the samples of each cell."""
+def stiffened(energy: Float[Array, "*shape"], stiffness: Any) -> Float[Array, "*shape"]:
+    """Computes energy / (1 - stiffness energy): infinite where the energy reaches 1 / stiffness.
+
+    It is the energy of Garanzha et al., In the Quest for Scale-optimal Mappings, ACM Trans. Graph.
+    43, 2024, f / (1 - t f) with f = energy + 1, but for a constant and a factor; t is
+    stiffness / (1 + stiffness).
+    """
+    room = 1 - stiffness * energy
+    return jnp.where(room > 0, energy / jnp.where(room > 0, room, 1), jnp.inf)
+
+
+def energy_of_cells(
+    kind: str, x: list[Vector], goal: Target, softness: Any, size: float, stiffness: Any = None
+) -> Float[Array, " k"]:
+    """Averages the energy, stiffened if there is a `stiffness`, over the samples of each cell."""
     squared, tau = samples(kind, x, goal)
-    return jnp.mean(goal.counts * energy(squared, tau, softness, size, len(goal.inverse)), axis=0)
+    values = energy(squared, tau, softness, size, len(goal.inverse))
+    if stiffness is None:
+        return jnp.mean(goal.counts * values, axis=0)
+    return jnp.mean(jnp.where(goal.counts > 0, stiffened(values, stiffness), 0), axis=0)
 
 
 def node_scales(kinds: dict[str, Any], targets: dict[str, Target], n: int) -> Float[Array, " n"]:

@@ -20,8 +20,9 @@ from .._mesh.mesh import Mesh
 from . import measures
 from .batches import in_blocks
 from .non_orthogonality import non_orthogonality
+from .proof.least import has_least, least_jacobian
 from .report import QualityReport
-from .vector import Vector, corners, mean
+from .vector import Vector, corners, mean, stack
 
 FLAT = 1e-4
 """Sine of a corner's angle up to which it is flat; 3-D: Jacobian over its edges' product."""
@@ -35,7 +36,10 @@ def quality(mesh: Mesh, points: Real[ArrayLike, "n d"] | Sequence[Any] | None = 
     Derivatives are finite on degenerate cells too.
 
     With `points`, a cell is inverted where its volume, or the Jacobian at one of its corners, has
-    lost the sign it had on the undeformed mesh. Cells of mixed handedness are fine. So are corners
+    lost the sign it had on the undeformed mesh. Curved cells have a lattice of places, and the
+    place where bounds on their Jacobian find it least, instead of corners. So a curved cell that
+    folds anywhere is found. A linear hexahedron that folds between its corners is not: `proof`
+    finds it. Cells of mixed handedness are fine. So are corners
     that had no sign, or the wrong one (a quad not convex from the start). A corner has no sign
     within the round-off of the coordinates. One of a cell that is no simplex has none either where
     it is flat or collapsed: its Jacobian is 1e-4 of the product of its edges or less.
@@ -173,14 +177,15 @@ def _standards(kinds: tuple[str, ...], cells: tuple[Any, ...], points: Float[Eit
 
 
 def _standards_by(xp: Any, kinds, cells, points) -> tuple[Standard, ...]:
-    each = zip(kinds, cells, strict=True)
-    return tuple(in_blocks(xp, functools.partial(_standard, kind, points), ids.T) for kind, ids in each)
+    pairs = zip(kinds, cells, strict=True)
+    return tuple(in_blocks(xp, functools.partial(_standard, kind, points), ids.T) for kind, ids in pairs)
 
 
 def _standard(kind: str, points: Float[Either, "n d"], ids: Shaped[Either, "c k"]) -> Standard:
     xp, (volume, jacobians, noise) = namespace(points), _sizes(kind, corners(points, ids.T))
     sign = xp.where(volume < 0, -1, 1).astype(np.int8)  # a factor that keeps float32
-    judged = sign[None] * jacobians > xp.maximum(noise, FLAT * measures.openings(kind, corners(points, ids.T)))
+    openings = _with_largest(measures.openings(kind, corners(points, ids.T)), len(jacobians))
+    judged = sign[None] * jacobians > xp.maximum(noise, FLAT * openings)
     none = ~xp.any(judged, axis=0)
     least = _least(jacobians, sign, judged)
     flat = math.factorial(DIMENSION[kind]) * xp.abs(volume) <= xp.max(noise, axis=0)
@@ -226,12 +231,11 @@ def _flags(
     xp = namespace(points)
 
     def judged(kind, ids, standard):
-        relative, _ = measures.relative_corners(corners(points, ids.T))
-        return _judge(measures.volume(kind, relative), measures.jacobians(kind, relative)[0], standard)["is_inverted"]
+        return _judge(*_sizes(kind, corners(points, ids.T))[:2], standard)["is_inverted"]
 
-    each = zip(kinds, cells, standards, strict=True)
+    triples = zip(kinds, cells, standards, strict=True)
     return xp.concatenate(
-        [in_blocks(xp, functools.partial(judged, kind), ids.T, standard) for kind, ids, standard in each]
+        [in_blocks(xp, functools.partial(judged, kind), ids.T, standard) for kind, ids, standard in triples]
     )
 
 
@@ -253,11 +257,25 @@ def _judged(
 
 
 def _sizes(kind: str, x: list[Vector]) -> tuple[Either, Either, Either]:
-    """Computes the volume (k,), the Jacobians (s, k), and the round-off error of each Jacobian."""
+    """Computes the volume (k,), the Jacobians (s, k), and the round-off error of each Jacobian.
+
+    The last Jacobian of a curved cell is its least one, wherever it is.
+    """
     rounding = 8 * float(jnp.finfo(x[0][0].dtype).eps) * measures.reach(x)
     relative, _ = measures.relative_corners(x)
     jacobians, spread = measures.jacobians(kind, relative)
-    return measures.volume(kind, relative), jacobians, rounding[None] * constant(spread)
+    if has_least(kind, len(x[0])):
+        least = least_jacobian(kind, list(stack(relative).components))
+        jacobians = namespace(least).concatenate([jacobians, least[None]])
+    noise = rounding[None] * constant(_with_largest(spread, len(jacobians)))
+    return measures.volume(kind, relative), jacobians, noise
+
+
+def _with_largest(values: Float[Either, "s k"], rows: int) -> Float[Either, "rows k"]:
+    """Returns values of samples, with the largest of them for the least Jacobian if it has a row."""
+    if len(values) == rows:
+        return values
+    return namespace(values).concatenate([values, values.max(axis=0, keepdims=True)])
 
 
 def _shape(kind: str, x: list[Vector]) -> dict[str, Either]:

@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 from .._host.cells.topology import DIMENSION
 from .._host.package.arguments import checked, whole
 from .._kernels.module import Module
-from .._kernels.values import Either, is_known, largest, on_host, smallest
+from .._kernels.values import Either, array, is_known, largest, on_host, smallest
 
 MEASURES = (
     *("skewness", "aspect_ratio", "non_orthogonality", "volume"),
@@ -102,9 +102,10 @@ class QualityReport(Module):
     - `aspect_ratio`: 1 ideal, inf for a flat cell. Triangle, quad, tetrahedron: Verdict's
       `aspect_ratio`; hexahedron its `max_edge_ratio`; pyramid and wedge longest over shortest edge.
     - `jacobian`: the smallest Jacobian at the corners (and at the centre of a hexahedron),
-      Verdict's `jacobian`. Its sign is turned for cells that are left-handed on the undeformed
-      mesh: negative where a cell is not convex. For a simplex twice its area or six times its
-      volume; at a pyramid the four corners of the base.
+      Verdict's `jacobian`. Of a curved cell it is the smallest found anywhere. Its sign is turned
+      for cells that are left-handed on the undeformed mesh: negative where a cell is not convex.
+      For a simplex twice its area or six times its volume; at a pyramid the four corners of the
+      base.
     - `non_orthogonality`: OpenFOAM's, in degrees: the angle between a face's area vector and the
       line between the centres of its two cells. A cell has the largest angle of its inner faces, 0
       without neighbours.
@@ -266,9 +267,9 @@ class QualityReport(Module):
         """Reduces values over counting cells, the last axis; readable ones by NumPy, uncompiled."""
         mask = self.counted
         known = on_host(values)
-        values = tuple(np.asarray(each) for each in values) if known else values
-        counted = values if mask.all() else [each[..., np.flatnonzero(mask)] for each in values]
-        return jnp.asarray(reduce(np if known else jnp, *counted))
+        values = tuple(np.asarray(row) for row in values) if known else values
+        counted = values if mask.all() else [row[..., np.flatnonzero(mask)] for row in values]
+        return array(reduce(np if known else jnp, *counted))
 
 
 def _weighted_mean(xp: Any, values: Either, volume: Either) -> Either | np.generic:

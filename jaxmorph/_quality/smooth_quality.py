@@ -135,7 +135,7 @@ def _aspect_ratio(kind: str, x: list[Vector], sign: Array, sharpness, softness) 
 
 def _jacobian_ratio(kind: str, relative: list[Vector], standard: Standard, sharpness) -> Float[Array, " k"]:
     ratios = standard.sign[None] * measures.jacobians(kind, relative)[0] / standard.jacobian[None]
-    least = -_soft_maximum_where(-ratios, standard.is_judged, sharpness)
+    least = -_soft_maximum_where(-ratios, standard.is_judged[: len(ratios)], sharpness)
     return jnp.where(standard.is_degenerate, 1, least)
 
 

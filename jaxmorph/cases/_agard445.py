@@ -55,7 +55,7 @@ def agard445(*, points: int = 64_943, cache_directory: str | os.PathLike | None 
     | 16_000 | 16,230 | 83,452 | 4,187 | 288 | 1.554, 6.70 |
     | 6_500 | 6,592 | 32,247 | 1,966 | 163 | 1.585, 6.59 |
 
-    The same options give the same mesh, bit for bit, with one version of gmsh. The finest takes 15
+    Equal options give equal meshes, bit for bit, with one version of gmsh. The finest takes 15
     to 25 s, once: the mesh is then kept in `cache_directory`, by default the user's cache
     directory, under its parameters and gmsh's version. A file there that cannot be read is made
     anew. A gmsh session of the caller's is left as it was.

@@ -185,10 +185,10 @@ def _sharp(rays: np.ndarray, counts: Counts) -> jm.Mesh:
     """Makes the mesh of the C's nodes alone; the upper wake has the nodes of the lower wake."""
     places = np.arange(rays.shape[0] * rays.shape[1]).reshape(rays.shape[:2])
     places[0, -counts.wake - 1 :] = places[0, counts.wake :: -1]
-    kept, ids = np.unique(places, return_inverse=True)
+    nodes, ids = np.unique(places, return_inverse=True)
     ids = ids.reshape(places.shape)
     return jm.Mesh(
-        points=rays.reshape(-1, 2)[kept],
+        points=rays.reshape(-1, 2)[nodes],
         cells={"quad": quads(ids)},
         patches={
             "airfoil": ids[0, counts.wake : -counts.wake],

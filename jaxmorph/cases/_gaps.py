@@ -96,7 +96,7 @@ def bodies(
 
     - `boxes`: each body's sides, (x least, x largest, y least, y largest), by its name. They are
       moved to the nearest grid line.
-    - `box`: those of the box. Default: 16 wide and 8 high about the origin.
+    - `box`: sides of the box, in the same order. Default: 16 wide and 8 high about the origin.
     - `spacing`: side of a cell, about; a whole number of them fills the box. Default 0.25.
 
     **Returns:** a `Mesh`.
@@ -105,7 +105,7 @@ def bodies(
     it.
     """
     left, right, bottom, top = finite_array("box", box, (4,)).tolist()
-    sides = {name: finite_array(f"boxes[{name!r}]", each, (4,)).tolist() for name, each in boxes.items()}
+    sides = {name: finite_array(f"boxes[{name!r}]", box, (4,)).tolist() for name, box in boxes.items()}
     ends = []
     if not (left < right and bottom < top and spacing > 0):
         raise ValueError(f"a box has x and y from least to largest and a positive spacing, not {box} and {spacing}.")

@@ -20,6 +20,7 @@ from ._parts import Method
 from ._requests import Deform
 from ._summary import Summary
 from ._tables import faults
+from ._way import Way, followed
 
 MORE = "more --sources or --steps"
 CURES = tuple(method.name for method in METHODS if method.is_cure)
@@ -57,31 +58,35 @@ class Attempt:
         """The undeformed points of the moving nodes."""
         return self.base[self.patches.nodes]
 
-    def points(
+    def way(
         self,
         chunks: Iterable[tuple[Int[np.ndarray, " c"], jm.Plan]],
         steps: int,
         done: Callable[[float], None] | None = None,
-    ) -> Float[np.ndarray, "n d"]:
-        """Moves the points chunk by chunk, in double precision.
+    ) -> Way:
+        """Moves the points chunk by chunk, in double precision; `done` takes the finished share.
 
-        `done` is called with the finished share.
+        Steps before the last one are kept for `--proven` alone.
         """
-        path, points = self.motion.path(self.wall, steps), self.base.copy()
-        is_moved = np.zeros(len(points), dtype=bool)
+        path = self.motion.path(self.wall, steps)
+        ends = {step: self.base.copy() for step in (range(steps) if self.request.gates.proven else [steps - 1])}
+        is_moved, is_straight = np.zeros(len(self.base), dtype=bool), True
         for nodes, plan in chunks:
-            moved = jm.deform(plan, path[0]) if steps == 1 else jm.march(plan, path)[1]
             here = np.flatnonzero(np.isin(nodes, self.patches.nodes))
             of_wall = np.searchsorted(self.patches.nodes, nodes[here])
-            points[nodes] = in_double(self.base[nodes], moved, here, path[-1][of_wall], plan.method.exact)
+            for step, moved in enumerate(followed(plan, path)):
+                if step in ends:
+                    u = path[step][of_wall]
+                    ends[step][nodes] = in_double(self.base[nodes], moved, here, u, plan.method.exact)
             is_moved[nodes] = True
+            is_straight &= plan.is_linear
             if done is not None:
                 done(is_moved.mean())
-        return points
+        return Way(tuple(ends.values()), is_straight)
 
-    def judge(self, points: Float[np.ndarray, "n d"]) -> tuple[Judged, Summary, list[str]]:
+    def judge(self, way: Way) -> tuple[Judged, Summary, list[str]]:
         """Judges the moved mesh, sums it up, and writes one sentence for each fault."""
-        judged = Judged(self.patches.mesh, points, self.undeformed)
+        judged = Judged(self.patches.mesh, way.ends[-1], self.undeformed, way)
         after = Summary.from_judged(judged, self.request.gates.limits)
         return judged, after, faults(self.before, after)
 
@@ -146,7 +151,7 @@ def _works(attempt: Attempt, method: Method, steps: int) -> bool:
         warnings.simplefilter("ignore")
         try:
             chunks = attempt.patches.chunks(attempt.patches.method(method), attempt.request.chunk)
-            points = attempt.points(chunks, steps)
+            way = attempt.way(chunks, steps)
         except (ValueError, ImportError):  # ImportError: a solver for large 3-D meshes is not installed
             return False
-        return not attempt.judge(points)[2]
+        return not attempt.judge(way)[2]

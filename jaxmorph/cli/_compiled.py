@@ -1,11 +1,15 @@
 """JAX as the commands use it: double precision, and compiled code that is kept between runs."""
 
+import contextlib
 import hashlib
 import os
 import pathlib
 import platform
+from collections.abc import Iterator
 
 import jax
+
+from jaxmorph._kernels.kept import keep
 
 LIMIT = 256 * 2**20
 """Bytes that the folder holds at most; the program that was used longest ago goes first."""
@@ -13,15 +17,23 @@ LIMIT = 256 * 2**20
 SWITCH = "JAXMORPH_CACHE"
 """The environment variable that turns it off."""
 
+SHORTEST = "jax_persistent_cache_min_compile_time_secs"
+"""JAX's setting for the shortest compilation that its cache keeps."""
 
-def begin() -> None:
-    """Switches double precision on, and the cache of compiled code."""
+
+def begin(is_own: bool) -> None:
+    """Switches double precision on, and the cache of compiled code.
+
+    `is_own` says that the process runs this command alone.
+    """
     jax.config.update("jax_enable_x64", True)
-    keep_compiled()
+    keep_compiled(is_own)
 
 
-def keep_compiled() -> None:
+def keep_compiled(is_own: bool = False) -> None:
     """Turns on JAX's persistent compilation cache in the user's cache folder.
+
+    A process of its own also keeps whole programs there.
 
     Nothing is kept if `JAXMORPH_CACHE` is `off`, if JAX has a folder already, if the folder cannot
     be written to, or without the packages that find and lock it.
@@ -44,9 +56,19 @@ def keep_compiled() -> None:
     if os.access(folder, os.W_OK):
         jax.config.update("jax_compilation_cache_dir", str(folder))
         jax.config.update("jax_compilation_cache_max_size", LIMIT)
-        jax.config.update(
-            "jax_persistent_cache_min_compile_time_secs", 0
-        )  # reading takes a tenth of the shortest compilation
+        jax.config.update(SHORTEST, 0)  # reading takes a tenth of the shortest compilation
+        if is_own:
+            keep(str(folder), LIMIT, _aside)
+
+
+@contextlib.contextmanager
+def _aside() -> Iterator[None]:
+    """Lets JAX's cache keep nothing."""
+    jax.config.update(SHORTEST, float("inf"))
+    try:
+        yield
+    finally:
+        jax.config.update(SHORTEST, 0)
 
 
 def _machine() -> str:

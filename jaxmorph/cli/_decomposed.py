@@ -21,7 +21,8 @@ from ._output import Output, title
 from ._requests import Deform
 from ._summary import Summary
 from ._tables import faults, gate_facts, gate_table, table
-from ._told import check_files, described, write_job
+from ._told import check_files, described, say_proven, write_job
+from ._way import Way, followed
 
 COUNTS = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS")
 """Variables that count the processes that mpiexec or srun started together."""
@@ -66,7 +67,7 @@ def deform_parts(request: Deform, out: Output) -> int:
                 stage.done(min(1.0, (first + ranks.size) / len(case)))
             by_part = {k: pair for share in ranks.allgather(judged) for k, pair in share.items()}
             _say_warnings_of_all(out, ranks)
-            bad = _print_summary([by_part[k] for k in sorted(by_part)], out)
+            bad = _print_summary([by_part[k] for k in sorted(by_part)], half.plan.is_linear, len(path), out)
             if bad and not request.allow_inverted:
                 raise _Bad
     except _Bad:
@@ -78,12 +79,13 @@ def deform_parts(request: Deform, out: Output) -> int:
     return 1 if bad else 0
 
 
-def _print_summary(parts: list[tuple[Summary, Summary]], out: Output) -> list[str]:
+def _print_summary(parts: list[tuple[Summary, Summary]], is_straight: bool, steps: int, out: Output) -> list[str]:
     """Adds up the summaries before and after the motion, prints them, and returns the faults."""
     before, after = (Summary.together(side) for side in zip(*parts, strict=True))
     out.say("\n" + "\n\n".join(filter(None, [table(before, after), gate_table(before, after)])) + "\n")
     out.say(before=before.facts, after=after.facts, gates=gate_facts(before, after))
     out.say(faces_between_parts=after.between, parts=after.parts)
+    say_proven(after, is_straight, steps, out)
     return faults(before, after)
 
 
@@ -178,12 +180,12 @@ class Parts:
         """Moves part `k`, and judges it before and after."""
         mesh = case.read(k)
         base = np.asarray(mesh.points)
-        points = self._points(base, io.global_nodes(mesh), f"processor{k}")
-        undeformed = Judged(mesh, base)
-        after = Summary.from_judged(Judged(mesh, points, undeformed), self.limits, k)
+        way = self._way(base, io.global_nodes(mesh), f"processor{k}")
+        undeformed, points = Judged(mesh, base), way.ends[-1]
+        after = Summary.from_judged(Judged(mesh, points, undeformed, way), self.limits, k)
         return mesh.moved(points), Summary.from_judged(undeformed, self.limits, k), after
 
-    def _points(self, base: np.ndarray, ids: np.ndarray, name: str) -> np.ndarray:
+    def _way(self, base: np.ndarray, ids: np.ndarray, name: str) -> Way:
         """Moves points (k, d) of a part, whose nodes are `ids` (k,) of the whole mesh.
 
         Errors begin with `name`. The part is filled up with copies of a node to the size of the
@@ -198,7 +200,11 @@ class Parts:
             plan = half.attach(base.astype(self.dtype)[rows], nodes)
         except jm.MeshError as error:
             raise ValueError(f"{name}: {error.renumbered(rows)}") from None
-        points = jm.deform(plan, path[0]) if len(path) == 1 else jm.march(plan, path)[1]
         here = np.flatnonzero(np.isin(ids, half.moving))
         of_moving = rows_in(half.moving, ids[here])
-        return in_double(base, np.asarray(points)[: len(ids)], here, path[-1][of_moving], half.plan.method.exact)
+        steps = zip(path, followed(plan, path), strict=True)
+        ends = (
+            in_double(base, np.asarray(points)[: len(ids)], here, u[of_moving], plan.method.exact)
+            for u, points in steps
+        )
+        return Way(tuple(ends), plan.is_linear)

@@ -23,7 +23,9 @@ from ._output import Output, title
 from ._requests import Deform
 from ._summary import Summary, coordinates, count
 from ._tables import gate_facts, gate_table, table
-from ._told import check_files, described, mesh_of, wrapped, write_job
+from ._told import check_files, described, mesh_of, say_proven, wrapped, write_job
+from ._way import Way
+from ._writing import Writing
 
 Judgement = tuple[Judged, Summary, list[str]]
 """The moved mesh as it was judged, its sum, and one sentence for each fault."""
@@ -49,30 +51,33 @@ def deform(request: Deform, out: Output) -> int:
 def _deform(request: Deform, mesh: Mesh, out: Output) -> int:
     attempt, choice, chunks = _attempt(request, mesh, out)
     _foresee(attempt, choice, out)
-    points, judging, inspection, boundary = _moved(attempt, chunks, out)
-    with out.progress("judging the cells"):
-        judged, after, bad = judging.result()
-        wall = _wall_numbers(attempt, points)
-        tables = [table(attempt.before, after, _rows(wall, inspection)), gate_table(attempt.before, after)]
-    out.say("\n" + "\n\n".join(filter(None, tables)) + "\n")
-    if boundary.nodes:
-        wrapped(out, f"boundary: {boundary}")
-        measures = {name: getattr(boundary, name) for name in boundary.nodes}
-        out.say(boundary=measures | {"ended": boundary.ended.tolist()})
-    start, end = ({number.name: getattr(number, when) for number in wall} for when in ("before", "after"))
-    out.say(before=attempt.before.facts | start, after=after.facts | end)
-    out.say(overshoot=inspection.overshoot, overshoot_behind=inspection.overshoot_behind)
-    out.say(gates=gate_facts(attempt.before, after))
-    _write_beside(attempt, judged, out)
-    if bad:
-        explain(attempt, choice, bad, out)
-    if bad and not request.allow_inverted:
-        out.complain(f"{request.output} is not written; --allow-inverted writes it all the same.")
-        return 1
-    with out.progress(f"writing {request.output.name}"):
-        judged.write(request.output)
+    nodes, plan, way = _moved(attempt, chunks, out)
+    judging = Beside(attempt.judge, way)
+    with Writing(_write, attempt, way.ends[-1], judging) as writing:
+        inspection, boundary = _inspected(attempt, nodes, plan, way.ends[-1], out)
+        with out.progress("judging the cells"):
+            judgement = judging.result()
+        _tell(attempt, way, judgement[1], inspection, boundary, out)
+        bad = judgement[2]
+        _write_beside(attempt, judgement[0], out)
+        if bad and not request.allow_inverted:
+            writing.drop()
+        if bad:
+            explain(attempt, choice, bad, out)
+        if bad and not request.allow_inverted:
+            out.complain(f"{request.output} is not written; --allow-inverted writes it all the same.")
+            return 1
+        with out.progress(f"writing {request.output.name}"):
+            writing.finish()
     out.say(f"wrote {request.output} ({out.seconds:.1f} s)", output=str(request.output))
     return 1 if bad else 0
+
+
+def _write(attempt: Attempt, points: np.ndarray, judging: Beside[Judgement]) -> None:
+    """Writes the moved mesh; a format that holds arrays gets the quality, and waits for it."""
+    path, mesh = attempt.request.output, attempt.patches.mesh
+    judged = judging.result()[0] if io.check_output(path, mesh) else Judged(mesh, points)
+    judged.write(path)
 
 
 def _attempt(request: Deform, mesh: Mesh, out: Output) -> tuple[Attempt, NamedMethod, Chunks]:
@@ -113,28 +118,51 @@ def _foresee(attempt: Attempt, choice: NamedMethod, out: Output) -> None:
         out.warn(f"{size} may not fit into memory; {other} --dtype float32 need less.")
 
 
-def _moved(
-    attempt: Attempt, chunks: Chunks, out: Output
-) -> tuple[np.ndarray, Beside[Judgement], jm.Inspection, jm.BoundaryQuality]:
-    """Moves the points, inspects the motion, warns of contradictions, and judges the boundary.
-
-    The cells are judged beside the inspection.
-    """
+def _moved(attempt: Attempt, chunks: Chunks, out: Output) -> tuple[np.ndarray, jm.Plan, Way]:
+    """Moves the points; returns the first chunk's nodes and plan, and the way of all points."""
     steps = attempt.request.steps
     with out.progress("preparing"):
         nodes, plan = next(chunks)
     with out.progress("judging the cells"):
         attempt.summing.result()  # it raises for limits on measures that the cells do not have
     with out.progress(f"deforming in {count(steps, 'step')}") as stage:
-        points = attempt.points(itertools.chain([(nodes, plan)], chunks), steps, stage.done)
-    judging = Beside(attempt.judge, points)
+        return nodes, plan, attempt.way(itertools.chain([(nodes, plan)], chunks), steps, stage.done)
+
+
+def _inspected(
+    attempt: Attempt, nodes: np.ndarray, plan: jm.Plan, points: np.ndarray, out: Output
+) -> tuple[jm.Inspection, jm.BoundaryQuality]:
+    """Inspects the motion, warns of contradictions, and judges the boundary."""
     with out.progress("inspecting the motion"):
         u, mesh = attempt.motion.path(attempt.wall, 1)[-1], attempt.patches.mesh
-        moved = points[nodes] if steps == 1 and plan.points.dtype == points.dtype else None
+        moved = points[nodes] if attempt.request.steps == 1 and plan.points.dtype == points.dtype else None
         inspection = inspected(plan, u, mesh, nodes, moved)
         for warning in inspection.warnings:
             out.warn(warning)
-        return points, judging, inspection, jm.boundary_quality(plan, points[nodes]).renumbered(nodes)
+        return inspection, jm.boundary_quality(plan, points[nodes]).renumbered(nodes)
+
+
+def _tell(
+    attempt: Attempt,
+    way: Way,
+    after: Summary,
+    inspection: jm.Inspection,
+    boundary: jm.BoundaryQuality,
+    out: Output,
+) -> None:
+    """Prints tables of quality before and after."""
+    wall = _wall_numbers(attempt, way.ends[-1])
+    tables = [table(attempt.before, after, _rows(wall, inspection)), gate_table(attempt.before, after)]
+    out.say("\n" + "\n\n".join(filter(None, tables)) + "\n")
+    say_proven(after, way.is_straight, attempt.request.steps, out)
+    if boundary.nodes:
+        wrapped(out, f"boundary: {boundary}")
+        measures = {name: getattr(boundary, name) for name in boundary.nodes}
+        out.say(boundary=measures | {"ended": boundary.ended.tolist()})
+    start, end = ({number.name: getattr(number, when) for number in wall} for when in ("before", "after"))
+    out.say(before=attempt.before.facts | start, after=after.facts | end)
+    out.say(overshoot=inspection.overshoot, overshoot_behind=inspection.overshoot_behind)
+    out.say(gates=gate_facts(attempt.before, after))
 
 
 @dataclasses.dataclass(frozen=True)

@@ -32,7 +32,7 @@ def answer(words: Sequence[str], *, is_own: bool = False) -> int:
         try:
             request = request_of(words, top)
             with _without_collection() if is_own else contextlib.nullcontext():
-                run = _command(request)
+                run = _command(request, is_own)
             raise_again()
             out.verbose = getattr(request, "speech", Speech()).verbose
             return out.end(run(request, out))
@@ -50,9 +50,9 @@ def answer(words: Sequence[str], *, is_own: bool = False) -> int:
     return out.end(2)
 
 
-def _command(request: Request) -> Callable[[Request, Output], int]:
+def _command(request: Request, is_own: bool) -> Callable[[Request, Output], int]:
     """Imports the command, and JAX with it, in double precision and with a cache."""
-    importlib.import_module("._compiled", __package__).begin()
+    importlib.import_module("._compiled", __package__).begin(is_own)
     module, name = request.run.split(".")
     return getattr(importlib.import_module(f".{module}", __package__), name)
 

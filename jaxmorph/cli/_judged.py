@@ -14,6 +14,8 @@ from jaxmorph._quality.face_quality import measured
 from jaxmorph._quality.report import Report
 from jaxmorph._quality.sides import Sides
 
+from ._way import Way
+
 ROWS = tuple((kind, name) for name in ("skewness", "aspect_ratio", "non_orthogonality") for kind in ("mean", "max"))
 RATIOS = (("min", "volume_ratio"), ("min", "jacobian_ratio"))
 BY_FACES = {"face_skewness": "skewness", "face_aspect_ratio": "aspect_ratio"}
@@ -30,12 +32,13 @@ class Judged:
     Cells have the numbers of the file.
 
     An OpenFOAM case, and any mesh with polyhedra or polygons, is judged by its faces, others by the
-    corners of their cells.
+    corners of their cells. `way` is how the points came there; None where that is not known.
     """
 
     mesh: Mesh
     points: Any
     before: "Judged | None" = None
+    way: Way | None = None
 
     @functools.cached_property
     def corners(self) -> jm.QualityReport:
@@ -136,9 +139,12 @@ class Judged:
 
     @property
     def _proven_margin(self) -> np.ndarray:
-        """The margins of all cells, below 0 where a cell is not proven."""
-        margin = self.proof.margin
-        return np.where(self.proof.is_valid, margin, np.minimum(margin, -np.finfo(float).tiny))
+        """The least margins of all cells on the way, below 0 where a cell is not proven."""
+        proofs = [self.proof] if self.way is None else self.way.proofs(self.mesh)
+        below = -np.finfo(float).tiny
+        return np.min(
+            [np.where(proof.is_valid, proof.margin, np.minimum(proof.margin, below)) for proof in proofs], axis=0
+        )
 
     def write(self, path: Path) -> None:
         """Writes the mesh on its points, with the cells' quality where the format holds arrays."""

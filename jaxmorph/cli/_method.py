@@ -11,8 +11,8 @@ import jaxmorph as jm
 from jaxmorph import io
 from jaxmorph._advice.methods import METHODS, Entry, entry
 from jaxmorph._advice.rivals import Extent
+from jaxmorph._boundary.arguments import find_boundary
 from jaxmorph._boundary.boundary import Boundary as NodeLists
-from jaxmorph._boundary.boundary import find_boundary
 from jaxmorph._boundary.names import planes_of
 from jaxmorph._boundary.outer_faces import OuterFaces
 from jaxmorph._boundary.symmetry import check_planes

@@ -18,6 +18,7 @@ from ._output import Output, title
 from ._requests import Modes
 from ._summary import Summary, count
 from ._tables import faults
+from ._way import Way, instants
 
 BATCH = 8
 """Motions computed together."""
@@ -48,6 +49,8 @@ def modes(request: Modes, out: Output) -> int:
     what = f"{count(len(shapes), 'mode')} at {count(len(request.amplitude), 'amplitude')}"
     out.say(f"{title(request.file)}: {len(mesh.points)} points, {what}", points=len(mesh.points))
     out.say(f"method   {choice.name}", method=choice.name)
+    if request.gates.proven:
+        out.say(f"proven   cells that fold nowhere inside, {instants(plan.is_linear, 1)}", on_the_way=plan.is_linear)
     base, limits = Judged(mesh, mesh.points), request.gates.limits
     before = Summary.from_judged(base, limits)
     ratio = "V" if base.by_faces else "J"
@@ -55,7 +58,7 @@ def modes(request: Modes, out: Output) -> int:
     good, bad = [], 0
     with out.progress("moving") as stage:
         for case, points in _moved(mesh, plan, np.stack(shapes), cases):
-            judged = Judged(mesh, points, base)
+            judged = Judged(mesh, points, base, Way((points,), plan.is_linear))
             after = Summary.from_judged(judged, limits)
             failed = faults(before, after)
             bad += bool(failed)

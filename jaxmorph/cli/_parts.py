@@ -76,7 +76,9 @@ class Gates:
     max_face_skewness: float | None = _limit("largest skewness of a face, as checkMesh's")
     max_face_aspect_ratio: float | None = _limit("largest aspect ratio from areas of faces, as checkMesh's")
     min_jacobian_ratio: float | None = _limit("smallest corner Jacobian over its initial value")
-    proven: bool = switch("every cell is proven to fold nowhere inside, by bounds on det J, not at its corners alone")
+    proven: bool = switch(
+        "every cell is proven to fold nowhere inside, by bounds on det J: during the whole motion, or in a mesh alone"
+    )
     preset: str | None = flag(
         "limits of OpenFOAM's checkMesh, by its own measures: aspect ratio 1000, 70 degrees, skewness 4",
         choices=tuple(PRESETS),
@@ -91,7 +93,7 @@ class Gates:
     def limits(self) -> dict[str, float]:
         """Limits by the names of their flags: the preset's limits, replaced by limits of flags."""
         fields = dataclasses.fields(self)
-        flags = {each.name: getattr(self, each.name) for each in fields if each.name not in ("preset", "proven")}
+        flags = {field.name: getattr(self, field.name) for field in fields if field.name not in ("preset", "proven")}
         flags[PROVEN] = 0.0 if self.proven else None
         limits = PRESETS.get(self.preset or "", {}) | {
             name: limit for name, limit in flags.items() if limit is not None

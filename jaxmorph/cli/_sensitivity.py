@@ -31,18 +31,18 @@ def sensitivity(request: Sensitivity, out: Output) -> int:
     moving = patches.nodes
     moves = None if job is None else motion(job, mesh, moving)
     with out.progress(f"reading {request.sensitivity.name}"):
-        given = io.read_sensitivity(request.sensitivity, mesh, moving=moving)
-    if len(given) < len(mesh.points):
-        return _of_surface(request, np.asarray(mesh.points, float), moving, moves, given, out)
+        sensitivity = io.read_sensitivity(request.sensitivity, mesh, moving=moving)
+    if len(sensitivity) < len(mesh.points):
+        return _of_surface(request, np.asarray(mesh.points, float), moving, moves, sensitivity, out)
     with out.progress("preparing"):
         choice = patches.method((job or request).method)
         plan = patches.plan(choice)
     out.say(f"{title(request.file)}: {len(mesh.points)} points, {count(len(moving), 'moving node')}")
     out.say(f"method   {choice.name}", points=len(mesh.points), method=choice.name)
     if job is None or moves is None:
-        _to_nodes(request, plan, given, out)
+        _to_nodes(request, plan, sensitivity, out)
     else:
-        _to_variables(request, plan, moves, job.steps, given, out)
+        _to_variables(request, plan, moves, job.steps, sensitivity, out)
     out.say(f"wrote {request.output} ({out.seconds:.1f} s)", output=str(request.output))
     return 0
 
@@ -63,10 +63,10 @@ def _job_of(request: Sensitivity) -> Deform | None:
     return dataclasses.replace(job, set=(*job.set, *request.set))
 
 
-def _to_nodes(request: Sensitivity, plan: jm.Plan, given: np.ndarray, out: Output) -> None:
+def _to_nodes(request: Sensitivity, plan: jm.Plan, sensitivity: np.ndarray, out: Output) -> None:
     moving, points = np.asarray(plan.moving), np.asarray(plan.points)
     with out.progress("pulling back"):
-        slope = np.asarray(jm.pullback(plan, np.zeros((len(moving), given.shape[1])), given), float)
+        slope = np.asarray(jm.pullback(plan, np.zeros((len(moving), sensitivity.shape[1])), sensitivity), float)
     size = np.linalg.norm(slope, axis=1)
     worst = int(size.argmax())
     place = ", ".join(f"{x:.3g}" for x in points[moving[worst]])
@@ -77,27 +77,32 @@ def _to_nodes(request: Sensitivity, plan: jm.Plan, given: np.ndarray, out: Outpu
 
 
 def _of_surface(
-    request: Sensitivity, points: np.ndarray, moving: np.ndarray, moves: Motion | None, given: np.ndarray, out: Output
+    request: Sensitivity,
+    points: np.ndarray,
+    moving: np.ndarray,
+    moves: Motion | None,
+    sensitivity: np.ndarray,
+    out: Output,
 ) -> int:
     """Takes sensitivities of the moving nodes to design variables, without the volume."""
     if moves is None:
         raise ValueError(
-            f"{request.sensitivity}: {len(given)} of {len(points)} nodes, the moving ones: it is dJ/d(moving nodes) already. "
+            f"{request.sensitivity}: {len(sensitivity)} of {len(points)} nodes, the moving ones: it is dJ/d(moving nodes) already. "
             "--job FILE takes it on to design variables."
         )
-    out.say(f"{title(request.file)}: {count(len(given), 'moving node')}, sensitivities of the surface")
-    _write(request, moves, shapes.project(moves.shape, points[moving], moves.parameters, given), out)
+    out.say(f"{title(request.file)}: {count(len(sensitivity), 'moving node')}, sensitivities of the surface")
+    _write(request, moves, shapes.project(moves.shape, points[moving], moves.parameters, sensitivity), out)
     out.say(f"wrote {request.output} ({out.seconds:.1f} s)", output=str(request.output))
     return 0
 
 
 def _to_variables(
-    request: Sensitivity, plan: jm.Plan, moves: Motion, steps: int, given: np.ndarray, out: Output
+    request: Sensitivity, plan: jm.Plan, moves: Motion, steps: int, sensitivity: np.ndarray, out: Output
 ) -> None:
     with out.progress(f"pulling back through {count(steps, 'step')}"):
         wall = np.asarray(plan.moving_points, float)
         plans = plan if steps == 1 else jm.march(plan, moves.path(wall, steps))[0]
-        gradient = shapes.pullback(moves.shape, plans, moves.parameters, given)
+        gradient = shapes.pullback(moves.shape, plans, moves.parameters, sensitivity)
     _write(request, moves, gradient, out)
 
 

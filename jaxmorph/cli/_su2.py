@@ -19,16 +19,6 @@ from ._requests import SU2
 from ._summary import Summary, count
 from ._tables import faults, steepest, table
 
-MAGIC = 535532
-"""The first number of SU2's binary files."""
-
-SOURCES = {
-    "SOLUTION_ADJ_FILENAME": "solution_adj",
-    "VOLUME_SENS_FILENAME": "volume_sens",
-    "SURFACE_SENS_FILENAME": "surface_sens",
-}
-"""Options that name a file of sensitivities, and SU2's default names."""
-
 
 def run(request: SU2, out: Output) -> int:
     """Reads the config file, and moves its mesh or projects sensitivities. Returns the status."""
@@ -98,27 +88,18 @@ def _judge(request: SU2, mesh: jm.Mesh, points: np.ndarray, output: Path, out: O
 
 
 def _project(request: SU2, config: su2.Config, out: Output) -> int:
-    mesh, nodes = config.mesh, config.mesh.patch(*config.moving)
-    without = [name for name in config.names if name.startswith(("NACA_4DIGITS", "SURFACE_FILE"))]
-    if without or not config.names:
-        what = without[0] if without else "no design variable"
+    if config.constants or not config.names:
+        what = config.constants[0] if config.constants else "no design variable"
         raise ValueError(f"{request.file}: {what} has no derivative: the wall does not depend on DV_VALUE.")
     name = config.options.text("GRAD_OBJFUNC_FILENAME", "of_grad.dat")
     output = request.output or config.options.beside(name if Path(name).suffix else f"{name}.dat")
-    file = request.sensitivity or _source(config)
-    with out.progress(f"reading {file.name}"):
-        _check_text(file)
-        given = io.read_sensitivity(file, mesh, moving=nodes)
-    wall, kind = np.asarray(mesh.points, float)[nodes], "surface"
-    if len(given) == len(mesh.points):
-        kind, choice = "volume", _method(request, config)
-        with out.progress("preparing"):
-            plan = jm.prepare(mesh, config.moving, config.fixed, method=choice.method, symmetry=config.symmetry)
-        with out.progress("pulling back"):
-            given = np.asarray(jm.pullback(plan, np.zeros(wall.shape), given))
-    out.say(f"reading  {file.name}: dJ/d(nodes) of the {kind}", sensitivity=str(file), kind=kind)
-    project = jax.jit(lambda gradient: shapes.project(config.shape, wall, config.shape.neutral(), gradient))
-    gradient = np.asarray(project(given), float)
+    with out.progress("reading the sensitivities"):
+        given = su2.read_sensitivity(config, request.sensitivity)
+    gradient, angle = _gradient(request, config, given, out), given.by_angle
+    if config.angles:
+        gradient[config.angles] = angle or 0
+        what = "is not told by this file, 0 here" if angle is None else f"from the file: {angle:.6g}"
+        out.say(f"angle    dJ/d(angle of attack) {what}", angle=angle)
     out.say(f"\n{'dJ/d(value)':>16}")
     for k in steepest(gradient):
         out.say(f"{gradient[k]:>16.6g}  {config.names[k]}")
@@ -128,25 +109,15 @@ def _project(request: SU2, config: su2.Config, out: Output) -> int:
     return 0
 
 
-def _source(config: su2.Config) -> Path:
-    """Finds the file of sensitivities that the config file names."""
-    tried = []
-    for option, default in SOURCES.items():
-        name = config.options.text(option, default)
-        for ending in ("", ".csv", ".dat"):
-            file = config.options.beside(name + ending)
-            if file.is_file():
-                return file
-        tried.append(f"{option}= {name}")
-    raise ValueError(
-        f"{config.options.path}: no file of sensitivities is there ({', '.join(tried)}): give --sensitivity."
-    )
-
-
-def _check_text(file: Path) -> None:
-    with file.open("rb") as stream:
-        head = stream.read(4)
-    if len(head) == 4 and int.from_bytes(head, "little") == MAGIC:
-        raise ValueError(
-            f"{file}: a binary file of SU2; RESTART_ASCII among OUTPUT_FILES= writes a table (.csv) of it."
-        )
+def _gradient(request: SU2, config: su2.Config, given: su2.Sensitivity, out: Output) -> np.ndarray:
+    mesh, by_nodes = config.mesh, given.by_nodes
+    wall, kind = np.asarray(mesh.points, float)[mesh.patch(*config.moving)], "surface"
+    if len(by_nodes) == len(mesh.points):
+        kind, choice = "volume", _method(request, config)
+        with out.progress("preparing"):
+            plan = jm.prepare(mesh, config.moving, config.fixed, method=choice.method, symmetry=config.symmetry)
+        with out.progress("pulling back"):
+            by_nodes = np.asarray(jm.pullback(plan, np.zeros(wall.shape), by_nodes))
+    out.say(f"reading  {given.path.name}: dJ/d(nodes) of the {kind}", sensitivity=str(given.path), kind=kind)
+    project = jax.jit(lambda by_wall: shapes.project(config.shape, wall, config.shape.neutral(), by_wall))
+    return np.array(project(by_nodes), float)

@@ -60,15 +60,15 @@ def _filtered(
 
     Other processes are asked only for those whose nodes are all shared.
     """
-    kept = {}
+    chosen_of_kind = {}
     for kind in sorted(set().union(*comm.allgather(list(cells)))):
         corners = np.asarray(cells.get(kind, np.zeros((0, CORNERS[kind]), dtype=np.int64)))
         rows = np.flatnonzero(is_shared[corners].all(axis=1))
         keys = np.stack(sorted_columns(list(nodes[corners[rows]].T), CORNERS[kind]), axis=1)
         is_first, is_twice = np.ones(len(corners), dtype=bool), np.zeros(len(corners), dtype=bool)
         is_first[rows], is_twice[rows] = owned(comm, keys)
-        kept[kind] = corners[chosen(is_first, is_twice)]
-    return kept
+        chosen_of_kind[kind] = corners[chosen(is_first, is_twice)]
+    return chosen_of_kind
 
 
 def joined(shares: Sequence[Any], names: np.ndarray) -> dict[str, np.ndarray]:
@@ -91,7 +91,7 @@ def owned(comm: Any, keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     flags = np.zeros((sum(map(len, asked)), 2), dtype=bool)
     flags[first, 0] = True
     flags[:, 1] = count[np.ravel(back)] > 1
-    answers = comm.alltoall(np.split(flags, np.cumsum([len(each) for each in asked])[:-1]))
+    answers = comm.alltoall(np.split(flags, np.cumsum([len(keys) for keys in asked])[:-1]))
     marks = np.zeros((len(keys), 2), dtype=bool)
     for rank, answer in enumerate(answers):
         marks[keeper == rank] = answer
@@ -101,11 +101,11 @@ def owned(comm: Any, keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def agree(comm: Any, ids: np.ndarray, is_shared: np.ndarray, is_owner: np.ndarray, values: np.ndarray) -> None:
     """Puts the owner's rows of shared nodes in place of others', by way of each id's keeper."""
     keeper = np.where(is_shared, ids % comm.size, -1)
-    given = [np.flatnonzero((keeper == rank) & is_owner) for rank in range(comm.size)]
-    wanted = [np.flatnonzero((keeper == rank) & ~is_owner) for rank in range(comm.size)]
-    known = comm.alltoall([(ids[rows], values[rows]) for rows in given])
-    asked = comm.alltoall([ids[rows] for rows in wanted])
-    names, rows = (np.concatenate([each[k] for each in known]) for k in range(2))
-    answers = comm.alltoall([rows[rows_in(names, each)] for each in asked])
-    for places, answer in zip(wanted, answers, strict=True):
+    owned_rows = [np.flatnonzero((keeper == rank) & is_owner) for rank in range(comm.size)]
+    asked_rows = [np.flatnonzero((keeper == rank) & ~is_owner) for rank in range(comm.size)]
+    known = comm.alltoall([(ids[rows], values[rows]) for rows in owned_rows])
+    asked = comm.alltoall([ids[rows] for rows in asked_rows])
+    names, rows = (np.concatenate([message[k] for message in known]) for k in range(2))
+    answers = comm.alltoall([rows[rows_in(names, ids)] for ids in asked])
+    for places, answer in zip(asked_rows, answers, strict=True):
         values[places] = answer

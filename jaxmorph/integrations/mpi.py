@@ -271,10 +271,12 @@ def _surface(
     ends = np.unique([x.argmin(axis=0), x.argmax(axis=0)])
     extent = np.concatenate(comm.allgather(x[ends]))  # a plane holds nodes to a share of the whole mesh's size
     guided = on_facing(piece.planes, np.concatenate([x, extent]))[: len(x)]
-    on_faces = np.isin(ids, np.concatenate([each.ravel() for each in (faces or {}).values()] or [ids[:0]]))
+    on_faces = np.isin(ids, np.concatenate([corners.ravel() for corners in (faces or {}).values()] or [ids[:0]]))
     kinds = piece.moving, piece.fixed, np.flatnonzero(guided | on_faces)
     shares = comm.allgather([(ids[rows], x[rows]) for rows in kinds])
-    (moving, at_moving), (fixed, at_fixed), (further, at_further) = (_union(each) for each in zip(*shares, strict=True))
+    (moving, at_moving), (fixed, at_fixed), (further, at_further) = (
+        _union(parts) for parts in zip(*shares, strict=True)
+    )
     rest = ~np.isin(fixed, moving)
     others = ~np.isin(further, np.concatenate([moving, fixed]))
     outermost = np.concatenate(comm.allgather(x[ends[~(guided | on_faces)[ends]]]))
@@ -309,9 +311,11 @@ def _union(shares: Sequence[Any]) -> tuple[np.ndarray, np.ndarray]:
     """Joins ids and coordinates, ascending. Raises `ValueError` for an id of several places."""
     ids, points = (np.concatenate([share[k] for share in shares]) for k in range(2))
     unique, first, back = np.unique(ids, return_index=True, return_inverse=True)
-    apart = np.flatnonzero((points != points[first][back]).any(axis=1))
-    if apart.size:
-        raise ValueError(f"{apart.size} nodes lie at different places in different processes, first {ids[apart[0]]}.")
+    mismatched = np.flatnonzero((points != points[first][back]).any(axis=1))
+    if mismatched.size:
+        raise ValueError(
+            f"{mismatched.size} nodes lie at different places in different processes, first {ids[mismatched[0]]}."
+        )
     return unique, points[first]
 
 
@@ -320,9 +324,9 @@ def _summed(comm: Any, report: jm.QualityReport) -> Summary:
     names = ("skewness", "aspect_ratio", "non_orthogonality", "volume", "jacobian_ratio")
     values = {name: np.asarray(getattr(report, name))[report.counted] for name in names}
     counts = len(size), int(report.inverted), int(report.degenerate)
-    least = {name: float(each.min(initial=np.inf)) for name, each in values.items()}
-    most = {name: float(each.max(initial=-np.inf)) for name, each in values.items()}
-    sums = {name: float((each * size).sum()) for name, each in values.items()}
+    least = {name: float(column.min(initial=np.inf)) for name, column in values.items()}
+    most = {name: float(column.max(initial=-np.inf)) for name, column in values.items()}
+    sums = {name: float((column * size).sum()) for name, column in values.items()}
     shares = comm.allgather((counts, least, most, sums, float(size.sum())))
     whole = sum(share[4] for share in shares)
     return Summary(

@@ -104,7 +104,7 @@ class ShapeDisplacement(TracedComponent):
         return _Displaced(shape, self.options["plan"], start, self.options["positions"])
 
 
-def first_parameters(shape: Any, given: PyTree) -> PyTree:
+def first_parameters(shape: Any, parameters: PyTree) -> PyTree:
     """Returns the given parameters, or neutral ones for None.
 
     **Raises:** `ValueError` for what is no function, for a plain function and None, and for what
@@ -112,10 +112,10 @@ def first_parameters(shape: Any, given: PyTree) -> PyTree:
     """
     if isinstance(shape, type) or not callable(shape):
         raise ValueError(f"`shape` must be a shape or a function of positions and parameters, not {shown(shape)}.")
-    if given is None and not hasattr(shape, "neutral"):
+    if parameters is None and not hasattr(shape, "neutral"):
         raise ValueError("`parameters` is missing: a plain function does not tell its own. Or take `shapes.Function`.")
-    shapes.names(given)  # refuses leaves that are no numbers
-    return shape.neutral() if given is None else given  # pyright: ignore[reportFunctionMemberAccess]
+    shapes.names(parameters)  # refuses leaves that are no numbers
+    return shape.neutral() if parameters is None else parameters  # pyright: ignore[reportFunctionMemberAccess]
 
 
 def add_parameters(component: Any, parameters: PyTree, **options: Any) -> dict[str, Float[np.ndarray, "..."]]:

@@ -15,18 +15,18 @@ def patch_faces(mesh: Mesh) -> dict[str, dict[str, np.ndarray]]:
     """
     patches = sorted(mesh.patches.items(), key=lambda item: len(item[1]))
     n = mesh.points.shape[0]
-    named = np.unique(np.concatenate([np.zeros(0, np.int64), *(np.asarray(nodes) for _, nodes in patches)]))
-    left = boundary_sides({kind: np.asarray(ids) for kind, ids in mesh.cells.items()}, n, named)
+    nodes_of_all = np.unique(np.concatenate([np.zeros(0, np.int64), *(np.asarray(nodes) for _, nodes in patches)]))
+    left = boundary_sides({kind: np.asarray(ids) for kind, ids in mesh.cells.items()}, n, nodes_of_all)
     result: dict[str, dict[str, np.ndarray]] = {}
     for name, nodes in patches:
-        inside, held = np.zeros(n, bool), np.zeros(n, bool)
+        inside, on_faces = np.zeros(n, bool), np.zeros(n, bool)
         inside[nodes] = True
         result[name] = {}
         for kind, faces in left.items():
             is_inside = inside[faces].all(axis=1)
             result[name][kind], left[kind] = faces[is_inside], faces[~is_inside]
-            held[faces[is_inside]] = True
-        missing = np.flatnonzero(inside & ~held)
+            on_faces[faces[is_inside]] = True
+        missing = np.flatnonzero(inside & ~on_faces)
         if missing.size:
             raise ValueError(
                 f"patch {name!r}: {missing.size} of {len(nodes)} nodes (first {missing[0]}) are on no boundary face of "

@@ -12,6 +12,7 @@ from jaxmorph.shapes import Hexahedron
 
 from ._format import Source, source_of
 from ._su2 import NAME, Keyword, SU2Content, by_zones
+from .text.digits import decoded
 from .text.sections import Section
 
 Points = Float[np.ndarray, "..."]
@@ -204,7 +205,7 @@ def _surface(keyword: Keyword | None, n: int, d: int) -> Surface:
             values = []
         if len(values) != 4 or not 0 <= values[0] < n or values[0] != int(values[0]):
             raise keyword.section.error("a marker, a node and three coordinates in the box expected.", row)
-        lists.setdefault(words[0].decode(errors="replace"), []).append(values)
+        lists.setdefault(decoded(words[0]), []).append(values)
     tables = {marker: np.array(rows) for marker, rows in lists.items()}
     return {marker: (table[:, 0].astype(np.int64), table[:, 1 : 1 + d]) for marker, table in tables.items()}
 
@@ -213,7 +214,7 @@ def _names(keyword: Keyword | None) -> tuple[str, ...]:
     if keyword is None:
         return ()
     content = keyword.section.text[keyword.section.start : keyword.section.stop]
-    return tuple(line.strip().decode(errors="replace") for line in content.split(b"\n") if line.strip())
+    return tuple(decoded(line.strip()) for line in content.split(b"\n") if line.strip())
 
 
 def _lines(new: Sequence[Box], d: int) -> Iterator[str]:

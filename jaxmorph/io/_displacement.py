@@ -94,7 +94,7 @@ def _check_ids(path: pathlib.Path, ids: np.ndarray, moving: np.ndarray) -> None:
 def _between(before: pathlib.Path, after: pathlib.Path, x: np.ndarray) -> np.ndarray:
     old, new = read_shape(before), read_shape(after)
     if old.points.shape != new.points.shape or not np.array_equal(old.simplices, new.simplices):
-        sizes = " and ".join(f"{len(each.points)} points, {len(each.simplices)} faces" for each in (old, new))
+        sizes = " and ".join(f"{len(surface.points)} points, {len(surface.simplices)} faces" for surface in (old, new))
         raise ValueError(f"{before} and {after} differ in connectivity: {sizes}.")
     d = x.shape[1]
     if old.points.shape[1] < d or (old.simplices.shape[1] != d and d == 2):

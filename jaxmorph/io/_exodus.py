@@ -15,6 +15,7 @@ from jaxmorph._mesh.exchange import PREFIX
 from ._format import Arrays, Source, StampedPoints, stamp_of, unchanged_source
 from ._meshio import meshio, to_mesh
 from .cgns.tree import opened, write_points
+from .text.digits import decoded
 
 NAME = "Exodus"
 WHAT = "an Exodus file"
@@ -178,4 +179,4 @@ def _text(value: Any) -> str:
     """Reads text from bytes, or from an array of characters that ends with zeros."""
     if isinstance(value, str):
         return value
-    return np.asarray(value).tobytes().split(b"\0")[0].decode(errors="replace").strip()
+    return decoded(np.asarray(value).tobytes().split(b"\0")[0]).strip()

@@ -93,8 +93,10 @@ def own_source(path: pathlib.Path, mesh: Mesh, format_name: str) -> Source:
     """Returns a mesh's source for a format that writes only its own; else raises `ValueError`."""
     source = source_of(mesh, format_name)
     if source is None:
+        article = "an" if format_name in ("Exodus", "MFEM") else "a"
         raise ValueError(
-            f"{path}: only a mesh that was read from a {format_name} file can be written to one; write .vtu or .su2."
+            f"{path}: only a mesh that was read from {article} {format_name} file can be written to one; "
+            "write .vtu or .su2."
         )
     return source
 

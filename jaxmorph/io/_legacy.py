@@ -183,7 +183,9 @@ def _grid(scanner: _Scanner) -> meshio.Mesh:
             place, sizes[key] = key, int(words[1])
         else:
             _attribute(scanner, key, words, arrays[place], sizes.get(place, -1))
-    missing = [name for name, each in (("POINTS", points), ("CELLS", cells), ("CELL_TYPES", types)) if each is None]
+    missing = [
+        name for name, section in (("POINTS", points), ("CELLS", cells), ("CELL_TYPES", types)) if section is None
+    ]
     if points is None or cells is None or types is None:
         raise ValueError(f"no {' and no '.join(missing)}")
     for name, size, wanted in (("POINT_DATA", "points", len(points)), ("CELL_DATA", "cells", len(types))):

@@ -13,6 +13,7 @@ from jaxmorph._mesh.exchange import PREFIX
 from ._format import Arrays, Source, StampedPoints, stamp_of, unchanged_source
 from ._meshio import meshio, to_mesh
 from .cgns.tree import opened, write_points
+from .text.digits import decoded
 
 NAME = "MED"
 WHAT = "a MED file"
@@ -46,11 +47,11 @@ def read(path: pathlib.Path) -> Mesh:
         of_nodes = step["NOE"]["FAM"][()] if "FAM" in step["NOE"] else np.zeros(len(points), int)
         sets: dict[str, Any] = {}
         for group, numbers in _groups(file, name, "ELEME"):
-            sets[group] = [np.flatnonzero(np.isin(each, numbers)) for each in families]
+            sets[group] = [np.flatnonzero(np.isin(family, numbers)) for family in families]
         flags = {}
         for group, numbers in _groups(file, name, "NOEUD"):
             flags[PREFIX + urllib.parse.quote(group)] = np.isin(of_nodes, numbers).astype(int)
-    if any(len(each) != len(corners) for each, (_, corners) in zip(families, blocks, strict=True)):
+    if any(len(family) != len(corners) for family, (_, corners) in zip(families, blocks, strict=True)):
         raise ValueError(f"{path}: not {WHAT}, or a damaged one (families of other elements than there are).")
     content = StampedPoints(points, stamp_of(path))
     mesh = meshio.Mesh(points, blocks, point_data=flags, cell_sets=sets)
@@ -96,6 +97,6 @@ def _groups(file: Any, name: str, kind: str) -> Iterator[tuple[str, list[int]]]:
     groups: dict[str, list[int]] = {}
     for family in families.get(kind, {}).values():
         for characters in family["GRO"]["NOM"][()] if "GRO" in family else ():
-            group = bytes(np.asarray(characters, np.uint8)).split(b"\0")[0].decode(errors="replace").strip()
+            group = decoded(bytes(np.asarray(characters, np.uint8)).split(b"\0")[0]).strip()
             groups.setdefault(group, []).append(int(family.attrs["NUM"]))
     yield from groups.items()

@@ -18,6 +18,7 @@ FORMATS = (
     Format("VTK", (".vtu", ".vtk"), "_vtk"),
     Format("gmsh", (".msh",), "gmsh.file", holds_arrays=False),
     Format("CGNS", (".cgns",), "cgns.file", holds_arrays=False),
+    Format("MFEM", (".mesh",), "_mfem", holds_arrays=False),
     Format("MED", (".med",), "_med", holds_arrays=False),
     Format("Exodus", (".e", ".exo", ".ex2", ".exoii", ".g"), "_exodus", holds_arrays=False, magic=(b"CDF", b"\x89HDF")),
     Format("PLOT3D", (".xyz", ".p3d", ".p3dfmt", ".x", ".g"), "_plot3d", holds_arrays=False),
@@ -54,8 +55,8 @@ def format_of(path: pathlib.Path, source: object = None) -> Format:
 def read(path: str | os.PathLike[str]) -> Mesh:
     """Reads the mesh in a file or an OpenFOAM case.
 
-    Files are SU2 (.su2), VTK (.vtu, .vtk), gmsh (.msh), CGNS (.cgns), MED (.med), Exodus (.e, .exo,
-    .ex2, .exoii, .g) and PLOT3D (.xyz, .p3d, .p3dfmt, .x, .g). Of an OpenFOAM case `path` is its
+    Files are SU2 (.su2), VTK (.vtu, .vtk), gmsh (.msh), CGNS (.cgns), MFEM (.mesh), MED (.med),
+    Exodus (.e, .exo, .ex2, .exoii, .g) and PLOT3D (.xyz, .p3d, .p3dfmt, .x, .g). Of an OpenFOAM case `path` is its
     folder, or a time folder. VTK, gmsh, CGNS, MED and Exodus need the extra `io`.
 
     Coordinates are float64, in the units and the order of the file. A mesh of 2-D cells has two
@@ -63,6 +64,7 @@ def read(path: str | os.PathLike[str]) -> Mesh:
 
     - SU2's markers, gmsh's physical groups, CGNS's families or boundary conditions, MED's groups,
       OpenFOAM's patches;
+    - MFEM's attributes of boundary elements, `boundary_3` for attribute 3; named sets are groups;
     - Exodus's side sets and node sets, and its blocks of shells, beams or points beside larger
       cells;
     - the sides of PLOT3D's blocks, or those that a file beside it names. It is called as the grid
@@ -113,11 +115,12 @@ def write(
     """Writes a mesh in the format of the file's ending.
 
     The mesh may be one read from a file and then `moved`. Written to the format it came from,
-    everything but the coordinates is kept, byte for byte in SU2, gmsh, OpenFOAM and PLOT3D files.
-    An unmoved mesh gives the same file. Coordinates read back bit for bit, rounded once where the
-    file is in single precision. Between formats, and for generated meshes, points, cells and
-    patches are written. SU2 and gmsh express a patch by the boundary faces between its nodes. CGNS,
-    MED, Exodus, PLOT3D and OpenFOAM take back only meshes that came from them.
+    everything but the coordinates is kept, byte for byte in SU2, gmsh, MFEM, OpenFOAM and PLOT3D
+    files. An unmoved mesh gives the same file. Coordinates read back bit for bit, rounded once
+    where the file is in single precision, and to round-off in MFEM's files of order 3 and 4.
+    Between formats, and for generated meshes, points, cells and patches are written. SU2 and gmsh
+    express a patch by the boundary faces between its nodes. CGNS, MFEM, MED, Exodus, PLOT3D and
+    OpenFOAM take back only meshes that came from them.
 
     A mesh from an OpenFOAM case goes into a time folder of the case (`case/0.5`: its
     `polyMesh/points`), or into a new folder. The new folder is a copy of the case's `constant`,

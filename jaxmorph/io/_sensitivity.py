@@ -12,6 +12,7 @@ from jaxmorph._host.package.arguments import checked, finite_array, rows_of
 from jaxmorph._host.package.files import complete, input_path, output_path, read_arrays, real_array
 from jaxmorph._host.package.orders import rows_in
 
+from ._restart import is_restart, read_restart
 from ._surface import read_table
 from .openfoam.field import is_foam_file, read_point_vectors
 
@@ -31,7 +32,7 @@ def read_sensitivity(
     Or for those of a wall, for `shapes.project`. The file is one of
 
     - a table with a header that names `Sensitivity_x`, `Sensitivity_y`[, `Sensitivity_z`]: SU2's
-      volume sensitivities and adjoint restarts, .csv or .dat;
+      volume sensitivities and adjoint restarts, .csv or .dat, in text or binary;
     - a table of rows of node id and as many numbers as the mesh has dimensions, in any order;
     - .npz of `sensitivity` (n, d), with `ids` where its rows are not in the order of the nodes;
     - for a mesh that was read from an OpenFOAM case, a field of vectors at its points,
@@ -59,6 +60,8 @@ def read_sensitivity(
         ids, values = _arrays(path, n)
     elif is_foam_file(path):
         ids, values = np.arange(n), read_point_vectors(path, mesh)
+    elif is_restart(path):
+        ids, values = _columns(path, d)
     else:
         ids, values = read_table(path, d, NAMES)
     if values.shape != (len(ids), d) or not np.isfinite(values).all():
@@ -79,6 +82,16 @@ def read_sensitivity(
     result = np.empty((n, d))
     result[ids] = values
     return result
+
+
+def _columns(path: pathlib.Path, d: int) -> tuple[np.ndarray, np.ndarray]:
+    names, values = read_restart(path)
+    missing = [name for name in NAMES[:d] if name not in names]
+    if missing:
+        raise ValueError(
+            f"{path}: a binary restart without the columns {', '.join(missing)}; it has {', '.join(names)}."
+        )
+    return np.arange(len(values)), values[:, [names.index(name) for name in NAMES[:d]]]
 
 
 def _arrays(path: pathlib.Path, n: int) -> tuple[np.ndarray, np.ndarray]:

@@ -96,8 +96,8 @@ def _npz(path: pathlib.Path) -> Shape:
         )
     corners = 3 if kind == "triangles" else 2
     if arrays[kind].dtype.kind not in "iu" or arrays[kind].ndim != 2 or arrays[kind].shape[1] != corners:
-        given = f"{arrays[kind].dtype} of shape {arrays[kind].shape}"
-        raise ValueError(f"{path}: {kind} must be whole numbers (k, {corners}), found {given}.")
+        found = f"{arrays[kind].dtype} of shape {arrays[kind].shape}"
+        raise ValueError(f"{path}: {kind} must be whole numbers (k, {corners}), found {found}.")
     return Shape(real_array(path, arrays, "points"), arrays[kind].astype(np.int64))
 
 
@@ -112,7 +112,7 @@ def carried(before: Shape, values: np.ndarray, x: np.ndarray) -> tuple[np.ndarra
     radius = np.linalg.norm(corners - centre[:, None], axis=2).max(axis=1)
     # simplices of one size together: one ball around a point then holds all that can be closest
     level = np.floor(np.log2(np.maximum(radius, radius.max() * 1e-9)))
-    groups = [np.flatnonzero(level == each) for each in np.unique(level)]
+    groups = [np.flatnonzero(level == value) for value in np.unique(level)]
     trees = [(group, spatial.KDTree(centre[group]), radius[group].max()) for group in groups]
     result, distances = np.empty((len(x), values.shape[1])), np.empty(len(x))
     for at in range(0, len(x), BLOCK):

@@ -11,10 +11,12 @@ from collections.abc import Iterable, Iterator, Mapping
 import numpy as np
 
 from jaxmorph import Mesh
+from jaxmorph._host.cells.pieces import boundary_faces
 from jaxmorph._host.cells.topology import CORNERS, VTK
 
 from ._boundary import patch_faces
 from ._format import Arrays, Source, source_of
+from .text.digits import decoded
 from .text.sections import Rows, Section, blank_comments, replace
 
 NAME = "SU2"
@@ -59,6 +61,8 @@ class SU2Content:
 def read(path: pathlib.Path) -> Mesh:
     """Reads points in the order of the file; `patches` are the markers, those of one name together.
 
+    With `NMARK= 0` the patch is `boundary`.
+
     Index columns after coordinates and corners are not looked at, as SU2 itself does not; all rows
     have them or none. `MARKERTAG=` and `MARKERELEMS=` are read as `MARKER_TAG=` and
     `MARKER_ELEMS=`.
@@ -100,7 +104,11 @@ def mesh_of(path: pathlib.Path, text: bytes, keywords: list[Keyword]) -> Mesh:
     points = np.concatenate(list(_points(rows, d)))
     cells = _joined(_elements(_only(path, keywords, "NELEM"), len(points)))
     content = SU2Content(text, rows.section.start, rows.section.stop, points.shape)
-    return Mesh(points, cells, _markers(path, keywords, len(points)), source=Source(path, NAME, content))
+    patches = _markers(path, keywords, len(points))
+    if not patches:
+        outer = boundary_faces(cells, len(points)).values()
+        patches = {"boundary": np.concatenate([corners.ravel() for corners in outer])}
+    return Mesh(points, cells, patches, source=Source(path, NAME, content))
 
 
 def check(path: pathlib.Path, mesh: Mesh) -> None:
@@ -150,7 +158,7 @@ def _keywords(path: pathlib.Path, text: bytes) -> Iterator[Keyword]:
         name, _, value = text[start:end].partition(b"=")
         name = name.removeprefix(b"\xef\xbb\xbf").strip().decode(errors="replace")
         name = DIALECT.get(name, name)
-        lines.append((name, value.strip().decode(errors="replace"), start, end))
+        lines.append((name, decoded(value.strip()), start, end))
         at = text.find(b"=", end)
     for number, (name, value, _, end) in enumerate(lines, start=1):
         stop = lines[number][2] if number < len(lines) else len(text)
@@ -158,12 +166,12 @@ def _keywords(path: pathlib.Path, text: bytes) -> Iterator[Keyword]:
 
 
 def _only(path: pathlib.Path, keywords: list[Keyword], name: str) -> Keyword:
-    named = [keyword for keyword in keywords if keyword.name == name]
-    if not named:
+    matches = [keyword for keyword in keywords if keyword.name == name]
+    if not matches:
         raise ValueError(f"{path}: no {name}= in this file; it is not an SU2 mesh, or it is cut short.")
-    if len(named) > 1:
-        raise named[1].section.error(f"a second {name}=; zones of a file begin with IZONE=.")
-    return named[0]
+    if len(matches) > 1:
+        raise matches[1].section.error(f"a second {name}=; zones of a file begin with IZONE=.")
+    return matches[0]
 
 
 def _points(keyword: Keyword, d: int) -> Iterator[np.ndarray]:

@@ -11,6 +11,8 @@ from .._host.package.arguments import checked
 from .._host.package.files import input_path
 from .text.sections import Section
 
+FACT = re.compile(rb"^[ \t]*[A-Za-z_]+[ \t]*=.*$", re.MULTILINE)
+"""A line `NAME= value`, such as those behind the rows of SU2's older restarts."""
 IDS = (b"pointid", b"point_id", b"id", b"node", b"globalindex", b"global_index")
 """Names that headers give to the column of node ids, which is the first one otherwise."""
 
@@ -45,6 +47,7 @@ def read_table(
     text = path.read_bytes()
     for mark in (b"%", b"#"):
         text = b"\n".join(line.partition(mark)[0] for line in text.split(b"\n"))
+    text = FACT.sub(b"", text)
     start = _after_header(text)
     names = [name.strip(b"\"'").lower() for name in re.findall(rb"\"[^\"]*\"|[^\s,;]+", text[:start])]
     text = text.replace(b",", b" ").replace(b";", b" ")

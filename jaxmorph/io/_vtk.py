@@ -29,6 +29,10 @@ def read(path: pathlib.Path) -> Mesh:
         data = path.read_bytes()
         version = re.search(rb'<VTKFile[^>]*\sversion="(\d+)\.(\d+)"', data[:4096])
         number = 10 * int(version[1]) + int(version[2]) if version else 1
+        if b"vtkLZ4DataCompressor" in data[:4096]:
+            raise ValueError(
+                f"{path}: compressed by LZ4, which is not read; write it with ZLib (ParaView: Compressor Type)."
+            )
         reader = meshio.vtu.read
         if version is not None and number >= 20:
             reader = functools.partial(_read_newer, data, version.end())

@@ -31,6 +31,9 @@ THINNEST, THICKEST, WALL = 0.01, 0.5, 1.4
 NARROW = 0.8
 """Cells narrower than this, in typographic points, show their colour and no line."""
 
+LABEL = 0.3
+"""Inches of an axis for a number at least: numbers of a small window have many digits."""
+
 UNLABELLED = 0.775
 """The part of a figure's width that axes have until their labels are laid out."""
 
@@ -135,17 +138,22 @@ def given_or_new(ax: Axes | None, window: Window | None = None, *, bar: bool = F
     if window is None:
         return plt.subplots(figsize=(WIDTH, 0.7 * WIDTH), layout="constrained")[1]
     width, height = (side[1] - side[0] for side in window)
-    beside, below = 0.75 + 0.9 * bar, 0.55 + above  # inches for labels, in which the mesh has no part
+    beside, below = 0.85 + 1.0 * bar, 0.55 + above  # inches for labels, in which the mesh has no part
     scale = min((WIDTH - beside) / width, (TALLEST - below) / height)
     size = scale * width + beside, max(scale * height + below, 1.5)
-    return plt.subplots(figsize=size, layout="constrained")[1]
+    ax = plt.subplots(figsize=size, layout="constrained")[1]
+    for axis, length in ((ax.xaxis, scale * width), (ax.yaxis, scale * height)):
+        axis.set_major_locator(MaxNLocator(int(np.clip(length / LABEL, 2, 7)), steps=(1, 2, 2.5, 5, 10)))
+    return ax
 
 
 def legend_above(ax: Axes, handles: Sequence[Any] | None = None) -> None:
     """Puts the legend above the axes, in as few rows as the figure's width has room for."""
     handles = ax.get_legend_handles_labels()[0] if handles is None else handles
     size, count = plt.rcParams["font.size"], len(handles)
-    widths = [2.8 * size + TextPath((0, 0), str(each.get_label()), size=size).get_extents().width for each in handles]
+    widths = [
+        2.8 * size + TextPath((0, 0), str(handle.get_label()), size=size).get_extents().width for handle in handles
+    ]
     room = 72 / ax.figure.dpi * ax.figure.bbox.width * min(ax.get_position().width / UNLABELLED, 1) - size
     # a column holds the entries of `rows` places in a row, and is as wide as its widest
     rows = 1

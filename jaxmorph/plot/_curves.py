@@ -98,11 +98,11 @@ def surface_errors(plan: jm.Plan, u: Float[Any, "m d"], reductions: Sequence[jm.
         raise ValueError("`u` is zero: every reduction follows it.")
     if not len(reductions):
         raise ValueError("`reductions` is empty: name at least one, such as jm.KDTree(16).")
-    named = boundary_of(plan)
-    nodes, planes = named.nodes, named.planes
+    boundary = boundary_of(plan)
+    nodes, planes = boundary.nodes, boundary.planes
     if planes:  # of the volume only the nodes that tell where the planes are
         nodes = np.union1d(nodes, np.flatnonzero(np.any([plane.holds(points) for plane in planes], axis=0)))
-    part = named.part(np.unique(nodes))
+    part = boundary.part(np.unique(nodes))
     target = points[np.asarray(plan.moving)] + u
     rows = []
     for reduction in reductions:
@@ -140,13 +140,13 @@ def convergence(errors: Mapping[str, SurfaceErrors] | History, *, ax: Axes | Non
         raise ValueError("`errors` is empty: give at least one, such as {'k-d tree': plot.surface_errors(...)}.")
     ax = given_or_new(ax)
     colours, markers = (BLUE, ORANGE, GREEN, DARK, GREY), "osD^v"
-    for k, (name, each) in enumerate(errors.items()):
-        order, style = np.argsort(each.sources, kind="stable"), {"color": colours[k % 5], "marker": markers[k % 5]}
-        ax.loglog(each.sources[order], each.largest[order], "-", label=name, **style)
-        ax.loglog(each.sources[order], each.mean[order], "--", fillstyle="none", **style)
+    for k, (name, error) in enumerate(errors.items()):
+        order, style = np.argsort(error.sources, kind="stable"), {"color": colours[k % 5], "marker": markers[k % 5]}
+        ax.loglog(error.sources[order], error.largest[order], "-", label=name, **style)
+        ax.loglog(error.sources[order], error.mean[order], "--", fillstyle="none", **style)
     for line, marks, name in (("-", "full", "largest"), ("--", "none", "mean")):
         ax.plot([], [], f"o{line}", color=GREY, fillstyle=marks, label=name)
-    ticks = _round_numbers(np.concatenate([each.sources for each in errors.values()]))
+    ticks = _round_numbers(np.concatenate([error.sources for error in errors.values()]))
     ax.set_xticks(ticks, [f"{tick}" for tick in ticks])
     ax.set_xticks([], minor=True)
     low, high = np.log10(ax.get_ylim())

@@ -152,10 +152,10 @@ def _mp4() -> Callable[[pathlib.Path, list[Picture], float], None]:
 
     def write(path: pathlib.Path, pictures: list[Picture], rate: float | int) -> None:
         height, width = (size // 2 * 2 for size in pictures[0].shape[:2])  # the codec takes even sizes alone
-        given = f"-f rawvideo -pix_fmt rgb24 -s {width}x{height} -r {rate} -i -".split()
-        wanted = ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "20", "-movflags", "+faststart"]
+        source = f"-f rawvideo -pix_fmt rgb24 -s {width}x{height} -r {rate} -i -".split()
+        codec = ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "20", "-movflags", "+faststart"]
         pixels = b"".join(np.ascontiguousarray(picture[:height, :width]).data for picture in pictures)
-        command = [program, "-y", "-loglevel", "error", *given, *wanted, str(path)]
+        command = [program, "-y", "-loglevel", "error", *source, *codec, str(path)]
         done = subprocess.run(command, input=pixels, capture_output=True, check=False)
         if done.returncode:
             raise OSError(f"ffmpeg failed: {done.stderr.decode(errors='replace').strip()}")

@@ -170,7 +170,7 @@ def graph(
     if interior:
         ax.plot(*np.delete(points, nodes, axis=0).T, ".", color=GREY, markersize=2, zorder=1)
     edges = np.unique(np.sort(simplices[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0)
-    ax.add_collection(LineCollection(list(points[edges]), colors=DARK, linewidths=0.35), autolim=False)
+    ax.add_collection(LineCollection(list(points[edges]), colors=DARK, linewidths=0.25), autolim=False)
     for ids, colour, name in ((moving, ORANGE, "moving nodes"), (fixed, BLUE, "fixed nodes")):
         label = name if len(seen_in(points[ids][:, None], window)) else None
         ax.plot(*points[ids].T, ".", color=colour, markersize=5, label=label, zorder=3)

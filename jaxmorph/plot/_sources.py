@@ -15,6 +15,9 @@ from ._plane import ROOM, flat, whole
 from ._style import BLUE, GREEN, GREY, ORANGE, finite
 from ._view import add_legend, aim, aim_again, new_plotter, pyvista
 
+FEW = 30
+"""Sources up to which they are drawn as large dots: more of them would cover each other."""
+
 
 @checked
 def sources(
@@ -54,8 +57,9 @@ def sources(
         outline = picture.boxes[:, [0, 1, 1, 0, 0], 0], picture.boxes[:, [0, 0, 1, 1, 0], 1]
         ax.plot(*(side.T for side in outline), color=GREEN, linewidth=1.2)
         ax.plot([], [], color=GREEN, label=f"{picture.leaves} leaves")
-    ax.plot(*picture.nodes.T, ".", color=GREY, markersize=5, label=f"{len(picture.nodes)} nodes", zorder=2)
-    ax.plot(*picture.sources.T, "o", color=ORANGE, markersize=7, label=f"{len(picture.sources)} sources", zorder=3)
+    size = float(np.clip(7 * np.sqrt(FEW / max(len(picture.sources), 1)), 3.5, 7))
+    ax.plot(*picture.nodes.T, ".", color=GREY, markersize=0.7 * size, label=f"{len(picture.nodes)} nodes", zorder=2)
+    ax.plot(*picture.sources.T, "o", color=ORANGE, markersize=size, label=f"{len(picture.sources)} sources", zorder=3)
     if search_points and picture.leaves:
         style = {"color": BLUE, "markersize": 7, "markeredgewidth": 1.5, "zorder": 4}
         ax.plot(*picture.searched.T, "+", label=f"{len(picture.searched)} search points", **style)

@@ -130,6 +130,8 @@ def cut(
     viewer = normal * (-1 if np.dot(normal, VIEWER) < 0 else 1)
     grid = _grid(mesh, points, values)
     grid.cell_data["whole"] = whole_of(mesh)
+    # through nodes, up to round-off, the plane would cut cells on both sides of it by turns
+    origin = origin + 1e-9 * grid.length * normal
     body = np.asarray(grid.points)[bodies(np.asarray(mesh.points), mesh.patches)]
     away = (body - origin) @ normal
     is_met = plotter is None and len(body) and away.min() <= 0 <= away.max()
@@ -258,7 +260,7 @@ def _draw(
         raise ValueError(f"there are no `values` that are {label!r}.")
     colours, limits = colour_scale(limits)
     new, plotter = plotter is None, new_plotter() if plotter is None else plotter
-    style: dict[str, Any] = {"color": GREY}
+    style: dict[str, Any] = {"color": GREY if lighting else "white"}
     ends: list[tuple[str, str]] = []
     if has_values:
         values, sizes = part.cell_data["values"], part.compute_cell_sizes(length=False, volume=False).cell_data["Area"]

@@ -96,7 +96,7 @@ def usual_limits(values: Real[np.ndarray, " k"], sizes: Float[np.ndarray, " k"])
         float(extreme) if abs(extreme - end) <= near else end
         for extreme, end in ((values.min(), low), (values.max(), high))
     )
-    return low, high if high > low else low + max(abs(low), 1) * 1e-6
+    return low, high if high - low > 1e-9 * max(abs(low), abs(high)) else low + max(abs(low), 1)
 
 
 def beyond(values: Real[np.ndarray, " k"], limits: Limits) -> tuple[bool, bool]:

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, PyTree
 
 from .._host.package.arguments import as_array, check_fields, checked
-from .._kernels.values import as_jax, is_known
+from .._kernels.values import as_jax, is_known, replaced, taken
 from ._arguments import Numbers, positions
 from ._shape import AbstractShape
 
@@ -111,4 +111,4 @@ class OnRows(AbstractShape):
             is_known(self.rows) and self.rows.size and int(np.asarray(self.rows).max()) >= len(x)
         ):
             raise ValueError(f"`rows` has {len(self.rows)} rows up to {self.rows.max()}; `x` has {len(x)}.")
-        return x.at[self.rows].set(self.shape(x[self.rows], parameters))
+        return replaced(x, self.rows, self.shape(taken(x, self.rows), parameters))

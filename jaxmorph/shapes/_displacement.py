@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float, PyTree
 
 from .._host.package.arguments import checked, whole
+from .._kernels.values import as_jax, on_host
 from .._plan.deform import pullback as to_nodes
 from .._plan.plan import Plan
 from .._plan.steps import replay
@@ -58,7 +59,8 @@ def path(shape: AnyShape, x: Numbers, parameters: PyTree, steps: int) -> Float[A
     whole("steps", steps)
     check_parameters(parameters)
     if steps == 1:
-        return moves(shape, x, parameters)[None]
+        moved = moves(shape, x, parameters)
+        return as_jax(np.asarray(moved)[None]) if on_host(moved) else moved[None]
     start = neutral(shape)
     if jax.tree.structure(start) != jax.tree.structure(parameters):
         raise ValueError(f"parameters for several steps must all be given: {jax.tree.structure(start)}.")

@@ -7,13 +7,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from .._host.package.arguments import between, checked, whole
+from .._host.package.arguments import between, checked
 from .._kernels.values import is_known, slack
 from . import _bspline
 from ._arguments import Numbers, check_finite, known_positions, positions
 from ._combine import Linked
-from ._lattice import LatticeOperator, Rows
-from ._links import link_matrix
+from ._lattice import LatticeOperator, Rows, checked_counts
+from ._links import check_groups, link_matrix, reflection
 from ._shape import AbstractLinearShape
 from ._spans import Blocks
 
@@ -67,7 +67,7 @@ class FreeForm(AbstractLinearShape):
         if is_known(axes) and not abs(np.linalg.det(axes)) > 1e-12 * np.linalg.norm(axes, axis=1).prod():
             raise ValueError("the box is flat: its `axes` lie in one plane or one of them has no length.")
         self.origin, self.axes = origin, axes
-        self.counts, self.degrees = _checked_counts(counts, degree, d)
+        self.counts, self.degrees = checked_counts(counts, degree, d)
         self.continuity = continuity
         if continuity is not None and (continuity < 0 or 2 * (continuity + 1) >= min(self.counts)):
             raise ValueError(
@@ -198,20 +198,9 @@ class FreeForm(AbstractLinearShape):
             raise ValueError(
                 f"`free` has shape {free.shape} of {free.dtype}; expected {self.counts} or {(*self.counts, d)}."
             )
-        bad = [control for group in groups for control in group if not _is_control(control, self.counts)]
-        if bad:
-            raise ValueError(f"{len(bad)} entries of `groups` are no control of {self.counts}, first {bad[0]}.")
-        reflected = None
-        if mirror is not None:
-            if whole("mirror", mirror, 0) >= d:
-                raise ValueError(f"`mirror` is {mirror}; the lattice has directions 0 to {d - 1}.")
-            edge = np.abs(np.asarray(self.axes)[mirror])
-            signs = np.where(edge > 1e-9 * edge.max(), -1, 1)
-            if (signs < 0).sum() != 1:
-                raise ValueError(f"edge {mirror} of the box is along no axis: its controls cannot be mirrored.")
-            reflected = mirror, signs
-        free &= self.free[..., None]
-        matrix = link_matrix(free, groups, reflected)
+        check_groups(groups, self.counts)
+        reflected = None if mirror is None else reflection(np.asarray(self.axes), mirror)
+        matrix = link_matrix(free & self.free[..., None], groups, reflected)
         if not matrix.shape[1]:
             raise ValueError("no control point is left free.")
         return Linked(self, matrix)
@@ -256,22 +245,3 @@ class FreeForm(AbstractLinearShape):
                 f"{torn.sum()} of {len(x)} nodes stay outside the box while its border passes them, row {worst} at ({place}) by "
                 f"{moves[worst]:.3g}. Try continuity=0 or more, or a larger box."
             )
-
-
-def _checked_counts(counts, degree, d: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    if any(int(count) != count for count in counts):
-        raise ValueError(f"`counts` is {tuple(counts)}; expected whole numbers.")
-    counts = tuple(int(count) for count in counts)
-    if len(counts) != d or min(counts) < 2:
-        raise ValueError(f"`counts` is {counts}; a box in {d}-D needs {d} numbers, 2 or more each.")
-    degrees = (degree,) * d if degree is None or isinstance(degree, int) else tuple(degree)
-    if len(degrees) != d:
-        raise ValueError(f"`degree` has {len(degrees)} numbers; a box in {d}-D needs one, or {d}.")
-    degrees = tuple(count - 1 if p is None else int(p) for p, count in zip(degrees, counts, strict=True))
-    if any(not 1 <= p < count for p, count in zip(degrees, counts, strict=True)):
-        raise ValueError(f"degrees {degrees} do not fit counts {counts}: each lies from 1 to count - 1.")
-    return counts, degrees
-
-
-def _is_control(control, counts: tuple[int, ...]) -> bool:
-    return len(control) == len(counts) and all(0 <= i < count for i, count in zip(control, counts, strict=True))

@@ -1,6 +1,7 @@
 """The operator of a lattice: displacements of points from those of control points."""
 
 import itertools
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -60,3 +61,22 @@ class LatticeOperator(AbstractOperator):
             control = jnp.where(self.free[..., None], control, 0)
         dtype = self.weights.inner.dtype if isinstance(self.weights, Blocks) else self.weights.weights[0].dtype
         return self.weights.sums(control.reshape(-1, d).astype(dtype))
+
+
+def checked_counts(counts: Any, degree: Any, d: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Returns the numbers of control points and the degrees, one for each of d directions.
+
+    Raises `ValueError` for numbers that make no lattice.
+    """
+    if any(int(count) != count for count in counts):
+        raise ValueError(f"`counts` is {tuple(counts)}; expected whole numbers.")
+    counts = tuple(int(count) for count in counts)
+    if len(counts) != d or min(counts) < 2:
+        raise ValueError(f"`counts` is {counts}; a box in {d}-D needs {d} numbers, 2 or more each.")
+    degrees = (degree,) * d if degree is None or isinstance(degree, int) else tuple(degree)
+    if len(degrees) != d:
+        raise ValueError(f"`degree` has {len(degrees)} numbers; a box in {d}-D needs one, or {d}.")
+    degrees = tuple(count - 1 if p is None else int(p) for p, count in zip(degrees, counts, strict=True))
+    if any(not 1 <= p < count for p, count in zip(degrees, counts, strict=True)):
+        raise ValueError(f"degrees {degrees} do not fit counts {counts}: each lies from 1 to count - 1.")
+    return counts, degrees

@@ -34,7 +34,7 @@ class NACA4(AbstractShape):
     **Raises:** `ValueError` for a thickness that is not above 0, and a place outside of 0 to 1.
     """
 
-    given: Float[Array, " 3"]
+    original: Float[Array, " 3"]
     chord: Chord
 
     @checked
@@ -42,24 +42,24 @@ class NACA4(AbstractShape):
         between("camber", camber)
         between("place", place, 0, 1)
         between("thickness", thickness, 0)
-        self.given = jnp.asarray([camber, place, thickness], float)
+        self.original = jnp.asarray([camber, place, thickness], float)
         self.chord = Chord() if chord is None else chord
 
     def neutral(self) -> Float[Array, " 3"]:
         """Makes the parameters of the given airfoil."""
-        return self.given
+        return self.original
 
     def __call__(self, x: Numbers, parameters: Numbers) -> Float[Array, "m d"]:
         """Moves positions (m, d) from the given airfoil to the airfoil of the parameters (3,)."""
         x = positions(x)
-        parameters, given = jnp.asarray(parameters, x.dtype), self.given.astype(x.dtype)
+        parameters, original = jnp.asarray(parameters, x.dtype), self.original.astype(x.dtype)
         if parameters.shape != (3,):
             raise ValueError(f"parameters have shape {parameters.shape}; expected camber, place, thickness.")
         t, height = self.chord.coordinates(x)
         height = height / self.chord.length.astype(x.dtype)
-        s = _station(t, height, given)
-        t0, y0 = _from_mean_line(s, _offset(s, t, height, given), given)
-        t1, y1 = _from_mean_line(s, _offset(s, t, height, given) * (parameters[2] / given[2]), parameters)
+        s = _station(t, height, original)
+        t0, y0 = _from_mean_line(s, _offset(s, t, height, original), original)
+        t1, y1 = _from_mean_line(s, _offset(s, t, height, original) * (parameters[2] / original[2]), parameters)
         chord, up = (self.chord.tail - self.chord.nose).astype(x.dtype), self.chord.up.astype(x.dtype)
         across = up * self.chord.length.astype(x.dtype)
         return x + (t1 - t0)[:, None] * chord[None, :] + (y1 - y0)[:, None] * across[None, :]
@@ -120,7 +120,7 @@ def _station_jvp(primals, tangents):
     # derivatives of all orders follow
     s = _station(*primals)
     rate = _rate(s, *primals)
-    moved = jax.jvp(lambda *given: _away(s, *given), primals, tangents)[1]
+    moved = jax.jvp(lambda *values: _away(s, *values), primals, tangents)[1]
     return s, -moved / jnp.where(jnp.abs(rate) > slack(s.dtype), rate, 1)
 
 

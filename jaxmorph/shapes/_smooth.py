@@ -78,7 +78,7 @@ class Smoother(AbstractLinearShape):
 
         - `mesh`: a `Mesh` with cells.
         - `patch`: the name of the wall's patch.
-        - `length`, `held`: those of the class.
+        - `length`, `held`: as the class takes them.
 
         **Returns:** a `Smoother`.
 

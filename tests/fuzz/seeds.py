@@ -19,6 +19,7 @@ import meshio
 from cgns import joined_polyhedra
 from foam import PATCHES, mixed, split, strip
 from meshes import bricks
+from mfem_meshes import SOLID2, straight
 from plot3d import box
 from plot3d import write as write_plot3d
 
@@ -134,6 +135,13 @@ def exodus_files(folder: pathlib.Path) -> list[Seed]:
     return [single(folder / f"{form}.e") for form in exodus.FORMS]
 
 
+def mfem_files(folder: pathlib.Path) -> list[Seed]:
+    """Order 1 and 2: from order 3 on one number of the file makes several of the mesh."""
+    for name, text in {"straight": straight(mesh_3d(), "floor"), "solid": SOLID2}.items():
+        (folder / f"{name}.mesh").write_text(text)
+    return [single(folder / f"{name}.mesh") for name in ("straight", "solid")]
+
+
 def med(folder: pathlib.Path) -> list[Seed]:
     points, cells = single_type()
     mesh = meshio.Mesh(points, cells, point_data={"point_tags": (points[:, 2] == 0).astype(int)})
@@ -244,6 +252,7 @@ FORMATS = {
     "CGNS": cgns_files,
     "ADF": adf_files,
     "Exodus": exodus_files,
+    "MFEM": mfem_files,
     "MED": med,
     "PLOT3D": plot3d,
     "OpenFOAM": openfoam,

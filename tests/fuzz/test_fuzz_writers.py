@@ -30,6 +30,7 @@ FORMATS = (
         "CGNS",
     ),
     *(
+        "MFEM",
         "PLOT3D",
         "OpenFOAM",
         "OpenFOAM, time",

@@ -31,6 +31,7 @@ import foam
 import h5py
 import meshio
 from meshes import bricks
+from mfem_meshes import straight
 from plot3d import box
 from plot3d import write as write_plot3d
 
@@ -196,6 +197,7 @@ FORMATS: dict[str, Callable[[pathlib.Path], Output]] = {
     "VTU": new("a.vtu"),
     "VTK": new("a.vtk"),
     "CGNS": again("a.cgns", write_cgns),
+    "MFEM": again("a.mesh", lambda path: path.write_text(straight(bricks(12), "floor"))),
     "PLOT3D": again("a.xyz", lambda path: write_plot3d(path, [x + 0.123 for x in box(12, 13, 14)], "text", "<")),
     "OpenFOAM": foam_case("ascii", "new"),
     "OpenFOAM, time": foam_case("ascii", "case/0.5"),

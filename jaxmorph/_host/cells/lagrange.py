@@ -93,7 +93,7 @@ class Lagrange:
             side = _cell(SIDE_TYPES[len(face)], self.order, self.is_complete)
             along = corners[[face[1], face[-1]][: side.dimension]] - corners[face[0]]
             at = self.order * corners[face[0]] + side.lattice @ along
-            sides.append((side.name, np.array([place[tuple(each)] for each in at.tolist()])))
+            sides.append((side.name, np.array([place[tuple(position)] for position in at.tolist()])))
         return sides
 
     def completion(self) -> tuple[str, np.ndarray]:

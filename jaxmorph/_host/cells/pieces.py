@@ -31,8 +31,8 @@ def owners(cells: Mapping[str, Any]) -> dict[str, np.ndarray]:
     """Finds the cell of each of the `linear_cells`, by type; cells are numbered as in `cells`."""
     ids = np.cumsum([0, *map(len, cells.values())])
     numbered = {kind: np.arange(first, first + len(cells[kind])) for kind, first in zip(cells, ids, strict=False)}
-    nodes = {kind: np.repeat(each[:, None], NODES[kind], axis=1) for kind, each in numbered.items()}
-    return {shape: each[:, 0] for shape, each in linear_cells(nodes).items()}
+    nodes = {kind: np.repeat(ids[:, None], NODES[kind], axis=1) for kind, ids in numbered.items()}
+    return {shape: corners[:, 0] for shape, corners in linear_cells(nodes).items()}
 
 
 def boundary_faces(cells: Mapping[str, np.ndarray], n: int, among: np.ndarray | None = None) -> dict[str, np.ndarray]:

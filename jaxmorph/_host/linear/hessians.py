@@ -74,7 +74,8 @@ def solve(starts, columns, block, order, blocks, shift, right) -> np.ndarray:
 def solve_exactly(starts, columns, block, order, blocks, shift, right) -> np.ndarray:
     """Solves as `solve` does, to round-off or to 1e-10 of the right side.
 
-    The result is NaN if the matrix is not positive or the iteration does not converge.
+    The result is NaN if the matrix is not positive or the iteration does not converge; zero for
+    a right side of zeros, whatever the matrix is.
     """
     return _solved((starts, columns, block, order), blocks, shift, right, 1e-10)
 
@@ -84,6 +85,8 @@ def _solved(structure, blocks, shift, right, accuracy: float | None) -> np.ndarr
     n, d = right.shape
     parts = [np.bincount(block, blocks[a, b], len(columns)) for a in range(d) for b in range(d)]
     data = np.stack(parts, axis=1).reshape(-1, d, d)
+    if not right.any():
+        return np.zeros_like(right)
     if not np.isfinite(data).all():
         return np.full_like(right, 0 if accuracy is None else np.nan)
     matrix = sparse.bsr_matrix((data, columns, starts), shape=(n * d, n * d)) + sparse.diags(np.repeat(shift[order], d))

@@ -1,6 +1,7 @@
 """Files and folders that appear when they are complete."""
 
 import contextlib
+import contextvars
 import os
 import pathlib
 import re
@@ -10,7 +11,7 @@ import socket
 import stat
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -95,6 +96,26 @@ def real_array(path: pathlib.Path, arrays: dict[str, np.ndarray], name: str) -> 
     return arrays[name].astype(float)
 
 
+class UnwantedError(Exception):
+    """Ends the writing of a file that is complete, but not wanted."""
+
+
+_is_wanted: contextvars.ContextVar[Callable[[], bool] | None] = contextvars.ContextVar("_is_wanted", default=None)
+
+
+@contextlib.contextmanager
+def appearing_if(is_wanted: Callable[[], bool]) -> Iterator[None]:
+    """Lets a file that is `complete` wait for `is_wanted` before it appears.
+
+    The writer gets an `UnwantedError`, and nothing appears, where the answer is False.
+    """
+    token = _is_wanted.set(is_wanted)
+    try:
+        yield
+    finally:
+        _is_wanted.reset(token)
+
+
 @contextlib.contextmanager
 def complete(path: pathlib.Path, *, folder: bool = False, name_errors: bool = True) -> Iterator[pathlib.Path]:
     """Yields a temporary file or folder that replaces `path` at the end; a failure leaves nothing.
@@ -118,6 +139,9 @@ def complete(path: pathlib.Path, *, folder: bool = False, name_errors: bool = Tr
     try:
         with named(path) if name_errors else contextlib.nullcontext():
             yield partial
+        is_wanted = _is_wanted.get()
+        if is_wanted is not None and not is_wanted():
+            raise UnwantedError
         with named(path):
             partial.replace(target)
     finally:

@@ -6,7 +6,8 @@ import numpy as np
 
 from ..package.arguments import check_fields, whole
 from ..package.rounding import SAME, first_largest
-from .reduction import AbstractReduction, AbstractSeparated, KDTree, check_separation, chosen_in_order, extreme_points
+from .reduction import AbstractReduction, AbstractSeparated, KDTree, chosen_in_order, extreme_points
+from .separation import check_separation
 
 ENOUGH = {2: 84, 3: 400}
 """Sources of `Filled` by dimension: a wall in 3-D needs more than a curve."""

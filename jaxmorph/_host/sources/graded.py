@@ -8,7 +8,8 @@ from ..package.arguments import between, whole
 from ..package.cores import Tree
 from ..package.rounding import nearest_of, spacing
 from .farthest import farthest
-from .reduction import AbstractSeparated, check_separation, chosen_in_order
+from .reduction import AbstractSeparated, chosen_in_order
+from .separation import check_separation
 
 SHARE = {2: 0.25, 3: 0.5}
 """Default `share` by dimension: a distant circle gets 16 sources, a sphere about 30."""

@@ -7,7 +7,8 @@ import numpy as np
 from ..package.arguments import between, finite_array, whole
 from ..package.rounding import SAME, first_largest
 from .farthest import farthest
-from .reduction import AbstractSeparated, check_separation
+from .reduction import AbstractSeparated
+from .separation import check_separation
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -6,7 +6,8 @@ import numpy as np
 
 from ..package.arguments import check_fields, whole
 from ..package.rounding import SAME, first_largest
-from .reduction import AbstractSeparated, check_separation
+from .reduction import AbstractSeparated
+from .separation import check_separation
 
 NOISE = 1e-13
 """Round-off of the power function, whose largest value is 1."""

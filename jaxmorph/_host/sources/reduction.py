@@ -9,10 +9,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from ..package.arguments import between, check_fields, finite_array, whole
+from ..package.arguments import check_fields, finite_array, whole
 from ..package.cores import Tree
 from ..package.orders import canonical_order
 from ..package.rounding import SAME, first_largest, nearest_of, roundoff
+from .separation import check_separation, drop_close, least_distance
 
 
 class AbstractReduction(abc.ABC):
@@ -247,18 +248,6 @@ def chosen_in_order(points: np.ndarray, choose: Callable[[np.ndarray, np.ndarray
     return np.sort(order[choose(points[order], order)])
 
 
-def check_separation(separation: float) -> None:
-    """Raises `ValueError` for a `separation` that is no share of the points' extent."""
-    between("separation", separation, 0, 1, "[)")
-
-
-def least_distance(points: np.ndarray, separation: float) -> float:
-    """Computes `separation` times the diagonal of all points, but at least round-off."""
-    if len(points) == 0:
-        return 0.0
-    return max(separation * float(np.linalg.norm(np.ptp(points, axis=0))), roundoff(points))
-
-
 def extreme_points(points: np.ndarray) -> np.ndarray:
     """Finds the points farthest apart on all sides of the bounding box."""
     extremes, slack = [], SAME * float(np.ptp(points, axis=0).max())
@@ -269,23 +258,3 @@ def extreme_points(points: np.ndarray) -> np.ndarray:
             others = np.delete(points[touching], axis, axis=1)
             extremes += [touching[first_largest(side * column, slack)] for column in others.T for side in (-1, 1)]
     return np.unique(extremes)
-
-
-def drop_close(points: np.ndarray, ids: np.ndarray, closest: float) -> np.ndarray:
-    """Drops ids of points within `closest` of an earlier point that stays; the order stays."""
-    if len(ids) < 2:
-        return ids
-    ids = ids[np.sort(np.unique(ids, return_index=True)[1])]
-    pairs = Tree(points[ids]).query_pairs(closest * (1 + SAME), output_type="ndarray")
-    keep = np.ones(len(ids), dtype=bool)
-    for first, second in pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]:  # pairs come as first < second
-        if keep[first]:
-            keep[second] = False
-    return ids[keep]
-
-
-def drop_near(points: np.ndarray, ids: np.ndarray, others: np.ndarray, closest: float) -> np.ndarray:
-    """Drops ids of points within `closest` of one of the `others`; the order stays."""
-    if len(ids) == 0 or len(others) == 0:
-        return ids
-    return ids[Tree(points[others]).query(points[ids])[0] > closest * (1 + SAME)]

@@ -9,8 +9,9 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..._host.package.cores import Tree
 from ..._host.package.errors import warn
+from ..._host.package.rounding import roundoff
 from ..._host.sources.hierarchy import overlaps, padded
-from ..._host.sources.reduction import drop_close, roundoff
+from ..._host.sources.separation import drop_close
 from ..._kernels.compile import compiled
 from ..._kernels.values import as_jax
 from ..base import Control

@@ -103,7 +103,7 @@ class Expansion(Module):
         It returns the factors, and the rows in the order of the pivots.
         """
         tail = polynomial(sources, self.degree)
-        # One reduction, not a sum of d terms: XLA's CPU backend (jaxlib 0.10.2) merges those
+        # One reduction, not a sum of d terms: XLA's CPU backend (jaxlib 0.10.2) merges d terms
         # wrongly with the transposition that LAPACK asks for, and the jitted gradient with respect
         # to one coordinate of the sources is wrong or NaN.
         distances = jnp.sum((sources[:, None] - sources[None]) ** 2, axis=-1)

@@ -1,6 +1,6 @@
 """The kernel sum as one operation, with a kernel for the GPU.
 
-It is linear in its weights, and its transpose is an operation of the same kind.
+It is linear in its weights. Its transpose is the sum with points and sources exchanged.
 
 Derivatives with respect to places and constants need more. It is computed block by block.
 """

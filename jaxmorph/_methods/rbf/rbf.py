@@ -19,7 +19,8 @@ from ..._host.package.arguments import between, checked, shown
 from ..._host.package.errors import warn
 from ..._host.package.rounding import roundoff
 from ..._host.sources.graded import Graded
-from ..._host.sources.reduction import AbstractReduction, AllPoints, KDTree, drop_close
+from ..._host.sources.reduction import AbstractReduction, AllPoints, KDTree
+from ..._host.sources.separation import drop_close
 from ..._kernels.values import largest
 from ..base import AbstractMethod, Control, check_kind
 from ..surface import Surface

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ..._host.package.rounding import SAME, roundoff
-from ..._host.sources.reduction import drop_close
+from ..._host.sources.separation import drop_close
 from ..._host.surface.sharp import behind_tips, beside_tips, sharp_tips
 from ..._host.surface.skin import drawn_in, edges, nearest_held, thicknesses, thinned
 from ..._kernels.values import as_jax

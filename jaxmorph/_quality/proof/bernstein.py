@@ -69,12 +69,13 @@ def corners(space: Space) -> np.ndarray:
     return rows
 
 
-def terms(space: Space, places: np.ndarray) -> np.ndarray:
+def terms(space: Space, places: Either) -> Either:
     """Computes lambda^alpha (n, k) at places (d, k): what scaled coefficients are multiplied by."""
-    product, first = np.ones((1, places.shape[1])), 0
+    xp, first = namespace(places), 0
+    product = xp.ones((1, places.shape[1]), places.dtype)
     for dimension, degree in space:
         local = places[first : first + dimension]
-        barycentric = np.concatenate([1 - local.sum(axis=0, keepdims=True), local])
+        barycentric = xp.concatenate([1 - local.sum(axis=0, keepdims=True), local])
         own = (barycentric[None] ** indices(dimension, degree)[:, :, None]).prod(axis=1)
         product, first = (product[:, None] * own[None]).reshape(-1, places.shape[1]), first + dimension
     return product

@@ -63,7 +63,9 @@ class Form:
     @functools.cached_property
     def space(self) -> Space:
         degrees = [[degree for _, degree in space] for space in self.spaces]
-        return tuple((m, sum(each)) for (m, _), each in zip(self.spaces[0], zip(*degrees, strict=True), strict=True))
+        return tuple(
+            (m, sum(powers)) for (m, _), powers in zip(self.spaces[0], zip(*degrees, strict=True), strict=True)
+        )
 
     def moving(self) -> "Form":
         """Makes the form in space and time."""
@@ -111,8 +113,8 @@ class Form:
     @functools.cached_property
     def _growth(self) -> float:
         """The largest row sum of the matrices that make coefficients of the columns."""
-        each = zip(self.spaces, self.matrices, strict=True)
-        rows = [np.abs(matrix).sum(axis=1) / bernstein.multinomials(space) for space, matrix in each]
+        pairs = zip(self.spaces, self.matrices, strict=True)
+        rows = [np.abs(matrix).sum(axis=1) / bernstein.multinomials(space) for space, matrix in pairs]
         return float(max(row.max() for row in rows))
 
     def mean(self, coefficients: Either) -> Float[Either, " k"]:
@@ -129,10 +131,10 @@ class Form:
         weights = bernstein.terms(self.map_space, at) * bernstein.multinomials(self.map_space)[:, None]
         return np.stack([((self.control @ component) * weights).sum(axis=0) for component in x], axis=1)
 
-    def values(self, columns: list[list[np.ndarray]], at: Float[np.ndarray, "f k"]) -> Float[np.ndarray, " k"]:
+    def values(self, columns: list[list[Either]], at: Float[Either, "f k"]) -> Float[Either, " k"]:
         """Evaluates det J at a place among the factors of k cells each, from the columns there."""
-        each = zip(self.spaces, columns, strict=True)
-        weights = [(bernstein.terms(space, at), column) for space, column in each]
+        pairs = zip(self.spaces, columns, strict=True)
+        weights = [(bernstein.terms(space, at), column) for space, column in pairs]
         return products.determinant([[(b * weight).sum(axis=0) for b in column] for weight, column in weights])
 
     def inside(self, at: Float[np.ndarray, "f k"]) -> Float[np.ndarray, "f k"]:

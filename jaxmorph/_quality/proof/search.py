@@ -12,6 +12,9 @@ from .bernstein import Space
 ROOM = 1 << 16
 """Coefficients that are computed together: they stay in the processor's cache."""
 
+FEW = 64
+"""Open parts of a cell up to which they are cut beyond the depth, at most twice as often."""
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Bounds:
@@ -32,11 +35,14 @@ class Bounds:
 def bounds(
     space: Space, coefficients: Float[np.ndarray, "n k"], round_off: Float[np.ndarray, " k"], depth: int
 ) -> Bounds:
-    """Bounds polynomials by coefficients, on parts of a 2^depth-th where the sign needs them."""
+    """Bounds polynomials by coefficients, on parts of a 2^depth-th where the sign needs them.
+
+    Of a cell with few open parts these are cut further.
+    """
     k = coefficients.shape[1]
     search = _Search(space, depth, round_off, np.full(k, np.inf), np.full(k, np.inf), np.zeros((_dimension(space), k)))
     corners = [np.concatenate([np.zeros((1, m)), np.eye(m)])[:, :, None] for m, _ in space]
-    corners = [np.broadcast_to(each, (*each.shape[:2], k)) for each in corners]
+    corners = [np.broadcast_to(corner, (*corner.shape[:2], k)) for corner in corners]
     search.look(_Parts(coefficients, np.arange(k), corners), 0)
     lower, upper = search.lower - round_off, search.upper + round_off
     return Bounds(lower, upper, search.at, (np.abs(search.lower) <= round_off) & (np.abs(search.upper) <= round_off))
@@ -55,14 +61,14 @@ class _Parts:
     corners: list[np.ndarray]
 
     def __getitem__(self, rows: np.ndarray) -> "_Parts":
-        return _Parts(self.coefficients[:, rows], self.cell[rows], [each[:, :, rows] for each in self.corners])
+        return _Parts(self.coefficients[:, rows], self.cell[rows], [corner[:, :, rows] for corner in self.corners])
 
     def halved(self, space: Space) -> "_Parts":
         """Cuts each part into 2^d, in the order of `bernstein.halved`."""
         counts, p = [2**m for m, _ in space], len(self.cell)
         corners = []
-        for factor, ((m, _), each) in enumerate(zip(space, self.corners, strict=True)):
-            own = np.einsum("cij,jmp->imcp", bernstein.children(m), each)
+        for factor, ((m, _), corner) in enumerate(zip(space, self.corners, strict=True)):
+            own = np.einsum("cij,jmp->imcp", bernstein.children(m), corner)
             shape = [1] * len(space)
             shape[factor] = counts[factor]
             every = np.broadcast_to(own.reshape(m + 1, m, *shape, p), (m + 1, m, *counts, p))
@@ -71,9 +77,9 @@ class _Parts:
 
     def place(self, corner: Int[np.ndarray, " p"]) -> Float[np.ndarray, "f p"]:
         """Finds where a corner of each part is in the cell."""
-        own = np.unravel_index(corner, [len(each) for each in self.corners])
+        own = np.unravel_index(corner, [len(corners) for corners in self.corners])
         rows = zip(self.corners, own, strict=True)
-        return np.concatenate([each[i, :, np.arange(len(corner))].T for each, i in rows])
+        return np.concatenate([corners[i, :, np.arange(len(corner))].T for corners, i in rows])
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -95,10 +101,11 @@ class _Search:
         # negative is of interest
         is_open = (least < -slack) | ((least <= slack) & (lowest > slack))
         is_open &= ~(self.upper[cell] < -slack)
-        if level == self.depth:
-            is_open[:] = False
+        if level >= self.depth:
+            is_open &= (level < 2 * self.depth) & (np.bincount(cell[is_open], minlength=len(self.lower))[cell] <= FEW)
         np.minimum.at(self.lower, cell[~is_open], least[~is_open])
         rows, size = np.flatnonzero(is_open), self._size
+        rows = rows[np.argsort(cell[rows], kind="stable")]  # parts of a cell are counted together
         for start in range(0, len(rows), size):
             self.look(parts[rows[start : start + size]].halved(self.space), level + 1)
 

@@ -25,6 +25,8 @@ def faces(points: Any, conn: Any, sizes: Any) -> tuple[np.ndarray, np.ndarray, n
 def _array(name: str, values: Any, kind: type) -> np.ndarray:
     """Returns numbers as an array; whole ones may come as floats."""
     try:
+        if np.iscomplexobj(values):
+            raise TypeError
         array = np.asarray(values, dtype=float)
     except (TypeError, ValueError):
         raise ValueError(f"`{name}` must be real numbers, not {values!r}.") from None
@@ -38,3 +40,10 @@ def reals(name: str, values: Any, shape: tuple[int, ...]) -> np.ndarray:
     if array.shape != shape or not np.isfinite(array).all():
         raise ValueError(f"`{name}` has shape {array.shape}; this process has {shape}, of finite numbers.")
     return array
+
+
+def numbers(name: str, values: Any, shape: tuple[int, ...], kind: type) -> np.ndarray:
+    """Returns real numbers, or complex ones where `kind` is complex."""
+    if kind is not complex:
+        return reals(name, values, shape)
+    return reals(name, np.real(values), shape) + 1j * reals(name, np.imag(values), shape)

@@ -46,7 +46,7 @@ class Definition:
         """
         place, at = self._places()
         tree = KDTree(place)
-        distance, nearest = (np.reshape(each, (len(x), -1)) for each in tree.query(x, k=min(3, len(place))))
+        distance, nearest = (np.reshape(answer, (len(x), -1)) for answer in tree.query(x, k=min(3, len(place))))
         away, limit = distance[:, 0].copy(), _spacing(tree)[nearest[:, 0]]
         columns, shares = _padded(nearest), _padded(_inverse(distance, AT * limit))
         off = np.flatnonzero(away > AT * limit)
@@ -123,9 +123,9 @@ def _closest(x: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray
         for start in range(0, len(x), MOST):
             part = np.arange(start, min(start + MOST, len(x)))
             near = tree.query_ball_point(x[part], (np.minimum(bound, distance)[part] + reach) * (1 + 1e-9))
-            counts = np.array([len(each) for each in near])
+            counts = np.array([len(ids) for ids in near])
             node = np.repeat(part, counts)
-            triangle = rows[np.concatenate([np.asarray(each, int) for each in near])]
+            triangle = rows[np.concatenate([np.asarray(ids, int) for ids in near])]
             share, away = _on_triangles(x[node], corners[triangle])
             order = np.lexsort((triangle, away, node))
             best = order[np.unique(node[order], return_index=True)[1]]
@@ -151,7 +151,7 @@ def _on_triangles(x: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.nd
         share = np.sum((x - corners[:, k]) * edge, axis=1) / np.where(length > 0, length, 1)
         share = np.clip(share, 0, 1)
         trials.append((1 - share)[:, None] * np.eye(3)[k] + share[:, None] * np.eye(3)[other])
-    apart = [np.linalg.norm(np.einsum("kc,kcd->kd", each, corners) - x, axis=1) for each in trials]
-    best = np.argmin(np.nan_to_num(apart, nan=np.inf), axis=0)
+    distances = [np.linalg.norm(np.einsum("kc,kcd->kd", trial, corners) - x, axis=1) for trial in trials]
+    best = np.argmin(np.nan_to_num(distances, nan=np.inf), axis=0)
     at = np.arange(len(x))
-    return np.stack(trials)[best, at], np.stack(apart)[best, at]
+    return np.stack(trials)[best, at], np.stack(distances)[best, at]

@@ -5,7 +5,7 @@ import pathlib
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Inexact, Int
 
 import jaxmorph as jm
 from jaxmorph import io
@@ -51,8 +51,8 @@ class Grid:
         """Shares out the nodes of a mesh that the first process has."""
         shares = None
         if mesh is not None:
-            each = (np.unique(part, return_inverse=True) for part in np.array_split(mesh.file_nodes, comm.size))
-            shares = [(np.asarray(mesh.points)[nodes], nodes, rows) for nodes, rows in each]
+            parts = (np.unique(part, return_inverse=True) for part in np.array_split(mesh.file_nodes, comm.size))
+            shares = [(np.asarray(mesh.points)[nodes], nodes, rows) for nodes, rows in parts]
         points, nodes, rows = comm.scatter(shares)
         return Grid(comm, points, nodes, rows, mesh, mesh)
 
@@ -77,7 +77,7 @@ class Grid:
             return {}
         return {"nodes": io.global_nodes(self.outside), "faces": self.outside.cells}
 
-    def listed(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " c"]:
+    def listed(self, points: Inexact[np.ndarray, "n 3"]) -> Inexact[np.ndarray, " c"]:
         """Lists coordinates of nodes in the order of the file, in one row."""
         return points[self.rows].ravel()
 
@@ -126,7 +126,7 @@ class SolverOrder:
 
     def to_solver(self, values: np.ndarray) -> np.ndarray:
         """Takes this process' numbers to the solver's."""
-        result = np.zeros(self.size)
+        result = np.zeros(self.size, values.dtype)
         for rows, answer in zip(self.places, self.comm.alltoall([values[rows] for rows in self.sent]), strict=True):
             result[rows] = answer
         return result

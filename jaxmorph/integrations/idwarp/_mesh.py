@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Inexact
 
 import jaxmorph as jm
 
@@ -69,7 +69,7 @@ class USMesh:
         self._surface: Follower | None = None
         self._dXs = np.zeros((0, 3))
 
-    def getSurfaceCoordinates(self) -> Float[np.ndarray, "k 3"]:
+    def getSurfaceCoordinates(self) -> Inexact[np.ndarray, "k 3"]:
         """Returns the surface's points that this process has, as they were set last."""
         return self._defined().coordinates.copy()
 
@@ -113,15 +113,15 @@ class USMesh:
         """
         self._order = solver_order(self.comm, 3 * len(self._grid.rows), ind)
 
-    def getSolverGrid(self) -> Float[np.ndarray, " c"]:
+    def getSolverGrid(self) -> Inexact[np.ndarray, " c"]:
         """Returns the coordinates of the moved mesh, in the order of `setExternalMeshIndices`."""
         return self._solver().to_solver(self.getCommonGrid())
 
-    def getCommonGrid(self) -> Float[np.ndarray, " c"]:
+    def getCommonGrid(self) -> Inexact[np.ndarray, " c"]:
         """Returns this process' coordinates of the moved mesh in the file's order."""
         return self._grid.listed(self._moved)
 
-    def getWarpGrid(self) -> Float[np.ndarray, " c"]:
+    def getWarpGrid(self) -> Inexact[np.ndarray, " c"]:
         """Returns what `getCommonGrid` does: no other order is used here."""
         return self.getCommonGrid()
 
@@ -199,7 +199,7 @@ class USMesh:
         """
         if fileName is None:
             raise ValueError("`fileName` is missing: name a new file or folder; what the mesh was read from is kept.")
-        self._grid.write(fileName, self._moved)
+        self._grid.write(fileName, np.real(self._moved))
 
     def getOption(self, name: str) -> Any:
         """Returns an option, whose name may be in any case."""

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Inexact, Int
 
 import jaxmorph as jm
 from jaxmorph import io
@@ -14,7 +14,7 @@ from jaxmorph.io.cgns.file import open_zones
 from jaxmorph.io.cgns.tree import opened
 
 from .._shared import together
-from ._arrays import faces, reals
+from ._arrays import faces, numbers, reals
 from ._grid import Grid, SolverOrder, communicator, solver_order
 from ._mesh import USMesh
 
@@ -31,10 +31,13 @@ class MultiUSMesh:
     - `CGNSFile`: the file.
     - `optionsDict`: options of `USMesh` by the name of a grid; `gridFile` in them is not looked at.
     - `comm`, `debug`: those of `USMesh`.
-    - `dtype`: "d". There are no complex steps: JAX has the derivatives.
+    - `dtype`: IDWarp's, "d"; `MultiUSMesh_C` is for complex steps.
 
     **Raises:** `ValueError`, in every process, for names of no grid, and as `USMesh` does.
     """
+
+    _mesh_class = USMesh
+    _number: type = float
 
     def __init__(
         self,
@@ -45,14 +48,15 @@ class MultiUSMesh:
         debug: bool = False,
     ):
         self.comm = communicator(comm)
-        read = together(self.comm, lambda: _read(CGNSFile, optionsDict, dtype) if self.comm.rank == 0 else None)
+        together(self.comm, lambda: _check_type(dtype, self._number))
+        read = together(self.comm, lambda: _read(CGNSFile, optionsDict) if self.comm.rank == 0 else None)
         self._zones: _Zones = self.comm.bcast(None if read is None else read[1])
         self._whole = Grid.shared(self.comm, None if read is None else read[0])
         self.meshes = []
         for k, name in enumerate(self._zones.names):
             part = None if read is None else _part(read[0], self._zones.grid_of_nodes() == k)
             options = {**optionsDict[name], "gridFile": CGNSFile}
-            self.meshes.append(USMesh._of(self.comm, options, Grid.shared(self.comm, part)))
+            self.meshes.append(self._mesh_class._of(self.comm, options, Grid.shared(self.comm, part)))
         self._order: SolverOrder | None = None
         self._chosen: list[np.ndarray] = []
         self._rows: list[np.ndarray] | None = None
@@ -77,14 +81,14 @@ class MultiUSMesh:
         """
         points, corners, sizes = together(self.comm, lambda: faces(pts, conn, faceSizes))
         zones = together(self.comm, lambda: self._zones.checked(cgnsBlockIDs, sizes.shape))
-        self._coordinates, self._rows = points, []
+        self._coordinates, self._rows = points.astype(self._number), []
         for k, mesh in enumerate(self.meshes):
             is_own = self._zones.grid[zones] == k
             own = corners[np.repeat(is_own, sizes)]
             self._rows.append(np.unique(own))
             mesh.setSurfaceDefinition(points[self._rows[k]], np.searchsorted(self._rows[k], own), sizes[is_own])
 
-    def getSurfaceCoordinates(self) -> Float[np.ndarray, "k 3"]:
+    def getSurfaceCoordinates(self) -> Inexact[np.ndarray, "k 3"]:
         """Returns the surface's points that this process has, as they were set last."""
         for rows, mesh in zip(self._defined(), self.meshes, strict=True):
             self._coordinates[rows] = mesh.getSurfaceCoordinates()
@@ -92,7 +96,8 @@ class MultiUSMesh:
 
     def setSurfaceCoordinates(self, pts: Any) -> None:
         """Sets the surface's points, as `getSurfaceCoordinates` orders them; `warpMesh` moves."""
-        points = self._given("pts", pts)
+        self._defined()
+        points = together(self.comm, lambda: numbers("pts", pts, self._coordinates.shape, self._number))
         for rows, mesh in zip(self._defined(), self.meshes, strict=True):
             mesh.setSurfaceCoordinates(points[rows])
 
@@ -101,14 +106,14 @@ class MultiUSMesh:
         for mesh in self.meshes:
             mesh.warpMesh()
 
-    def getSolverGrid(self) -> Float[np.ndarray, " c"]:
+    def getSolverGrid(self) -> Inexact[np.ndarray, " c"]:
         """Returns the coordinates of the moved grids, in the order of `setExternalMeshIndices`."""
-        grid = self._solver().to_solver(self._whole.listed(self._whole.points))
+        grid = self._solver().to_solver(self._whole.listed(self._whole.points)).astype(self._number)
         for chosen, mesh in zip(self._chosen, self.meshes, strict=True):
             grid[chosen] = mesh.getSolverGrid()
         return grid
 
-    def getWarpGrid(self) -> tuple[list[Float[np.ndarray, " c"]], int]:
+    def getWarpGrid(self) -> tuple[list[Inexact[np.ndarray, " c"]], int]:
         """Returns `getCommonGrid` of each moving grid, and the count of all coordinates."""
         grids = [mesh.getCommonGrid() for mesh in self.meshes]
         return grids, self.comm.allreduce(sum(map(len, grids)))
@@ -127,7 +132,7 @@ class MultiUSMesh:
 
     def getdXs(self) -> Float[np.ndarray, "k 3"]:
         """Returns the derivative by the surface's points that `warpDeriv` computed."""
-        total = np.zeros_like(self._coordinates)
+        total = np.zeros(self._coordinates.shape)
         for rows, mesh in zip(self._defined(), self.meshes, strict=True):
             total[rows] += mesh.getdXs()
         return total
@@ -139,9 +144,12 @@ class MultiUSMesh:
             change[chosen] = mesh.warpDerivFwd(tangent[rows])
         return change
 
-    def writeGrid(self, baseName: str = "IDWarpMulti") -> None:
-        """Writes one `baseName`.cgns with all grids as they moved; IDWarp writes several."""
-        shares = [self.comm.gather(mesh.getCommonGrid().reshape(-1, 3)) for mesh in self.meshes]
+    def writeGrid(self, baseName: str | None = None) -> None:
+        """Writes one `baseName`.cgns with all grids as they moved; IDWarp writes several.
+
+        The default name is IDWarpMulti.
+        """
+        shares = [self.comm.gather(np.real(mesh.getCommonGrid()).reshape(-1, 3)) for mesh in self.meshes]
 
         def write() -> None:
             mesh = self._whole.mesh
@@ -149,7 +157,7 @@ class MultiUSMesh:
                 points, grid = np.array(mesh.points), self._zones.grid_of_nodes()
                 for k, parts in enumerate(shares):
                     points[mesh.file_nodes[grid == k]] = np.concatenate(parts or [])
-                io.write(f"{baseName}.cgns", mesh.moved(points))
+                io.write(f"{baseName or 'IDWarpMulti'}.cgns", mesh.moved(points))
 
         together(self.comm, write)
 
@@ -202,9 +210,13 @@ class _Zones:
         return self.grid[zone], indices - 3 * (first - within)[zone]
 
 
-def _read(path: str, options: Any, dtype: str) -> tuple[jm.Mesh, _Zones]:
-    if dtype != "d":
-        raise ValueError(f"`dtype` is {dtype!r}; 'd' is taken: derivatives need no complex steps here.")
+def _check_type(dtype: Any, number: type) -> None:
+    expected = "d" if number is float else "D"
+    if dtype != expected:
+        raise ValueError(f"`dtype` is {dtype!r}; {expected!r} is taken: complex steps have a class, MultiUSMesh_C.")
+
+
+def _read(path: str, options: Any) -> tuple[jm.Mesh, _Zones]:
     mesh = io.read(path)
     with opened(pathlib.Path(path)) as file:
         zones = open_zones(pathlib.Path(path), file)[0]
@@ -226,7 +238,7 @@ def _part(mesh: jm.Mesh, is_own: np.ndarray) -> jm.Mesh:
     inside |= {name: ids[np.isin(ids, nodes)] for name, ids in mesh.patches.items()}
     own = {name: np.searchsorted(nodes, ids) for name, ids in inside.items() if len(ids)}
     cells, patches = ({name: own[name] for name in names if name in own} for names in (mesh.cells, mesh.patches))
-    periodic = tuple(each for each in io.periodic(mesh) if str(each.patch) in patches)
+    periodic = tuple(pair for pair in io.periodic(mesh) if str(pair.patch) in patches)
     rest = {"content": None, "polyhedra": None, "cell_ids": None, "in_file": None}
     source = dataclasses.replace(mesh.source, file_nodes=listed, periodic=periodic, **rest)
     return jm.Mesh(np.asarray(mesh.points)[nodes], cells, patches, source=source)

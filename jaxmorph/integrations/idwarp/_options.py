@@ -48,7 +48,7 @@ def checked(options: Any) -> dict[str, Any]:
     for name, value in values.items():
         types = OPTIONS[name][0]
         if value is not None and (not isinstance(value, types) or (isinstance(value, bool) and bool not in types)):
-            raise ValueError(f"`{name}` is {value!r}; expected {' or '.join(each.__name__ for each in types)}.")
+            raise ValueError(f"`{name}` is {value!r}; expected {' or '.join(kind.__name__ for kind in types)}.")
     _check_lists(values)
     values["fileType"] = KINDS.get((values.get("fileType") or "CGNS").lower())
     if values.get("gridFile") is None or values["fileType"] is None:
@@ -71,7 +71,7 @@ def name_of(name: str) -> str:
 
 def _check_lists(values: Mapping[str, Any]) -> None:
     for name in ("specifiedSurfaces", "symmetrySurfaces"):
-        if not all(isinstance(each, str) for each in values.get(name) or ()):
+        if not all(isinstance(entry, str) for entry in values.get(name) or ()):
             raise ValueError(f"`{name}` is {values[name]!r}; expected names of patches.")
     planes = values.get("symmetryPlanes")
     if planes is not None and len(planes):

@@ -1,6 +1,7 @@
 """Patches by what becomes of their nodes: they move, slide in symmetry planes, or are fixed."""
 
 import dataclasses
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -48,7 +49,7 @@ class Walls:
             if on:
                 nodes = np.unique(np.concatenate(on))
                 return nodes, definition.weights(points[nodes])[0]
-        low, high = (tuple(np.round(each(definition.points, axis=0), 6)) for each in (np.min, np.max))
+        low, high = (tuple(np.round(extreme(definition.points, axis=0), 6)) for extreme in (np.min, np.max))
         raise ValueError(
             f"no patch of the mesh lies on the surface that is defined, {len(definition.points)} points between {low} and {high}: "
             f"its unit, or its place, is not that of the mesh, whose patches are {', '.join(self.mesh.patches)}."
@@ -66,7 +67,7 @@ class Walls:
     def half(self, moving: np.ndarray, options: Mapping[str, Any], known: Mapping[str, Any]) -> jm.SurfaceHalf:
         """Prepares the surface; all patches but symmetry, periodic and overset are fixed."""
         periodic = io.periodic(self.mesh)
-        loose = {*self.flat, *self.free, *(str(name) for each in periodic for name in (each.patch, each.partner))}
+        loose = {*self.flat, *self.free, *(str(name) for pair in periodic for name in (pair.patch, pair.partner))}
         fixed = self.mesh.patch(*(name for name in self.mesh.patches if name not in loose))
         free = np.setdiff1d(self.mesh.patch(*self.free), np.concatenate([fixed, moving]))
         kinds = {"symmetry": self.symmetry, "periodic": periodic, "free": free}
@@ -93,12 +94,12 @@ def walls_of(mesh: jm.Mesh, options: Mapping[str, Any]) -> Walls:
 
 
 def _kinds(mesh: jm.Mesh) -> dict[str, str]:
-    """Sorts patches into wall, symmetry, overset, others: by kind in the file, else by name."""
-    words = {"sym": "symmetry", "wall": "wall", "overset": "overset"}
+    """Sorts patches into overset, wall, symmetry, others: by kind in the file, else by name."""
+    words = {"overset": "overset", "wall": "wall", r"(?<![a-z])(bc)?sym": "symmetry"}
     kinds = {}
     for name in mesh.patches:
         text = mesh.kinds.get(name, name).lower()
-        kinds[name] = next((kind for word, kind in words.items() if word in text), "")
+        kinds[name] = next((kind for word, kind in words.items() if re.search(word, text)), "")
         if not kinds[name] and "overset" in name.lower():  # no type of CGNS says so
             kinds[name] = "overset"
     return kinds

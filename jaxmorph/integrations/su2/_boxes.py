@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import jax.numpy as jnp
 import numpy as np
+import scipy.interpolate
 from jaxtyping import Float, Int
 
 from jaxmorph import Mesh, boundary_faces, io, shapes
@@ -12,6 +13,9 @@ from ._control import BoxPart, box_part
 from ._options import Options
 from ._planes import planes, segments_of
 from ._variables import Variable
+
+HALVINGS = 60
+"""Halvings of an interval, down to a double's rounding."""
 
 
 def boxes_of(options: Options, mesh: Mesh, moving: Sequence[str], is_setting: bool) -> tuple[io.Box, ...]:
@@ -34,13 +38,13 @@ def boxes_of(options: Options, mesh: Mesh, moving: Sequence[str], is_setting: bo
     if len(degrees) != len(groups):
         raise options.error("FFD_DEGREE", f"{len(degrees)} groups of degrees for {len(groups)} boxes")
     made = []
-    for (name, *words), each in zip(groups, degrees, strict=True):
+    for (name, *words), words_of_degrees in zip(groups, degrees, strict=True):
         numbers = [options.number("FFD_DEFINITION", word) for word in words]
         if len(numbers) != 24:
             raise options.error(
                 "FFD_DEFINITION", f"24 numbers for box {name}, eight corners, expected; found {len(numbers)}"
             )
-        counts = [int(options.number("FFD_DEGREE", word)) + 1 for word in each[:d]]
+        counts = [int(options.number("FFD_DEGREE", word)) + 1 for word in words_of_degrees[:d]]
         shape = shapes.Hexahedron(np.reshape(numbers, (8, 3))[: 2**d, :d], counts, degree=degree)
         made.append(io.Box(name, shape, np.asarray(shape.lattice()), _surface(shape, mesh, moving)))
     return tuple(made)
@@ -53,8 +57,28 @@ def _surface(shape: shapes.Hexahedron, mesh: Mesh, moving: Sequence[str]) -> dic
         nodes = mesh.patch(name)
         places = np.asarray(shape.coordinates(np.asarray(mesh.points)[nodes]))
         inside = np.asarray(shape.box.holds(jnp.asarray(places)))
-        surface[name] = nodes[inside], np.clip(places[inside], 0, 1)
+        surface[name] = nodes[inside], _of_spline(np.clip(places[inside], 0, 1), shape)
     return surface
+
+
+def _of_spline(places: Float[np.ndarray, "k d"], shape: shapes.Hexahedron) -> Float[np.ndarray, "k d"]:
+    """Finds coordinates at which the splines of the lattice at rest give the places in the box.
+
+    The lattice is equal along each edge, so the places are a function of one coordinate along each.
+    Splines of the highest degree, and of the lowest, are the places themselves.
+    """
+    found = places.copy()
+    for axis, (count, p) in enumerate(zip(shape.counts, shape.box.degrees, strict=True)):
+        if 1 < p < count - 1:
+            knots = np.clip(np.arange(-p, count + 1) / (count - p), 0, 1)
+            spline = scipy.interpolate.BSpline(knots, np.arange(count) / (count - 1), p)
+            low, high = np.zeros(len(places)), np.ones(len(places))
+            for _ in range(HALVINGS):
+                middle = (low + high) / 2
+                below = spline(middle) < places[:, axis]
+                low, high = np.where(below, middle, low), np.where(below, high, middle)
+            found[:, axis] = (low + high) / 2
+    return found
 
 
 def box_parts(

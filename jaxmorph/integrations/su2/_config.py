@@ -15,11 +15,14 @@ from jaxtyping import Float
 from jaxmorph import Mesh, io, shapes
 from jaxmorph._host.package.arguments import checked
 
+from ._airfoil import SIDED, airfoil_parts
 from ._boxes import box_parts, boxes_of
 from ._control import BoxPart
-from ._motion import SIDED, AbstractPart, DesignVariables, Displacement, check_alone, simple_parts
+from ._motion import DesignVariables, Displacement, check_alone, rigid_parts
 from ._options import Options, read_options
-from ._variables import LEFT, NOTHING, Variable, variables
+from ._part import AbstractPart
+from ._planes import free_coordinates
+from ._variables import CONSTANT, LEFT, NOTHING, WHOLE, Variable, variables
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -29,7 +32,8 @@ class Config:
     - `mesh`: the mesh of `MESH_FILENAME`; `output` is the file of `MESH_OUT_FILENAME`.
     - `shape`, `parameters`: moves the nodes `mesh.patch(*moving)` by values (n,); at
       `shape.neutral()` nothing moves.
-    - `moving`, `symmetry`, `fixed`: names of patches, `DV_MARKER`, `MARKER_SYM`, and all others.
+    - `moving`, `symmetry`, `fixed`: names of patches, `DV_MARKER`, `MARKER_SYM`, and all others but
+      `MARKER_INTERNAL`. A design variable such as `SCALE_GRID` moves all of them.
     - `steps`: of `DEFORM_NONLINEAR_ITER`.
     - `boxes`: free-form boxes of the mesh, or of `FFD_DEFINITION` where `DV_KIND` is `FFD_SETTING`
       or the mesh has none.
@@ -52,6 +56,16 @@ class Config:
     def names(self) -> tuple[str, ...]:
         """Names of the design variables."""
         return self.shape.names
+
+    @property
+    def angles(self) -> list[int]:
+        """Places of the angles of attack among the design variables: no wall moves by them."""
+        return [k for k, name in enumerate(self.names) if name.partition("[")[0] in LEFT]
+
+    @property
+    def constants(self) -> list[str]:
+        """Names of design variables that move the wall whatever their value is."""
+        return [name for name in self.names if name.partition("[")[0] in CONSTANT]
 
     @functools.cached_property
     def path(self) -> Float[np.ndarray, "k m d"]:
@@ -96,17 +110,21 @@ def read_config(path: str | os.PathLike[str], *, definition: bool = False) -> Co
     file = _mesh_file(options)
     mesh = io.read(file)
     is_setting = any(variable.kind == "FFD_SETTING" for variable in listed)
-    moving = mesh.patch_names(*markers)
+    is_whole = any(variable.kind in WHOLE for variable in listed)
+    moving = tuple(mesh.patches) if is_whole else mesh.patch_names(*markers)
+    planes = mesh.patch_names(*options.words("MARKER_SYM"))
     moves = [variable for variable in listed if variable.kind not in (*NOTHING, *LEFT)]
     if (moves or is_setting) and not moving:
         raise ValueError(f"{options.path}: DV_MARKER= names no marker of {file.name}: nothing would move.")
     try:
         check_alone(listed)
         boxes = boxes_of(options, mesh, moving, is_setting)
-        shape = _shape(options, listed, mesh, moving, boxes)
+        parts = _parts(options, listed, mesh, moving, boxes)
     except ValueError as error:
         raise ValueError(f"{options.path}: {str(error).removeprefix(f'{options.path}: ')}") from None
-    symmetry = tuple(name for name in mesh.patch_names(*options.words("MARKER_SYM")) if name not in moving)
+    shape = _shape(options, listed, parts, free_coordinates(mesh, moving, () if is_whole else planes))
+    symmetry = tuple(name for name in planes if name not in moving)
+    loose = {*moving, *symmetry, *mesh.patch_names(*options.words("MARKER_INTERNAL"))}
     steps = int(options.number("DEFORM_NONLINEAR_ITER", options.text("DEFORM_NONLINEAR_ITER", "1")))
     if steps < 1:
         raise options.error("DEFORM_NONLINEAR_ITER", f"1 or more expected, found {steps}")
@@ -115,12 +133,12 @@ def read_config(path: str | os.PathLike[str], *, definition: bool = False) -> Co
             warnings.warn(f"{variable.kind} is left alone: it is the flow solver's, no wall moves by it.", stacklevel=3)
     return Config(
         mesh,
-        _with_ending(options.beside(options.text("MESH_OUT_FILENAME", "mesh_out.su2")), file.suffix),
+        _with_ending(options.beside(options.text("MESH_OUT_FILENAME", "mesh_out.su2"))),
         shape,
         _values(options, shape, definition),
         moving,
         symmetry,
-        tuple(name for name in mesh.patches if name not in (*moving, *symmetry)),
+        tuple(name for name in mesh.patches if name not in loose),
         steps,
         boxes,
         options,
@@ -132,8 +150,9 @@ def _mesh_file(options: Options) -> pathlib.Path:
     return file if file.exists() or file.suffix else file.with_suffix(".su2")
 
 
-def _with_ending(file: pathlib.Path, ending: str) -> pathlib.Path:
-    return file if file.suffix else file.with_name(f"{file.name}{ending}")
+def _with_ending(file: pathlib.Path) -> pathlib.Path:
+    """Returns a file's name with SU2's ending, whatever it read, unless it has one."""
+    return file if file.suffix else file.with_name(f"{file.name}.su2")
 
 
 def _values(options: Options, shape: DesignVariables, definition: bool) -> Float[np.ndarray, " n"]:
@@ -149,34 +168,47 @@ def _values(options: Options, shape: DesignVariables, definition: bool) -> Float
     return np.array(values)
 
 
-def _shape(
+def _sizes(listed: Sequence[Variable]) -> tuple[list[Variable], np.ndarray]:
+    """Lists the variables that have values, and the place of each one's first value."""
+    own = [variable for variable in listed if variable.kind not in NOTHING]
+    return own, np.cumsum([0, *(variable.size for variable in own)])[:-1].astype(int)
+
+
+def _parts(
     options: Options, listed: Sequence[Variable], mesh: Mesh, moving: Sequence[str], boxes: Sequence[io.Box]
+) -> list[AbstractPart]:
+    listed, first = _sizes(listed)
+    if not listed:
+        return []
+    nodes, points = mesh.patch(*moving), np.asarray(mesh.points, float)
+    is_sided = any(variable.kind in SIDED for variable in listed)
+    normals = shapes.wall_normals(mesh, *moving) if is_sided else np.zeros((len(nodes), points.shape[1]))
+    parts = rigid_parts(listed, first, points.shape[1]) + airfoil_parts(listed, first, points[nodes], normals)
+    if listed[0].kind == "SURFACE_FILE":
+        file = options.text("DV_FILENAME", options.text("MOTION_FILENAME", "surface_positions.dat"))  # the older name
+        u = io.read_displacement(options.beside(file), mesh, nodes)
+        parts.append(Displacement((0,), jnp.asarray(u)))
+    return parts + box_parts(options, listed, first, mesh, moving, boxes)
+
+
+def _shape(
+    options: Options, listed: Sequence[Variable], parts: Sequence[AbstractPart], free: np.ndarray
 ) -> DesignVariables:
-    listed = [variable for variable in listed if variable.kind not in NOTHING]
+    listed, _ = _sizes(listed)
     sizes = [variable.size for variable in listed]
-    first = np.cumsum([0, *sizes])[:-1].astype(int)
     relaxed = options.number("OPT_RELAX_FACTOR", options.text("OPT_RELAX_FACTOR", "1"))
-    # SU2 relaxes amplitudes, not the vectors of control points without a direction
-    scales = [each.scale * (relaxed if each.size == 1 else 1) for each in listed]
-    rest = [1.0 / scale if each.kind == "SCALE" else 0.0 for each, scale in zip(listed, scales, strict=True)]
-    names = [
-        f"{each.kind}[{k}]" + (f"[{part}]" if each.size > 1 else "")
-        for k, each in enumerate(listed)
-        for part in range(each.size)
+    # SU2 relaxes amplitudes, not the vectors of control points without a direction, nor camber
+    scales = [
+        variable.scale * (relaxed if variable.size == 1 and variable.kind != "HICKS_HENNE_CAMBER" else 1)
+        for variable in listed
     ]
-    parts: list[AbstractPart] = []
-    if listed:
-        nodes = mesh.patch(*moving)
-        is_sided = any(variable.kind in SIDED for variable in listed)
-        normals = shapes.wall_normals(mesh, *moving) if is_sided else None
-        parts += simple_parts(listed, first, mesh.points.shape[1], normals)
-        if listed[0].kind == "SURFACE_FILE":
-            file = options.text(
-                "DV_FILENAME", options.text("MOTION_FILENAME", "surface_positions.dat")
-            )  # the older name
-            u = io.read_displacement(options.beside(file), mesh, nodes)
-            parts.append(Displacement((0,), jnp.asarray(u)))
-        parts += box_parts(options, listed, first, mesh, moving, boxes)
-    return DesignVariables(
-        tuple(names), tuple(parts), jnp.asarray(np.repeat(scales, sizes)), jnp.asarray(np.repeat(rest, sizes))
-    )
+    rest = [
+        1 / scale if variable.kind.startswith("SCALE") else 0.0 for variable, scale in zip(listed, scales, strict=True)
+    ]
+    names = [
+        f"{variable.kind}[{k}]" + (f"[{part}]" if variable.size > 1 else "")
+        for k, variable in enumerate(listed)
+        for part in range(variable.size)
+    ]
+    factors, neutral = (jnp.asarray(np.repeat(values, sizes)) for values in (scales, rest))
+    return DesignVariables(tuple(names), tuple(parts), factors, neutral, jnp.asarray(free))

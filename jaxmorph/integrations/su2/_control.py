@@ -9,10 +9,12 @@ from jaxtyping import Array, Bool, Float
 
 from jaxmorph import io, shapes
 
-from ._motion import AbstractPart
+from ._part import AbstractPart
 from ._variables import Variable
 
 Fixed = tuple[frozenset[int], ...]
+TURNS = ("FFD_ROTATION", "FFD_CONTROL_SURFACE")
+"""Kinds that turn control points about an axis, by degrees."""
 
 
 class BoxPart(AbstractPart):
@@ -63,17 +65,17 @@ def box_part(
 
 def _check(variable: Variable, box: io.Box) -> None:
     kind, counts = variable.kind, box.shape.counts
-    if kind.endswith("_2D") != (len(counts) == 2) and kind != "FFD_ROTATION":
+    if kind.endswith("_2D") != (len(counts) == 2) and kind not in TURNS:
         raise ValueError(f"{kind} in a mesh in {len(counts)}-D: kinds that end in _2D are for 2-D, the others for 3-D.")
-    if kind == "FFD_ROTATION" and len(counts) == 2 and np.any(_axis(variable)[:2]):
-        raise ValueError("FFD_ROTATION in 2-D about an axis that is not along z: both ends have the same x and y.")
-    if kind == "FFD_ROTATION" and not np.any(_axis(variable)):
-        raise ValueError("FFD_ROTATION about an axis without length: its two ends are one point.")
+    if kind in TURNS and len(counts) == 2 and np.any(_axis(variable)[:2]):
+        raise ValueError(f"{kind} in 2-D about an axis that is not along z: both ends have the same x and y.")
+    if kind in TURNS and not np.any(_axis(variable)):
+        raise ValueError(f"{kind} about an axis without length: its two ends are one point.")
     index = _indices(variable)
     if index == (-1, -1, -1):
         raise ValueError(f"{kind} of box {box.name} with all three numbers -1: SU2 moves no control point by it.")
-    for direction, value in zip((1,) if kind == "FFD_TWIST" else (0, 1, 2), index, strict=False):
-        count, least = counts[direction], -1 if kind.startswith("FFD_CONTROL_POINT") else 0
+    for direction, value in zip((1,) if kind in ("FFD_TWIST", "FFD_GULL") else (0, 1, 2), index, strict=False):
+        count, least = counts[direction], -1 if kind.startswith(("FFD_CONTROL_POINT", "FFD_NACELLE")) else 0
         if value != int(value) or not least <= value < count:
             name = "ijk"[direction]
             raise ValueError(
@@ -83,8 +85,8 @@ def _check(variable: Variable, box: io.Box) -> None:
 
 def _indices(variable: Variable) -> tuple[float, ...]:
     """Lists the numbers of control points among the parameters."""
-    count = {"FFD_CONTROL_POINT": 3, "FFD_CONTROL_POINT_2D": 2, "FFD_CAMBER": 2, "FFD_THICKNESS": 2, "FFD_ROTATION": 0}
-    return variable.numbers[: count.get(variable.kind, 1)]
+    count = {"FFD_CONTROL_POINT": 3, "FFD_NACELLE": 3, "FFD_CONTROL_POINT_2D": 2, "FFD_CAMBER": 2, "FFD_THICKNESS": 2}
+    return variable.numbers[: 0 if variable.kind in TURNS else count.get(variable.kind, 1)]
 
 
 def _axis(variable: Variable) -> np.ndarray:
@@ -106,14 +108,35 @@ def _moved(variable: Variable, values, control, fixed: Fixed, length: float) -> 
             factors[(*at, 0, d - 1)] = -1 if "THICKNESS" in kind else 1
             factors[(*at, 1, d - 1)] = 1
         return values[0] * jnp.asarray(factors, values.dtype)
-    points = control.reshape(-1, d)
-    if kind == "FFD_ROTATION":
-        axis = _axis(variable)
-        angle, about = jnp.deg2rad(values[0]), np.array(numbers[:d])
-        if d == 2:
-            return (shapes.rotate(points, np.sign(axis[2]) * angle, about) - points).reshape(control.shape)
-        return (shapes.rotate(points, angle, about, axis) - points).reshape(control.shape)
-    return _twist(variable, values, control, fixed, length)
+    if kind == "FFD_GULL":
+        way = np.zeros(control.shape)
+        way[:, int(numbers[0]), :, 2] = int(numbers[0]) not in fixed[1]
+        return values[0] * jnp.asarray(way, values.dtype)
+    if kind == "FFD_NACELLE":
+        times = jnp.asarray(_both_sides(numbers[:3], counts, fixed), values.dtype)
+        return (
+            values[0] * times[..., None] * jnp.broadcast_to(jnp.asarray([numbers[3], 0.0, numbers[4]]), control.shape)
+        )
+    return _turned(variable, values, control) if kind in TURNS else _twist(variable, values, control, fixed, length)
+
+
+def _turned(variable: Variable, values, control) -> Float[Array, "..."]:
+    """Turns control points.
+
+    A control surface turns the other way, without the last two planes of i and the two outer ones
+    of j on each side.
+    """
+    d, axis, about = control.shape[-1], _axis(variable), np.array(variable.numbers[: control.shape[-1]])
+    points, angle = control.reshape(-1, d), jnp.deg2rad(values[0])
+    chosen = np.ones(control.shape[:-1], bool)
+    if variable.kind == "FFD_CONTROL_SURFACE":
+        angle, chosen = -angle, np.zeros_like(chosen)
+        chosen[:-2, 2:-2] = True
+    if d == 2:
+        turned = shapes.rotate(points, np.sign(axis[2]) * angle, about) - points
+    else:
+        turned = shapes.rotate(points, angle, about, axis) - points
+    return jnp.where(jnp.asarray(chosen)[..., None], turned.reshape(control.shape), 0)
 
 
 def _twist(variable: Variable, values, control, fixed: Fixed, length: float) -> Float[Array, "..."]:
@@ -151,6 +174,17 @@ def _chosen(index: Sequence[float], counts: tuple[int, ...], fixed: Fixed) -> Bo
         stays[sorted(fixed[every[0]])] = True
         chosen &= ~stays.reshape([-1 if k == every[0] else 1 for k in range(d)])
     return chosen
+
+
+def _both_sides(index: Sequence[float], counts: tuple[int, ...], fixed: Fixed) -> Float[np.ndarray, "..."]:
+    """Counts how often control points of a nacelle move: those at the opposite angle do too."""
+    i, j, k = (int(value) for value in index)
+    times = np.zeros(counts)
+    for opposite in [j] if j == counts[1] - 1 - j else [j, counts[1] - 1 - j if j >= 0 else 0]:
+        if _is_held((i, opposite, k), fixed):
+            break
+        times[tuple(slice(None) if value == -1 else value for value in (i, opposite if j >= 0 else -1, k))] += 1
+    return times
 
 
 def _is_held(index: tuple[int, ...], fixed: Fixed) -> bool:

@@ -86,7 +86,7 @@ def read_options(path: pathlib.Path) -> Options:
         if not content.strip():
             continue
         name, equals, value = content.partition("=")
-        name = name.strip()
+        name = name.strip().upper()  # SU2 takes names in any case
         if not equals or not re.fullmatch(r"\w+", name):
             raise ValueError(f"{path}, line {number}: an option NAME= value expected, found {content.strip()[:40]!r}.")
         if name in values:

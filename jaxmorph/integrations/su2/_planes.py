@@ -1,7 +1,11 @@
-"""Planes of control points that stay, so that a wall that leaves its box does not tear."""
+"""What stays: planes of control points, so that no wall tears, and nodes in symmetry planes."""
+
+from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
+
+from jaxmorph import Mesh
 
 from ._options import Options
 
@@ -20,8 +24,8 @@ def planes(
     d, degrees = lattice.shape[-1], [count - 1 for count in lattice.shape[:-1]]
     word = options.choice("FFD_CONTINUITY", "2ND_DERIVATIVE", *KEPT)
     if word == "USER_INPUT":
-        given = [{int(value) for value in options.numbers(f"FFD_FIX_{axis}")} for axis in "IJK"[:d]]
-        return tuple({k for k in each if 0 <= k <= top} for each, top in zip(given, degrees, strict=True))
+        planes_of = [{int(value) for value in options.numbers(f"FFD_FIX_{axis}")} for axis in "IJK"[:d]]
+        return tuple({k for k in planes if 0 <= k <= top} for planes, top in zip(planes_of, degrees, strict=True))
     is_symmetric = options.choice("FFD_SYMMETRY_PLANE", "NO", "NO", "YES") == "YES"
     fixed: tuple[set[int], ...] = tuple(set() for _ in range(d))
     for direction, top in enumerate(degrees):
@@ -63,3 +67,18 @@ def segments_of(points: Float[np.ndarray, "n d"], faces: list[Int[np.ndarray, "k
     """Lists the segments between all corners of each face."""
     pairs = [ids[:, [a, b]] for ids in faces for a in range(ids.shape[1]) for b in range(a + 1, ids.shape[1])]
     return points[np.unique(np.sort(np.concatenate(pairs), axis=1), axis=0)]
+
+
+def free_coordinates(mesh: Mesh, moving: Sequence[str], planes: Sequence[str]) -> Bool[np.ndarray, "m d"]:
+    """Marks coordinates of the moving nodes that may change.
+
+    A node of a patch of `planes` stays in the plane, whose axis is that along which the patch is
+    thinnest, as SU2 has it.
+    """
+    nodes, points = mesh.patch(*moving) if moving else np.zeros(0, int), np.asarray(mesh.points, float)
+    free = np.ones((len(nodes), points.shape[1]), bool)
+    for name in planes:
+        own = mesh.patch(name)
+        axis = np.argmin(np.sum((points[own] - points[own[0]]) ** 2, axis=0))
+        free[np.isin(nodes, own), axis] = False
+    return free

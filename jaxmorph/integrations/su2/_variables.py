@@ -17,21 +17,17 @@ NUMBERS = {
     **{13: "FFD_GULL", 14: "FFD_CAMBER", 15: "FFD_TWIST", 16: "FFD_THICKNESS", 18: "FFD_ROTATION"},
     **{19: "FFD_CONTROL_POINT_2D", 20: "FFD_CAMBER_2D", 21: "FFD_THICKNESS_2D", 22: "FFD_TWIST_2D"},
     **{23: "FFD_CONTROL_SURFACE", 24: "FFD_ANGLE_OF_ATTACK", 30: "HICKS_HENNE", 31: "PARABOLIC", 32: "NACA_4DIGITS"},
-    **{33: "AIRFOIL", 34: "CST", 35: "SURFACE_BUMP", 36: "SURFACE_FILE", 50: "TRANSLATE_GRID", 51: "ROTATE_GRID"},
-    **{52: "SCALE_GRID", 101: "ANGLE_OF_ATTACK"},
+    **{33: "AIRFOIL", 34: "CST", 35: "SURFACE_BUMP", 36: "SURFACE_FILE", 37: "HICKS_HENNE_CAMBER"},
+    **{50: "TRANSLATE_GRID", 51: "ROTATE_GRID", 52: "SCALE_GRID", 101: "ANGLE_OF_ATTACK"},
 }
 """Kinds of design variables by the numbers that `DEFINITION_DV` has for them."""
 
 COUNTS = {
-    **{"TRANSLATION": 3, "ROTATION": 6, "SCALE": 0, "HICKS_HENNE": 2, "NACA_4DIGITS": 3, "SURFACE_FILE": 0},
-    **{
-        "FFD_SETTING": 0,
-        "FFD_CONTROL_POINT": 7,
-        "FFD_CAMBER": 3,
-        "FFD_TWIST": 8,
-        "FFD_THICKNESS": 3,
-        "FFD_ROTATION": 7,
-    },
+    **{"TRANSLATION": 3, "ROTATION": 6, "SCALE": 0, "SURFACE_FILE": 0},
+    **{"TRANSLATE_GRID": 3, "ROTATE_GRID": 6, "SCALE_GRID": 0},
+    **{"HICKS_HENNE": 2, "HICKS_HENNE_CAMBER": 1, "SURFACE_BUMP": 3, "CST": 3, "NACA_4DIGITS": 3, "PARABOLIC": 2},
+    **{"FFD_SETTING": 0, "FFD_CONTROL_POINT": 7, "FFD_CAMBER": 3, "FFD_TWIST": 8, "FFD_THICKNESS": 3},
+    **{"FFD_ROTATION": 7, "FFD_CONTROL_SURFACE": 7, "FFD_GULL": 2, "FFD_NACELLE": 6},
     **{"FFD_CONTROL_POINT_2D": 5, "FFD_CAMBER_2D": 2, "FFD_THICKNESS_2D": 2},
     **{"ANGLE_OF_ATTACK": 1, "FFD_ANGLE_OF_ATTACK": 2},
 }
@@ -42,6 +38,12 @@ LEFT = ("ANGLE_OF_ATTACK", "FFD_ANGLE_OF_ATTACK")
 
 NOTHING = ("NO_DEFORMATION", "FFD_SETTING")
 """Words of `DV_KIND` where nothing is to be deformed."""
+
+CONSTANT = ("NACA_4DIGITS", "PARABOLIC", "SURFACE_FILE")
+"""Kinds that move a wall whatever the value is."""
+
+WHOLE = ("TRANSLATE_GRID", "ROTATE_GRID", "SCALE_GRID")
+"""Kinds that move the whole mesh, whatever `DV_MARKER` is."""
 
 DIRECTIONS = {"FFD_CONTROL_POINT": (4, 3), "FFD_CONTROL_POINT_2D": (3, 2)}
 """Place and length of the direction in a control point's parameters.
@@ -77,7 +79,7 @@ def variables(options: Options, definition: bool) -> tuple[list[Variable], list[
         groups = [[]] * len(kinds)
     if len(groups) != len(kinds):
         raise options.error("DV_PARAM", f"{len(groups)} groups of parameters for {len(kinds)} of DV_KIND")
-    listed = [_variable(options, "DV_PARAM", *each) for each in zip(kinds, groups, strict=True)]
+    listed = [_variable(options, "DV_PARAM", *entry) for entry in zip(kinds, groups, strict=True)]
     return listed, options.words("DV_MARKER")
 
 
@@ -96,8 +98,8 @@ def _definition(options: Options) -> tuple[list[Variable], list[str]]:
         markers.append(rest[0])
     if not listed:
         raise ValueError(f"{options.path}: DEFINITION_DV= is missing.")
-    if any(each != markers[0] for each in markers):
-        other = next(each for each in markers if each != markers[0])
+    if any(marker != markers[0] for marker in markers):
+        other = next(marker for marker in markers if marker != markers[0])
         raise options.error(name, f"variables of different markers, {' '.join(markers[0])} and {' '.join(other)}")
     return listed, markers[0]
 
@@ -112,9 +114,7 @@ def _check_kinds(options: Options, name: str, kinds: list[str]) -> None:
 
 def _variable(options: Options, name: str, kind: str, words: list[str], scale: float = 1.0) -> Variable:
     box, count = "", COUNTS.get(kind, 0)
-    if kind in (*NOTHING, "SCALE", "SURFACE_FILE"):
-        return Variable(kind, "", (), scale=scale)
-    if kind in LEFT:
+    if kind in (*NOTHING, *LEFT) or not count:
         return Variable(kind, "", (), scale=scale)
     if len(words) != count:
         raise options.error(name, f"{kind} has {count} parameters, found {len(words)}: {' '.join(words)}")

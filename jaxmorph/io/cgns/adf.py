@@ -13,6 +13,8 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
+from ..text.digits import decoded
+
 BLOCK, NODE, ENTRY, POINTER, TAG = 4096, 246, 44, 12, 4
 MAGIC = b"ADF Database Version "
 _ORDERS = {b"L": "<", b"B": ">"}
@@ -161,7 +163,7 @@ class _Reader:
         raw = self.read(at, NODE)
         self._tagged(raw, {0: b"node", NODE - TAG: b"tail"})
         self.spans.append((at, at + NODE))
-        node = Node(raw[4:36].rstrip(b" \0").decode(errors="replace"), raw[36:68].rstrip())
+        node = Node(decoded(raw[4:36].rstrip(b" \0")), raw[36:68].rstrip())
         code = raw[96:128].strip(b" \0").decode(errors="replace").upper()
         shape = self._shape(raw[128:226])
         pieces = self._pieces(self.hexadecimal(raw[226:230]), raw[230:242])

@@ -14,10 +14,11 @@ from jaxmorph._mesh.polyhedra import Polyhedra
 
 from .._format import Arrays, Source, stamp_of, unchanged_source
 from .._joined import Joined, Zones, join
-from .kinds import kinds_of, symmetry_of
+from .conditions import Connection, connections, patches
+from .kinds import groups_of, kinds_of, symmetry_of
 from .polyhedra import Block
 from .tree import opened, write_points
-from .zone import DIMENSION, TYPES, Connection, Content, Zone, children, data, word
+from .zone import DIMENSION, TYPES, Content, Zone, children, data, word
 
 NAME = "CGNS"
 LEVEL = {TYPES[number]: dimension for number, dimension in DIMENSION.items()}
@@ -31,19 +32,19 @@ class _CGNSContent(Joined):
 
 
 def read(path: pathlib.Path) -> Mesh:
-    """Reads all zones of the file's one base; nodes where two zones meet are one.
+    """Reads all zones of one base; nodes where two zones meet are one.
 
     `patches` are the boundary conditions, by family, and the sides of periodic interfaces. Outer
     faces without either are the patch `unnamed`, `boundary` in a file without any.
     """
     path.open("rb").close()
     with opened(path) as file:
-        zones, cells, pairs, kinds = _zones(path, file)
+        zones, cells, pairs, known = _zones(path, file)
     try:
         mesh, joined = join(zones)
         whole, ids = _whole(cells, joined.node)
         content = _CGNSContent(**vars(joined), stamp=stamp_of(path))
-        known = {"periodic": periodic_of(pairs, joined.is_flat), "symmetry": symmetry_of(kinds), "kinds": kinds}
+        known |= {"periodic": periodic_of(pairs, joined.is_flat), "symmetry": symmetry_of(known["kinds"])}
         source = Source(path, NAME, content, whole, ids, file_nodes=joined.node, in_file=joined.in_file, **known)
         return Mesh(mesh.points, mesh.cells, mesh.patches, source=source)
     except ValueError as error:
@@ -69,61 +70,69 @@ def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays)
 
 
 def open_zones(path: pathlib.Path, file: Any) -> tuple[list[Zone], int]:
-    """Lists the zones of the base, and the dimension of its cells."""
-    bases = [base for _, base in children(file, "CGNSBase_t")]
-    if len(bases) != 1:
-        raise ValueError(f"{path}: {len(bases)} CGNS bases in this file; one is read.")
+    """Lists the zones of the base of the highest dimension, and this dimension of its cells."""
+    bases = [(name, base) for name, base in children(file, "CGNSBase_t") if any(children(base, "Zone_t"))]
+    most = max((int(data(base)[0]) for _, base in bases), default=0)
+    bases = [(name, base) for name, base in bases if int(data(base)[0]) == most]
+    if len(bases) > 1:
+        names = ", ".join(name for name, _ in bases)
+        raise ValueError(f"{path}: {len(bases)} bases of {most}-D cells in this file ({names}); one is read.")
     zones, first = [], 0
-    for name, group in children(bases[0], "Zone_t"):
+    for name, group in (child for _, base in bases for child in children(base, "Zone_t")):
         kind = [word(child) for _, child in children(group, "ZoneType_t")]
-        is_structured = kind[:1] == ["Structured"]
+        is_structured = kind[:1] in ([], ["Structured"])  # a zone that says nothing is structured
         sizes = np.atleast_2d(data(group))[0]
         shape = tuple(int(size) for size in (sizes if is_structured else sizes[:1]))
         zones.append(Zone(path, name, group, shape, is_structured, first))
         first += zones[-1].count
     if not zones:
-        raise ValueError(f"{path}: no zones in this file.")
-    return zones, int(data(bases[0])[0])
+        raise ValueError(f"{path}: no CGNS base with zones in this file.")
+    return zones, most
 
 
 def _zones(
     path: pathlib.Path, file: Any
-) -> tuple[Zones, list[Content], list[tuple[str, str, Connection]], dict[str, str]]:
+) -> tuple[Zones, list[Content], list[tuple[str, str, Connection]], dict[str, Any]]:
+    """Reads all zones; the last value are the patches' `kinds` and `groups`."""
     zones, dimension = open_zones(path, file)
-    points, contents, patches, faces = [], [], {}, []
+    points, contents, of_patch, faces = [], [], {}, []
     for zone in zones:
         points.append(np.stack([values[()].ravel() for values in zone.coordinates()], axis=1).astype(float))
         content = zone.cells(points[-1])
         solid = [block for block in content.blocks if LEVEL[block.kind] == dimension and len(block.corners)]
         if not solid:
             raise zone.error(f"no cells of {dimension} dimensions")
-        contents.append(dataclasses.replace(content, blocks=solid))
-        for name, nodes in zone.patches(content.elements):
-            patches.setdefault(name, []).append(nodes)
+        contents.append(dataclasses.replace(content, blocks=solid, dimension=dimension))
+        for name, nodes in patches(zone, contents[-1]):
+            of_patch.setdefault(name, []).append(nodes)
         faces += content.sides or _outer(zone, points[-1], solid)
-    pairs = pairs_of(zones, contents, patches)
+    pairs = pairs_of(zones, contents, of_patch)
     cells = [(block.kind, block.corners) for content in contents for block in content.blocks]
-    return Zones(np.concatenate(points), cells, patches, faces), contents, pairs, kinds_of(file, zones)
+    kinds = {name: kind for name, kind in kinds_of(file, zones).items() if name in of_patch}
+    known = {"kinds": kinds, "groups": groups_of(file, zones, of_patch)}
+    return Zones(np.concatenate(points), cells, of_patch, faces), contents, pairs, known
 
 
 def pairs_of(
     zones: list[Zone], contents: list[Content], patches: dict[str, list[np.ndarray]]
 ) -> list[tuple[str, str, Connection]]:
     """Adds the sides of periodic interfaces to the patches, and lists their names in pairs."""
-    donors = {zone.name: (zone, content.elements) for zone, content in zip(zones, contents, strict=True)}
-    every = [(zone, each) for zone in zones for each in zone.connections(donors[zone.name][1], donors)]
+    donors = {zone.name: (zone, content) for zone, content in zip(zones, contents, strict=True)}
+    every = [(zone, interface) for zone in zones for interface in connections(zone, donors)]
     names, pairs = [], []
-    for zone, each in every:
-        is_taken = each.name in patches or sum(each.name == other.name for _, other in every) > 1
-        names.append(f"{zone.name}/{each.name}" if is_taken else each.name)
-        patches[names[-1]] = [each.nodes]
-    for (_, each), name in zip(every, names, strict=True):
-        partner = [n for (_, other), n in zip(every, names, strict=True) if np.array_equal(other.nodes, each.others)]
+    for zone, interface in every:
+        is_taken = interface.name in patches or sum(interface.name == other.name for _, other in every) > 1
+        names.append(f"{zone.name}/{interface.name}" if is_taken else interface.name)
+        patches[names[-1]] = [interface.nodes]
+    for (_, interface), name in zip(every, names, strict=True):
+        partner = [
+            n for (_, other), n in zip(every, names, strict=True) if np.array_equal(other.nodes, interface.others)
+        ]
         if not partner:
             partner = [f"{name} donor"]
-            patches[partner[0]] = [each.others]
+            patches[partner[0]] = [interface.others]
         if not any({name, partner[0]} == {first, second} for first, second, _ in pairs):
-            pairs.append((name, partner[0], each))
+            pairs.append((name, partner[0], interface))
     return pairs
 
 
@@ -133,10 +142,10 @@ def periodic_of(pairs: list[tuple[str, str, Connection]], is_flat: bool) -> tupl
     Translation or angle is that of the nodes, for files differ in its sign.
     """
     made = []
-    for first, second, each in pairs:
-        turns = bool(each.angles.any())
-        about = np.pad(each.centre, (0, 3))[: 2 if is_flat else 3] if turns else None
-        made.append(jm.Periodic(first, second, about=about, axis=each.angles if turns and not is_flat else None))
+    for first, second, interface in pairs:
+        turns = bool(interface.angles.any())
+        about = np.pad(interface.centre, (0, 3))[: 2 if is_flat else 3] if turns else None
+        made.append(jm.Periodic(first, second, about=about, axis=interface.angles if turns and not is_flat else None))
     return tuple(made)
 
 
@@ -162,7 +171,9 @@ def _whole(zones: list[Content], node: np.ndarray) -> tuple[Polyhedra, np.ndarra
                 cell = start + block.cell
             ids.setdefault(block.kind, []).append(cell)
     faces = joined_faces([dataclasses.replace(part, labels=node[part.labels]) for part in parts])
-    return Polyhedra(faces, np.concatenate(cut)), np.concatenate([each for kind in sorted(ids) for each in ids[kind]])
+    return Polyhedra(faces, np.concatenate(cut)), np.concatenate(
+        [numbers for kind in sorted(ids) for numbers in ids[kind]]
+    )
 
 
 def _outer(zone: Zone, points: np.ndarray, blocks: list[Block]) -> list[np.ndarray]:

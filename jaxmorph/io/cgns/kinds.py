@@ -1,7 +1,9 @@
-"""The types of a CGNS file's boundary conditions."""
+"""The types of a CGNS file's boundary conditions, and groups of their families."""
 
+from collections.abc import Iterable
 from typing import Any
 
+from .conditions import conditions
 from .zone import Zone, children, word
 
 SYMMETRY = "BCSymmetryPlane"
@@ -13,10 +15,12 @@ def kinds_of(file: Any, zones: list[Zone]) -> dict[str, str]:
     families = {}
     for _, base in children(file, "CGNSBase_t"):
         for name, family in children(base, "Family_t"):
-            families[name] = [word(each) for _, each in children(family, "FamilyBC_t") if " data" in each]
+            families[name] = [
+                word(condition) for _, condition in children(family, "FamilyBC_t") if " data" in condition
+            ]
     types: dict[str, list[str]] = {}
     for zone in zones:
-        for patch, _, condition in zone.conditions():
+        for patch, _, condition in conditions(zone):
             kind = word(condition) if " data" in condition else ""
             types.setdefault(patch, []).extend(families.get(patch, []) if kind in UNSAID else [kind])
     kinds = {
@@ -29,3 +33,23 @@ def kinds_of(file: Any, zones: list[Zone]) -> dict[str, str]:
 def symmetry_of(kinds: dict[str, str]) -> tuple[str, ...]:
     """Lists the patches that lie in symmetry planes."""
     return tuple(patch for patch, kind in kinds.items() if kind == SYMMETRY)
+
+
+def groups_of(file: Any, zones: list[Zone], names: Iterable[str]) -> dict[str, tuple[str, ...]]:
+    """Lists patches by the families that their family is part of, and by additional families.
+
+    gmsh names physical groups so. Names of patches are no groups.
+    """
+    above: dict[str, list[str]] = {}
+    for _, base in children(file, "CGNSBase_t"):
+        for name, family in children(base, "Family_t"):
+            above[name] = [word(condition) for _, condition in children(family, "FamilyName_t") if " data" in condition]
+    groups: dict[str, dict[str, None]] = {}
+    for zone in zones:
+        for patch, _, condition in conditions(zone):
+            more = [word(family) for _, family in children(condition, "AdditionalFamilyName_t")]
+            for group in [*above.get(patch, []), *more]:
+                groups.setdefault(group, {})[patch] = None
+    known = set(names)
+    groups = {name: {patch: None for patch in several if patch in known} for name, several in groups.items()}
+    return {name: tuple(several) for name, several in groups.items() if name not in known and several}

@@ -70,9 +70,9 @@ def _faces(polygons: dict[int, Ragged], cells: list[Ragged]) -> Faces:
     have.
     """
     begins = np.concatenate([begin + np.arange(len(rows)) for begin, rows in sorted(polygons.items())])
-    each = [rows for _, rows in sorted(polygons.items())]
-    labels = np.concatenate([rows.values for rows in each])
-    starts = np.concatenate([[0], np.cumsum(np.concatenate([np.diff(rows.starts) for rows in each]))])
+    parts = [rows for _, rows in sorted(polygons.items())]
+    labels = np.concatenate([rows.values for rows in parts])
+    starts = np.concatenate([[0], np.cumsum(np.concatenate([np.diff(rows.starts) for rows in parts]))])
     used = np.concatenate([rows.values for rows in cells])
     cell = np.repeat(np.arange(sum(map(len, cells))), np.concatenate([np.diff(rows.starts) for rows in cells]))
     face = np.searchsorted(begins, np.abs(used))
@@ -84,13 +84,13 @@ def _faces(polygons: dict[int, Ragged], cells: list[Ragged]) -> Faces:
         raise ValueError("NFACE_n has faces on the same side of two cells")
     # a face that only a cell behind it has is turned round: its labels are gathered backwards
     turned = (sides[0] < 0) & (sides[1] >= 0)
-    kept = np.flatnonzero((sides >= 0).any(axis=0))
-    rows, which = spread(starts[kept], starts[kept + 1])
-    back = (starts[kept] + starts[kept + 1] - 1)[which] - rows
-    rows = np.where(turned[kept][which], back, rows)
+    rows_of_cells = np.flatnonzero((sides >= 0).any(axis=0))
+    rows, which = spread(starts[rows_of_cells], starts[rows_of_cells + 1])
+    back = (starts[rows_of_cells] + starts[rows_of_cells + 1] - 1)[which] - rows
+    rows = np.where(turned[rows_of_cells][which], back, rows)
     return Faces(
         labels[rows],
-        np.concatenate([[0], np.cumsum(np.diff(starts)[kept])]),
-        np.where(turned, sides[1], sides[0])[kept],
-        np.where(turned, -1, sides[1])[kept],
+        np.concatenate([[0], np.cumsum(np.diff(starts)[rows_of_cells])]),
+        np.where(turned, sides[1], sides[0])[rows_of_cells],
+        np.where(turned, -1, sides[1])[rows_of_cells],
     )

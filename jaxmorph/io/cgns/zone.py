@@ -2,7 +2,7 @@
 
 import dataclasses
 import pathlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from jaxmorph._host.cells.orders import CGNS_ORDER, reordered
 from jaxmorph._mesh.polyhedra import Polyhedra
 
 from .._structured import block_cells, block_ids, block_sides
+from ..text.digits import decoded
 from .polyhedra import Block, Ragged, polyhedra
 
 TYPES = {2: "vertex", 3: "line", 5: "triangle", 7: "quad", 10: "tetra", 12: "pyramid", 14: "wedge", 17: "hexahedron"}
@@ -35,7 +36,6 @@ PARTIAL = {25, 27, 29, 31, 32, 34, 35, 37, 38, 41, 43, 45, 46, 48, 49, 51, 52, 5
 NODES = {number: topology.NODES.get(kind, 1) for number, kind in TYPES.items()}
 MIXED, NGON, NFACE = 20, 22, 23
 DIMENSION = {number: topology.DIMENSION.get(kind, 0) for number, kind in TYPES.items()}
-NORMAL = {"IFaceCenter": 0, "JFaceCenter": 1, "KFaceCenter": 2}
 
 
 def children(group: Any, label: str) -> Iterator[tuple[str, Any]]:
@@ -43,11 +43,11 @@ def children(group: Any, label: str) -> Iterator[tuple[str, Any]]:
     for name in group:
         child = group[name]
         if hasattr(child, "keys") and text(child.attrs.get("label", b"")) == label:
-            yield name, child
+            yield (decoded(name) if isinstance(name, bytes) else name), child  # h5py: bytes unless UTF-8
 
 
 def text(value: Any) -> str:
-    return bytes(value).split(b"\0")[0].decode(errors="replace").strip() if not isinstance(value, str) else value
+    return decoded(bytes(value).split(b"\0")[0]).strip() if not isinstance(value, str) else value
 
 
 def data(group: Any) -> np.ndarray:
@@ -61,31 +61,27 @@ def word(group: Any) -> str:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Content:
-    """Cells and boundary elements of a zone by type, known outer faces, and vertices of elements.
+class Elements:
+    """Elements of one section and type: its name, their dimension, and their vertices by row."""
 
-    The vertices stand by the number of their section's first element. `whole` has all polyhedral
-    cells.
+    section: str
+    dimension: int
+    vertices: Any
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Content:
+    """Cells and boundary elements of a zone by type, known outer faces, and all its elements.
+
+    `elements` stand by the number of their first one. `whole` has all polyhedral cells. `dimension`
+    is that of the base's cells.
     """
 
     blocks: list[Block]
     sides: list[np.ndarray] = dataclasses.field(default_factory=list)
-    elements: dict[int, Any] = dataclasses.field(default_factory=dict)
+    elements: dict[int, Elements] = dataclasses.field(default_factory=dict)
     whole: Polyhedra | None = None
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Connection:
-    """A periodic interface: its nodes, its donor's nodes, and a rotation's centre and angles.
-
-    Centre and angles are zero for a translation.
-    """
-
-    name: str
-    nodes: np.ndarray
-    others: np.ndarray
-    centre: np.ndarray
-    angles: np.ndarray
+    dimension: int = 3
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -132,43 +128,65 @@ class Zone:
             if ids.ndim < 2:
                 raise self.error(f"a block of {' x '.join(map(str, self.shape))} vertices has no cells")
             return Content([Block(*block_cells(ids))], block_sides(ids))
-        blocks, elements, polygons, volumes = [], {}, {}, []
+        blocks, elements, polygons, volumes, sides = [], {}, {}, [], []
         for name, section in children(self.group, "Elements_t"):
             parts = dict(section.items())
             kind, start = int(data(section)[0]), int(data(parts["ElementRange"])[0])
-            connectivity = data(parts["ElementConnectivity"]).astype(np.int64)
+            connectivity = data(parts["ElementConnectivity"]).astype(np.int64).ravel()
             if kind in (NGON, NFACE):
                 rows = self._ragged(name, parts, connectivity, least=3 if kind == NGON else 4)
                 if kind == NFACE:
+                    elements[start] = Elements(name, 3, rows)
                     volumes.append(rows)
                     continue
-                self._check(name, connectivity)
-                polygons[start] = Ragged(connectivity - 1, rows.starts)
-                elements[start] = Ragged(connectivity - 1 + self.first, rows.starts)
+                self._check(name, rows.values)
+                elements[start] = Elements(name, 2, Ragged(rows.values - 1 + self.first, rows.starts))
+                polygons[start] = Ragged(rows.values - 1, rows.starts)
+                if "ParentElements" in parts:
+                    sides.append(self._parents(name, start, rows, data(parts["ParentElements"])))
                 continue
             for begin, number, corners in self._section(name, kind, connectivity, start):
                 self._check(name, corners)
-                corners = reordered(TYPES[number], corners, CGNS_ORDER, None)
-                elements[begin] = corners - 1 + self.first
-                blocks.append(Block(TYPES[number], elements[begin]))
+                corners = reordered(TYPES[number], corners, CGNS_ORDER, None) - 1 + self.first
+                elements[begin] = Elements(name, DIMENSION[number], corners)
+                blocks.append(Block(TYPES[number], corners))
+        volumes = volumes or _cells_of(sides)
         if not volumes or not polygons:
             return Content(blocks, elements=elements)
         try:
-            more, sides, whole = polyhedra(polygons, volumes, points, self.first)
+            more, outer, whole = polyhedra(polygons, volumes, points, self.first)
         except ValueError as error:
             raise self.error(str(error)) from error
-        return Content(blocks + more, sides, elements, whole)
+        return Content(blocks + more, outer, elements, whole)
 
     def _ragged(self, name: str, parts: dict[str, Any], connectivity: np.ndarray, least: int) -> Ragged:
-        """Cuts a section's numbers into its faces or cells, of `least` numbers or more each."""
+        """Cuts a section's numbers into its faces or cells, of `least` numbers or more each.
+
+        Before version 4 of CGNS each row begins with its count, later offsets cut the numbers.
+        """
         if "ElementStartOffset" not in parts:
-            raise self.error(f"section {name} has no ElementStartOffset; cgnsupdate brings the file to version 4")
-        rows = Ragged(connectivity, data(parts["ElementStartOffset"]).astype(np.int64))
+            rows = _counted(connectivity)
+            wanted = np.diff(data(parts["ElementRange"]).astype(np.int64).ravel())[-1] + 1
+            if rows is None or len(rows) != wanted or (np.diff(rows.starts) < least).any():
+                raise self.error(
+                    f"section {name} has no ElementStartOffset, and its {len(connectivity)} numbers are not {wanted} rows "
+                    f"of a count, {least} or more, and so many numbers"
+                )
+            return rows
+        rows = Ragged(connectivity, data(parts["ElementStartOffset"]).astype(np.int64).ravel())
         if rows.starts[0] != 0 or rows.starts[-1] != len(connectivity) or (np.diff(rows.starts) < least).any():
             raise self.error(
                 f"the offsets of section {name} do not cut its {len(connectivity)} numbers into rows of {least} or more"
             )
         return rows
+
+    def _parents(self, name: str, start: int, faces: Ragged, parents: np.ndarray) -> np.ndarray:
+        """Lists pairs (k, 2) of cell and face, the face negative where it points into the cell."""
+        if parents.shape != (2, len(faces)):
+            raise self.error(f"section {name} has ParentElements for {parents.size // 2} of its {len(faces)} faces")
+        number = start + np.arange(len(faces))
+        pairs = np.stack([parents.astype(np.int64).ravel(), np.concatenate([number, -number])], axis=1)
+        return pairs[pairs[:, 0] > 0]
 
     def _check(self, name: str, vertices: np.ndarray) -> None:
         if vertices.size and (vertices.min() < 1 or vertices.max() > self.count):
@@ -203,82 +221,24 @@ class Zone:
             yield start, number, rows[:count, 1:]
             at, start = at + count * width, start + count
 
-    def connections(
-        self, elements: dict[int, Any], donors: Mapping[str, tuple["Zone", dict[int, Any]]]
-    ) -> Iterator[Connection]:
-        """Yields the periodic interfaces of the zone whose nodes are named on both sides."""
-        for _, connectivity in children(self.group, "ZoneGridConnectivity_t"):
-            for label in ("GridConnectivity1to1_t", "GridConnectivity_t"):
-                for name, interface in children(connectivity, label):
-                    properties = [each for _, each in children(interface, "GridConnectivityProperty_t")]
-                    turns = [each for group in properties for _, each in children(group, "Periodic_t")]
-                    parts, donor = dict(interface.items()), donors.get(word(interface).rpartition("/")[2])
-                    what = [each for each in ("PointRange", "PointList") if {each, f"{each}Donor"} <= parts.keys()]
-                    if not turns or not what or donor is None:
-                        continue
-                    place = word(parts["GridLocation"]) if "GridLocation" in parts else "Vertex"
-                    sides = []
-                    for part, (zone, corners) in zip(
-                        (what[0], f"{what[0]}Donor"), ((self, elements), donor), strict=True
-                    ):
-                        chosen = np.atleast_2d(data(parts[part])).astype(np.int64)
-                        sides.append(np.unique(zone._nodes(name, place, chosen, what[0] == "PointRange", corners)))
-                    values = {key: data(each).astype(float).ravel() for key, each in children(turns[0], "DataArray_t")}
-                    centre, angles = (values.get(key, np.zeros(3)) for key in ("RotationCenter", "RotationAngle"))
-                    yield Connection(name, sides[0], sides[1], centre, angles)
 
-    def conditions(self) -> Iterator[tuple[str, str, Any]]:
-        """Yields each boundary condition's patch (its family, if any), its name and its node."""
-        for _, zone_bc in children(self.group, "ZoneBC_t"):
-            for name, condition in children(zone_bc, "BC_t"):
-                family = [word(child) for _, child in children(condition, "FamilyName_t")]
-                yield (family[0] if family else name), name, condition
+def _counted(values: np.ndarray) -> Ragged | None:
+    """Cuts numbers into rows that begin with their count; None where the counts do not fit."""
+    ends, at, numbers = [], 0, values.tolist()
+    while 0 <= at < len(numbers):
+        ends.append(at)
+        at += numbers[at] + 1 if numbers[at] >= 0 else len(numbers) + 1
+    if at != len(numbers):
+        return None
+    counts = np.array(ends, np.int64)
+    return Ragged(np.delete(values, counts), np.concatenate([[0], np.cumsum(values[counts])]))
 
-    def patches(self, elements: dict[int, Any]) -> Iterator[tuple[str, np.ndarray]]:
-        """Yields the patch and the nodes of each boundary condition."""
-        for patch, name, condition in self.conditions():
-            parts = dict(condition.items())
-            places = [part for part in ("PointRange", "PointList", "ElementRange", "ElementList") if part in parts]
-            if not places:
-                raise self.error(f"boundary condition {name} says neither a range nor a list of points")
-            place = word(parts["GridLocation"]) if "GridLocation" in parts else "Vertex"
-            place = "FaceCenter" if places[0].startswith("Element") else place
-            chosen = np.atleast_2d(data(parts[places[0]])).astype(np.int64)
-            nodes = self._nodes(name, place, chosen, places[0].endswith("Range"), elements)
-            yield patch, nodes
 
-    def _nodes(self, name: str, place: str, chosen: np.ndarray, is_range: bool, elements) -> np.ndarray:
-        # ranges may run backwards; one that ends before the first node, or a list without entries,
-        # is empty
-        first, last = chosen.reshape(2, -1) if is_range else (chosen, chosen)
-        if not chosen.size or ((last < first) & (last < 1)).any():
-            return np.zeros(0, np.int64)
-        if self.is_structured:
-            low, high = chosen.min(axis=0) - 1, chosen.max(axis=0) - 1
-            if not is_range and place != "Vertex":
-                raise self.error(f"boundary condition {name}: a list of faces of a structured zone is not read")
-            if place != "Vertex":
-                constant = NORMAL.get(place, int(np.argmax((low == high) & (np.array(self.shape) > 1))))
-                high = high + (np.arange(len(high)) != constant)
-            if (low < 0).any() or (high >= self.shape).any():
-                raise self.error(f"boundary condition {name} goes beyond {' x '.join(map(str, self.shape))} vertices")
-            ids = self.first + np.arange(self.count).reshape(self.shape, order="F")
-            if is_range:
-                return ids[tuple(slice(a, b + 1) for a, b in zip(low, high, strict=True))].ravel()
-            return ids[tuple(chosen.T - 1)]
-        chosen = chosen.ravel()
-        numbers = np.arange(chosen.min(), chosen.max() + 1) if is_range else chosen
-        if place == "Vertex":
-            if numbers.min() < 1 or numbers.max() > self.count:
-                raise self.error(f"boundary condition {name} names vertices beyond 1 to {self.count}")
-            return numbers - 1 + self.first
-        nodes, count = [np.zeros(0, np.int64)], 0
-        for begin, corners in elements.items():
-            rows = numbers[(numbers >= begin) & (numbers < begin + len(corners))] - begin
-            count += len(rows)
-            nodes.append(corners[rows].ravel())
-        if count < len(numbers):
-            raise self.error(
-                f"boundary condition {name}: {len(numbers) - count} of its {len(numbers)} elements are not there"
-            )
-        return np.concatenate(nodes)
+def _cells_of(sides: list[np.ndarray]) -> list[Ragged]:
+    """Makes cells of pairs of cell and face, in the order of the cells' numbers."""
+    if not sides:
+        return []
+    pairs = np.concatenate(sides)
+    pairs = pairs[np.argsort(pairs[:, 0], kind="stable")]
+    starts = np.concatenate([np.flatnonzero(np.diff(pairs[:, 0], prepend=-1)), [len(pairs)]])
+    return [Ragged(pairs[:, 1], starts)]

@@ -1,4 +1,4 @@
-"""gmsh's .msh, versions 2, 4.0, 4.1, text and binary: written back by replacing coordinates."""
+"""gmsh's .msh, versions 1, 2, 4.0, 4.1, text and binary: written back by replacing coordinates."""
 
 import dataclasses
 import pathlib
@@ -19,6 +19,8 @@ from .parts import TYPES, Elements, elements, entities, nodes
 from .sections import Form, Stream, form_of, physical_names, runs, sections
 
 NAME = "gmsh"
+NODES, ELEMENTS = ("Nodes", "ParametricNodes", "NOD"), ("Elements", "ELM")
+"""Sections of nodes and elements, last those of version 1."""
 SPARSE = 10
 """Range of the tags of nodes, in numbers of nodes, up to which a table of them is made."""
 
@@ -39,18 +41,20 @@ def read(path: pathlib.Path) -> Mesh:
     """
     data = path.read_bytes()
     form, names, groups, vertices, cells = form_of(path, data), {}, {}, None, []
-    for name, section in sections(path, data):
+    for name, section in sections(path, data, form):
         try:
             if name == "PhysicalNames":
                 names = physical_names(section)
             elif name in ("Entities", "PartitionedEntities") and form.version >= 4:
                 is_partitioned = name == "PartitionedEntities"
                 groups |= entities(Stream(section, form, np.float64), is_partitioned=is_partitioned)
-            elif name in ("Nodes", "ParametricNodes"):
+            elif name in NODES:
+                if vertices is not None:
+                    raise ValueError("a second one; gmsh adds a view without the mesh if PostProcessing.SaveMesh is 0")
                 stream = Stream(section, form, np.float64)
                 tags, places = nodes(stream, is_parametric=name == "ParametricNodes")
                 vertices = tags, _GmshContent(stream.points(places), section, form, places)
-            elif name == "Elements":
+            elif name in ELEMENTS:
                 cells = elements(Stream(section, form), groups)
         except (ValueError, IndexError, OverflowError) as error:
             if str(path) in str(error):

@@ -56,7 +56,7 @@ def entities(stream: Stream, *, is_partitioned: bool) -> Groups:
 
 
 def nodes(stream: Stream, *, is_parametric: bool) -> Nodes:
-    """Reads the nodes of `$Nodes`, or of version 2's `$ParametricNodes`."""
+    """Reads the nodes of `$Nodes`, of version 2's `$ParametricNodes`, or of version 1's `$NOD`."""
     version = stream.form.version
     if version < 4:
         total = stream.announced()
@@ -144,45 +144,49 @@ def elements(stream: Stream, groups: Groups) -> list[Elements]:
         rows = stream.take(kind_of_number, count * width).reshape(count, width)
         result.append(Elements(kind, rows[:, 1:], dict.fromkeys(groups.get(entity, ()))))
     stream.end()
-    if sum(len(each.corners) for each in result) != total:
+    if sum(len(block.corners) for block in result) != total:
         raise ValueError(f"not the {total} elements that $Elements announces")
     return result
 
 
 def _kind(number: int) -> str:
-    if number not in TYPES:
-        raise ValueError(f"elements of type {number}")
-    kind = TYPES[number]
+    kind = TYPES.get(number, "")
     if kind != "vertex" and kind not in NODES:
-        raise ValueError(f"elements of type {number}, {kind}; elements of order 1 to 4 are read")
+        name = f"type {number}, {kind}" if kind else f"type {number}"
+        raise ValueError(
+            f"elements of {name}; read are those of order 1 to 4, from order 3 on with all inner nodes: "
+            "Mesh.SecondOrderIncomplete=0 makes them"
+        )
     return kind
 
 
 def _lines(stream: Stream) -> list[Elements]:
-    """Reads lines of number, type, number of tags, tags and nodes: version 2 in text."""
+    """Reads lines of number, type, tags and nodes: version 2 in text, and version 1.
+
+    In version 2 the number of tags comes before them, in version 1 that of nodes behind two tags.
+    """
     assert stream.rows is not None
     values, counts, first = stream.rows.values, stream.rows.counts, stream.rows.first
     if not len(counts) or counts[0] != 1 or values[0] != len(counts) - 1:
         raise stream.section.error(f"{len(counts) - 1} lines of elements, not as many as announced.", 0)
-    counts, first = counts[1:], first[1:]
-    if (counts < 3).any():
-        raise stream.section.error(
-            "an element has a number, a type, and a number of tags.", 1 + int((counts < 3).argmax())
-        )
-    numbers, tags = values[first + 1], values[first + 2]
+    counts, first, is_first = counts[1:], first[1:], stream.form.version < 2
+    head = 5 if is_first else 3
+    if (counts < head).any():
+        line = 1 + int((counts < head).argmax())
+        raise stream.section.error("an element has a number, a type, and numbers of tags or of nodes.", line)
+    numbers, tags = values[first + 1], np.zeros_like(first) if is_first else values[first + 2]
     known, place = np.unique(numbers, return_inverse=True)
-    wanted = 3 + tags + np.array([CORNERS_OF[_kind(number)] for number in known.tolist()], np.int64)[place]
+    wanted = head + tags + np.array([CORNERS_OF[_kind(number)] for number in known.tolist()], np.int64)[place]
     wrong = np.flatnonzero((counts != wanted) | (tags < 0))
     if len(wrong):
         raise stream.section.error(f"{counts[wrong[0]]} numbers, {wanted[wrong[0]]} expected.", 1 + int(wrong[0]))
     result = []
     for number in dict.fromkeys(numbers.tolist()):
         rows = np.flatnonzero(numbers == number)
-        corners = (first + 3 + tags)[rows][:, None] + np.arange(CORNERS_OF[TYPES[number]])
-        table = np.stack(
-            [np.where(tags[rows] > k, values[first[rows] + 3 + np.minimum(k, tags[rows])], 0) for k in (0, 1)]
-        )
-        result.append(_of_version_2(TYPES[number], values[corners], table))
+        corners = (first + head + tags)[rows][:, None] + np.arange(CORNERS_OF[TYPES[number]])
+        table = [np.where(tags[rows] > k, values[first[rows] + 3 + np.minimum(k, tags[rows])], 0) for k in (0, 1)]
+        table = [values[first[rows] + 2 + k] for k in (0, 1)] if is_first else table
+        result.append(_of_version_2(TYPES[number], values[corners], np.stack(table)))
     return result
 
 
@@ -204,8 +208,8 @@ def _numbered(stream: Stream) -> list[Elements]:
         raise ValueError("more elements than announced")
     result = []
     for kind in dict.fromkeys(kind for kind, _, _ in blocks):
-        of_kind = [(corners, table) for each, corners, table in blocks if each == kind]
-        corners, table = np.concatenate([each for each, _ in of_kind]), np.hstack([each for _, each in of_kind])
+        of_kind = [(corners, table) for other, corners, table in blocks if other == kind]
+        corners, table = np.concatenate([rows for rows, _ in of_kind]), np.hstack([tags for _, tags in of_kind])
         result.append(_of_version_2(kind, corners, table))
     return result
 
@@ -216,9 +220,9 @@ def _of_version_2(kind: str, corners: np.ndarray, table: np.ndarray) -> Elements
     In version 2 an element of two groups stands twice, with the second group: it is read once.
     """
     physical, entity = np.abs(table[0]), table[1]
-    named = np.unique(physical[physical > 0]).tolist()
-    groups: dict[int, np.ndarray | None] = {tag: np.flatnonzero(physical == tag) for tag in named}
-    if len(named) < 2:
+    tags = np.unique(physical[physical > 0]).tolist()
+    groups: dict[int, np.ndarray | None] = {tag: np.flatnonzero(physical == tag) for tag in tags}
+    if len(tags) < 2:
         return Elements(kind, corners, groups)
     # An element's key is its entity and corners. Equal keys are one element, kept where it comes
     # first; `new` is the row of each old element among the kept ones.

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from ..text.digits import decoded
 from ..text.sections import Section
 
 WHOLE = 2.0**53
@@ -18,7 +19,7 @@ _NAME = re.compile(rb'\s*(\d+)\s+(\d+)\s+(?:"(.*)"|(\S+))\s*')
 
 @dataclasses.dataclass(frozen=True)
 class Form:
-    """A file's version (2, 4.0, 4.1), text or binary, byte order and bytes of a size."""
+    """A file's version (1, 2, 4.0, 4.1), text or binary, byte order and bytes of a size."""
 
     version: float
     is_text: bool
@@ -31,12 +32,17 @@ class Form:
 
 
 def form_of(path: pathlib.Path, data: bytes) -> Form:
-    """Reads `$MeshFormat`. Raises `ValueError` where other sections than comments come first."""
+    """Reads `$MeshFormat`; version 1 begins with `$NOD` in its place.
+
+    It raises `ValueError` where other sections than comments come first.
+    """
     at, number = 0, 1
     while (line := data[at : data.find(b"\n", at) + 1 or None]).strip() == b"$Comments":
         ended = re.compile(rb"^[ \t]*\$EndComments[ \t\r]*$", re.MULTILINE).search(data, at)
         after = data.find(b"\n", ended.end()) + 1 if ended else 0
         at, number = after or len(data), number + data.count(b"\n", at, after)
+    if line.strip() == b"$NOD":
+        return Form(1.0, True, "<", 8)
     if line.strip() != b"$MeshFormat":
         mark = " The file begins with a byte order mark: save it without." if data.startswith(codecs.BOM_UTF8) else ""
         first = line.decode(errors="replace").strip()[:40]
@@ -49,25 +55,23 @@ def form_of(path: pathlib.Path, data: bytes) -> Form:
     except (ValueError, IndexError) as error:
         raise ValueError(f"{path}: version, 0 or 1, and the size of a number expected after $MeshFormat.") from error
     known = next(
-        (each for each, low, high in ((2.0, 2, 3), (4.0, 4, 4.1), (4.1, 4.1, 4.2)) if low <= version < high), None
+        (form for form, low, high in ((2.0, 2, 3), (4.0, 4, 4.1), (4.1, 4.1, 4.2)) if low <= version < high), None
     )
     if known is None or binary not in (0, 1) or size not in (4, 8):
-        raise ValueError(
-            f"{path}: .msh of version {version:g}, {binary}, {size}; 2, 4.0 and 4.1 are read, text or binary."
-        )
+        raise ValueError(f"{path}: .msh of version {version:g}, {binary}, {size}; 1, 2, 4.0 and 4.1 are read.")
     one = {b"\x01\0\0\0": "<", b"\0\0\0\x01": ">"}.get(data[stop : stop + 4])
     if binary and one is None:
         raise ValueError(f"{path}: a binary .msh file without the number 1 that tells its byte order.")
     return Form(known, not binary, one if binary and one else "<", size if known == 4.1 else 8)
 
 
-def sections(path: pathlib.Path, data: bytes) -> Iterator[tuple[str, Section]]:
+def sections(path: pathlib.Path, data: bytes, form: Form) -> Iterator[tuple[str, Section]]:
     """Yields the name of each section and its content; `ValueError` for one without an end."""
-    at = data.index(b"$MeshFormat")
+    at = data.index(b"$MeshFormat" if form.version > 1 else b"$NOD")
     while (at := data.find(b"$", at)) >= 0:
         start = data.find(b"\n", at) + 1
         name = data[at + 1 : start].strip()
-        stop = data.find(b"$End" + name, start)
+        stop = data.find((b"$END" if name in (b"NOD", b"ELM") else b"$End") + name, start)
         if start == 0 or stop < 0:
             raise ValueError(
                 f"{path}: ${name.decode(errors='replace')[:40]} has no end: the file is damaged or cut short."
@@ -87,7 +91,7 @@ def physical_names(section: Section) -> dict[tuple[int, int], str]:
     names = {}
     for match in filter(None, matches):
         text = match[3] if match[3] is not None else match[4]
-        names[int(match[1]), int(match[2])] = text.decode(errors="replace")
+        names[int(match[1]), int(match[2])] = decoded(text)
     return names
 
 

@@ -75,7 +75,7 @@ def read(path: pathlib.Path) -> Mesh:
     here, topology = _folders(path)
     boundary = patches(load(topology, "boundary"))
     divided = [patch for patch in boundary if patch.refers and patch.count]
-    empty, wedges = ([each for each in boundary if each.type == kind and each.count] for kind in ("empty", "wedge"))
+    empty, wedges = ([patch for patch in boundary if patch.type == kind and patch.count] for kind in ("empty", "wedge"))
     if wedges and (len(wedges) != 2 or empty):
         names = ", ".join(patch.name for patch in wedges + empty)
         raise ValueError(
@@ -103,11 +103,11 @@ def read(path: pathlib.Path) -> Mesh:
     if plane is not None and len(between):
         between = plane.edges(between)
     content = _CaseContent(file, points, topology, plane, shared)
-    planes = [each.name for each in boundary if each.type in ("symmetry", "symmetryPlane") and each.count]
+    planes = [patch.name for patch in boundary if patch.type in ("symmetry", "symmetryPlane") and patch.count]
     planes += ["axis"] * (isinstance(plane, Sector) and bool(plane.on_axis.any()))
     between = between if len(between) else None
     pairs = () if len(divided) else pairs
-    kinds = {each.name: each.type for each in boundary} | {name: name for name in planes if name == "axis"}
+    kinds = {patch.name: patch.type for patch in boundary} | {name: name for name in planes if name == "axis"}
     nodes = None if plane is None else plane.file_nodes()
     known = {"symmetry": tuple(planes), "kinds": kinds, "file_nodes": nodes, "in_file": content.in_file}
     source = Source(file.path, NAME, content, whole, ids, groups, pairs, between, **known)
@@ -163,7 +163,7 @@ def write_points(path: pathlib.Path, mesh: Mesh, points: np.ndarray) -> None:
     case = _case_of(content.topology)
     if _is_time(path):
         folder = path / "polyMesh"
-        made = [each for each in (path, folder) if not each.exists()]
+        made = [directory for directory in (path, folder) if not directory.exists()]
         with _removed_on_failure(made):
             folder.mkdir(parents=True, exist_ok=True)
             with complete(folder / content.file.path.name) as partial:
@@ -186,7 +186,7 @@ def write_points(path: pathlib.Path, mesh: Mesh, points: np.ndarray) -> None:
 
 def _warn_of_parts(path: pathlib.Path, case: pathlib.Path | None) -> None:
     """Warns where the case is decomposed: its parts keep the old points."""
-    parts = [] if case is None else [each for each in case.glob("processor*") if each.is_dir()]
+    parts = [] if case is None else [part for part in case.glob("processor*") if part.is_dir()]
     if parts:
         fate = "keep the old points" if _is_time(path) else "are not copied"
         warn(
@@ -331,8 +331,8 @@ def _folders(path: pathlib.Path) -> tuple[pathlib.Path, pathlib.Path]:
 def _case_of(topology: pathlib.Path) -> pathlib.Path | None:
     """Finds the folder that holds `constant`, or the time folder, that a polyMesh is in."""
     above = topology.resolve().parents
-    named = [folder.parent for folder in above if folder.name == "constant"]
-    return named[0] if named else next((folder.parent for folder in above if _is_time(folder)), None)
+    cases = [folder.parent for folder in above if folder.name == "constant"]
+    return cases[0] if cases else next((folder.parent for folder in above if _is_time(folder)), None)
 
 
 def _is_time(path: pathlib.Path) -> bool:

@@ -16,7 +16,7 @@ def cyclic_pairs(boundary: list[Patch]) -> list[tuple[Patch, Patch]]:
     Those whose faces need not match (cyclicAMI, cyclicACMI) are none.
     """
     by_name = {patch.name: patch for patch in boundary}
-    pairs = [(each, by_name[each.neighbour]) for each in by_name.values() if each.neighbour in by_name]
+    pairs = [(patch, by_name[patch.neighbour]) for patch in by_name.values() if patch.neighbour in by_name]
     return [(a, b) for a, b in pairs if "cyclic" == a.type == b.type and a.start < b.start and a.count == b.count > 0]
 
 

@@ -38,8 +38,8 @@ def read_point_vectors(path: pathlib.Path, mesh: Mesh) -> Float[np.ndarray, "n d
     kind = file.header.get("class", "")
     entry = _INTERNAL.search(file.data, file.end)
     if kind != "pointVectorField" or entry is None or entry[1] == b"uniform":
-        given = f"{kind or 'no class'}{' with one value for all points' if kind == 'pointVectorField' else ''}"
-        raise file.error(f"a pointVectorField with a list of vectors expected, found {given}")
+        found = f"{kind or 'no class'}{' with one value for all points' if kind == 'pointVectorField' else ''}"
+        raise file.error(f"a pointVectorField with a list of vectors expected, found {found}")
     stop = None if file.is_binary else _END.search(file.data, entry.end())
     data = file.data if stop is None else file.data[: stop.end()]
     values = dataclasses.replace(file, data=data, end=entry.end()).numbers("scalar", 3)

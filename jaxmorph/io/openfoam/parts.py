@@ -123,26 +123,26 @@ class Decomposed:
     def side(self, k: int) -> Side:
         """Reads the outside of part `k`."""
         boundary = self._boundary(k)
-        if not any(each.count for each in boundary):
+        if not any(patch.count for patch in boundary):
             raise ValueError(
                 f"{self.folder(k)}: this part has no cells; empty parts are not moved: decompose into fewer parts, or by scotch."
             )
         mesh = self.read(k)
-        lost = [each.part for each in boundary if each.part >= self.count]
+        lost = [patch.part for patch in boundary if patch.part >= self.count]
         if lost:
             raise ValueError(f"{self.folder(k)}: it has faces to processor{max(lost)}, which is missing. {REMEDY}.")
         ids, outer = global_nodes(mesh), outer_faces(mesh)
         corners = {} if outer is None else outer.corners
-        outside = [np.asarray(each).ravel() for each in (*corners.values(), *mesh.patches.values())]
+        outside = [np.asarray(rows).ravel() for rows in (*corners.values(), *mesh.patches.values())]
         rows = np.unique(np.concatenate([np.zeros(0, np.int64), *outside]))
         rows = rows[np.argsort(ids[rows])]
         return Side(
             ids[rows],
             np.asarray(mesh.points)[rows],
-            {kind: ids[each] for kind, each in corners.items()},
-            {name: ids[np.asarray(each)] for name, each in mesh.patches.items()},
+            {kind: ids[rows] for kind, rows in corners.items()},
+            {name: ids[np.asarray(nodes)] for name, nodes in mesh.patches.items()},
             mesh.source.groups,
-            tuple((each.name, each.neighbour) for each in boundary if each.type == "cyclic"),
+            tuple((patch.name, patch.neighbour) for patch in boundary if patch.type == "cyclic"),
             mesh.source.symmetry,
             mesh.kinds,
         )
@@ -169,24 +169,24 @@ class Decomposed:
         nodes, first, back = np.unique(everywhere, return_index=True, return_inverse=True)
         places = np.concatenate([side.points for side in sides])
         points = places[first]
-        apart = np.abs(places - points[back.ravel()]).max(axis=1)
-        wrong = np.flatnonzero(apart > 1e-9 * np.ptp(points, axis=0).max())
+        distance = np.abs(places - points[back.ravel()]).max(axis=1)
+        wrong = np.flatnonzero(distance > 1e-9 * np.ptp(points, axis=0).max())
         if len(wrong):
             raise ValueError(
                 f"{self.path}: {len(wrong)} points lie at different places in different processors, first point "
-                f"{everywhere[wrong[0]]} of the whole mesh, by {apart[wrong[0]]:.3g}: they are not parts of one mesh. {REMEDY}."
+                f"{everywhere[wrong[0]]} of the whole mesh, by {distance[wrong[0]]:.3g}: they are not parts of one mesh. {REMEDY}."
             )
         kinds = dict.fromkeys(kind for side in sides for kind in side.faces)
         corners = {kind: np.concatenate([side.faces[kind] for side in sides if kind in side.faces]) for kind in kinds}
-        cells = {kind: np.searchsorted(nodes, each) for kind, each in corners.items() if len(each)}
+        cells = {kind: np.searchsorted(nodes, rows) for kind, rows in corners.items() if len(rows)}
         names = dict.fromkeys(name for side in sides for name in side.patches)
         members = {name: [side.patches[name] for side in sides if name in side.patches] for name in names}
         patches_of_all = {
-            name: np.searchsorted(nodes, np.unique(np.concatenate(each))) for name, each in members.items()
+            name: np.searchsorted(nodes, np.unique(np.concatenate(rows))) for name, rows in members.items()
         }
         pairs = {frozenset(pair): pair for side in sides for pair in reversed(side.pairs)}
         periodic = tuple(Periodic(*pair) for pair in pairs.values() if all(len(patches_of_all[name]) for name in pair))
-        groups = {name: each for side in sides for name, each in side.groups.items()}
+        groups = {name: patches for side in sides for name, patches in side.groups.items()}
         flat = tuple(dict.fromkeys(name for side in sides for name in side.symmetry))
         patch_kinds = {name: kind for side in sides for name, kind in side.kinds.items()}
         known = {"groups": groups, "periodic": periodic, "symmetry": flat, "kinds": patch_kinds}
@@ -233,7 +233,7 @@ class Decomposed:
             together(ranks, copy)
             writer = Writer(self, target, partial, ranks, Agreement(ranks), set())
             yield writer
-            written = {k for each in ranks.allgather(writer.written) for k in each}
+            written = {k for numbers in ranks.allgather(writer.written) for k in numbers}
 
             def end() -> None:
                 lacks = sorted({*range(len(self))} - written)
@@ -299,10 +299,10 @@ class Writer:
         agreed = self.agreement(ids, points[rows])
 
         def check() -> None:
-            apart = np.abs(agreed - points[rows]).max(initial=0.0)
-            if apart > AGREE * np.abs(points).max(initial=0.0):
+            distance = np.abs(agreed - points[rows]).max(initial=0.0)
+            if distance > AGREE * np.abs(points).max(initial=0.0):
                 raise ValueError(
-                    f"part {k}: points that it shares with other parts are {apart:.3g} away from where these have them. "
+                    f"part {k}: points that it shares with other parts are {distance:.3g} away from where these have them. "
                     "Move all parts by plans of one `prepare_surface`."
                 )
 

@@ -108,7 +108,7 @@ def plane_cells(
         corners["triangle"] = np.concatenate([corners["triangle"], pieces])
         ids["triangle"] = np.concatenate([ids["triangle"], faces.owner[cut][piece_of]])
         whole = Polyhedra(_edges(faces, empty, is_front, plane), faces.owner[cut])
-    cells = {kind: np.searchsorted(plane.front, each) for kind, each in corners.items() if len(each)}
+    cells = {kind: np.searchsorted(plane.front, rows) for kind, rows in corners.items() if len(rows)}
     return cells, ids, whole
 
 

@@ -55,7 +55,7 @@ def topology_of(folder: pathlib.Path, boundary: list[Patch], is_plane: bool) -> 
         if not patch.is_between:
             of_faces = faces.nodes(patch.start, patch.start + patch.count)
             parts.setdefault(patch.refers or patch.name, []).append(of_faces)
-    nodes = {name: np.concatenate(each) for name, each in parts.items()}  # copies: a view would keep all labels
+    nodes = {name: np.concatenate(labels) for name, labels in parts.items()}  # copies: a view would keep all labels
     lowest, highest = int(faces.labels.min(initial=0)), int(faces.labels.max(initial=0))
     is_needed = is_plane or "polyhedron" in ids
     between = _between(faces, boundary)

@@ -9,7 +9,16 @@ import scipy.io
 ENOUGH = 1 << 14
 """Bytes from which SciPy's writer of Matrix Market files pays: `repr`'s digits, much faster."""
 
+_FORTRAN = bytes.maketrans(b"Dd", b"ee")
 _MARKS = b"0123456789.+-eE"
+
+
+def decoded(raw: bytes) -> str:
+    """Decodes a name in a file: UTF-8, or else Latin-1, which older programs write."""
+    try:
+        return raw.decode()
+    except UnicodeDecodeError:
+        return raw.decode("latin-1")
 
 
 def parse_rows(text: bytes, dtype: type) -> tuple[np.ndarray, int]:
@@ -29,9 +38,14 @@ def parse_rows(text: bytes, dtype: type) -> tuple[np.ndarray, int]:
 
 
 def parse(text: bytes, dtype: type) -> np.ndarray:
-    """Reads a text's numbers up to the first non-number (`numpy.fromstring` rounds correctly)."""
+    """Reads a text's numbers up to the first non-number (`numpy.fromstring` rounds correctly).
+
+    Numbers of type float may have Fortran's exponents, 1.5D-3.
+    """
     if not text.strip():
         return np.zeros(0, dtype)
+    if np.issubdtype(dtype, np.floating) and (b"D" in text or b"d" in text):
+        text = text.translate(_FORTRAN)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)
         try:

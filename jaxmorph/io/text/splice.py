@@ -18,9 +18,9 @@ def spliced(text: bytes, starts: np.ndarray, ends: np.ndarray, lines: bytes) -> 
     if max(int((starts - begins)[1:].max(initial=0)), int((breaks - first).max())) > WIDEST:
         return _joined(text, starts, ends, lines)
     head, begins[0] = text[: starts[0]], starts[0]
-    kept = _rows(text, begins, starts - begins)
+    own = _rows(text, begins, starts - begins)
     new = _rows(lines, first, breaks - first)
-    table, inside = (np.concatenate(pair, axis=1) for pair in zip(kept, new, strict=True))
+    table, inside = (np.concatenate(pair, axis=1) for pair in zip(own, new, strict=True))
     return b"".join((head, table[inside].tobytes(), text[ends[-1] :]))
 
 

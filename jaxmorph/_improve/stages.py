@@ -1,0 +1,172 @@
+"""Stages of `improve`: a barrier that sharpens, then a bound on the distortion that falls."""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import lineax as lx
+import optimistix as optx
+from jaxtyping import Array, Float, Int
+
+from .._host.linear.hessians import Pattern
+from .._kernels.compile import compiled
+from .newton import Distortion, HessianSolver, ProjectedNewton
+from .ways import Ways
+
+QUARTER = 0.05
+"""Least cosine between a wall's normals where a node starts and where it ends.
+
+Below it, the end is no minimum.
+"""
+
+SHARPEST, GENTLER, STAGES = 1e-3, 0.3, 5
+"""Softness of the barrier in the last stage, its largest factor per stage, and most stages."""
+
+SHARE, RUNG, RUNGS = 0.95, 1.02, 40
+"""Worst distortion over its bound where a stage begins, ratio of two rungs, and most stages."""
+
+CLOSE = 0.03
+"""Least tolerance between two stages of stiffening: a looser one would end them too early."""
+
+
+class Search(NamedTuple):
+    """What all stages share: the Hessian's pattern, and when a stage ends."""
+
+    blocks: Pattern
+    tolerance: Float[Array, ""]
+    max_steps: int
+    progress: Callable[[float, float], None] | None
+
+    def enough(self, last: bool) -> Float[Array, "2"]:
+        """Lists the relative and the absolute tolerance of a stage."""
+        loose = jnp.maximum(self.tolerance, 0.3)
+        return jnp.stack([1e-3 * self.tolerance, self.tolerance] if last else [loose, loose])
+
+
+class Minimum(NamedTuple):
+    """Where a distortion is least, and the number of steps up to there."""
+
+    distortion: Distortion
+    y: Float[Array, "n d"]
+    steps: Int[Array, ""] | int
+
+
+def softened(distortion: Distortion, base: Float[Array, "n d"], search: Search) -> Minimum:
+    """Finds the minimum in stages, in which the barrier at det T = 0 sharpens."""
+    softness, held = jnp.asarray(1 / GENTLER), jax.lax.stop_gradient(base)
+    if distortion.ways is not None:
+        distortion = eqx.tree_at(lambda it: it.ways, distortion, _ways_at(distortion.ways, held))
+    y, count, stage = jnp.zeros_like(base), 0, distortion
+    for last in (False,) * (STAGES - 1) + (True,):
+        before, least = softness, SHARPEST if last else -2 * _least(distortion, y, held)
+        softness = jnp.maximum(jnp.minimum(least, GENTLER * softness), SHARPEST)
+        stage = eqx.tree_at(lambda it: it.softness, distortion, softness.astype(base.dtype))
+        end = (last | (softness < before), search.enough(last))
+        y, steps = _minimise(stage, jax.lax.stop_gradient(y), base if last else held, search, end)
+        count += steps
+    return Minimum(stage, y, count)
+
+
+def stiffened(plain: Minimum, base: Float[Array, "n d"], search: Search) -> Minimum:
+    """Finds the minimum below the smallest bound on the distortion that leaves room for it.
+
+    The bound stands on rungs. Between jumps it does not depend on the points, so the derivative of
+    the last minimum is the derivative of the whole search.
+    """
+    y, held = map(jax.lax.stop_gradient, (plain.y, base))
+    distortion, y, steps = _climbed(plain.distortion, y, held, search)
+    y, last = _minimise(distortion, y, base, search, (True, search.enough(last=True)))
+    return Minimum(distortion, y, plain.steps + steps + last)
+
+
+@compiled
+def _climbed(distortion: Distortion, y, base, search: Search):
+    """Raises the stiffness rung by rung until the worst sample leaves no room for the next.
+
+    Returns the rung where the smallest determinant is largest, and the steps of all rungs.
+    """
+    distortion, enough = distortion.movable(), jnp.stack([jnp.maximum(search.tolerance, CLOSE)] * 2)
+
+    def rung(y):
+        share = jnp.log(SHARE / jnp.maximum(distortion.worst(y, base), 1e-6)) / jnp.log(RUNG)
+        return jnp.floor(share).astype(base.dtype)
+
+    def stiff(rung):
+        return dataclasses.replace(distortion, stiffness=RUNG**rung)
+
+    def goes_on(state):
+        y, now, *_, stage = state
+        return (rung(y) > now) & (stage < RUNGS)
+
+    def climb(state):
+        y, _, best, count, stage = state
+        now = rung(y)
+        y, steps = _minimise(stiff(now), y, base, search, (True, enough))
+        here = y, now, distortion.least(y, base)
+        best = jax.tree.map(lambda new, old: jnp.where(here[2] > best[2], new, old), here, best)
+        return y, now, best, count + steps, stage + 1
+
+    none = jnp.asarray(-jnp.inf, base.dtype)
+    start = y, none, (y, none, distortion.least(y, base)), jnp.asarray(0), jnp.asarray(0)
+    _, _, (y, now, _), count, _ = jax.lax.while_loop(goes_on, climb, start)
+    return stiff(now), y, count
+
+
+@compiled
+def _minimise(distortion: Distortion, y, base, search: Search, end: Any):
+    """Runs one stage from y, or returns y if the stage is not wanted."""
+    wanted, (relative, absolute) = end
+    blocks, _, max_steps, progress = search
+
+    def on_host(softness, energy):
+        progress(float(softness), float(energy))  # numbers: work with JAX arrays may wait for this program
+
+    def report_step(**report):
+        if progress is not None:
+            jax.debug.callback(on_host, distortion.softness, report["loss_this_step"][1])
+
+    solver = ProjectedNewton(
+        rtol=relative,
+        atol=absolute,
+        norm=optx.rms_norm,
+        distortion=distortion,
+        base=jax.lax.stop_gradient(base),
+        pattern=blocks,
+        verbose=report_step,
+    )
+    adjoint = optx.ImplicitAdjoint(HessianSolver(distortion, solver.base, blocks))
+    tags = frozenset({lx.positive_semidefinite_tag})
+
+    def minimum(y):
+        run = optx.minimise(distortion, solver, y, base, max_steps=max_steps, adjoint=adjoint, throw=False, tags=tags)
+        return run.value, run.stats["num_steps"]
+
+    return jax.lax.cond(wanted, minimum, lambda y: (y, jnp.asarray(0)), y)
+
+
+@compiled
+def _ways_at(ways: Ways, start: Float[Array, "n d"]) -> Ways:
+    return ways.at(start)
+
+
+@compiled
+def _least(distortion: Distortion, y, base):
+    return distortion.least(y, base)
+
+
+@compiled
+def judged(plain: Distortion, minimum: Minimum, base: Float[Array, "n d"]):
+    """Computes the distortion without stiffness, the slope with it, and the points."""
+    distortion, y, _ = minimum
+    value, slope = plain(y, base), jax.grad(distortion)(y, base)
+    points, ways = distortion.points(y, base), distortion.ways
+    if ways is not None and not ways.is_linear:
+        # A quarter of a turn from its start, a node's slope vanishes, at a minimum or not.
+        along = jnp.abs(jnp.sum(ways.normals * ways.at(points).normals, axis=2))
+        along = jnp.where(jnp.sum(ways.normals**2, axis=2) > 0, along, 1)
+        least = jnp.min(along, where=distortion.free[:, None], initial=1.0)
+        slope = jnp.where(least > QUARTER, slope, jnp.inf)
+    return value, slope, points

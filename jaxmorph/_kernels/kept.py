@@ -1,0 +1,225 @@
+"""Programs of direct calls, kept in a folder: a later process neither traces nor lowers them.
+
+JAX's own cache finds machine code by the program, so that every process first makes the program.
+Here the name of a function, the shapes of its arguments and the package's files find the code.
+"""
+
+import contextlib
+import dataclasses
+import functools
+import hashlib
+import io
+import os
+import pathlib
+import pickle
+import secrets
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import numpy as np
+from jaxlib import version
+
+from .values import array
+
+BASES = ("jax", "jaxlib", "equinox", "numpy")
+"""Packages that programs are made with."""
+
+KNOWN = ("jaxmorph", *BASES, "jaxtyping", "builtins", "collections", "functools")
+"""Packages whose classes and functions arguments may hold. A user's own may change any time."""
+
+SETTINGS = ("JAX", "XLA")
+"""Beginnings of environment variables that change programs."""
+
+HOST = "callback"
+"""A word of programs that call Python, at an address of this process."""
+
+_folder: Any = None
+_aside: Callable[[], contextlib.AbstractContextManager] = contextlib.nullcontext
+_programs: "dict[str, Program]" = {}
+
+
+@dataclasses.dataclass(frozen=True)
+class _Shape:
+    """Stands for an array among arguments: shape and type, and whether the type may give way."""
+
+    text: str
+    is_weak: bool
+
+    @classmethod
+    def of(cls, leaf: Any) -> "_Shape":
+        kind = jax.typeof(leaf)
+        return cls(str(kind), bool(getattr(kind, "weak_type", False)))
+
+
+@dataclasses.dataclass(frozen=True)
+class _Place:
+    """Stands for an array among results: a row of the program's results, or of its arguments."""
+
+    row: int
+    is_argument: bool
+
+
+@dataclasses.dataclass(frozen=True)
+class Program:
+    """A compiled function of arrays, and the form of its results with a `_Place` for each array."""
+
+    call: Callable[..., Any]
+    form: Any
+
+    def __call__(self, leaves: list[Any]) -> Any:
+        results = self.call(*leaves)
+
+        def filled(leaf: Any) -> Any:
+            if not isinstance(leaf, _Place):
+                return leaf
+            return array(leaves[leaf.row]) if leaf.is_argument else results[leaf.row]
+
+        return jax.tree.map(filled, self.form)
+
+
+class _UnkeptError(Exception):
+    """Tells that a program cannot be kept."""
+
+
+class _Pickler(pickle.Pickler):
+    """Writes objects, if all classes and functions in them are of known packages."""
+
+    def reducer_override(self, obj: Any) -> Any:
+        if isinstance(obj, type) or (callable(obj) and hasattr(obj, "__qualname__")):
+            _name(obj)
+        return NotImplemented
+
+
+def keep(folder: str, limit: int, aside: Callable[[], contextlib.AbstractContextManager]) -> None:
+    """Keeps programs in JAX's folder of compiled code, together with it at most `limit` bytes.
+
+    It is for a process that runs one command. Code that changes while a process lives would not be
+    noticed. Within `aside()`, JAX's own cache keeps nothing.
+    """
+    global _folder, _aside
+    _aside = aside
+    try:  # private names of JAX: without them nothing is kept
+        from jax._src.lru_cache import LRUCache
+        from jaxlib import lapack
+
+        lapack.prepare_lapack_call("getrf_ffi", np.dtype(float))  # finds LAPACK, as lowering would
+        _folder = LRUCache(folder, max_size=limit)
+    except Exception:
+        _folder = None
+
+
+def kept(
+    function: Callable, arguments: tuple, state: tuple[bool, ...], options: Callable[[], dict[str, Any]]
+) -> Callable[[], Any] | None:
+    """Finds or makes the program of a call; None where no program can be kept.
+
+    `arguments` are a tuple and a dictionary that hold arrays anywhere. `state` is what the program
+    depends on besides. `options` gives the compiler's options for a program that is made.
+    """
+    if _folder is None or jax.device_count() > 1:
+        return None
+    try:
+        key = _key(function, arguments, state)
+    except _UnkeptError:
+        return None
+    if key not in _programs:
+        _programs[key] = _loaded(key) or _made(key, function, arguments, options())
+    leaves = [leaf for leaf in jax.tree.leaves(arguments) if _is_array(leaf)]
+    return functools.partial(_programs[key], leaves)
+
+
+def _key(function: Callable, arguments: tuple, state: tuple[bool, ...]) -> str:
+    """Computes the name of a program. Raises `_UnkeptError` for the user's own functions."""
+    file = io.BytesIO()
+    shapes = jax.tree.map(lambda leaf: _Shape.of(leaf) if _is_array(leaf) else leaf, arguments)
+    try:
+        _Pickler(file).dump((_name(function), state, shapes))
+    except (pickle.PicklingError, TypeError, AttributeError) as error:
+        raise _UnkeptError from error
+    return f"jaxmorph-{hashlib.sha256(_world() + file.getvalue()).hexdigest()}"
+
+
+def _name(obj: Any) -> str:
+    """Names a class or a function of known packages. Raises `_UnkeptError` for others."""
+    module, name = str(getattr(obj, "__module__", "")), str(obj.__qualname__)
+    if module.partition(".")[0] not in KNOWN or "<" in name:
+        raise _UnkeptError
+    return f"{module}.{name}"
+
+
+@functools.cache
+def _world() -> bytes:
+    """Describes what all programs depend on: files of packages, versions, and settings."""
+    facts = [sys.version, jax.__version__, version.__version__, jax.default_backend()]
+    facts += [f"{name}={value}" for name, value in sorted(jax.config.values.items())]
+    facts += [f"{name}={value}" for name, value in sorted(os.environ.items()) if name.startswith(SETTINGS)]
+    own = pathlib.Path(__file__).parents[1]
+    files = sorted(os.path.join(where, file) for where, _, names in os.walk(own) for file in names)
+    files = [file for file in files if file.endswith(".py")]
+    for file in [*files, *(str(sys.modules[name].__file__) for name in BASES)]:
+        about = os.stat(file)
+        facts.append(f"{file} {about.st_size} {about.st_mtime_ns}")
+    return "\n".join(facts).encode()
+
+
+def _loaded(key: str) -> Program | None:
+    """Loads a program; None where it is missing or damaged."""
+    try:
+        content = _folder.get(key)
+        if content is None:
+            return None
+        from jax.experimental import serialize_executable
+
+        counts, code, form = pickle.loads(content)
+        trees = [jax.tree.structure(tree) for tree in (((0,) * counts[0], {}), (0,) * counts[1])]
+        return Program(serialize_executable.deserialize_and_load(code, *trees), form)
+    except Exception:  # pickle, the file system and XLA raise a dozen classes
+        return None
+
+
+def _made(key: str, function: Callable, arguments: tuple, options: dict[str, Any]) -> Program:
+    """Compiles a program, and keeps it."""
+    leaves, tree = jax.tree.flatten(arguments)
+    arrays, form = [leaf for leaf in leaves if _is_array(leaf)], None
+
+    def flat(*traced: Any) -> tuple[Any, ...]:
+        nonlocal form
+        given, rows, results = iter(traced), {id(leaf): row for row, leaf in enumerate(traced)}, []
+
+        def placed(leaf: Any) -> Any:
+            if not _is_array(leaf):
+                return leaf
+            if id(leaf) in rows:  # an argument that comes back is not copied
+                return _Place(rows[id(leaf)], True)
+            results.append(leaf)
+            return _Place(len(results) - 1, False)
+
+        words, named = jax.tree.unflatten(tree, [next(given) if _is_array(leaf) else leaf for leaf in leaves])
+        form = jax.tree.map(placed, function(*words, **named))
+        return tuple(results)
+
+    # XLA writes code out incompletely if it has read the code. So JAX's own cache must not have the
+    # program: a new name is in no cache.
+    flat.__name__ = f"{function.__name__}_{secrets.token_hex(4)}"
+    lowered = jax.jit(flat, compiler_options=options).lower(*arrays)
+    with _aside():
+        compiled = lowered.compile()
+    if HOST not in lowered.as_text():
+        _write(key, (len(arrays), len(jax.tree.leaves(lowered.out_info))), compiled, form)
+    return Program(compiled, form)
+
+
+def _write(key: str, counts: tuple[int, int], compiled: Any, form: Any) -> None:
+    """Writes a program, if it can be written."""
+    with contextlib.suppress(Exception):  # pickle, the file system and XLA raise a dozen classes
+        from jax.experimental import serialize_executable
+
+        file = io.BytesIO()
+        _Pickler(file).dump((counts, serialize_executable.serialize(compiled)[0], form))
+        _folder.put(key, file.getvalue())
+
+
+def _is_array(leaf: Any) -> bool:
+    return isinstance(leaf, jax.Array | np.ndarray)

@@ -1,0 +1,139 @@
+"""Sensitivities as SU2's adjoint solvers leave them: by nodes, and by the angle of attack."""
+
+import dataclasses
+import os
+import pathlib
+import re
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxmorph import io, shapes
+from jaxmorph._host.package.arguments import checked
+from jaxmorph._host.package.files import input_path
+
+from ._config import Config
+from ._options import Options
+
+FILES = {
+    "SOLUTION_ADJ_FILENAME": "solution_adj",
+    "VOLUME_SENS_FILENAME": "volume_sens",
+    "SURFACE_SENS_FILENAME": "surface_sens",
+}
+"""Options that name a file of sensitivities, and SU2's default names."""
+
+EXTENSIONS = {
+    **{"DRAG": "cd", "LIFT": "cl", "SIDEFORCE": "csf", "EFFICIENCY": "eff", "THRUST": "ct", "TORQUE": "cq"},
+    **{f"MOMENT_{axis}": f"cm{axis.lower()}" for axis in "XYZ"},
+    **{f"FORCE_{axis}": f"cf{axis.lower()}" for axis in "XYZ"},
+    **{"EQUIVALENT_AREA": "ea", "NEARFIELD_PRESSURE": "nfp", "FIGURE_OF_MERIT": "merit"},
+}
+"""What SU2 puts between an adjoint file's name and its ending, by the objective."""
+
+NORMAL = ("surface_sensitivity", "sensitivity")
+"""Columns of the derivative by a motion into the body, of the continuous adjoint solver."""
+ANGLE = 4
+"""Place of the derivative by the angle of attack among the eight numbers behind a restart."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Sensitivity:
+    """Derivatives of an objective from a file.
+
+    - `path`: the file.
+    - `by_nodes`: by the positions of all nodes (n, d), or of the moving ones (m, d).
+    - `by_angle`: by the angle of attack, None where the file does not say.
+    """
+
+    path: pathlib.Path
+    by_nodes: Float[np.ndarray, "k d"]
+    by_angle: float | None
+
+
+@checked
+def read_sensitivity(config: Config, path: str | os.PathLike[str] | None = None) -> Sensitivity:
+    """Reads the sensitivities that a config file is about.
+
+        sensitivity = su2.read_sensitivity(su2.read_config("config.cfg"))
+
+    A discrete adjoint's are those of all nodes, or of the surface where SU2_DOT has been. With
+    `MATH_PROBLEM= CONTINUOUS_ADJOINT` the column `Surface_Sensitivity` is a derivative along the
+    wall's normals.
+
+    **Arguments:**
+
+    - `config`: what `read_config` returned.
+    - `path`: the file. Default: the first one that is there of `SOLUTION_ADJ_FILENAME`,
+      `VOLUME_SENS_FILENAME` and `SURFACE_SENS_FILENAME`, or `SURFACE_ADJ_FILENAME` of a continuous
+      adjoint. Endings, and what SU2 adds for the objective (`_cd`), may be missing in the name.
+
+    **Raises:** `ValueError` for no file, and as `io.read_sensitivity` does.
+    """
+    is_normal = config.options.text("MATH_PROBLEM").upper() == "CONTINUOUS_ADJOINT"
+    file = input_path(path) if path is not None else _file(config.options, is_normal)
+    if is_normal and (rows := _normal_rows(file)) is not None:
+        return Sensitivity(file, _along_normals(config, file, *rows), _by_angle(file))
+    given = io.read_sensitivity(file, config.mesh, moving=config.mesh.patch(*config.moving))
+    return Sensitivity(file, given, _by_angle(file))
+
+
+def _file(options: Options, is_normal: bool) -> pathlib.Path:
+    """Finds the file of sensitivities that the config file names."""
+    objective = options.text("OBJECTIVE_FUNCTION", "DRAG")
+    names = [name.strip("() ") for name in objective.split(",")]
+    kind = "combo" if len(names) > 1 else EXTENSIONS.get(names[0], "*")
+    tried = []
+    for option, default in {"SURFACE_ADJ_FILENAME": "surface_adjoint"}.items() if is_normal else FILES.items():
+        name = pathlib.Path(options.text(option, default))
+        stem = name.with_suffix("") if name.suffix in (".dat", ".csv") else name
+        endings = dict.fromkeys([name.suffix if stem != name else ".dat", ".csv", ".dat"])
+        for pattern in (f"{stem}_{kind}", str(stem)):
+            found = [file for ending in endings for file in sorted(options.path.parent.glob(pattern + ending))]
+            if len(found) == 1 or (found and "*" not in pattern):
+                return found[0]
+        tried.append(f"{option}= {name}")
+    raise ValueError(
+        f"{options.path}: no file of sensitivities is there ({', '.join(tried)}), with _{kind} or without: give --sensitivity."
+    )
+
+
+def _normal_rows(file: pathlib.Path) -> tuple[np.ndarray, np.ndarray] | None:
+    """Reads ids and derivatives along normals; None for a table without them."""
+    with file.open("rb") as stream:
+        names = [name.strip(b"\"' \r\n\t").decode(errors="replace").lower() for name in stream.readline().split(b",")]
+    column = next((names.index(name) for name in NORMAL if name in names), None)
+    if column is None:
+        return None
+    try:
+        table = np.loadtxt(file, delimiter=",", skiprows=1, usecols=(0, column), ndmin=2)
+    except ValueError as error:
+        raise ValueError(f"{file}: {error}") from None
+    return table[:, 0].astype(int), table[:, 1]
+
+
+def _along_normals(config: Config, file: pathlib.Path, ids: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+    """Lays derivatives along the normals of the wall, which point into the flow: (m, d)."""
+    nodes, normals = config.mesh.patch(*config.moving), shapes.wall_normals(config.mesh, *config.moving)
+    by_id = dict(zip(ids.tolist(), slopes.tolist(), strict=True))
+    missing = [node for node in nodes.tolist() if node not in by_id]
+    if missing or not np.isfinite(slopes).all():
+        fault = f"{len(missing)} of {len(nodes)} nodes of DV_MARKER are missing, first {missing[0]}" if missing else ""
+        raise ValueError(f"{file}: {fault or 'values that are not finite'}.")
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    values = np.array([by_id[node] for node in nodes.tolist()])
+    return -values[:, None] * normals / np.where(length > 0, length, 1)
+
+
+def _by_angle(file: pathlib.Path) -> float | None:
+    """Finds the derivative by the angle of attack: behind the rows, or in the file .meta beside."""
+    sizes = np.fromfile(file, "<i4", count=5)
+    begin = (
+        20 + 33 * int(sizes[1]) + 8 * int(sizes[1]) * int(sizes[2]) if len(sizes) == 5 and sizes[0] == 535532 else -1
+    )
+    if begin > 0 and file.stat().st_size == begin + 4 + 64:
+        return float(np.fromfile(file, "<f8", count=8, offset=begin + 4)[ANGLE])
+    for text in ([] if begin > 0 else [file]) + [file.with_suffix(".meta")]:
+        found = re.search(rb"SENS_AOA\s*=\s*([-+.\deE]+)", text.read_bytes()) if text.is_file() else None
+        if found:
+            return float(found[1])
+    return None

@@ -1,0 +1,134 @@
+"""Stiffening: the worst cell of an improved mesh, judged by NumPy alone, and derivatives by differences."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from meshes import unit_grid
+
+import jaxmorph as jm
+from jaxmorph import cases
+from jaxmorph._quality.distortion import IDEAL, energy, energy_of_cells, stiffened, target
+from jaxmorph._quality.vector import corners
+
+
+def smallest_ratio(mesh, points):
+    """Of the Jacobians at the corners of quads to the undeformed ones: by cross products, no code of the package."""
+
+    def jacobians(x):
+        x = np.asarray(x)[np.asarray(mesh.cells["quad"])]
+        a, b = np.roll(x, -1, axis=1) - x, np.roll(x, 1, axis=1) - x
+        return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+
+    return (jacobians(points) / jacobians(mesh.points)).min()
+
+
+@pytest.mark.parametrize("stiffness", [0.1, 2.0])
+def test_the_stiffened_energy_is_the_papers_but_for_a_constant_and_a_factor(stiffness):
+    """f / (1 - t f) with f = e + 1 and t = s / (1 + s): two differences of it are in the ratio of those of e / (1 - s e)."""
+    e = np.array([0.0, 0.1, 0.3, 0.9 / stiffness])
+    t = stiffness / (1 + stiffness)
+    theirs, ours = (e + 1) / (1 - t * (e + 1)), np.asarray(stiffened(jnp.asarray(e), stiffness))
+    np.testing.assert_allclose(np.diff(theirs) / np.diff(theirs)[0], np.diff(ours) / np.diff(ours)[0], rtol=1e-10)
+    assert np.isinf(stiffened(jnp.asarray([1 / stiffness, 5 / stiffness]), stiffness)).all()
+    np.testing.assert_allclose(jax.vmap(jax.grad(lambda e: stiffened(e, 0.0)))(jnp.asarray(e)), 1, rtol=0)
+
+
+@pytest.mark.parametrize("kind", list(IDEAL))
+def test_a_cell_without_stiffness_and_with_none_is_the_same(kind):
+    ideal = np.array(IDEAL[kind], dtype=float)
+    x = corners(
+        jnp.asarray(ideal + 0.05 * np.cos(np.arange(ideal.size)).reshape(ideal.shape)), np.arange(len(ideal))[None]
+    )
+    goal = target(kind, corners(jnp.asarray(ideal), np.arange(len(ideal))[None]), False)
+    plain, none, some = (energy_of_cells(kind, x, goal, 1e-3, 0.5, s) for s in (None, 0.0, 3.0))
+    np.testing.assert_allclose(none, plain, rtol=1e-14)
+    assert (np.asarray(some) > np.asarray(plain)).all()
+    assert float(energy(jnp.asarray(1.0), jnp.asarray(1.0), 1e-9, 0.5, 2)) == pytest.approx(0, abs=1e-12)
+
+
+@functools.cache
+def pitched(degrees=120):
+    mesh = cases.naca0015(points=400)
+    wall, far = mesh.patch("airfoil"), mesh.patch("farfield")
+    base, plan = mesh.points[wall], jm.prepare(mesh.points, wall, far)
+    return mesh, jm.deform(plan, jm.shapes.rotate(base, -np.deg2rad(degrees), [0.25, 0]) - base)
+
+
+@pytest.mark.slow
+def test_the_worst_cell_of_a_pitched_airfoil_is_raised():
+    mesh, points = pitched()
+    plain, worst = (jm.improve(mesh, points, worst=each) for each in (False, True))
+    assert int(worst.before) > 0
+    assert int(worst.after) == int(worst.unproven) == 0
+    assert smallest_ratio(mesh, worst.points) > 1.3 * smallest_ratio(mesh, plain.points) > 0
+    skewness = [float(jm.quality(mesh, each.points).max_skewness) for each in (plain, worst)]
+    assert skewness[1] < skewness[0]
+    held = mesh.patch("airfoil", "farfield")
+    assert np.array_equal(np.asarray(worst.points)[held], np.asarray(points)[held])
+    assert float(worst.energy) > float(plain.energy)  # the mean is the price
+    assert "at a minimum" in str(worst)
+
+
+@pytest.mark.slow
+def test_derivatives_of_the_stiffened_minimum():
+    """Against central differences of the whole search, on a mesh where the bound was lowered."""
+    mesh, points = pitched()
+    rng = np.random.default_rng(4)
+    weights, tangent = rng.normal(size=points.shape), 0.01 * rng.normal(size=points.shape)
+
+    def objective(points):
+        return jnp.sum(jnp.sin(3 * jm.improve(mesh, points, tolerance=1e-10, worst=True).points) * weights)
+
+    both, step = jax.jit(jax.value_and_grad(objective)), 5e-5
+    difference = (both(points + step * tangent)[0] - both(points - step * tangent)[0]) / (2 * step)
+    np.testing.assert_allclose(np.vdot(both(points)[1], tangent), difference, rtol=1e-4)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("height", [0.3, 0.5])
+def test_it_is_never_worse_than_without(height):
+    """A bulge whose worst cell is slanted, not small: a lower bound on its distortion would make others smaller."""
+    mesh = unit_grid(4)
+    x, y = mesh.points.T
+    points = mesh.points + np.stack([0 * x, height * np.sin(np.pi * x) * (1 - y) ** 8], axis=1)
+    plain, worst = (jm.improve(mesh, points, worst=each, tolerance=1e-8) for each in (False, True))
+    assert smallest_ratio(mesh, worst.points) >= smallest_ratio(mesh, plain.points)
+    assert int(worst.after) <= int(plain.after)
+    batch = jax.vmap(lambda points: jm.improve(mesh, points, worst=True, tolerance=1e-8).points)
+    np.testing.assert_allclose(batch(jnp.stack([points] * 2))[1], worst.points, rtol=0, atol=1e-6)
+
+
+@pytest.mark.slow
+def test_nodes_of_planes_stay_on_them_and_cells_without_free_nodes_do_not_count():
+    mesh = unit_grid(4)
+    x, y = mesh.points.T
+    points = mesh.points + np.stack([0 * x, 0.4 * np.exp(-((x / 0.3) ** 2)) * (1 - y) ** 4], axis=1)
+    left = x == 0
+    result = jm.improve(mesh, points, symmetry=jm.Plane((1, 0), (0, 0)), worst=True)
+    assert (np.asarray(result.points)[left, 0] == 0).all()
+    assert int(result.after) == 0
+    held = jm.improve(mesh, points, fixed=np.arange(len(points)), worst=True)
+    assert np.array_equal(held.points, points)
+    assert float(held.residual) == 0
+
+
+@pytest.mark.slow
+def test_a_cell_that_is_invalid_from_the_start_is_told_and_judged_by_its_own_margin():
+    """A quad with a corner beyond its diagonal, undeformed: not inverted by the motion, not proven, and no worse."""
+    mesh = unit_grid(3)
+    points = np.array(mesh.points)
+    points[0] = 0.8 * points[5] + 0.2 * points[0]  # of the first cell, all other nodes of which stay
+    mesh = mesh.moved(points)
+    result = jm.improve(mesh, points, fixed=np.arange(len(points)), worst=True)
+    assert int(result.before) == int(result.after) == 0
+    assert int(result.unproven) == int(result.from_start) == 1
+    assert "but for 1 (1 of them as on the undeformed mesh or better)" in str(result)
+
+
+def test_a_word_is_no_answer_to_worst():
+    mesh = unit_grid(2)
+    with pytest.raises(ValueError, match="`worst` must be"):
+        jm.improve(mesh, mesh.points, worst="yes")

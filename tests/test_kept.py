@@ -1,0 +1,174 @@
+"""Programs that a command keeps: found again by what they depend on, never where that may have changed."""
+
+import contextlib
+import os
+import pathlib
+import subprocess
+import sys
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jaxtyping import Array
+
+import jaxmorph as jm
+from jaxmorph import cases, io
+from jaxmorph._kernels import kept
+
+pytest.importorskip("filelock")
+
+COMMAND = """
+import sys, jax, jaxmorph
+from jax._src import monitoring
+traced = []
+def heard(event, seconds, **facts):
+    if event.endswith("jaxpr_trace_duration"):
+        traced.append(str(facts.get("fun_name")))
+monitoring.register_event_duration_secs_listener(heard)
+from jaxmorph.cli import main
+status = main()
+print("traced", *sorted(traced))
+sys.exit(status)
+"""
+
+
+class Pair(eqx.Module):
+    """Arrays and what is none."""
+
+    rows: Array
+    name: str
+    count: int
+
+
+def halves(pair: Pair, factor):
+    return Pair(pair.rows * factor, f"{pair.name} times", pair.count), pair.rows
+
+
+def packaged(function):
+    """The function as one of the package."""
+    function.__module__ = "jaxmorph.tests"
+    return function
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A folder of programs for this process, in which `Pair` is the package's."""
+    monkeypatch.setattr(kept, "_programs", {})
+    monkeypatch.setattr(kept, "_folder", None)
+    monkeypatch.setattr(kept, "_aside", contextlib.nullcontext)
+    monkeypatch.setattr(kept, "KNOWN", (*kept.KNOWN, __name__))
+    kept.keep(str(tmp_path), 2**20, contextlib.nullcontext)
+    return tmp_path
+
+
+def result(function, *arguments) -> Any:
+    found = kept.kept(function, (arguments, {}), (False, True), dict)
+    return None if found is None else found()
+
+
+def files(folder: pathlib.Path) -> list[pathlib.Path]:
+    return sorted(folder.glob("jaxmorph-*-cache"))
+
+
+def anew(monkeypatch):
+    """As a new process finds the folder."""
+    monkeypatch.setattr(kept, "_programs", {})
+
+
+def never(*_):
+    raise AssertionError("compiled again")
+
+
+def test_a_program_is_found_again_with_its_results(folder, monkeypatch):
+    x = jnp.arange(6.0).reshape(3, 2)
+    first = result(halves, Pair(x, "x", 3), 0.1)
+    assert len(files(folder)) == 1
+    anew(monkeypatch)
+    monkeypatch.setattr(kept, "_made", never)
+    for given in (x, x + 1):
+        (pair, same) = result(halves, Pair(given, "x", 3), 0.1)
+        np.testing.assert_array_equal(pair.rows, given * 0.1)
+        assert (pair.name, pair.count) == ("x times", 3)
+        assert same is given
+    np.testing.assert_array_equal(first[0].rows, x * 0.1)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        (Pair(jnp.ones((4, 2)), "x", 3), 0.1),
+        (Pair(jnp.ones((3, 2), np.float32), "x", 3), 0.1),
+        (Pair(jnp.ones((3, 2)), "y", 3), 0.1),
+        (Pair(jnp.ones((3, 2)), "x", 3), 0.2),
+        (Pair(jnp.ones((3, 2)), "x", 3), jnp.asarray(0.1)),
+    ],
+)
+def test_another_shape_type_or_static_argument_is_another_program(folder, arguments):
+    result(halves, Pair(jnp.ones((3, 2)), "x", 3), 0.1)
+    pair, _ = result(halves, *arguments)
+    assert len(files(folder)) == 2
+    np.testing.assert_array_equal(pair.rows, arguments[0].rows * arguments[1])
+    assert pair.name == f"{arguments[0].name} times"
+
+
+def test_changed_files_of_the_package_are_another_program(folder, monkeypatch):
+    x = Pair(jnp.ones((3, 2)), "x", 3)
+    result(halves, x, 0.1)
+    anew(monkeypatch)
+    monkeypatch.setattr(kept, "_world", lambda: b"another version")
+    result(halves, x, 0.1)
+    assert len(files(folder)) == 2
+
+
+def test_functions_and_classes_of_the_user_are_not_kept(folder, monkeypatch):
+    x, local = jnp.ones(3), packaged(lambda x: x + 1)
+    assert result(local, x) is None
+    monkeypatch.setattr(kept, "KNOWN", kept.KNOWN[:-1])
+    assert result(halves, x, 0.1) is None
+    assert result(jm.soft_maximum, (x, Pair(x, "x", 3))) is None
+    assert not files(folder)
+
+
+def test_a_program_that_calls_python_is_not_kept(folder):
+    @packaged
+    def asks(x):
+        return jax.pure_callback(np.sin, jax.ShapeDtypeStruct(x.shape, x.dtype), x)
+
+    asks.__qualname__ = "asks"
+    np.testing.assert_array_equal(result(asks, jnp.arange(3.0)), np.sin(np.arange(3.0)))
+    assert not files(folder)
+
+
+def test_a_damaged_file_is_no_fault(folder, monkeypatch):
+    x = Pair(jnp.ones((3, 2)), "x", 3)
+    result(halves, x, 0.1)
+    file = files(folder)[0]
+    for content in (b"", b"no program", file.read_bytes()[:1000]):
+        file.write_bytes(content)
+        anew(monkeypatch)
+        np.testing.assert_array_equal(result(halves, x, 0.1)[0].rows, np.full((3, 2), 0.1))
+
+
+def test_a_command_traces_nothing_again_and_writes_the_same_file(tmp_path):
+    mesh = cases.sharp_o_grid(around=24, layers=8)
+    io.write(tmp_path / "mesh.su2", mesh)
+    words = ["deform", "mesh.su2", "OUT", "--moving", "airfoil", "--fixed", "farfield", "--rotate", "5"]
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("JAX_")}
+    environment |= {"XDG_CACHE_HOME": str(tmp_path / "cache"), "PYTHONPATH": str(pathlib.Path(jm.__file__).parents[1])}
+
+    def run(name, **variables):
+        command = [sys.executable, "-c", COMMAND, *(name if word == "OUT" else word for word in words)]
+        done = subprocess.run(
+            command, cwd=tmp_path, env=environment | variables, capture_output=True, text=True, check=True
+        )
+        return (tmp_path / name).read_bytes(), done.stdout.split("traced")[-1].split()
+
+    plain, traced = run("plain.su2", JAXMORPH_CACHE="off")
+    assert any("refitted" in name for name in traced)
+    first, _ = run("first.su2")
+    again, traced = run("again.su2")
+    assert first == again == plain
+    assert not any("refitted" in name or "_deform" in name or "_offset" in name for name in traced)
