@@ -90,7 +90,7 @@ def check_against_samples(cell, count: int, per_side: int, seed: int = 0) -> Non
     ]
     assert (np.array(value) < 0).all()
     assert 0.1 < is_valid.mean() < 0.9
-    assert (~is_valid & ~is_invalid).mean() < (0.05 if cell.order < 3 else 0.2)
+    assert (~is_valid & ~is_invalid).mean() < 0.02
 
 
 @pytest.mark.parametrize("order", [1, 2])
