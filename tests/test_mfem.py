@@ -122,6 +122,7 @@ def test_a_mesh_in_space_that_lies_in_a_plane_has_two_coordinates(tmp_path):
         (("1 2 1 4 2", "1 2 1 4"), "line 8: an element of type 2 has 3 corners"),
         (("1 2 1 4 2", "1 1 1 4"), "cells of 2-D alone, or of 3-D alone, expected"),
         (("elements\n3", "elements\n4"), "a number of elements expected, and as many rows"),
+        ((mfem_meshes.FLAT, "MFEM mesh v1.0\n"), "no elements, boundary, vertices in this file; it is cut short"),
         (("boundary\n", "frontier\n"), "no boundary in this file"),
         (
             ("Ordering: 1", "Ordering: 7"),
@@ -141,5 +142,5 @@ def test_torn_and_periodic_meshes_are_told(tmp_path):
     words[0] = repr(float(words[0]) + 0.5)
     with pytest.raises(ValueError, match=r"nodes of cells that meet are 0\.5 apart; periodic meshes are not read"):
         io.read(saved(tmp_path, f"{head}Ordering: 0\n\n{' '.join(words)}\n"))
-    with pytest.raises(ValueError, match="only a mesh that was read from a MFEM file can be written to one"):
+    with pytest.raises(ValueError, match="only a mesh that was read from an MFEM file can be written to one"):
         io.write(tmp_path / "new.mesh", bricks(2))
