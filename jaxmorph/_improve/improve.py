@@ -141,7 +141,7 @@ def improve(
     - `ideal`: the target is the equilateral cell (a cube, a square) of the undeformed volume.
       Default False.
     - `size_weight`: weight of a change of size against a change of shape, 0 to 1, default 0.5.
-    - `worst`: raise the worst cell, default False. It takes two to five times as long.
+    - `worst`: raise the worst cell, default False. It takes three to six times as long.
     - `tolerance`: the last stage ends when the root mean square motion of the nodes, in units of
       their smallest cells, is smaller. Default 0.03.
     - `max_steps`: most Newton steps of a stage, default 60.
