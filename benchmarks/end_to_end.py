@@ -12,7 +12,6 @@ has by default; they read, judge and write no mesh.
 """
 
 import argparse
-import compileall
 import importlib
 import os
 import pathlib
@@ -26,8 +25,6 @@ from typing import Any
 import numpy as np
 from _measure import about, table
 from files import HEADER, box, write_foam
-
-import jaxmorph
 
 HEIGHT = 0.1
 
@@ -233,6 +230,14 @@ def run(kind: str, side: int, folder: pathlib.Path) -> list[list[str]]:
     return rows
 
 
+def write_bytecode(folder: str) -> None:
+    """Compiles all modules that the commands import, as installations do: their processes read it there."""
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+    os.environ["PYTHONPYCACHEPREFIX"] = folder
+    modules = ("scipy.interpolate", "jaxmorph.cli._deform", "jaxmorph.io._su2", "jaxmorph.io.openfoam.case")
+    subprocess.run([sys.executable, "-c", f"import {', '.join(modules)}"], check=True)
+
+
 def _forget(path: pathlib.Path) -> None:
     shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
 
@@ -253,10 +258,11 @@ if __name__ == "__main__":
     elif given.peer:
         peer(*given.peer)
     else:
-        compileall.compile_dir(str(pathlib.Path(jaxmorph.__file__).parent), quiet=2)  # as an installation does
         about(side=given.side)
         found: list[list[str]] = []
-        for each in given.cases:
-            with tempfile.TemporaryDirectory() as place:
-                found += run(each, given.side, pathlib.Path(place))
+        with tempfile.TemporaryDirectory() as bytecode:
+            write_bytecode(bytecode)
+            for each in given.cases:
+                with tempfile.TemporaryDirectory() as place:
+                    found += run(each, given.side, pathlib.Path(place))
         table(found, ("case", "what", "cores", "CPU s", "wall s", "peak GB"))

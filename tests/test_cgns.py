@@ -341,3 +341,15 @@ def test_bases(tmp_path):
         values[" data"] = np.array([[1], [10**12]])
     with pytest.raises(ValueError, match="condition high names elements beyond the last one, 5"):
         io.read(tmp_path / "a.cgns")
+
+
+def test_names_that_are_not_utf_8(tmp_path):
+    cgns.two_blocks(tmp_path / "a.cgns")
+    with h5py.File(tmp_path / "a.cgns", "r+") as file:
+        conditions = file["Base/one/ZoneBC"]
+        conditions[b"sym\xe9trie"] = conditions["c"]
+        del conditions["c"]
+    mesh = io.read(tmp_path / "a.cgns")
+    assert "sym\xe9trie" in mesh.patches
+    io.write(tmp_path / "b.cgns", mesh.moved(mesh.points * np.pi))
+    same(io.read(tmp_path / "b.cgns"), mesh.moved(mesh.points * np.pi))

@@ -19,6 +19,7 @@ from jaxmorph._host.surface.neighbours import near_walls
 from jaxmorph._methods.blocks import is_rows
 from jaxmorph._plan import slabs
 from jaxmorph._quality import batches, sides
+from jaxmorph.cases import naca4, wing
 
 METHODS = {
     "default": None,
@@ -181,12 +182,11 @@ def test_more_points_than_a_thread_searches_alone_get_equal_neighbours(few_point
         np.testing.assert_array_equal(first, other)
 
 
-@pytest.mark.parametrize("dimension", [2, 3])
-def test_quality_has_equal_bits_on_any_number_of_cores(few_points, monkeypatch, dimension):
-    mesh = jm.cases.naca4(points=3000) if dimension == 2 else body(2)
+@pytest.mark.parametrize("wall", ["airfoil", "wing"])
+def test_quality_has_equal_bits_on_any_number_of_cores(few_points, monkeypatch, wall):
+    mesh = naca4("2412", points=3000) if wall == "airfoil" else wing(points=300, stations=5)
     random, base = np.random.default_rng(0), np.asarray(mesh.points)
     points, found = base + 1e-3 * random.normal(size=base.shape), []
-    wall = next(iter(mesh.patches))
     for count in ("1", "2", "3"):
         monkeypatch.setenv(cores.SWITCH, count)
         faces = jm.face_quality(mesh, points)

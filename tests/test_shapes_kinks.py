@@ -101,7 +101,9 @@ def test_the_whole_naca_family_is_exact_at_its_nodes():
     codes = itertools.product(range(1, 10), range(1, 10), (6, 9, 12, 15, 18, 21, 24))
     family = [(camber / 100, place / 10, thickness / 100) for camber, place, thickness in codes]
     shape, last = shapes.NACA4(0.02, 0.4, 0.12), (0.1015, 0.1036)
-    move = jax.jit(jax.vmap(lambda given, x, p: eqx.tree_at(lambda it: it.given, shape, given)(x, p), (0, 0, None)))
+    move = jax.jit(
+        jax.vmap(lambda original, x, p: eqx.tree_at(lambda it: it.original, shape, original)(x, p), (0, 0, None))
+    )
     for edge, other in ((last[0], (0.04, 0.4, 0.15)), (last[1], (0.02, 0.6, 0.09))):
         sections = np.stack([naca(*given, count=41, last=edge) for given in family])
         moved = move(np.array(family), sections, np.array(other))

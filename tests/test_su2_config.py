@@ -427,6 +427,14 @@ DEFINITION_DV= ( 30, 0.5 | airfoil | 1, 0.3 ); ( HICKS_HENNE, 1.0 | airfoil | 0,
     np.testing.assert_allclose(defined.shape(x, [0.02, 0.02, 0.1]), plain + up, atol=1e-15)
 
 
+def test_names_are_in_any_case_and_the_result_is_su2s(folder):
+    io.write(folder / "airfoil.vtu", io.read(folder / "airfoil.su2"))
+    lines = "mesh_filename= airfoil.vtu\nMesh_Out_Filename= moved\ndv_kind= SCALE\nDV_MARKER= airfoil\nDV_VALUE= 1.1\n"
+    (folder / "case.cfg").write_text(lines)
+    case = su2.read_config(folder / "case.cfg")
+    assert (case.output, case.parameters.tolist()) == (folder / "moved.su2", [1.1])
+
+
 @pytest.mark.parametrize(
     ("change", "says"),
     [

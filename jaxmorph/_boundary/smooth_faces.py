@@ -79,7 +79,7 @@ def _raised(
     chosen = jnp.argmin(jax.lax.stop_gradient(jnp.sum((places - x[None]) ** 2, axis=1)))
     place, corner, normal = places[chosen], corners[chosen], normals[chosen]
     shares = _shares(place, corner)
-    above = jnp.sum((corner - place) * normal, axis=1)
+    above = jnp.sum((corner - place[None]) * normal, axis=1)
     mean = jnp.matmul(shares, normal, precision="highest")
     lift = jnp.matmul(shares * above, normal, precision="highest")
     length = norm(mean)  # zero where both sides of a plate cancel out
@@ -94,7 +94,7 @@ def _unit(vectors: Float[Array, "v d"], noise: Float[Array, " v"]) -> Float[Arra
 
 def _shares(place: Float[Array, " d"], corners: Float[Array, "d d"]) -> Float[Array, " d"]:
     """Computes barycentric coordinates of a place on a line or on a triangle."""
-    sides = corners[1:] - corners[0]
+    sides = corners[1:] - corners[0][None]
     gram = jnp.matmul(sides, sides.T, precision="highest")
     right = jnp.matmul(sides, place - corners[0], precision="highest")
     if len(sides) == 1:

@@ -267,8 +267,8 @@ class QualityReport(Module):
         """Reduces values over counting cells, the last axis; readable ones by NumPy, uncompiled."""
         mask = self.counted
         known = on_host(values)
-        values = tuple(np.asarray(each) for each in values) if known else values
-        counted = values if mask.all() else [each[..., np.flatnonzero(mask)] for each in values]
+        values = tuple(np.asarray(row) for row in values) if known else values
+        counted = values if mask.all() else [row[..., np.flatnonzero(mask)] for row in values]
         return array(reduce(np if known else jnp, *counted))
 
 

@@ -142,7 +142,9 @@ class Judged:
         """The least margins of all cells on the way, below 0 where a cell is not proven."""
         proofs = [self.proof] if self.way is None else self.way.proofs(self.mesh)
         below = -np.finfo(float).tiny
-        return np.min([np.where(each.is_valid, each.margin, np.minimum(each.margin, below)) for each in proofs], axis=0)
+        return np.min(
+            [np.where(proof.is_valid, proof.margin, np.minimum(proof.margin, below)) for proof in proofs], axis=0
+        )
 
     def write(self, path: Path) -> None:
         """Writes the mesh on its points, with the cells' quality where the format holds arrays."""

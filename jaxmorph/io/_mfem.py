@@ -1,8 +1,8 @@
-"""MFEM's .mesh, versions 1.0 to 1.3, straight or with nodes of order 1 to 4.
+"""MFEM's .mesh, versions 1.0 to 1.3, straight or of order 1 to 4 (mfem.org/mesh-formats).
 
-The format is that of mfem.org/mesh-formats. Nodes are the coordinates of a finite element space: H1, continuous, or L2_T1, whose cells have
-nodes of their own. From order 3 on MFEM's nodes are at Gauss-Lobatto places, the mesh's nodes at
-equal steps: the coordinates of the file are computed anew where cells have changed.
+Nodes are the coordinates of a finite element space: H1, continuous, or L2_T1, whose cells have
+nodes of their own. From order 3 on MFEM's nodes are at Gauss-Lobatto places, and the mesh has those
+at equal steps: the coordinates of the file are computed anew where cells have changed.
 """
 
 import dataclasses
@@ -69,9 +69,11 @@ class _Space:
         values = numbers.reshape(self.d, -1).T if self.by_nodes else numbers.reshape(-1, self.d)
         points = np.empty((total, self.d))
         points[node[::-1]] = values[::-1]  # the first of several
-        apart = np.abs(values - points[node]).max()
-        if not apart <= SAME * np.ptp(values, axis=0).max():
-            raise self.section.error(f"nodes of cells that meet are {apart:.3g} apart; periodic meshes are not read.")
+        distance = np.abs(values - points[node]).max()
+        if not distance <= SAME * np.ptp(values, axis=0).max():
+            raise self.section.error(
+                f"nodes of cells that meet are {distance:.3g} apart; periodic meshes are not read."
+            )
         return values, points
 
 
@@ -92,7 +94,7 @@ class _Content:
 
     def words(self, points: np.ndarray) -> np.ndarray:
         """Computes the file's numbers in its order; unchanged where points have not changed."""
-        new, old = (_at(self.cells, each, _to_lobatto) for each in (points, self.points))
+        new, old = (_at(self.cells, coordinates, _to_lobatto) for coordinates in (points, self.points))
         rows, d = self.values.copy(), points.shape[1]
         rows[:, :d] = np.where((new != old)[self.node], new[self.node], rows[:, :d])
         return rows.T.ravel() if self.space.by_nodes else rows.ravel()
@@ -116,15 +118,15 @@ def read(path: pathlib.Path) -> Mesh:
     text = path.read_bytes()
     parts = _sections(path, text)
     cells, sides = _elements(parts["elements"]), _elements(parts["boundary"])
-    if {DIMENSION[each.kind] for each in cells} not in ({2}, {3}):
+    if {DIMENSION[element.kind] for element in cells} not in ({2}, {3}):
         raise parts["elements"].error("cells of 2-D alone, or of 3-D alone, expected.")
     space = _space_of(parts)
-    if space.order > 1 and any(each.kind == "pyramid" for each in cells):
+    if space.order > 1 and any(element.kind == "pyramid" for element in cells):
         raise space.section.error("pyramids of order 2 and more are not read.")
     for section, group in (("elements", cells), ("boundary", sides)):
-        for each in group:
-            if each.corners.min() < 0 or each.corners.max() >= space.vertices:
-                raise parts[section].error(f"a {each.kind} has a vertex that is none of 0 to {space.vertices - 1}.")
+        for element in group:
+            if element.corners.min() < 0 or element.corners.max() >= space.vertices:
+                raise parts[section].error(f"a {element.kind} has a vertex that is none of 0 to {space.vertices - 1}.")
     nodes, of_sides, total = _numbered(cells, sides, space)
     node = _lexicographic(cells, nodes) if space.is_torn else np.arange(total)
     values, lobatto = space.coordinates(node, total)
@@ -134,7 +136,7 @@ def read(path: pathlib.Path) -> Mesh:
     start, stop = space.section.start, space.section.stop
     kept = Section(path, text[:start] + space.section.text[start:stop] + text[stop:], start, stop)
     content = _Content(kept, space, values, node, points, curved)
-    ids = np.concatenate([each.rows for each in cells])
+    ids = np.concatenate([element.rows for element in cells])
     patches = _patches(sides, of_sides)
     groups = _groups(parts.get("boundary_attribute_sets"), patches)
     source = Source(path, NAME, content, groups=groups, cell_ids=None if (np.diff(ids) == 1).all() else ids)
@@ -219,12 +221,12 @@ def _space_of(parts: dict[str, Section]) -> _Space:
 def _sides(cells: list[_Elements], table: dict[str, tuple[tuple[int, ...], ...]]) -> np.ndarray:
     """Lists edges or faces (k, 4), -1 behind the last corner, in the order of first appearance."""
     parts, places = [np.zeros((0, 4), np.int64)], [np.zeros(0, np.int64)]
-    for each in cells:
-        for local, side in enumerate(table.get(each.kind, ())):
-            part = np.full((len(each.rows), 4), -1)
-            part[:, : len(side)] = each.corners[:, side]
+    for element in cells:
+        for local, side in enumerate(table.get(element.kind, ())):
+            part = np.full((len(element.rows), 4), -1)
+            part[:, : len(side)] = element.corners[:, side]
             parts.append(part)
-            places.append(16 * each.rows + local)
+            places.append(16 * element.rows + local)
     sides = np.concatenate(parts)[np.argsort(np.concatenate(places))]
     return sides[np.sort(np.unique(np.sort(sides, axis=1), axis=0, return_index=True)[1])]
 
@@ -232,7 +234,7 @@ def _sides(cells: list[_Elements], table: dict[str, tuple[tuple[int, ...], ...]]
 def _numbered(
     cells: list[_Elements], sides: list[_Elements], space: _Space
 ) -> tuple[dict[str, np.ndarray], list[np.ndarray], int]:
-    """Numbers the nodes as H1 does: vertices, edges, faces, cells, each in the file's order.
+    """Numbers the nodes as H1 does: vertices, edges, faces, inside of cells, in the file's order.
 
     Returns nodes of the cells by type, those of sides, and the number of nodes.
     """
@@ -245,27 +247,27 @@ def _numbered(
             ("triangle", faces[is_triangle, :3], np.flatnonzero(is_triangle)),
             ("quad", faces[~is_triangle], np.flatnonzero(~is_triangle)),
         ],
-        [(each.kind, each.corners, each.rows) for each in cells],
+        [(element.kind, element.corners, element.rows) for element in cells],
     ]
     keys = [np.zeros((0, 16), np.int64)]
     for group in groups:  # those of one entity are consecutive, and entities of several types take turns
-        each = [_inner(corners, of_order(kind, order)) for kind, corners, _ in group]
-        places = [np.repeat(rows, part.shape[1]) for (_, _, rows), part in zip(group, each, strict=True)]
-        joined = np.concatenate([part.reshape(-1, 16) for part in each])
+        inner = [_inner(corners, of_order(kind, order)) for kind, corners, _ in group]
+        places = [np.repeat(rows, part.shape[1]) for (_, _, rows), part in zip(group, inner, strict=True)]
+        joined = np.concatenate([part.reshape(-1, 16) for part in inner])
         keys.append(joined[np.argsort(np.concatenate(places), kind="stable")])
     known = np.concatenate(keys)
-    all_keys = [node_keys(each.corners, of_order(each.kind, order)) for each in (*cells, *sides)]
+    all_keys = [node_keys(element.corners, of_order(element.kind, order)) for element in (*cells, *sides)]
     same = np.unique(
-        np.concatenate([known, *(each.reshape(-1, 16) for each in all_keys)]), axis=0, return_inverse=True
+        np.concatenate([known, *(keys.reshape(-1, 16) for keys in all_keys)]), axis=0, return_inverse=True
     )[1]
     number = np.full(same.max(initial=-1) + 1, -1)
     number[same.ravel()[: len(known)]] = count + np.arange(len(known))
     nodes, first = [], len(known)
-    for each, own in zip((*cells, *sides), all_keys, strict=True):
+    for element, own in zip((*cells, *sides), all_keys, strict=True):
         new = number[same.ravel()[first : first + own.shape[0] * own.shape[1]]].reshape(own.shape[:2])
-        nodes.append(np.concatenate([each.corners, new], axis=1))
+        nodes.append(np.concatenate([element.corners, new], axis=1))
         first += new.size
-    by_type = {of_order(each.kind, order).name: ids for each, ids in zip(cells, nodes, strict=False)}
+    by_type = {of_order(element.kind, order).name: ids for element, ids in zip(cells, nodes, strict=False)}
     return by_type, nodes[len(cells) :], count + len(known)
 
 
@@ -282,21 +284,21 @@ def _inner(corners: np.ndarray, cell: Lagrange) -> np.ndarray:
 
 
 def _lexicographic(cells: list[_Elements], nodes: dict[str, np.ndarray]) -> np.ndarray:
-    """Lists the node of each of L2's coordinates: cell by cell, the first axis fastest."""
+    """Lists the nodes of L2's coordinates: cell by cell, the first reference coordinate fastest."""
     parts, places = [], []
-    for each, (name, ids) in zip(cells, nodes.items(), strict=True):
+    for element, (name, ids) in zip(cells, nodes.items(), strict=True):
         order = np.lexsort(lagrange_types()[name].lattice.T)
         parts.append(ids[:, order].ravel())
-        places.append(np.repeat(each.rows, ids.shape[1]))
+        places.append(np.repeat(element.rows, ids.shape[1]))
     return np.concatenate(parts)[np.argsort(np.concatenate(places), kind="stable")]
 
 
 def _patches(sides: list[_Elements], nodes: list[np.ndarray]) -> dict[str, np.ndarray]:
     """Collects the nodes of boundary elements by their attribute."""
     found: dict[int, list[np.ndarray]] = {}
-    for each, ids in zip(sides, nodes, strict=True):
-        for attribute in np.unique(each.attributes).tolist():
-            found.setdefault(attribute, []).append(ids[each.attributes == attribute].ravel())
+    for element, ids in zip(sides, nodes, strict=True):
+        for attribute in np.unique(element.attributes).tolist():
+            found.setdefault(attribute, []).append(ids[element.attributes == attribute].ravel())
     return {f"boundary_{attribute}": np.concatenate(found[attribute]) for attribute in sorted(found)}
 
 
@@ -308,7 +310,9 @@ def _groups(section: Section | None, patches: Iterable[str]) -> dict[str, tuple[
         for name, words in re.findall(r'"([^"]*)"([\s\d]*)', text)
     }
     return {
-        name: members for name, each in sets.items() if (members := tuple(patch for patch in patches if patch in each))
+        name: members
+        for name, attributes in sets.items()
+        if (members := tuple(patch for patch in patches if patch in attributes))
     }
 
 

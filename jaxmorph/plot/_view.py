@@ -34,7 +34,7 @@ def add_bar(plotter: Any, label: str, limits: tuple[float | int, float | int], b
     title = label.replace("|", "\u2223")  # VTK begins a column at an ASCII bar
     bar = plotter.add_scalar_bar(f"{title}\n", vertical=True, fmt="%.6g", color=DARK, width=0.05, **beyond)
     bar.SetUnconstrainedFontSize(True)
-    ticks = np.asarray(MaxNLocator(5).tick_values(*limits))
+    ticks = np.asarray(MaxNLocator(6, steps=(1, 2, 2.5, 5, 10)).tick_values(*limits))
     bar.SetUseCustomLabels(True)
     bar.SetCustomLabels(pyvista().convert_array(ticks[(limits[0] <= ticks) & (ticks <= limits[1])]))
     bar.SetTextPad(8)

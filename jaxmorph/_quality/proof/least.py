@@ -47,7 +47,7 @@ def _places(kind: str, *x: Float[np.ndarray, "nodes k"]) -> Float[np.ndarray, "f
 
 
 def _found(kind: str, *x: Float[np.ndarray, "nodes k"]) -> Float[np.ndarray, "f k"]:
-    form, components = form_of(kind), [np.asarray(each, float) for each in x]
+    form, components = form_of(kind), [np.asarray(component, float) for component in x]
     columns = form.columns(components)
     values = form.determinant(columns)
     sign = np.where(form.mean(values) < 0, -1.0, 1.0)

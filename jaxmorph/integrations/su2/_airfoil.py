@@ -134,11 +134,11 @@ def airfoil_parts(
         rows, members = _of_side(listed, first, "HICKS_HENNE", side)
         if members:
             sign = 1 if side == UPPER else -1
-            parts.append(_bumps(rows, [each.numbers[1] for each in members], chord, sign * on))
+            parts.append(_bumps(rows, [variable.numbers[1] for variable in members], chord, sign * on))
         rows, members = _of_side(listed, first, "CST", side)
         if members:
-            parts.append(Kulfan(rows, tuple(_orders(each) for each in members), on))
-    camber = [k for k, each in enumerate(listed) if each.kind == "HICKS_HENNE_CAMBER"]
+            parts.append(Kulfan(rows, tuple(_orders(variable) for variable in members), on))
+    camber = [k for k, variable in enumerate(listed) if variable.kind == "HICKS_HENNE_CAMBER"]
     if camber:
         rows = tuple(first[camber].tolist())
         parts.append(_camber(rows, [listed[k].numbers[0] for k in camber], wall))
@@ -154,7 +154,9 @@ def airfoil_parts(
 def _of_side(
     listed: Sequence[Variable], first: Int[np.ndarray, " v"], kind: str, side: int
 ) -> tuple[tuple[int, ...], list[Variable]]:
-    members = [k for k, each in enumerate(listed) if each.kind == kind and _is_upper(each) == (side == UPPER)]
+    members = [
+        k for k, variable in enumerate(listed) if variable.kind == kind and _is_upper(variable) == (side == UPPER)
+    ]
     return tuple(first[members].tolist()), [listed[k] for k in members]
 
 

@@ -133,7 +133,7 @@ def read_config(path: str | os.PathLike[str], *, definition: bool = False) -> Co
             warnings.warn(f"{variable.kind} is left alone: it is the flow solver's, no wall moves by it.", stacklevel=3)
     return Config(
         mesh,
-        _with_ending(options.beside(options.text("MESH_OUT_FILENAME", "mesh_out.su2")), file.suffix),
+        _with_ending(options.beside(options.text("MESH_OUT_FILENAME", "mesh_out.su2"))),
         shape,
         _values(options, shape, definition),
         moving,
@@ -150,8 +150,9 @@ def _mesh_file(options: Options) -> pathlib.Path:
     return file if file.exists() or file.suffix else file.with_suffix(".su2")
 
 
-def _with_ending(file: pathlib.Path, ending: str) -> pathlib.Path:
-    return file if file.suffix else file.with_name(f"{file.name}{ending}")
+def _with_ending(file: pathlib.Path) -> pathlib.Path:
+    """Returns a file's name with SU2's ending, whatever it read, unless it has one."""
+    return file if file.suffix else file.with_name(f"{file.name}.su2")
 
 
 def _values(options: Options, shape: DesignVariables, definition: bool) -> Float[np.ndarray, " n"]:
@@ -197,8 +198,13 @@ def _shape(
     sizes = [variable.size for variable in listed]
     relaxed = options.number("OPT_RELAX_FACTOR", options.text("OPT_RELAX_FACTOR", "1"))
     # SU2 relaxes amplitudes, not the vectors of control points without a direction, nor camber
-    scales = [each.scale * (relaxed if each.size == 1 and each.kind != "HICKS_HENNE_CAMBER" else 1) for each in listed]
-    rest = [1 / scale if each.kind.startswith("SCALE") else 0.0 for each, scale in zip(listed, scales, strict=True)]
+    scales = [
+        variable.scale * (relaxed if variable.size == 1 and variable.kind != "HICKS_HENNE_CAMBER" else 1)
+        for variable in listed
+    ]
+    rest = [
+        1 / scale if variable.kind.startswith("SCALE") else 0.0 for variable, scale in zip(listed, scales, strict=True)
+    ]
     names = [
         f"{variable.kind}[{k}]" + (f"[{part}]" if variable.size > 1 else "")
         for k, variable in enumerate(listed)

@@ -31,7 +31,7 @@ def connections(zone: Zone, contents: Mapping[str, tuple[Zone, Content]]) -> Ite
     """Yields the periodic interfaces of a zone whose nodes are named on both sides."""
     for name, interface, turns in _interfaces(zone, "GridConnectivity1to1_t", "GridConnectivity_t"):
         parts, donor = dict(interface.items()), word(interface).rpartition("/")[2]
-        what = [each for each in ("PointRange", "PointList") if {each, f"{each}Donor"} <= parts.keys()]
+        what = [kind for kind in ("PointRange", "PointList") if {kind, f"{kind}Donor"} <= parts.keys()]
         if not turns or not what or donor not in contents:
             continue
         place, sides = _place(parts), []
@@ -39,7 +39,7 @@ def connections(zone: Zone, contents: Mapping[str, tuple[Zone, Content]]) -> Ite
             sides.append(_nodes(contents[other], name, place, data(parts[part]), what[0] == "PointRange"))
         if sides[0] is None or sides[1] is None:
             continue
-        values = {key: data(each).astype(float).ravel() for key, each in children(turns[0], "DataArray_t")}
+        values = {key: data(array).astype(float).ravel() for key, array in children(turns[0], "DataArray_t")}
         centre, angles = (values.get(key, np.zeros(3)) for key in ("RotationCenter", "RotationAngle"))
         yield Connection(name, np.unique(sides[0]), np.unique(sides[1]), centre, angles)
 
@@ -58,8 +58,8 @@ def _interfaces(zone: Zone, *labels: str) -> Iterator[tuple[str, Any, list[Any]]
     for _, connectivity in children(zone.group, "ZoneGridConnectivity_t"):
         for label in labels:
             for name, interface in children(connectivity, label):
-                properties = [each for _, each in children(interface, "GridConnectivityProperty_t")]
-                yield name, interface, [each for group in properties for _, each in children(group, "Periodic_t")]
+                properties = [group for _, group in children(interface, "GridConnectivityProperty_t")]
+                yield name, interface, [turn for group in properties for _, turn in children(group, "Periodic_t")]
 
 
 def _place(parts: Mapping[str, Any]) -> str:
@@ -101,7 +101,7 @@ def patches(zone: Zone, content: Content) -> Iterator[tuple[str, np.ndarray]]:
 
 
 def _nodes(where: tuple[Zone, Content], name: str, place: str, chosen: np.ndarray, is_range: bool) -> np.ndarray | None:
-    """Finds the nodes of a range or list of points, faces or elements; None for a region of cells."""
+    """Finds nodes of a range or list of points, faces or elements; None for a region of cells."""
     # ranges may run backwards; one that ends before the first node, or a list without entries,
     # is empty
     chosen = np.atleast_2d(chosen).astype(np.int64)
@@ -153,7 +153,7 @@ def _of_elements(
     most = (
         zone.count
         if place == "Vertex"
-        else max((begin + len(each.vertices) for begin, each in sections), default=1) - 1
+        else max((begin + len(section.vertices) for begin, section in sections), default=1) - 1
     )
     if place == "Vertex" and (chosen.min() < 1 or chosen.max() > most):
         raise zone.error(f"boundary condition {name} names vertices beyond 1 to {most}")
@@ -163,11 +163,11 @@ def _of_elements(
     if place == "Vertex":
         return numbers - 1 + zone.first
     nodes, count, solid = [np.zeros(0, np.int64)], 0, 0
-    for begin, each in sections:
-        rows = numbers[(numbers >= begin) & (numbers < begin + len(each.vertices))] - begin
+    for begin, section in sections:
+        rows = numbers[(numbers >= begin) & (numbers < begin + len(section.vertices))] - begin
         count += len(rows)
-        if each.dimension < content.dimension:
-            nodes.append(each.vertices[rows].ravel())
+        if section.dimension < content.dimension:
+            nodes.append(section.vertices[rows].ravel())
         else:
             solid += len(rows)
     if count < len(numbers):

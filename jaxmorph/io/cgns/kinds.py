@@ -43,11 +43,11 @@ def groups_of(file: Any, zones: list[Zone], names: Iterable[str]) -> dict[str, t
     above: dict[str, list[str]] = {}
     for _, base in children(file, "CGNSBase_t"):
         for name, family in children(base, "Family_t"):
-            above[name] = [word(each) for _, each in children(family, "FamilyName_t") if " data" in each]
+            above[name] = [word(condition) for _, condition in children(family, "FamilyName_t") if " data" in condition]
     groups: dict[str, dict[str, None]] = {}
     for zone in zones:
         for patch, _, condition in conditions(zone):
-            more = [word(each) for _, each in children(condition, "AdditionalFamilyName_t")]
+            more = [word(family) for _, family in children(condition, "AdditionalFamilyName_t")]
             for group in [*above.get(patch, []), *more]:
                 groups.setdefault(group, {})[patch] = None
     known = set(names)

@@ -2,7 +2,7 @@
 
 try:
     import h5py
-    from h5py import h5o  # pyright: ignore[reportAttributeAccessIssue]
+    from h5py import h5l, h5o  # pyright: ignore[reportAttributeAccessIssue]
 except ImportError as error:
     raise ImportError("CGNS, MED and Exodus files need h5py: pip install 'jaxmorph[io]'") from error
 
@@ -18,6 +18,7 @@ from jaxmorph import Mesh
 
 from .. import _netcdf
 from .._format import own_source
+from ..text.digits import decoded
 from . import adf
 
 WHAT = "a CGNS file in HDF5 or ADF"
@@ -72,6 +73,21 @@ def write_points(
             put(file, points, old)
 
 
+def _text(name: str | bytes) -> str:
+    """Returns a name as text; h5py has names that are not UTF-8 as bytes."""
+    return decoded(name) if isinstance(name, bytes) else name
+
+
+def _link(group: Any, name: str | bytes) -> Any:
+    """Returns the link of a group's member, as h5py's `get` does for names that are UTF-8."""
+    if isinstance(name, str):
+        return group.get(name, getlink=True)
+    kind = group.id.links.get_info(name).type
+    if kind == h5l.TYPE_EXTERNAL:
+        return h5py.ExternalLink(*map(_text, group.id.links.get_val(name)))
+    return h5py.SoftLink("elsewhere") if kind == h5l.TYPE_SOFT else h5py.HardLink()
+
+
 def _refuse_foreign_data(path: pathlib.Path, file: Any) -> None:
     """Raises `ValueError` where anything in an HDF5 file has its data in another one.
 
@@ -82,7 +98,7 @@ def _refuse_foreign_data(path: pathlib.Path, file: Any) -> None:
     while groups:
         group = groups.pop()
         for name in group:
-            link, place = group.get(name, getlink=True), f"{group.name.rstrip('/')}/{name}"[-200:]
+            link, place = _link(group, name), "/".join([_text(group.name).rstrip("/"), _text(name)])[-200:]
             if isinstance(link, h5py.ExternalLink):
                 raise ValueError(_FOREIGN.format(path, place, f"is a link to {link.filename}"))
             if isinstance(link, h5py.SoftLink):

@@ -43,7 +43,7 @@ def children(group: Any, label: str) -> Iterator[tuple[str, Any]]:
     for name in group:
         child = group[name]
         if hasattr(child, "keys") and text(child.attrs.get("label", b"")) == label:
-            yield name, child
+            yield (decoded(name) if isinstance(name, bytes) else name), child  # h5py: bytes unless UTF-8
 
 
 def text(value: Any) -> str:
