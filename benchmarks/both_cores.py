@@ -4,7 +4,8 @@ python benchmarks/both_cores.py [--n 216000] [--s 300]
 
 Each form is a process of its own: one core; all cores; for comparison all cores as so many devices of the host, over which
 `jaxmorph.shard` lays the points, and two processes of one core each at the same time. On a busy machine the CPU time of the
-busiest thread says what the wall time would be at least: it does not count waiting for a core.
+busiest thread says what the wall time would be at least: it does not count waiting for a core. The threads of `quality` and
+`face_quality` end with the call, so an equal share of the CPU time counts as their busiest thread.
 """
 
 import argparse
@@ -61,7 +62,10 @@ def measure(n: int, s: int, form: str, repeats: int = 15) -> None:
             before, wall, cpu = of_threads(), time.perf_counter(), time.process_time()
             jax.block_until_ready(call())
             wall, cpu, after = time.perf_counter() - wall, time.process_time() - cpu, of_threads()
-            times.append((1e3 * wall, 1e3 * cpu, max(after[key] - before.get(key, 0) for key in after)))
+            busiest = max(after[key] - before.get(key, 0) for key in after)
+            if name.endswith("quality"):  # its threads end with the call
+                busiest = max(busiest, 1e3 * cpu / cores)
+            times.append((1e3 * wall, 1e3 * cpu, busiest))
         best = (min(column) for column in zip(*times, strict=True))
         print(
             f"| {name} | {form} | {' | '.join(f'{value:.1f}' for value in best)} | {os.getloadavg()[0]:.1f} |",
