@@ -119,6 +119,15 @@ def test_a_file_without_entities_is_read(tmp_path, version, binary):
     assert_as_gmsh_reads(tmp_path / "a.msh", mesh, 3)
 
 
+def test_a_second_mesh_in_the_file_is_told(tmp_path):
+    """gmsh writes the mesh again with each view that it adds to a file; half of such a file would move."""
+    write(tmp_path / "a.msh", 2, 4.1, 0, "plain")
+    data = (tmp_path / "a.msh").read_bytes()
+    (tmp_path / "a.msh").write_bytes(data + data[data.index(b"$Nodes") :])
+    with pytest.raises(ValueError, match=r"in \$Nodes \(a second one; gmsh adds a view without the mesh"):
+        io.read(tmp_path / "a.msh")
+
+
 def test_parameters_of_nodes_stay(tmp_path):
     """Between the coordinates in the text of a file, parameters of the nodes keep their digits."""
     for version in (2.2, 4.0, 4.1):

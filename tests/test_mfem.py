@@ -142,5 +142,5 @@ def test_torn_and_periodic_meshes_are_told(tmp_path):
     words[0] = repr(float(words[0]) + 0.5)
     with pytest.raises(ValueError, match=r"nodes of cells that meet are 0\.5 apart; periodic meshes are not read"):
         io.read(saved(tmp_path, f"{head}Ordering: 0\n\n{' '.join(words)}\n"))
-    with pytest.raises(ValueError, match="only a mesh that was read from a MFEM file can be written to one"):
+    with pytest.raises(ValueError, match="only a mesh that was read from an MFEM file can be written to one"):
         io.write(tmp_path / "new.mesh", bricks(2))

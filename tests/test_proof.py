@@ -304,6 +304,9 @@ def test_quality_finds_the_curved_cells_that_the_bounds_call_invalid(shape, orde
     found = np.asarray(report.jacobian)[hidden]
     assert (found <= proof.upper[hidden] + 1e-9).all()  # a Gauss point may be lower still
     assert (found >= proof.lower[hidden] - 1e-9).all()
+    single = jm.quality(mesh, points.astype(np.float32))
+    assert single.jacobian.dtype == np.float32
+    assert (np.asarray(single.is_inverted) == inverted).mean() > 0.98
     traced, both = jax.jit(lambda x: jm.inverted(mesh, x)), jax.vmap(lambda x: jm.inverted(mesh, x))
     np.testing.assert_array_equal(traced(points), inverted)
     np.testing.assert_array_equal(both(np.stack([base, points])), np.stack([0 * inverted, inverted]))

@@ -6,7 +6,7 @@ import itertools
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from .._kernels.values import norm
 from .facets import Faceted, nearest_of, normal_of
@@ -48,13 +48,27 @@ class SmoothFaces(Faceted):
             weights = weights.at[faces[:, k]].add(weight)
             # Round an inner vertex each neighbour comes first once and last once: ids cancel out.
             turns = turns.at[faces[:, k]].add(faces[:, (k + 1) % size] - faces[:, k - 1] if size == 3 else 1 - 2 * k)
-        unit, is_rim, beyond = _unit(total, CANCELLED * weights), turns != 0, jnp.zeros_like(vertices)
+        unit = _unit(total, CANCELLED * weights)
+        return jnp.where((turns != 0)[:, None], self._beyond(unit, turns != 0), unit)
+
+    def _beyond(self, unit: Float[Array, "v d"], is_rim: Bool[Array, " v"]) -> Float[Array, "v d"]:
+        """Continues the normals of inner vertices along edges, exact on a sphere.
+
+        A short edge counts most: those of quads, not their diagonals. Without inner neighbours a
+        vertex keeps its normal.
+        """
+        vertices, faces = jnp.asarray(self.vertices, unit.dtype), jnp.asarray(self.faces)
+        total, weights, size = jnp.zeros_like(unit), jnp.zeros(len(unit), unit.dtype), faces.shape[1]
+        reach = jnp.max(jnp.sum((vertices[faces[:, 1]] - vertices[faces[:, 0]]) ** 2, axis=1))
         for k, step in itertools.permutations(range(size), 2):
-            other = unit[faces[:, step]]
-            mirrored = 2 * jnp.sum(other * flat, axis=1, keepdims=True) * flat - other
-            beyond = beyond.at[faces[:, k]].add(jnp.where(is_rim[faces[:, step], None], 0, mirrored))
-        goes_on = is_rim & (norm(beyond) > CANCELLED)
-        return jnp.where(goes_on[:, None], _unit(beyond, none), unit)
+            other, side = unit[faces[:, step]], vertices[faces[:, k]] - vertices[faces[:, step]]
+            squared = jnp.sum(side**2, axis=1)
+            share = jnp.where(squared > 0, jnp.sum(other * side, axis=1) / jnp.where(squared > 0, squared, 1), 0)
+            weight = jnp.where(is_rim[faces[:, step]] | (squared <= 0), 0, reach / jnp.where(squared > 0, squared, 1))
+            total = total.at[faces[:, k]].add(weight[:, None] ** 2 * (other - 2 * share[:, None] * side))
+            weights = weights.at[faces[:, k]].add(weight**2)
+        goes_on = norm(total) > CANCELLED * weights
+        return jnp.where(goes_on[:, None], _unit(total, CANCELLED * weights), unit)
 
     def _nearest(
         self, x: Float[Array, " d"], normals: Float[Array, "v d"]

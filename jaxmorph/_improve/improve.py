@@ -35,7 +35,7 @@ class Improvement(Module):
     - `points`: the improved points (n, d).
     - `before`, `after`: number of inverted cells before and after, as `quality` counts them.
     - `unproven`: number of cells that may fold inside: `proven_margin` at depth 1 is not positive.
-    - `from_start`: number of `unproven` cells that are not proven on the undeformed mesh either, and
+    - `from_start`: number of unproven cells that are not proven on the undeformed mesh either, and
       whose margin there was no larger: the motion has not harmed them.
     - `energy`: mean distortion of a cell, 0 if all cells have the shape and size of their targets.
     - `residual`: largest derivative of the summed distortion, with `worst` the stiffened sum, with

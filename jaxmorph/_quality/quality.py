@@ -272,7 +272,7 @@ def _sizes(kind: str, x: list[Vector]) -> tuple[Either, Either, Either]:
 
 
 def _with_largest(values: Float[Either, "s k"], rows: int) -> Float[Either, "rows k"]:
-    """Returns values of samples, with the largest of them for the least Jacobian if it has a row."""
+    """Returns values of samples; the least Jacobian, if it has a row, gets the largest."""
     if len(values) == rows:
         return values
     return namespace(values).concatenate([values, values.max(axis=0, keepdims=True)])

@@ -1,4 +1,4 @@
-"""MFEM's .mesh, versions 1.0 to 1.3, straight or with nodes of order 1 to 4 (mfem.org/mesh-formats).
+"""MFEM's .mesh, versions 1.0 to 1.3, straight or of order 1 to 4 (mfem.org/mesh-formats).
 
 Nodes are the coordinates of a finite element space: H1, continuous, or L2_T1, whose cells have
 nodes of their own. From order 3 on MFEM's nodes are at Gauss-Lobatto places, and the mesh has those
@@ -234,7 +234,7 @@ def _sides(cells: list[_Elements], table: dict[str, tuple[tuple[int, ...], ...]]
 def _numbered(
     cells: list[_Elements], sides: list[_Elements], space: _Space
 ) -> tuple[dict[str, np.ndarray], list[np.ndarray], int]:
-    """Numbers the nodes as H1 does: vertices, edges, faces, then inside of cells, in the file's order.
+    """Numbers the nodes as H1 does: vertices, edges, faces, inside of cells, in the file's order.
 
     Returns nodes of the cells by type, those of sides, and the number of nodes.
     """
@@ -284,7 +284,7 @@ def _inner(corners: np.ndarray, cell: Lagrange) -> np.ndarray:
 
 
 def _lexicographic(cells: list[_Elements], nodes: dict[str, np.ndarray]) -> np.ndarray:
-    """Lists the node of each coordinate of L2: cell by cell, the first reference coordinate fastest."""
+    """Lists the nodes of L2's coordinates: cell by cell, the first reference coordinate fastest."""
     parts, places = [], []
     for element, (name, ids) in zip(cells, nodes.items(), strict=True):
         order = np.lexsort(lagrange_types()[name].lattice.T)

@@ -76,7 +76,7 @@ def terms(space: Space, places: Either) -> Either:
     for dimension, degree in space:
         local = places[first : first + dimension]
         barycentric = xp.concatenate([1 - local.sum(axis=0, keepdims=True), local])
-        own = (barycentric[None] ** indices(dimension, degree)[:, :, None]).prod(axis=1)
+        own = (barycentric[None] ** indices(dimension, degree)[:, :, None]).prod(axis=1).astype(places.dtype)
         product, first = (product[:, None] * own[None]).reshape(-1, places.shape[1]), first + dimension
     return product
 

@@ -101,7 +101,7 @@ def patches(zone: Zone, content: Content) -> Iterator[tuple[str, np.ndarray]]:
 
 
 def _nodes(where: tuple[Zone, Content], name: str, place: str, chosen: np.ndarray, is_range: bool) -> np.ndarray | None:
-    """Finds the nodes of a range or list of points, faces or elements; None for a region of cells."""
+    """Finds nodes of a range or list of points, faces or elements; None for a region of cells."""
     # ranges may run backwards; one that ends before the first node, or a list without entries,
     # is empty
     chosen = np.atleast_2d(chosen).astype(np.int64)

@@ -176,8 +176,9 @@ def _lines(stream: Stream) -> list[Elements]:
         raise stream.section.error("an element has a number, a type, and numbers of tags or of nodes.", line)
     numbers, tags = values[first + 1], np.zeros_like(first) if is_first else values[first + 2]
     known, place = np.unique(numbers, return_inverse=True)
-    wanted = head + tags + np.array([CORNERS_OF[_kind(number)] for number in known.tolist()], np.int64)[place]
-    wrong = np.flatnonzero((counts != wanted) | (tags < 0))
+    corners = np.array([CORNERS_OF[_kind(number)] for number in known.tolist()], np.int64)[place]
+    wanted = head + tags + corners
+    wrong = np.flatnonzero((counts != wanted) | (tags < 0) | (is_first & (values[first + head - 1] != corners)))
     if len(wrong):
         raise stream.section.error(f"{counts[wrong[0]]} numbers, {wanted[wrong[0]]} expected.", 1 + int(wrong[0]))
     result = []
