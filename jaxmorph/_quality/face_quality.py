@@ -83,7 +83,8 @@ class _Shape:
         sums /= np.maximum(sides.counts, 1)
         moments, volumes = np.zeros_like(sums), np.zeros(sides.total)
         for group, centres, areas in faces:
-            for block, parts in group.measured(lambda block, of=(centres, areas): pyramids(block, *of, sums)):
+            measure = functools.partial(pyramids, centres=centres, areas=areas, means=sums)
+            for block, parts in group.measured(measure):
                 for (_, cells), (volume, first) in zip(block.views, parts, strict=True):
                     np.add.at(volumes, cells, volume)
                     for total, component in zip(moments, first, strict=True):
