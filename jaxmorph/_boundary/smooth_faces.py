@@ -42,7 +42,7 @@ class SmoothFaces(Faceted):
         for k in range(size):
             sides = [corners[:, (k + step) % size] - corners[:, k] for step in range(1, size)]
             squared = functools.reduce(jnp.multiply, [jnp.sum(side**2, axis=1) for side in sides])
-            area = norm(jnp.cross(*sides)) if size == 3 else norm(sides[0])
+            area = norm(jnp.cross(sides[0], sides[1])) if size == 3 else norm(sides[0])
             weight = area / jnp.where(squared > 0, squared, jnp.inf)
             total = total.at[faces[:, k]].add(weight[:, None] * flat)
             weights = weights.at[faces[:, k]].add(weight)

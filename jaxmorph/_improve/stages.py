@@ -1,6 +1,7 @@
 """Stages of `improve`: a barrier that sharpens, then a bound on the distortion that falls."""
 
 import dataclasses
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -121,11 +122,9 @@ def _minimise(distortion: Distortion, y, base, search: Search, end: Any):
     wanted, (relative, absolute) = end
     blocks, _, max_steps, progress = search
 
-    def on_host(softness, energy):
-        progress(float(softness), float(energy))  # numbers: work with JAX arrays may wait for this program
-
     def report_step(**report):
         if progress is not None:
+            on_host = functools.partial(_as_numbers, progress)
             jax.debug.callback(on_host, distortion.softness, report["loss_this_step"][1])
 
     solver = ProjectedNewton(
@@ -145,6 +144,10 @@ def _minimise(distortion: Distortion, y, base, search: Search, end: Any):
         return run.value, run.stats["num_steps"]
 
     return jax.lax.cond(wanted, minimum, lambda y: (y, jnp.asarray(0)), y)
+
+
+def _as_numbers(progress: Callable[[float, float], None], softness: Any, energy: Any) -> None:
+    progress(float(softness), float(energy))  # numbers: work with JAX arrays may wait for the program
 
 
 @compiled
