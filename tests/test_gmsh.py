@@ -44,7 +44,8 @@ def write(path, dimension: int, version: float, binary: int, variant: str) -> No
     if variant in ("partitioned", "ghosts"):
         gmsh.model.mesh.partition(3)
     options = {"MshFileVersion": version, "Binary": binary, "SaveAll": variant == "all"}
-    for name, value in (options | {"SaveParametric": variant == "parametric"}).items():
+    # gmsh itself cannot open a file of version 1 with parameters
+    for name, value in (options | {"SaveParametric": variant == "parametric" and version > 1}).items():
         gmsh.option.setNumber(f"Mesh.{name}", value)
     gmsh.write(str(path))
 
@@ -159,7 +160,7 @@ def test_tags_far_apart_take_no_memory(tmp_path, version, binary):
     gmsh.model.addDiscreteEntity(2, 1)
     gmsh.model.mesh.addNodes(2, 1, [7, 10**9, 3], [0, 0, 0, 1, 0, 0, 0, 1, 0])
     gmsh.model.mesh.addElementsByType(1, 2, [10**9], [3, 7, 10**9])
-    for name, value in (("MshFileVersion", version), ("Binary", binary), ("SaveAll", 1)):
+    for name, value in (("MshFileVersion", version), ("Binary", binary), ("SaveAll", 1), ("SaveParametric", 0)):
         gmsh.option.setNumber(f"Mesh.{name}", value)
     gmsh.write(str(tmp_path / "a.msh"))
     assert_as_gmsh_reads(tmp_path / "a.msh", io.read(tmp_path / "a.msh"), 2)

@@ -46,7 +46,7 @@ def test_words_are_read_as_python_reads_them():
 
 
 @pytest.mark.parametrize(
-    "word", ["1.5.2", "1-2", "1.5-300", "1e5.3", "1e5e3", "5e", "5e+", "--1", "1..2", "1d5", "1x", "0x10", "1,2"]
+    "word", ["1.5.2", "1-2", "1.5-300", "1e5.3", "1e5e3", "5e", "5e+", "--1", "1..2", "1d5d3", "1x", "0x10", "1,2"]
 )
 def test_what_begins_like_a_number_is_none(word):
     text = f"1 2\n3 {word}\n5 6\n".encode()
