@@ -81,6 +81,7 @@ def test_a_patch_that_is_not_named_is_an_error_unless_it_is_free(here, capsys):
     assert 'free = ["inlet", "out.*"]' in (here / "job.toml").read_text()
     assert main(["deform", "--job", "job.toml"]) == 0
     np.testing.assert_array_equal(io.read("out.su2").points, first)
+    assert deform("channel.su2", *flags, "--fixed", "inlet", "--free", "outlet") == 0  # beside the first --fixed
     assert deform("channel.su2", *flags, "--free", "side") == 2
     assert "no patch is called 'side'" in capsys.readouterr().err
 

@@ -25,8 +25,8 @@ class Boundary:
 
     SECTION: ClassVar = "surface"
 
-    fixed: tuple[str, ...] = flag("patches that stay", everyday=True, **SEVERAL)
-    symmetry: tuple[str, ...] = flag("plane patches in which nodes slide", everyday=True, **SEVERAL)
+    fixed: tuple[str, ...] = flag("patches that stay", everyday=True, action="extend", **SEVERAL)
+    symmetry: tuple[str, ...] = flag("plane patches in which nodes slide", everyday=True, action="extend", **SEVERAL)
     sliding: tuple[str, ...] = flag("patches whose nodes slide along their faces", action="extend", **SEVERAL)
     periodic: tuple[str, ...] = flag(
         "pairs of patches that repeat each other, one name after the other", action="extend", **SEVERAL

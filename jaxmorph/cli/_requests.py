@@ -113,7 +113,7 @@ class Modes:
         "OUT",
         type=_output,
     )
-    moving: tuple[str, ...] = flag(WHAT_MOVES, section="surface", everyday=True, **SEVERAL)
+    moving: tuple[str, ...] = flag(WHAT_MOVES, section="surface", everyday=True, action="extend", **SEVERAL)
     boundary: Boundary = part(Boundary)
     mode: tuple[Path, ...] = flag(
         "displacements of the moving nodes: rows of node id, x, y[, z], or .npz",
@@ -162,7 +162,7 @@ class Sensitivity:
         everyday=True,
     )
     set: tuple[tuple[str, tuple[float, ...]], ...] = flag(CHANGES_HELP, **CHANGES)
-    moving: tuple[str, ...] = flag(WHAT_MOVES, section="surface", everyday=True, **SEVERAL)
+    moving: tuple[str, ...] = flag(WHAT_MOVES, section="surface", everyday=True, action="extend", **SEVERAL)
     boundary: Boundary = part(Boundary)
     method: Method = part(Method)
     speech: Speech = part(Speech)
