@@ -205,7 +205,8 @@ def test_every_method_moves_a_p2_cylinder_and_no_cell_folds_on_the_way(name):
     """High-order nodes are points like any others: four motions, proven inside of every cell at every instant."""
     mesh = jm.curve(jm.elevate(ring(16, 4), 2), unit, "wall", "far")
     nodes = mesh.patch("wall")
-    wall, angle = mesh.points[nodes], np.arctan2(*mesh.points[nodes].T[::-1])
+    wall = np.asarray(mesh.points)[nodes]
+    angle = np.arctan2(wall[:, 1], wall[:, 0])
     turn = np.deg2rad(20)
     rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
     method = entry(name).make(Extent(wall, mesh.points[mesh.patch("far")]))
