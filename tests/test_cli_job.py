@@ -308,7 +308,11 @@ sys.exit(main(["deform", "ring.su2", "out.su2", *{MOVE!r}, "--method", "graph"])
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.stderr == "jaxmorph deform: interrupted; no file is half written.\n"
     assert done.returncode == 128 + signal.SIGINT
-    assert sorted(path.name for path in here.iterdir()) == ["ring.su2", "shift.csv"]
+    left = {path.name for path in here.iterdir()} - {"ring.su2", "shift.csv"}
+    assert left <= {"out.su2"}  # on one core nothing; beside the signal a thread gives the whole file its name
+    if left:
+        assert main(["deform", "ring.su2", "again.su2", *MOVE, "--method", "graph"]) == 0
+        assert (here / "out.su2").read_bytes() == (here / "again.su2").read_bytes()
 
 
 INTERRUPTED = """

@@ -27,9 +27,8 @@ class Writing:
         self._call.result()
 
     def drop(self) -> None:
-        """Removes what has been written."""
-        if self._is_decided.is_set():
-            return
+        """Removes what has been written, and waits for it, unless the file is there already."""
+        self._is_wanted = False
         self._is_decided.set()
         if cores() > 1:
             with contextlib.suppress(Exception):  # a fault of a file that nobody wants
