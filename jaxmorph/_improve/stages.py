@@ -34,7 +34,7 @@ CLOSE = 0.03
 
 
 class Search(NamedTuple):
-    """What all stages share: the Hessian's pattern, and when a stage ends."""
+    """Settings that all stages share: the Hessian's pattern, and when a stage ends."""
 
     blocks: Pattern
     tolerance: Float[Array, ""]
@@ -48,7 +48,7 @@ class Search(NamedTuple):
 
 
 class Minimum(NamedTuple):
-    """Where a distortion is least, and the number of steps up to there."""
+    """Place where a distortion is least, and the number of steps up to there."""
 
     distortion: Distortion
     y: Float[Array, "n d"]

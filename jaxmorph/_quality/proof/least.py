@@ -15,7 +15,7 @@ from .form import form_of
 from .search import ROOM, bounds
 
 DEPTH = 4
-"""How often a cell is cut where its sign is open, as in `proof`."""
+"""Number of cuts of a cell where its sign is open, as in `proof`."""
 
 
 def has_least(kind: str, d: int) -> bool:

@@ -21,7 +21,7 @@ SIDED = ("HICKS_HENNE", "CST", "NACA_4DIGITS", "PARABOLIC")
 TAIL = 0.99
 """The place along the chord behind which `HICKS_HENNE_CAMBER` moves nothing."""
 EPS = 1e-16
-"""What SU2 adds to numbers that it takes powers of."""
+"""Number that SU2 adds to numbers before it takes their powers."""
 
 
 class Bumps(AbstractPart):

@@ -1,4 +1,4 @@
-"""What moves a wall by some design variables."""
+"""Motion of a wall by some design variables."""
 
 import abc
 

@@ -1,4 +1,4 @@
-"""What stays: planes of control points, so that no wall tears, and nodes in symmetry planes."""
+"""Nodes of symmetry planes, and planes of control points that stay so that no wall tears."""
 
 from collections.abc import Sequence
 

@@ -28,7 +28,7 @@ EXTENSIONS = {
     **{f"FORCE_{axis}": f"cf{axis.lower()}" for axis in "XYZ"},
     **{"EQUIVALENT_AREA": "ea", "NEARFIELD_PRESSURE": "nfp", "FIGURE_OF_MERIT": "merit"},
 }
-"""What SU2 puts between an adjoint file's name and its ending, by the objective."""
+"""Words that SU2 puts between an adjoint file's name and its ending, by the objective."""
 
 NORMAL = ("surface_sensitivity", "sensitivity")
 """Columns of the derivative by a motion into the body, of the continuous adjoint solver."""

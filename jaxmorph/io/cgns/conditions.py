@@ -1,4 +1,4 @@
-"""What a zone of a CGNS file says of its boundary: conditions, and interfaces to other zones."""
+"""Boundary of a zone of a CGNS file: conditions, and interfaces to other zones."""
 
 import contextlib
 import dataclasses
