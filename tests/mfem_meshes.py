@@ -48,7 +48,7 @@ def straight(mesh: jm.Mesh, name: str) -> str:
     return "\n".join(parts)
 
 
-SOLID = """\
+CELLS = """\
 MFEM mesh v1.0
 
 dimension
@@ -70,6 +70,12 @@ boundary
 vertices
 11
 
+"""
+"""Cells, boundary and vertices of `SOLID` and `SOLID2`."""
+
+SOLID = (
+    CELLS
+    + """\
 nodes
 FiniteElementSpace
 FiniteElementCollection: H1_3D_P3
@@ -106,6 +112,7 @@ Ordering: 0
 0.7236067977 1.000844582 1.002211146 1.005788854 1.015155418 1.358222222 1.344 1.339555556 0.2897265356 0.7369401311
 0.2772377847 0.2786043479 0.2821820566 0.2915486198 0.7244513802 0.7258179434 0.7293956521 0.7387622153
 """
+)
 
 FLAT = """\
 MFEM mesh v1.0
@@ -185,28 +192,9 @@ Ordering: 0
 1.203703704 1.68255107 0.8557770876 1.21744893 0.95
 """
 
-SOLID2 = """\
-MFEM mesh v1.0
-
-dimension
-3
-
-elements
-3
-1 6 1 8 2 5 9 6
-7 5 0 1 2 3 4 5 6 7
-1 4 5 9 6 10
-
-boundary
-4
-3 3 0 3 2 1
-3 2 1 2 8
-5 3 0 1 5 4
-9 2 9 6 10
-
-vertices
-11
-
+SOLID2 = (
+    CELLS
+    + """\
 nodes
 FiniteElementSpace
 FiniteElementCollection: H1_3D_P2
@@ -220,3 +208,4 @@ Ordering: 1
 0.34375 0.50375 1.545 0.84375 0.53375 1.02 0.5 0.51 0.525 0.50625 0.005 0.5 -0.01875 0.5 0.595 0.98125 0.52 0.025 0.5
 0.5 0.52 0.45625 1.005 0.5225 0.48125 0.505
 """
+)
