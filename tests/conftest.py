@@ -2,18 +2,15 @@
 
 import collections
 import contextlib
-import ctypes
-import gc
 import os
-import pathlib
 import resource
 import sys
 import tempfile
 
-import equinox as eqx
 import jax
 import jaxtyping
 import pytest
+from memory import drop_compiled
 
 if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
     # one folder of compiled code for the workers and for the processes that tests start; with a limit to its size JAX locks it
@@ -36,9 +33,6 @@ jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 MEMORY = {}
 """Largest resident memory of each worker, bytes."""
-EMPTIED = [0.5e9]
-"""Memory of this process after compiled code was dropped last, bytes."""
-
 
 LONG = (
     *("notebooks", "openfoam_runs", "wing", "fuzz", "choose", "improve", "shared_cases", "conditioning", "demo_wing"),
@@ -114,23 +108,8 @@ def stack_limit():
 
 
 def pytest_runtest_teardown(item, nextitem):
-    """Drops compiled code after each file, and where it fills memory, so that a worker stays below 1.5 GB."""
-    if nextitem is None or nextitem.path != item.path or _resident() > EMPTIED[0] + 0.4e9:
-        eqx.clear_caches()
-        jax.clear_caches()
-        gc.collect()
-        with contextlib.suppress(OSError, AttributeError):  # glibc alone has it
-            ctypes.CDLL(None).malloc_trim(0)
-        EMPTIED[0] = _resident()
-
-
-def _resident():
-    """Memory of this process, bytes; 0 where the system does not tell."""
-    try:
-        pages = pathlib.Path("/proc/self/statm").read_text().split()[1]
-    except OSError:
-        return 0
-    return int(pages) * os.sysconf("SC_PAGE_SIZE")
+    """Drops compiled code after each file, and where it fills memory."""
+    drop_compiled(nextitem is None or nextitem.path != item.path)
 
 
 def pytest_sessionfinish(session):

@@ -7,6 +7,7 @@ import mpmath
 import numpy as np
 import pytest
 from meshes import lattice
+from runs import runs
 from scipy.spatial import KDTree
 
 import jaxmorph as jm
@@ -276,7 +277,7 @@ SQUEEZED = {
 }
 
 
-@pytest.mark.parametrize("name", SQUEEZED)
+@pytest.mark.parametrize("name", runs(["compact", "layered"], slow=["local", "corrected"]))
 def test_a_base_on_which_nodes_come_nearer_is_refused_or_nan(name):
     """What `refit` gives is what `prepare` gives on the new base, or an error; traced, NaN."""
     method, factor = SQUEEZED[name]

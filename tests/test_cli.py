@@ -280,6 +280,7 @@ def test_a_case_is_called_by_the_name_of_its_folder(tmp_path, monkeypatch, capsy
     assert "case: " in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_a_process_of_its_own_computes_in_double_precision(here):
     command = [sys.executable, "-m", "jaxmorph", "deform", "ring.su2", "own.su2", "--moving", "wall", "--fixed", "far"]
     done = subprocess.run(

@@ -40,6 +40,7 @@ def test_it_is_in_the_users_cache_folder_with_a_limit_and_a_lock(tmp_path):
     assert list(tmp_path.rglob(".lockfile"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("variables", [{"JAXMORPH_CACHE": "off"}, {"JAX_COMPILATION_CACHE_DIR": "elsewhere"}])
 def test_it_can_be_turned_off_or_elsewhere(tmp_path, variables):
     if "JAX_COMPILATION_CACHE_DIR" in variables:
@@ -50,6 +51,7 @@ def test_it_can_be_turned_off_or_elsewhere(tmp_path, variables):
     assert not (tmp_path / "jaxmorph").exists()
 
 
+@pytest.mark.slow
 def test_a_folder_that_cannot_be_made_is_no_error(tmp_path):
     (tmp_path / "file").write_text("")
     (folder, _), _ = kept(tmp_path, XDG_CACHE_HOME=str(tmp_path / "file"))

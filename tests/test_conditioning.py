@@ -8,16 +8,15 @@ import numpy as np
 import pytest
 from cases import body, full, motion, surface_values
 from oracles import dense, wendland
+from runs import runs
 
 import jaxmorph as jm
 from jaxmorph import cases
 
-WIDE = [
-    (jm.Gaussian(10.0), 1, 2),
-    (jm.Gaussian(100.0), None, 3),
-    (jm.Multiquadric(10.0), 0, 3),
-    (jm.Multiquadric(100.0), 0, 2),
-]
+WIDE = runs(
+    [(jm.Gaussian(10.0), 1, 2), (jm.Multiquadric(100.0), 0, 2)],
+    slow=[(jm.Gaussian(100.0), None, 3), (jm.Multiquadric(10.0), 0, 3)],
+)
 
 
 @pytest.mark.parametrize(("basis", "degree", "dimension"), WIDE)

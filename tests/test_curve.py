@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from runs import runs
 
 import jaxmorph as jm
 from jaxmorph._advice.methods import METHODS, entry
@@ -60,7 +61,7 @@ def test_neighbours_of_all_types_share_the_nodes_of_their_faces():
     assert sum(map(len, jm.boundary_faces(high).values())) == 9 * sum(map(len, jm.boundary_faces(mesh).values()))
 
 
-@pytest.mark.parametrize("order", [2, 3])
+@pytest.mark.parametrize("order", runs([2], slow=[3]))
 def test_curved_ring_converges_to_the_circle(order):
     errors = []
     for n in (8, 16):
@@ -104,7 +105,8 @@ def test_inverted_sees_a_fold_between_corners():
 
 
 @pytest.mark.parametrize(
-    "method", [None, jm.LinearElasticity(), jm.TorsionalSprings(), jm.RBF.classic(jm.WendlandC2(4.0))]
+    "method",
+    runs([None, jm.TorsionalSprings()], slow=[jm.LinearElasticity(), jm.RBF.classic(jm.WendlandC2(4.0))]),
 )
 def test_methods_move_all_nodes_and_pass_derivatives(method):
     high = jm.curve(jm.elevate(ring(), 3), unit, "wall", "far")
@@ -199,8 +201,13 @@ def test_a_mesh_that_is_invalid_from_the_start_is_judged_by_its_own_margin():
     assert int(relative.inverted) == 0
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", [entry.name for entry in METHODS])
+@pytest.mark.parametrize(
+    "name",
+    runs(
+        slow=["default", "laplacian"],
+        nightly=[each.name for each in METHODS if each.name not in ("default", "laplacian")],
+    ),
+)
 def test_every_method_moves_a_p2_cylinder_and_no_cell_folds_on_the_way(name):
     """High-order nodes are points like any others: four motions, proven inside of every cell at every instant."""
     mesh = jm.curve(jm.elevate(ring(16, 4), 2), unit, "wall", "far")

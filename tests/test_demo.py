@@ -7,6 +7,7 @@ import matplotlib.image
 import meshio
 import numpy as np
 import pytest
+from runs import runs
 
 import jaxmorph as jm
 from jaxmorph import cases, io
@@ -30,34 +31,59 @@ def turned(points, degrees):
     return np.column_stack([z.real, z.imag])
 
 
-@pytest.mark.slow
-def test_the_demo_leaves_tables_pictures_and_meshes(tmp_path, capsys, monkeypatch):
+def turned_airfoil(points):
+    return turned(points, 15)
+
+
+def bent_wing(points):
+    return points + cases.agard445_mode(points, 1, 0.5)
+
+
+DEMOS = {
+    "naca0015": (2000, "airfoil", turned_airfoil, "skewness", ("full-rbf", "dgm", "reduced-rbf")),
+    "agard445": (6500, "wing", bent_wing, "aspect_ratio", ("dgm", "reduced-rbf", "default")),
+}
+"""Nodes, patch, its motion, the measure that is drawn, and the methods, of each demo."""
+SAID = {
+    "naca0015": ("reduced RBF, 4 + ", "DGM, ids found again"),
+    "agard445": ("mode 1, 0.75", "mode 2, 0.3", "reduced RBF", "default", "6592 points"),
+}
+
+
+@pytest.mark.parametrize("name", runs(slow=["naca0015"], nightly=["agard445"]))
+def test_the_demo_leaves_tables_pictures_and_meshes(name, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(_airfoil, "LEAVES", (1,))
+    count, patch, motion, measure, methods = DEMOS[name]
     output = tmp_path / "made" / "for it"
-    assert run("naca0015", output, points=2000) == 0
+    assert run(name, output, points=count) == 0
     said = capsys.readouterr()
     assert said.err == ""
     assert max(map(len, said.out.split("\nwrote")[0].splitlines())) <= 80
-    assert "reduced RBF, 4 + " in said.out
-    assert "DGM, ids found again" in said.out
+    for words in SAID[name]:
+        assert words in said.out
     written = [pathlib.Path(line.strip()) for line in said.out.split("\nwrote")[1].strip().splitlines()]
     assert sorted(written) == sorted(output.iterdir())
-    for name in ("figure5.png", "figure6.png"):
-        picture = matplotlib.image.imread(output / name)
+    for file in output.glob("*.png"):
+        picture = matplotlib.image.imread(file)
         assert picture.shape[1] == 1999
         assert picture[..., :3].std() > 0.05
-    start = cases.naca0015(points=2000)
-    for name in ("full-rbf", "dgm", "reduced-rbf"):
-        moved = io.read(output / f"naca0015-{name}.su2")
-        wall, far = start.patch("airfoil"), start.patch("farfield")
-        np.testing.assert_array_equal(moved.patch("airfoil"), wall)
+        red, _, blue = np.moveaxis(picture[..., :3], -1, 0)
+        assert name == "naca0015" or (red - blue > 0.3).mean() > 0.01, "no cell is coloured"
+    assert len(list(output.glob("*.png"))) == 2
+    start = getattr(cases, name)(points=count)
+    wall, far = start.patch(patch), start.patch("farfield")
+    d = start.points.shape[1]
+    for method in methods:
+        moved = io.read(output / f"{name}-{method}.su2")
+        np.testing.assert_array_equal(moved.patch(patch), wall)
         np.testing.assert_array_equal(moved.points[far], start.points[far])
-        np.testing.assert_allclose(moved.points[wall], turned(start.points[wall], 15), atol=1e-14)
-        to_look_at = meshio.read(output / f"naca0015-{name}.vtu")
-        np.testing.assert_array_equal(to_look_at.points[:, :2], moved.points)
+        np.testing.assert_allclose(moved.points[wall], motion(start.points[wall]), atol=1e-14)
+        to_look_at = meshio.read(output / f"{name}-{method}.vtu")
+        np.testing.assert_array_equal(to_look_at.points[:, :d], moved.points)
         displacement = moved.points - start.points
-        np.testing.assert_allclose(to_look_at.point_data["displacement"][:, :2], displacement, atol=1e-15)
-        assert len(to_look_at.cell_data["skewness"][0]) == len(start.cells["quad"])
+        np.testing.assert_allclose(to_look_at.point_data["displacement"][:, :d], displacement, atol=1e-15)
+        expected = np.asarray(getattr(jm.quality(start, moved.points), measure))
+        np.testing.assert_allclose(to_look_at.cell_data[measure][0], expected, rtol=1e-9, atol=1e-9)
 
 
 def test_rotation_is_nose_up():

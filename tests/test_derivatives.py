@@ -1,5 +1,7 @@
 """Derivatives of whole maps by component: planes, coincident nodes, Hessians, shards, float32, and `improve`."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,7 +13,7 @@ from oracles import jacobian
 
 import jaxmorph as jm
 
-pytestmark = pytest.mark.slow
+slow, nightly = (functools.partial(pytest.param, marks=mark) for mark in (pytest.mark.slow, pytest.mark.nightly))
 
 
 def operator(plan):
@@ -44,7 +46,7 @@ def check_base(plan, u, places):
     np.testing.assert_allclose(found[nodes, axes], expected, rtol=1e-6, atol=1e-6 * np.abs(found).max())
 
 
-@pytest.mark.parametrize("planes", [1, 2, 3])
+@pytest.mark.parametrize("planes", [nightly(1), slow(2), nightly(3)])
 def test_symmetry_planes(planes):
     part, role, *_ = whole_and_part(3, planes)
     moving, fixed, inner = (np.flatnonzero(role == k) for k in (1, 2, 0))
@@ -61,21 +63,21 @@ def test_symmetry_planes(planes):
     check_base(plan, motion(part)[moving], [(node, axis) for node in (*off[:3], *held) for axis in range(3)])
 
 
-@pytest.mark.parametrize("dimension", [2])
-def test_coincident_nodes(dimension):
+@pytest.mark.slow
+def test_coincident_nodes():
     """A wall node in two copies that move apart, and an inner node on the wall."""
-    mesh = body(dimension)
+    mesh = body(2)
     twice, on_wall = mesh.points[mesh.moving[:1]], mesh.points[mesh.moving[5:6]]
     points, n = np.concatenate([mesh.points, twice, on_wall]), len(mesh.points)
     plan = jm.prepare(points, np.append(mesh.moving, n), mesh.fixed)
-    a = check_operator(plan).reshape(*points.shape, -1, dimension)
+    a = check_operator(plan).reshape(*points.shape, -1, 2)
     for copy, row in ((mesh.moving[0], 0), (n, len(mesh.moving))):
-        np.testing.assert_array_equal(a[copy, :, row], np.eye(dimension))
+        np.testing.assert_array_equal(a[copy, :, row], np.eye(2))
     u = motion(points)[np.append(mesh.moving, n)]
-    check_base(plan, u, [(node, axis) for node in mesh.inner[::40] for axis in range(dimension)])
+    check_base(plan, u, [(node, axis) for node in mesh.inner[::40] for axis in range(2)])
 
 
-@pytest.mark.parametrize("laid", [False, True], ids=["whole", "shard"])
+@pytest.mark.parametrize("laid", [slow(False), nightly(True)], ids=["whole", "shard"])
 def test_hessian_of_the_default(laid):
     """Of a sum of sines, in full: the operator's transpose, the sines' second derivatives, the operator."""
     mesh = body(2)
@@ -89,10 +91,10 @@ def test_hessian_of_the_default(laid):
     np.testing.assert_allclose(found.reshape(expected.shape), expected, rtol=0, atol=1e-8 * np.abs(expected).max())
 
 
-@pytest.mark.parametrize("dimension", [2])
-def test_float32(dimension):
+@pytest.mark.slow
+def test_float32():
     """The operator of float32 points is that of float64 as far as seven digits and the solve let it."""
-    mesh = body(dimension)
+    mesh = body(2)
     whole = jm.prepare(mesh.points, mesh.moving, mesh.fixed)
     single = jm.prepare(mesh.points.astype(np.float32), mesh.moving, mesh.fixed)
     w = np.random.default_rng(7).normal(size=mesh.points.shape)
@@ -121,7 +123,7 @@ def needle():
     return jm.Mesh(points, {"tetra": cells}), np.array([4, 5])
 
 
-@pytest.mark.parametrize(("make", "is_near"), [(strip, False), (needle, True)])
+@pytest.mark.parametrize(("make", "is_near"), [slow(strip, False), nightly(needle, True)])
 def test_every_component_of_improve(make, is_near):
     """The implicit derivative is that of the minimum by the outer nodes, and zero by the inner ones, where the search begins.
 
@@ -156,7 +158,7 @@ def test_every_component_of_improve(make, is_near):
     assert (slopes[:, :, inner] == 0).all()
 
 
-@pytest.mark.parametrize("rebuild", [False, True])
+@pytest.mark.parametrize("rebuild", [nightly(False), slow(True)])
 def test_every_component_of_a_path(rebuild):
     """`replay` by the path, where each step starts on the mesh that the steps before it left; forward mode along one direction."""
     mesh = body(2)

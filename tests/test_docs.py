@@ -12,6 +12,7 @@ import foam
 import jax
 import pytest
 from documents import ROOT, blocks_and_output
+from memory import drop_compiled
 
 import jaxmorph as jm
 from jaxmorph.cli._requests import COMMANDS
@@ -32,6 +33,7 @@ def test_code_runs_and_prints_what_the_page_says(page, tmp_path, monkeypatch, ca
                 pytest.importorskip(package)
         with jax.numpy_rank_promotion("allow"):  # as users have it
             exec(code, names)
+        drop_compiled(always=False)
         said = capsys.readouterr().out
         if output is not None:
             assert re.sub(NUMBER, "#", said).split() == re.sub(NUMBER, "#", output).split()

@@ -5,6 +5,7 @@ import re
 import numpy as np
 import pytest
 from meshes import gmsh_session
+from runs import runs
 
 from jaxmorph import io
 
@@ -92,7 +93,7 @@ def outside_of_nodes(data: bytes) -> tuple[bytes, bytes]:
 
 @pytest.mark.parametrize("variant", VARIANTS)
 @pytest.mark.parametrize(("version", "binary"), FORMS)
-@pytest.mark.parametrize("dimension", [2, 3])
+@pytest.mark.parametrize("dimension", runs([3], nightly=[2]))
 def test_what_gmsh_writes_is_read_as_gmsh_reads_it(tmp_path, dimension, version, binary, variant):
     path = tmp_path / "a.msh"
     write(path, dimension, version, binary, variant)
@@ -167,9 +168,7 @@ def test_tags_far_apart_take_no_memory(tmp_path, version, binary):
 
 
 @pytest.mark.parametrize(("version", "binary"), FORMS)
-@pytest.mark.parametrize(
-    "variant", ["plain", *(pytest.param(name, marks=pytest.mark.nightly) for name in ("partitioned", "parametric"))]
-)
+@pytest.mark.parametrize("variant", runs(["plain"], nightly=["partitioned", "parametric"]))
 def test_a_damaged_file_is_refused_or_read_as_it_is(tmp_path, version, binary, variant):
     """A byte or a line less anywhere is a `ValueError` that names the file, or changes nothing but groups and digits."""
     write(tmp_path / "whole.msh", 2, version, binary, variant)

@@ -5,6 +5,7 @@ import pickle
 import numpy as np
 import pytest
 from meshes import lattice
+from runs import runs
 
 import jaxmorph as jm
 from jaxmorph import cases, shapes
@@ -63,9 +64,7 @@ CASES = {
 """A mesh, its lists, the rest of `prepare`'s arguments, the nodes of each piece, and a displacement."""
 
 
-@pytest.mark.parametrize(
-    "name", [name if name == "graph" else pytest.param(name, marks=pytest.mark.slow) for name in CASES]
-)
+@pytest.mark.parametrize("name", runs(["graph"], ["default", "symmetry"], ["multiscale", "rbf", "sliding"]))
 def test_pieces_move_as_the_whole(mesh, name):
     """Whatever the splitting: places, walls, nodes that pieces share, and the sum of the pieces' gradients."""
     given, lists, options, pieces, u = CASES[name](mesh)

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from meshes import unit_grid
+from runs import runs
 
 import jaxmorph as jm
 from jaxmorph import cases
@@ -87,8 +88,7 @@ def test_derivatives_of_the_stiffened_minimum():
     np.testing.assert_allclose(np.vdot(both(points)[1], tangent), difference, rtol=1e-4)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("height", [0.3, 0.5])
+@pytest.mark.parametrize("height", runs(slow=[0.3], nightly=[0.5]))
 def test_it_is_never_worse_than_without(height):
     """A bulge whose worst cell is slanted, not small: a lower bound on its distortion would make others smaller."""
     mesh = unit_grid(4)

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from runs import runs
 from scipy.interpolate import RBFInterpolator
 
 import jaxmorph as jm
@@ -22,8 +23,7 @@ BASES = {
 }
 every_basis = pytest.mark.parametrize("name", BASES)
 two_bases = pytest.mark.parametrize(
-    "name",
-    [name if name in ("thin-plate", "wendland") else pytest.param(name, marks=pytest.mark.slow) for name in BASES],
+    "name", runs(["thin-plate", "wendland"], slow=["gaussian"], nightly=["multiquadric"])
 )
 
 
@@ -65,10 +65,7 @@ def test_scipy_agrees(name, dimension):
     np.testing.assert_allclose(jm.deform(plan, u) - points, reference, rtol=0, atol=1e-8 * np.abs(reference).max())
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "name", ["wendland", *(pytest.param(name, marks=pytest.mark.slow) for name in BASES if name != "wendland")]
-)
+@pytest.mark.parametrize("name", runs(slow=["wendland"], nightly=["thin-plate", "gaussian", "multiquadric"]))
 def test_blocks_are_the_one_point_form(name):
     plan, u, w = case(name)
     scale = np.abs(one_by_one(plan, u)).max()

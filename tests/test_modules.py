@@ -42,8 +42,7 @@ CALLS = {
 def test_jit_takes_modules_and_their_methods(name):
     function, *arguments = CALLS[name]
     expected = function(*arguments)
-    for compiled in (jax.jit(function), eqx.filter_jit(function)):
-        np.testing.assert_allclose(compiled(*arguments), expected, rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(eqx.filter_jit(function)(*arguments), expected, rtol=1e-12, atol=1e-15)
     traced = jax.jit(lambda *arguments: jax.jit(function)(*arguments) + jax.jit(function)(*arguments))
     np.testing.assert_allclose(traced(*arguments), 2 * expected, rtol=1e-12, atol=1e-15)
 

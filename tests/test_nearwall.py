@@ -7,6 +7,7 @@ import pytest
 from cases import body, few
 from meshes import cusped
 from oracles import corner_areas
+from runs import runs
 from scipy.spatial.distance import cdist
 
 import jaxmorph as jm
@@ -51,15 +52,14 @@ def turned(base, centre, degrees):
 
 
 SMALL, WHOLE = 12_000, 39_666
-INVERTED = [
-    pytest.param("cusped", SMALL, True, camber, marks=pytest.mark.slow),
-    ("cusped", SMALL, True, flap_up),
-    ("cusped", SMALL, True, turn),
-    ("6409", SMALL, True, flap_up),
-    pytest.param("6612", SMALL, True, flap_up, marks=pytest.mark.slow),
-    pytest.param("9412", SMALL, False, turn, marks=pytest.mark.slow),
-    pytest.param("4412", WHOLE, False, less_camber, marks=pytest.mark.nightly),
-]
+INVERTED = runs(
+    [("cusped", SMALL, True, turn), ("6409", SMALL, True, flap_up)],
+    slow=[("cusped", SMALL, True, flap_up)],
+    nightly=[
+        *(("cusped", SMALL, True, camber), ("6612", SMALL, True, flap_up)),
+        *(("9412", SMALL, False, turn), ("4412", WHOLE, False, less_camber)),
+    ],
+)
 
 
 @pytest.mark.parametrize(("section", "points", "extremes", "motion"), INVERTED)

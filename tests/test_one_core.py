@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from meshes import bricks, mixed
+from runs import runs
 
 from jaxmorph import cases
 from jaxmorph._advice.largest_step import Corners
@@ -79,9 +80,7 @@ ONE = pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="nothing h
 
 
 @ONE
-@pytest.mark.parametrize(
-    "name", ["cells", *(pytest.param(name, marks=pytest.mark.slow) for name in PROGRAMS if name != "cells")]
-)
+@pytest.mark.parametrize("name", runs(["cells"], slow=[name for name in PROGRAMS if name != "cells"]))
 def test_it_ends_on_one_core(name):
     run(PROGRAMS[name])
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from cases import few, full
 from meshes import joined, lattice, sector, turn
+from runs import runs
 
 import jaxmorph as jm
 from jaxmorph import cases
@@ -14,8 +15,7 @@ TPS = full(jm.ThinPlateSpline(), 1)
 LOCAL = jm.SurfaceReconstruction(few(), jm.NearWall(width=0.2))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("dimension", [2, pytest.param(3, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("dimension", runs(slow=[2], nightly=[3]))
 def test_a_sector_moves_as_the_whole_wheel(dimension):
     """The field between all four sectors is known: the one that moves the sides of the quarter is it."""
     points, moving, fixed, sides, u = sector(dimension)
@@ -27,11 +27,7 @@ def test_a_sector_moves_as_the_whole_wheel(dimension):
     assert np.abs(moved - points)[plan.guided].max() > 1e-3
 
 
-@pytest.mark.parametrize(
-    ("dimension", "method"),
-    [(2, TPS), pytest.param(2, LOCAL, marks=pytest.mark.slow), pytest.param(3, TPS, marks=pytest.mark.slow)],
-    ids=["2d", "2d-local", "3d"],
-)
+@pytest.mark.parametrize(("dimension", "method"), runs([(2, TPS)], slow=[(3, TPS)], nightly=[(2, LOCAL)]))
 def test_laws_with_periodic_sides(dimension, method, tmp_path):
     points, moving, fixed, sides, u = sector(dimension)
     plan = jm.prepare(points, moving, fixed, method=method, periodic=joined(dimension, sides))
@@ -53,8 +49,7 @@ def test_laws_with_periodic_sides(dimension, method, tmp_path):
     assert (jm.deform(jm.load(tmp_path / "plan.npz"), u) == moved).all()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("dimension", "method"), [(2, TPS), (2, LOCAL), (3, TPS)], ids=["2d", "2d-local", "3d"])
+@pytest.mark.parametrize(("dimension", "method"), runs(slow=[(2, LOCAL)], nightly=[(2, TPS), (3, TPS)]))
 def test_derivatives_by_the_base_with_periodic_sides(dimension, method):
     points, moving, fixed, sides, u = sector(dimension)
     plan = jm.prepare(points, moving, fixed, method=method, periodic=joined(dimension, sides))

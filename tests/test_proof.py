@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from meshes import gmsh_session
 from oracles import jacobians_inside
+from runs import runs
 
 import jaxmorph as jm
 from jaxmorph._host.cells.lagrange import lagrange_types
@@ -99,8 +100,7 @@ def test_bounds_agree_with_samples(shape, order):
     check_against_samples(COMPLETE[shape, order], 60, 7)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("order", [1, 2, 3, 4])
+@pytest.mark.parametrize("order", runs(slow=[3], nightly=[1, 2, 4]))
 @pytest.mark.parametrize("shape", SHAPES)
 def test_bounds_agree_with_dense_samples_near_the_limit(shape, order):
     """10,080 cells in all, 17 samples along each direction."""
@@ -284,7 +284,10 @@ def test_a_hexahedron_that_folds_between_its_corners_is_found():
         assert report.upper[k] == pytest.approx(value, abs=1e-9)
 
 
-@pytest.mark.parametrize(("shape", "order", "count"), [("quad", 3, 200), ("wedge", 2, 100), ("hexahedron", 2, 200)])
+@pytest.mark.parametrize(
+    ("shape", "order", "count"),
+    runs([("quad", 3, 200)], slow=[("hexahedron", 2, 200)], nightly=[("wedge", 2, 100)]),
+)
 def test_quality_finds_the_curved_cells_that_the_bounds_call_invalid(shape, order, count):
     """Also where no sample sees the fold. What `quality` reports is a value of det J, with its derivative."""
     cell = COMPLETE[shape, order]

@@ -8,6 +8,7 @@ import jax
 import numpy as np
 import pytest
 from meshes import bricks, drum, grid, mixed, ring, square, turn, unit_box, wedges
+from runs import runs
 
 import jaxmorph as jm
 from jaxmorph import cases, io
@@ -118,13 +119,10 @@ def test_a_thin_tilted_layer_is_proven():
 
 @pytest.mark.parametrize(
     ("make", "options"),
-    [
-        (lambda: bricks(2), {}),
-        (lambda: bricks(1), {"depth": 1}),
-        (wedges, {"sharpness": 40.0}),
-        (mixed, {"base": True}),
-        (mixed, {"sharpness": 40.0}),
-    ],
+    runs(
+        [(lambda: bricks(2), {}), (mixed, {"base": True}), (mixed, {"sharpness": 40.0})],
+        slow=[(lambda: bricks(1), {"depth": 1}), (wedges, {"sharpness": 40.0})],
+    ),
 )
 def test_the_margin_is_traced_and_has_derivatives(make, options):
     mesh = make()
@@ -340,7 +338,7 @@ def test_the_gate_proves_the_whole_motion(tmp_path, capsys, monkeypatch, flags, 
         assert 0.8 < margin <= (1 + np.cos(np.pi / 4)) / 2
 
 
-@pytest.mark.parametrize(("steps", "valid"), [("1", 0), ("4", 12)])
+@pytest.mark.parametrize(("steps", "valid"), runs([("4", 12)], slow=[("1", 0)]))
 @pytest.mark.filterwarnings("ignore:.*the case is decomposed")
 def test_the_gate_proves_the_motion_of_parts(tmp_path, capsys, steps, valid):
     mesh = grid(*(np.arange(n + 1.0) for n in (3, 2, 2)))

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from meshes import pair
 from oracles import jacobian
+from runs import runs
 
 import jaxmorph as jm
 from jaxmorph._kernels.compile import UNTUNED
@@ -71,10 +72,9 @@ def by_smooth_measures(mesh, points, solid):
 
 @pytest.mark.parametrize(
     "name",
-    [
-        pytest.param(name, marks=pytest.mark.slow if name in ("triangle", "line") else pytest.mark.nightly)
-        for name in (*SOLIDS, *SURFACES)
-    ],
+    runs(
+        slow=["triangle", "line"], nightly=[name for name in (*SOLIDS, *SURFACES) if name not in ("triangle", "line")]
+    ),
 )
 def test_component_by_component(name):
     """Forward, reverse and differences agree on sound and inverted cells; all are finite where there is no derivative.

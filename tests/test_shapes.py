@@ -35,7 +35,8 @@ def test_neutral_parameters_give_the_positions_bit_for_bit(name, d):
 
 
 @pytest.mark.parametrize(
-    ("name", "d"), [pytest.param(*each, marks=pytest.mark.slow) if each[0] == "bend" else each for each in CASES]
+    ("name", "d"),
+    [pytest.param(*each, marks=pytest.mark.slow) if each[0] in ("bend", "twist") else each for each in CASES],
 )
 def test_derivatives_equal_differences(name, d):
     shape, neutral, value = ONE_PARAMETER[name]

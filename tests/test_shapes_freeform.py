@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from cases import body
+from runs import runs
 from scipy.interpolate import BSpline
 from scipy.special import comb
 
@@ -59,12 +60,7 @@ def test_values_are_scipys(name):
 
 
 @pytest.mark.parametrize(
-    "name",
-    [
-        "bspline-2",
-        "mixed-3",
-        *(pytest.param(name, marks=pytest.mark.nightly) for name in BOXES if name not in ("bspline-2", "mixed-3")),
-    ],
+    "name", runs(["bspline-2", "mixed-3"], nightly=[name for name in BOXES if name not in ("bspline-2", "mixed-3")])
 )
 def test_the_transpose_and_derivatives(name):
     origin, axes, counts, degree = BOXES[name]
@@ -156,8 +152,7 @@ def test_paraview_reads_the_lattice(tmp_path):
         io.write_lattice(tmp_path / "box.vts", np.zeros((4, 3)))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", BOXES)
+@pytest.mark.parametrize("name", runs(slow=["mixed-3"], nightly=[name for name in BOXES if name != "mixed-3"]))
 def test_many_points_are_summed_in_blocks(name):
     """Points that are known and many are sorted: the same operator, with derivatives and batches."""
     origin, axes, counts, degree = BOXES[name]

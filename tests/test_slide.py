@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from cases import BY_NAME, NAMES, full
 from meshes import blocks, box_with_hole, drum, lattice, ring
+from runs import runs
 from scipy.interpolate import CubicSpline
 
 import jaxmorph as jm
@@ -282,9 +283,6 @@ def test_pairs_slide_along_walls_that_repeat_each_other():
             jm.prepare(case, "hole", "bottom", sliding=slide, periodic=jm.Periodic("left", "right"), method=TPS)
 
 
-WITH_EVERY_METHOD = ("default", "delaunay", "reduced", "laplacian", "inverse-distance")
-
-
 @functools.cache
 def duct():
     """The square with a hole between a floor and a ceiling that slide, and two ends that repeat each other."""
@@ -339,8 +337,9 @@ def test_walls_and_translations_follow_the_base():
         jm.refit(plan, torn)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", WITH_EVERY_METHOD)
+@pytest.mark.parametrize(
+    "name", runs(slow=["default", "inverse-distance"], nightly=["delaunay", "reduced", "laplacian"])
+)
 def test_methods_between_sliding_and_periodic_patches(name):
     """The wrappers keep the laws of the contract, whatever the method: exact or not, on cells or not, linear or not."""
     mesh, (left, right), wrapped = duct()

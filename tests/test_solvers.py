@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from cases import body, iterative, motion
 from meshes import lattice
+from runs import runs
 
 import jaxmorph as jm
 from jaxmorph._host.linear.ordering import far_to_near
@@ -70,16 +71,12 @@ def test_the_default_tolerance_against_the_dense_solve_on_flat_sides():
     np.testing.assert_allclose(found, exact, rtol=0, atol=1e-7 * np.abs(exact).max())
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("basis", "options"),
-    [
-        (jm.LinearSpline(), {"degree": 0}),
-        (jm.CubicSpline(), {}),
-        (jm.Multiquadric(0.15), {"degree": 0}),
-        (jm.WendlandC4(1.5), {"degree": None}),
-        (jm.ThinPlateSpline(), {"ridge": 1e-3}),
-    ],
+    runs(
+        slow=[(jm.WendlandC4(1.5), {"degree": None}), (jm.ThinPlateSpline(), {"ridge": 1e-3})],
+        nightly=[(jm.LinearSpline(), {"degree": 0}), (jm.CubicSpline(), {}), (jm.Multiquadric(0.15), {"degree": 0})],
+    ),
 )
 def test_bases_against_the_dense_solve(basis, options):
     mesh = body(3)

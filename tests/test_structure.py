@@ -2,6 +2,7 @@
 
 import ast
 import dataclasses
+import functools
 import graphlib
 import pathlib
 import re
@@ -81,10 +82,16 @@ def module_of(file: pathlib.Path) -> str:
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
+@functools.cache
+def tree_of(file: pathlib.Path) -> ast.Module:
+    return ast.parse(file.read_text(encoding="utf-8"))
+
+
+@functools.cache
 def imports(file: pathlib.Path, types: bool = True) -> list[Import]:
     """Lists what a file imports; without `types`, not what it imports for type checkers alone."""
     package = file.relative_to(ROOT).with_suffix("").parts[:-1]
-    tree, listed, hidden = ast.parse(file.read_text()), [], set()
+    tree, listed, hidden = tree_of(file), [], set()
     for node in ast.walk(tree):
         if isinstance(node, ast.If) and ast.unparse(node.test).endswith("TYPE_CHECKING") and not types:
             hidden |= {id(inner) for inner in ast.walk(node)}
@@ -103,10 +110,13 @@ def imports(file: pathlib.Path, types: bool = True) -> list[Import]:
     return listed
 
 
-OWN = [each for file in FILES for each in imports(file) if each.module.split(".")[0] == "jaxmorph"]
-BETWEEN = [
-    each for each in OWN if each.rooms[0] != each.rooms[1] and each.importer not in ("jaxmorph", "jaxmorph._public")
-]
+def own_imports() -> list[Import]:
+    return [each for file in FILES for each in imports(file) if each.module.split(".")[0] == "jaxmorph"]
+
+
+def imports_between_rooms() -> list[Import]:
+    public = ("jaxmorph", "jaxmorph._public")
+    return [each for each in own_imports() if each.rooms[0] != each.rooms[1] and each.importer not in public]
 
 
 @pytest.mark.skipif(not (ROOT / ".git").exists() or shutil.which("git") is None, reason="no checkout of git")
@@ -122,13 +132,21 @@ def test_every_room_has_a_floor():
 
 def test_imports_point_down():
     """No arrow up or across, so that no circle of rooms can be."""
-    wrong = [each for each in BETWEEN if FLOOR[each.rooms[1]] >= FLOOR[each.rooms[0]] and each.rooms not in NEIGHBOURS]
+    wrong = [
+        each
+        for each in imports_between_rooms()
+        if FLOOR[each.rooms[1]] >= FLOOR[each.rooms[0]] and each.rooms not in NEIGHBOURS
+    ]
     assert not wrong
 
 
 def test_no_room_uses_private_names_of_another():
-    wrong = [each for each in BETWEEN if each.name and each.name.startswith("_") and each.name not in FLOOR]
-    wrong += [each for each in BETWEEN if any(part.startswith("_") for part in each.module.split(".")[2:])]
+    wrong = [
+        each for each in imports_between_rooms() if each.name and each.name.startswith("_") and each.name not in FLOOR
+    ]
+    wrong += [
+        each for each in imports_between_rooms() if any(part.startswith("_") for part in each.module.split(".")[2:])
+    ]
     assert not wrong
 
 
@@ -152,7 +170,7 @@ def test_the_host_knows_neither_jax_nor_the_rest():
 
 def test_the_driver_knows_no_method_but_the_abstract_one():
     """`prepare` also asks for the default one, and for the one that guides nodes along boundaries."""
-    known = {each.module for each in OWN if each.rooms == ("_plan", "_methods")}
+    known = {each.module for each in own_imports() if each.rooms == ("_plan", "_methods")}
     assert known <= {
         f"jaxmorph._methods.{name}" for name in ("base", "blocks", "guiding", "placing", "reconstruction", "surface")
     }
@@ -162,7 +180,7 @@ def test_nobody_outside_the_driver_unpacks_a_plan():
     halves = {"plan.surface", "plan.volume", "self.plan.surface", "self.plan.volume"}
     for file in FILES:
         if room(module_of(file)) != "_plan":
-            nodes = ast.walk(ast.parse(file.read_text()))
+            nodes = ast.walk(tree_of(file))
             assert not halves & {ast.unparse(node) for node in nodes if isinstance(node, ast.Attribute)}, file
 
 
@@ -170,7 +188,7 @@ def test_options_of_jax_belong_to_the_user():
     for file in FILES:
         if room(module_of(file)) in ("cli", "__main__"):
             continue  # their own processes
-        for node in ast.walk(ast.parse(file.read_text())):
+        for node in ast.walk(tree_of(file)):
             if isinstance(node, ast.Attribute) and node.attr == "update":
                 assert not ast.unparse(node.value).endswith("config"), file
 
@@ -201,7 +219,7 @@ def sentences(text: str) -> list[str]:
 
 def docstrings(file: pathlib.Path) -> list[ast.Constant]:
     """Lists the docstrings of a file, also those below constants."""
-    nodes = [node.value for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))) if isinstance(node, ast.Expr)]
+    nodes = [node.value for node in ast.walk(tree_of(file)) if isinstance(node, ast.Expr)]
     return [node for node in nodes if isinstance(node, ast.Constant) and isinstance(node.value, str)]
 
 

@@ -337,6 +337,7 @@ LISTED = [
 ]
 
 
+@pytest.mark.slow
 def test_wings_gulls_and_nacelles(folder):
     listed = [
         ("FFD_GULL", [2], [0.05]),
@@ -486,6 +487,7 @@ def test_the_angle_of_attack_is_told_and_left_alone(folder):
     assert case.names == ("HICKS_HENNE[0]", "ANGLE_OF_ATTACK[1]")
 
 
+@pytest.mark.slow
 def test_a_gradient_by_boxes_is_its_differences(folder):
     param = "; ".join(f"(BOX, {', '.join(map(str, numbers))})" for _, numbers, _ in LISTED)
     kinds, value = ", ".join(kind for kind, _, _ in LISTED), ", ".join("0" for _, _, values in LISTED for _ in values)

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from cases import body, few, full, motion, whole_and_part
 from meshes import blocks, lattice
+from runs import runs
 
 import jaxmorph as jm
 
 GRAPH = jm.DelaunayGraph()
 
 
-MIRRORED = [(2, 1), (2, 2), (3, 2)]
 METHODS = {
     "full": full(jm.ThinPlateSpline(), 1),
     "reconstruction": jm.SurfaceReconstruction(few(), jm.NearWall(width=0.3)),
@@ -21,7 +21,8 @@ METHODS = {
 
 
 @pytest.mark.parametrize(
-    ("dimension", "planes"), [(2, 1), *(pytest.param(*each, marks=pytest.mark.slow) for each in MIRRORED[1:])]
+    ("dimension", "planes"),
+    runs([(2, 1)], slow=[(3, 2)], nightly=[(2, 2)]),
 )
 def test_full_interpolation_equals_that_of_the_whole_mesh(dimension, planes):
     part, role, whole, whole_role, image_of, signs = whole_and_part(dimension, planes)
@@ -40,10 +41,7 @@ def test_full_interpolation_equals_that_of_the_whole_mesh(dimension, planes):
 
 @pytest.mark.parametrize(
     ("name", "dimension", "planes"),
-    [
-        pytest.param(*each, marks=pytest.mark.slow)
-        for each in (("full", 3, 2), ("reconstruction", 2, 1), ("multiscale", 3, 2))
-    ],
+    runs(slow=[("reconstruction", 2, 1), ("multiscale", 3, 2)], nightly=[("full", 3, 2)]),
 )
 def test_laws_with_symmetry_planes(name, dimension, planes):
     part, role, *_ = whole_and_part(dimension, planes)
@@ -96,8 +94,7 @@ def between_planes(dimension):
     return points, np.arange(len(wall)), np.flatnonzero(np.abs(points[:, 0]) == 2)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("dimension", [2, 3])
+@pytest.mark.parametrize("dimension", runs(slow=[2], nightly=[3]))
 def test_two_parallel_planes(dimension):
     """Nodes stay in both planes, and none off a plane moves across it faster than half of its distance."""
     points, moving, fixed = between_planes(dimension)

@@ -253,6 +253,7 @@ def test_a_change_that_is_none(here, capsys):
     assert "--set without --job" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_surface_sensitivity_goes_on_to_a_job_without_the_volume(ring, tmp_path, capsys):
     """A bump on the upper side, a class function on the lower one, and a box that leans, from the wall's own sensitivities."""
     write_ring(tmp_path / "ring.su2")
