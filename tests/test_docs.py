@@ -13,17 +13,22 @@ import jax
 import pytest
 from documents import ROOT, blocks_and_output
 from memory import drop_compiled
+from runs import runs
 
 import jaxmorph as jm
 from jaxmorph.cli._requests import COMMANDS
 
 PAGES = ROOT / "docs" / "pages"
 WITH_CODE = sorted(str(page.relative_to(ROOT)) for page in PAGES.rglob("*.md") if "```python" in page.read_text())
+LONG = [page for page in WITH_CODE if pathlib.Path(page).stem in ("plot", "shapes")]
 NUMBER = r"(?<![\w.])[+-]?\d+\.?\d*(?:e[+-]?\d+)?"
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("page", WITH_CODE, ids=lambda page: pathlib.Path(page).stem)
+@pytest.mark.parametrize(
+    "page",
+    runs(slow=[page for page in WITH_CODE if page not in LONG], nightly=LONG),
+    ids=lambda page: pathlib.Path(page).stem,
+)
 def test_code_runs_and_prints_what_the_page_says(page, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     names = {"__name__": "page"}

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from cases import body, motion
 from meshes import lattice, sphere
+from runs import runs
 from scipy.interpolate import LinearNDInterpolator
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
@@ -45,7 +46,7 @@ def box(cells, size=(1, 1, 1), growth=1.0):
     return points, np.concatenate([points == points.min(axis=0), points == points.max(axis=0)], axis=1)
 
 
-@pytest.mark.parametrize("dimension", [2, 3])
+@pytest.mark.parametrize("dimension", runs([2], slow=[3]))
 def test_equals_scipys_linear_interpolation(dimension):
     rng = np.random.default_rng(dimension)
     points = np.concatenate([sphere(60)[:, :dimension] * 3, rng.uniform(-1, 1, (300, dimension))])

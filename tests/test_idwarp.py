@@ -295,6 +295,7 @@ def test_a_definition_from_a_file_of_blocks(grids, tmp_path):
     np.testing.assert_allclose(mesh.getCommonGrid().reshape(-1, 3)[wall], nodes[wall] + [0, 0, 0.1], atol=1e-8)
 
 
+@pytest.mark.slow
 def test_several_grids_of_one_file_move_each_by_itself(tmp_path):
     """Oracle: each grid alone in a file. The third has no options and stays; its faces on the surface move nothing."""
     path = tmp_path / "overset.cgns"
@@ -451,6 +452,7 @@ def test_nodes_between_overset_grids_are_free(tmp_path):
     assert not change[np.setdiff1d(meshes.on(nodes, "ymax"), meshes.on(nodes, "floor"))].any()
 
 
+@pytest.mark.slow
 def test_a_grid_between_overset_patches_turns_with_its_wall(tmp_path):
     """Nothing is fixed there: a turn of the wall about a line in it, and a shift, are those of the grid."""
     names = {name: f"overset_{k}" for k, name in enumerate(meshes.SIDES)} | {"floor": "wing_wall"}

@@ -19,28 +19,28 @@ SMOOTHER = shapes.Smoother(X, RING, 0.1)
 AIRFOIL = shapes.NACA4(0.02, 0.4, 0.12)
 AXIS = shapes.ReferenceAxis([[0, 0, 0], [0, 1, 0]])
 CALLS = {
-    "box": (BOX, X, CONTROL),
-    "method": (BOX.at(X), CONTROL),
-    "coordinates": (BOX.coordinates, jnp.asarray(X)),
-    "linked": (BOX.linked(mirror=0), X, jnp.ones(9)),
-    "child": (shapes.Child(BOX, BOX), X, (CONTROL, CONTROL)),
-    "smoother": (SMOOTHER, X, X),
-    "apply": (SMOOTHER.apply, X),
-    "sensitivities": (SMOOTHER.sensitivities, X),
-    "naca": (AIRFOIL, X, np.array([0.03, 0.4, 0.1])),
-    "axis": (AXIS, np.c_[X, X[:, 0]], {"twist": np.array([0.0, 0.1])}),
-    "part": (shapes.Part(shapes.HicksHenne([0.3]), X[:, 1] > 0.5), X, np.ones(1)),
-    "chain": (shapes.Chain({"box": BOX, "rows": shapes.OnRows(AIRFOIL, [0, 1])}), X, {"box": CONTROL}),
-    "together": (shapes.Together(shapes.CST(2), BOX), X, (np.ones(4), CONTROL)),
-    "curve": (shapes.BSplineCurve(X, 4).at(X), np.ones((4, 2))),
-    "basis": (jm.WendlandC2(0.5), np.linspace(0, 1, 5)),
-    "stiffness": (jm.ByVolume(), jnp.array(0.5), jnp.array(0.1)),
+    "box": lambda: (BOX, X, CONTROL),
+    "method": lambda: (BOX.at(X), CONTROL),
+    "coordinates": lambda: (BOX.coordinates, jnp.asarray(X)),
+    "linked": lambda: (BOX.linked(mirror=0), X, jnp.ones(9)),
+    "child": lambda: (shapes.Child(BOX, BOX), X, (CONTROL, CONTROL)),
+    "smoother": lambda: (SMOOTHER, X, X),
+    "apply": lambda: (SMOOTHER.apply, X),
+    "sensitivities": lambda: (SMOOTHER.sensitivities, X),
+    "naca": lambda: (AIRFOIL, X, np.array([0.03, 0.4, 0.1])),
+    "axis": lambda: (AXIS, np.c_[X, X[:, 0]], {"twist": np.array([0.0, 0.1])}),
+    "part": lambda: (shapes.Part(shapes.HicksHenne([0.3]), X[:, 1] > 0.5), X, np.ones(1)),
+    "chain": lambda: (shapes.Chain({"box": BOX, "rows": shapes.OnRows(AIRFOIL, [0, 1])}), X, {"box": CONTROL}),
+    "together": lambda: (shapes.Together(shapes.CST(2), BOX), X, (np.ones(4), CONTROL)),
+    "curve": lambda: (shapes.BSplineCurve(X, 4).at(X), np.ones((4, 2))),
+    "basis": lambda: (jm.WendlandC2(0.5), np.linspace(0, 1, 5)),
+    "stiffness": lambda: (jm.ByVolume(), jnp.array(0.5), jnp.array(0.1)),
 }
 
 
 @pytest.mark.parametrize("name", CALLS)
 def test_jit_takes_modules_and_their_methods(name):
-    function, *arguments = CALLS[name]
+    function, *arguments = CALLS[name]()
     expected = function(*arguments)
     np.testing.assert_allclose(eqx.filter_jit(function)(*arguments), expected, rtol=1e-12, atol=1e-15)
     traced = jax.jit(lambda *arguments: jax.jit(function)(*arguments) + jax.jit(function)(*arguments))

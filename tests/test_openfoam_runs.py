@@ -102,6 +102,7 @@ def test_a_tutorial_in_3d(tmp_path, capsys):
     assert_measured_alike(tmp_path / "new", capsys)
 
 
+@pytest.mark.nightly
 def test_a_solver_runs_on_a_moved_cyclic_channel(tmp_path):
     """The floor rises and falls along a channel that repeats both ways. Its cyclic sides move with it, and pimpleFoam runs."""
     case = tutorial(tmp_path / "case", "incompressible/pimpleFoam/LES/channel395")

@@ -1,5 +1,6 @@
 """Calls of `prepare`: a mesh or points, names or ids, and a sentence for each first mistake."""
 
+import functools
 import re
 
 import jax
@@ -111,7 +112,7 @@ def test_the_default_and_its_two_neighbours():
 
 
 MESH = rings()
-PLAN = jm.prepare(MESH, "body", "far")
+ring_plan = functools.cache(lambda: jm.prepare(MESH, "body", "far"))
 U = np.zeros((24, 2))
 MISTAKES = {
     "patch names without a mesh": (lambda: jm.prepare(MESH.points, "body", "far"), r"prepare\(mesh, \.\.\.\)"),
@@ -129,7 +130,7 @@ MISTAKES = {
     "a normal as plane": (lambda: jm.prepare(MESH, "body", "far", symmetry=(0, 1)), r"jm\.Plane\(normal=\(0, 1\)"),
     "quality of points": (lambda: jm.quality(MESH.points), r"quality\(mesh, points\)"),
     "fewest_steps, swapped": (
-        lambda: jm.fewest_steps(MESH, PLAN, lambda t: t),
+        lambda: jm.fewest_steps(MESH, ring_plan(), lambda t: t),
         r"fewest_steps\(plan, mesh, motion\)",
     ),
     "choose without a mesh": (lambda: jm.choose(MESH.points, [0], [1], np.zeros((1, 1, 2))), r"choose\(mesh, moving"),
@@ -139,23 +140,26 @@ MISTAKES = {
     ),
     "no motions": (lambda: jm.choose(MESH, "body", "far", []), r"`motions` has shape \(0,\)"),
     "a float as u": (
-        lambda: jm.deform(PLAN, 0.1),
+        lambda: jm.deform(ring_plan(), 0.1),
         r"`u` must be an array of real numbers \(m, d\), not 0.1. Call deform\(plan, u\)",
     ),
-    "complex u": (lambda: jm.deform(PLAN, U.astype(complex)), "not an array .24, 2. of complex128"),
+    "complex u": (lambda: jm.deform(ring_plan(), U.astype(complex)), "not an array .24, 2. of complex128"),
     "no number as radius": (
         lambda: jm.WendlandC2([1.0, 2.0]),
         r"`support_radius` must be a real number above 0 and finite, not \[1.0, 2.0\]",
     ),
     "half a leaf": (lambda: jm.KDTree(2.5), r"`leaves` must be a whole number of at least 1, not 2\.5"),
     "a displacement that is none": (
-        lambda: jm.inspect(PLAN, np.full((24, 2), np.nan)),
+        lambda: jm.inspect(ring_plan(), np.full((24, 2), np.nan)),
         "24 of 24 displacements are not fin",
     ),
     "points that are none": (lambda: jm.improve(MESH, MESH.points * np.nan), "points are not finite, first node 0"),
     "flags as points": (lambda: jm.Mesh(np.zeros((3, 2), bool)), "`points` holds bool; coordinates are real"),
     "deform of a mesh": (lambda: jm.deform(MESH, U), r"deform\(plan, u\)"),
-    "a device twice": (lambda: jm.shard(PLAN, jax.devices()[:1] * 2), r"`devices` has .* more than once, among 2"),
+    "a device twice": (
+        lambda: jm.shard(ring_plan(), jax.devices()[:1] * 2),
+        r"`devices` has .* more than once, among 2",
+    ),
 }
 """First mistakes, each answered by the call to make or by the first value that is wrong."""
 
@@ -172,7 +176,7 @@ def test_nothing_is_written_for_arrays_and_folders_that_are_none(tmp_path):
     for value, words in ((1j, "array 'a' holds complex128; files hold real numbers"), ("x", "'a' holds <U1|of .*<U1")):
         with pytest.raises(ValueError, match=words):
             jm.io.write(tmp_path / "a.vtu", MESH, point_data={"a": np.full(168, value)})
-    for write, name in ((jm.io.write, "a.su2"), (lambda path, _: jm.save(path, PLAN), "a.npz")):
+    for write, name in ((jm.io.write, "a.su2"), (lambda path, _: jm.save(path, ring_plan()), "a.npz")):
         with pytest.raises(ValueError, match=rf"no/{re.escape(name)}: there is no folder"):
             write(tmp_path / "no" / name, MESH)
     assert not list(tmp_path.iterdir())

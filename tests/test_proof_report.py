@@ -318,11 +318,17 @@ HALF_TURN = ["--rotate", "180", "--axis", "0", "0", "1", "--about", "0.5", "0.5"
 
 @pytest.mark.parametrize(
     ("flags", "valid", "when"),
-    [
-        ([], 0, "at every instant of the motion."),
-        (["--steps", "4"], 8, "at every instant of the motion, step by step in 4 steps."),
-        (["--method", "turning"], 8, "where the motion ends, but not on the way, where nodes leave straight lines."),
-    ],
+    runs(
+        [([], 0, "at every instant of the motion.")],
+        slow=[
+            (["--steps", "4"], 8, "at every instant of the motion, step by step in 4 steps."),
+            (
+                ["--method", "turning"],
+                8,
+                "where the motion ends, but not on the way, where nodes leave straight lines.",
+            ),
+        ],
+    ),
 )
 def test_the_gate_proves_the_whole_motion(tmp_path, capsys, monkeypatch, flags, valid, when):
     monkeypatch.chdir(tmp_path)
@@ -338,7 +344,8 @@ def test_the_gate_proves_the_whole_motion(tmp_path, capsys, monkeypatch, flags, 
         assert 0.8 < margin <= (1 + np.cos(np.pi / 4)) / 2
 
 
-@pytest.mark.parametrize(("steps", "valid"), runs([("4", 12)], slow=[("1", 0)]))
+@pytest.mark.slow
+@pytest.mark.parametrize(("steps", "valid"), [("1", 0), ("4", 12)])
 @pytest.mark.filterwarnings("ignore:.*the case is decomposed")
 def test_the_gate_proves_the_motion_of_parts(tmp_path, capsys, steps, valid):
     mesh = grid(*(np.arange(n + 1.0) for n in (3, 2, 2)))

@@ -48,6 +48,7 @@ def test_an_arc_is_met_to_the_fourth_order():
     assert errors[2] < errors[0] / 50
 
 
+@pytest.mark.slow
 def test_a_plane_stays_a_plane_and_a_thin_plate_its_faces():
     flat = lattice(np.linspace(0, 1, 4), np.linspace(0, 1, 3), [0.0])
     quads = blocks(np.arange(12).reshape(4, 3))

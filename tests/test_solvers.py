@@ -140,6 +140,7 @@ def test_a_fit_is_solved_directly():
         jm.FittedRBF(jm.RBF(solver=jm.Iterative()))
 
 
+@pytest.mark.slow
 def test_single_precision_has_a_tolerance_that_it_can_reach():
     mesh, moving = box(7)
     points, wall = mesh.astype(np.float32), np.arange(len(moving))
@@ -151,6 +152,7 @@ def test_single_precision_has_a_tolerance_that_it_can_reach():
     np.testing.assert_allclose(near[0], near[1], atol=1e-4)
 
 
+@pytest.mark.slow
 def test_one_source_is_solved_as_the_dense_solve_does():
     points = np.array([[0.0, 0], [1, 0], [0, 1], [0.3, 0.4]])
     moved = [

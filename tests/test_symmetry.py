@@ -130,6 +130,7 @@ def body_in_a_channel():
     return mesh, body, ends, planes, np.tile([0.05, 0.1], (len(body), 1))
 
 
+@pytest.mark.slow
 def test_thin_layers_beside_two_parallel_planes():
     """Cells keep their shape although they move by thousands of their height."""
     mesh, body, ends, planes, u = body_in_a_channel()

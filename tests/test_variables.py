@@ -65,7 +65,8 @@ def test_names_find_the_numbers_they_name():
     assert shapes.names({}) == []
 
 
-@pytest.mark.parametrize("steps", [1, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("steps", [1, 2])
 def test_pullback_is_the_derivative_by_every_parameter(ring, steps):
     plan = jm.prepare(ring.points, np.arange(24), np.arange(192, 216), method=jm.RBF.classic())
     rng, shape = np.random.default_rng(2), chain()
@@ -195,6 +196,7 @@ def test_sensitivities_of_a_job_are_the_slopes_of_what_deform_does(here, capsys)
     assert found["wall2.rotate"] != slopes["wall2.rotate"]
 
 
+@pytest.mark.slow
 def test_set_is_saved_and_lattices_are_written_before_and_after(here):
     flags = ["--job", "job.toml", "--set", "translate=0,0.2", "box[1,2,0]=0.3", "--save-job", "saved.toml"]
     assert main(["deform", "ring.su2", "one.su2", *flags]) == 0
