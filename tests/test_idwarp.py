@@ -23,10 +23,7 @@ idwarp = pytest.importorskip("jaxmorph.integrations.idwarp")
 USMesh, MultiUSMesh = idwarp.USMesh, idwarp.MultiUSMesh
 walls_of = pytest.importorskip("jaxmorph.integrations.idwarp._walls").walls_of
 ROOT = pathlib.Path(__file__).resolve().parents[1]
-PLANES = {
-    1: [[[0, 0, 0], [1, 0, 0]]],
-    2: [[[0, 0, 0], [1, 0, 0]], [[0, 0, 0], [0, 1, 0]]],
-}
+PLANES = {1: [[[0, 0, 0], [1, 0, 0]]], 2: [[[0, 0, 0], [1, 0, 0]], [[0, 0, 0], [0, 1, 0]]]}
 
 
 @pytest.fixture(scope="module")

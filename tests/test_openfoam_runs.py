@@ -63,8 +63,7 @@ INCOMPRESSIBLE = {
 
 
 @pytest.mark.parametrize(
-    "name",
-    [name if "naca" in name else pytest.param(name, marks=pytest.mark.nightly) for name in INCOMPRESSIBLE],
+    "name", [name if "naca" in name else pytest.param(name, marks=pytest.mark.nightly) for name in INCOMPRESSIBLE]
 )
 def test_tutorials_in_2d(tmp_path, capsys, name):
     moving, motion = INCOMPRESSIBLE[name]

@@ -33,10 +33,7 @@ def check_border(function, x, inward):
     assert np.abs(expected - inward).max() > 1e-3
 
 
-BOXES = {
-    "bernstein": ((3, 4, 3), None),
-    "bspline": ((5, 6, 4), 2),
-}
+BOXES = {"bernstein": ((3, 4, 3), None), "bspline": ((5, 6, 4), 2)}
 
 
 @pytest.mark.parametrize("name", BOXES)

@@ -20,10 +20,7 @@ METHODS = {
 }
 
 
-@pytest.mark.parametrize(
-    ("dimension", "planes"),
-    runs([(2, 1)], slow=[(3, 2)], nightly=[(2, 2)]),
-)
+@pytest.mark.parametrize(("dimension", "planes"), runs([(2, 1)], slow=[(3, 2)], nightly=[(2, 2)]))
 def test_full_interpolation_equals_that_of_the_whole_mesh(dimension, planes):
     part, role, whole, whole_role, image_of, signs = whole_and_part(dimension, planes)
     assert len(whole) > 2**planes * 0.6 * len(part)
