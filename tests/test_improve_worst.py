@@ -73,7 +73,7 @@ def test_the_worst_cell_of_a_pitched_airfoil_is_raised():
     assert "at a minimum" in str(worst)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_derivatives_of_the_stiffened_minimum():
     """Against central differences of the whole search, on a mesh where the bound was lowered."""
     mesh, points = pitched()

@@ -229,7 +229,7 @@ def test_a_face_without_area():
     assert np.isfinite(jax.grad(lambda x: wall.nearest(x)[0].sum())(x)).all()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_shroud_of_faces():
     mesh = drum("bell")
     plan = jm.prepare(mesh, "hub", sliding=["shroud", "bottom", "top"], method=TPS)
