@@ -101,7 +101,7 @@ def test_it_is_never_worse_than_without(height):
     np.testing.assert_allclose(batch(jnp.stack([points] * 2))[1], worst.points, rtol=0, atol=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_nodes_of_planes_stay_on_them_and_cells_without_free_nodes_do_not_count():
     mesh = unit_grid(4)
     x, y = mesh.points.T

@@ -88,8 +88,7 @@ def test_a_box_around_points_holds_them_all():
         np.testing.assert_allclose([low, high], [cloud(d).min(axis=0), cloud(d).max(axis=0)], atol=1e-14)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("k", [0, 1, 2])
+@pytest.mark.parametrize("k", runs(slow=[1], nightly=[0, 2]))
 def test_continuity_joins_the_border(k):
     """Displacement and k derivatives across the border are zero on it."""
     box = shapes.FreeForm([0.0, 0.0], np.eye(2), (8, 9), degree=(3, 4), continuity=k)
