@@ -152,7 +152,7 @@ def test_a_damaged_file_is_no_fault(folder, monkeypatch):
         np.testing.assert_array_equal(result(halves, x, 0.1)[0].rows, np.full((3, 2), 0.1))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_command_traces_nothing_again_and_writes_the_same_file(tmp_path):
     mesh = cases.sharp_o_grid(around=24, layers=8)
     io.write(tmp_path / "mesh.su2", mesh)
