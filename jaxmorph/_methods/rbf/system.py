@@ -66,18 +66,18 @@ def symmetric_kernel_sum(
     # The sources are padded to whole blocks by copies of the last one, which have the weight 0. A
     # scan goes over the blocks (i, j) with i <= j: a block gives sums of columns j and, transposed,
     # of columns i.
-    count, columns, dimension = len(sources), len(weights), sources.shape[1]
+    count, columns, one = len(sources), len(weights), jnp.ones((), sources.dtype)
     side = min(SQUARE, count)
     blocks = -(-count // side)
     more = blocks * side - count
-    sources = jnp.concatenate([sources, jnp.broadcast_to(sources[-1:], (more, dimension))])
-    rows = in_rows(sources, jnp.ones((), sources.dtype)).reshape(dimension, blocks, side)
+    sources = jnp.concatenate([sources, jnp.broadcast_to(sources[-1:], (more, sources.shape[1]))])
     split = jnp.pad(weights, ((0, 0), (0, more))).reshape(columns, blocks, side)
-    places = sources.reshape(blocks, side, dimension)
+    places = sources.reshape(blocks, side, -1)
 
     def step(total, pair):
         i, j = pair
-        kernel = phi(squared_distances(places[i], rows[:, j].T))
+        # laid out here: a loop that picks its rows from all rows takes four times as long in a caller's `jit`
+        kernel = phi(squared_distances(places[i], in_rows(places[j], one).T))
         there = few_rows_times(split[:, i], kernel)
         back = jnp.where(i == j, 0, few_rows_times_transposed(split[:, j], kernel))
         return total.at[:, j].add(there).at[:, i].add(back), None
