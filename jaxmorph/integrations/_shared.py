@@ -6,10 +6,13 @@ from typing import Any
 import numpy as np
 
 from jaxmorph._boundary.outer_faces import outer_faces
+from jaxmorph._host.cells.pairs import parts_of as parts_of
 from jaxmorph._host.cells.pairs import sorted_columns
 from jaxmorph._host.cells.topology import CORNERS, solid
 from jaxmorph._host.package.orders import rows_in
 from jaxmorph._host.package.ranks import together
+from jaxmorph._host.surface.closest import closest as closest
+from jaxmorph._host.surface.closest import fans as fans
 from jaxmorph._mesh.mesh import Mesh
 
 
