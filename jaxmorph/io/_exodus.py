@@ -12,7 +12,7 @@ from jaxmorph import Mesh
 from jaxmorph._host.cells.topology import DIMENSION
 from jaxmorph._mesh.exchange import PREFIX
 
-from ._format import Arrays, Source, StampedPoints, stamp_of, unchanged_source
+from ._format import Arrays, Source, StampedPoints, stamp_of
 from ._meshio import meshio, to_mesh
 from .cgns.tree import opened, write_points
 from .text.digits import decoded
@@ -68,11 +68,6 @@ def read(path: pathlib.Path) -> Mesh:
     content = StampedPoints(points, stamp_of(path))
     mesh = meshio.Mesh(points, [(block.kind, block.corners) for block in blocks], point_data=flags)
     return to_mesh(path, mesh, Source(path, NAME, content, in_file=content.in_file))
-
-
-def check(path: pathlib.Path, mesh: Mesh) -> None:
-    """Raises `ValueError` for a mesh of no Exodus file, or when its file has changed."""
-    unchanged_source(path, mesh, NAME)
 
 
 def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:

@@ -20,7 +20,7 @@ from jaxmorph._host.cells.shape_functions import values
 from jaxmorph._host.cells.topology import CORNERS, DIMENSION
 from jaxmorph._mesh.elevate import node_keys, of_order
 
-from ._format import Arrays, Source, own_source
+from ._format import Arrays, Source, faults_of, own_source
 from .text.sections import Section, replace_numbers
 
 NAME = "MFEM"
@@ -140,15 +140,8 @@ def read(path: pathlib.Path) -> Mesh:
     patches = _patches(sides, of_sides)
     groups = _groups(parts.get("boundary_attribute_sets"), patches)
     source = Source(path, NAME, content, groups=groups, cell_ids=None if (np.diff(ids) == 1).all() else ids)
-    try:
+    with faults_of(path):
         return Mesh(points, nodes, patches, source=source)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
-
-
-def check(path: pathlib.Path, mesh: Mesh) -> None:
-    """Raises `ValueError` for a mesh that was not read from an MFEM file."""
-    own_source(path, mesh, NAME)
 
 
 def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:
