@@ -11,7 +11,7 @@ from typing import Any
 
 from jaxmorph._host.package.toml import read, written
 
-from ._groups import Group, table
+from ._groups import Group, is_json, table
 from ._parser import Fields, flag_of, flags_of, meant
 from ._parts import Speech
 from ._requests import Deform
@@ -162,7 +162,7 @@ def _words(path: Path, key: Key, value: Any) -> list[str]:
     if wrong:
         raise ValueError(f"{path}: {key.name} cannot be {reprlib.repr(wrong[0])}; a job has no flags as values.")
     is_path = key.kind in ("path", "table") or key.name == "mode"
-    if is_path and not words[0].lstrip().startswith("{"):
+    if is_path and not is_json(words[0]):
         words[0] = str(path.parent / words[0])
     return words
 
@@ -203,6 +203,6 @@ def _seen(key: Key, value: Any, folder: Path) -> Any:
         return [(_seen(MOTION["displacement"], file, folder), amplitude) for file, amplitude in value]
     if key.kind not in ("path", "table"):
         return value
-    if str(value).lstrip().startswith("{"):
+    if is_json(str(value)):
         return json.loads(value)
     return str(value) if os.path.isabs(value) else os.path.relpath(value, folder)

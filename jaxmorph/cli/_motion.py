@@ -1,7 +1,6 @@
 """The motion of a surface that the command line describes, made of the library's shapes."""
 
 import dataclasses
-import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ from jaxtyping import Float, Int
 from jaxmorph import Mesh, io, shapes
 
 from ._airfoil import bumps, class_functions
-from ._groups import MOTIONS, Group
+from ._groups import MOTIONS, Group, as_json
 from ._parser import flag_of
 from ._requests import Deform
 
@@ -106,13 +105,8 @@ def _parts(group: Group, mesh: Mesh, nodes: np.ndarray) -> Parts:
 def _box(group: Group, d: int) -> Parts:
     if group.box is None:
         return {}
-    source: Any = group.box
-    if group.box.lstrip().startswith("{"):
-        try:
-            source = json.loads(group.box)
-        except (json.JSONDecodeError, RecursionError) as error:
-            raise ValueError(f"--box: not a table in JSON ({error}).") from None
-    return {"box": io.read_box(source, d)}
+    table = as_json("box", group.box)
+    return {"box": io.read_box(group.box if table is None else table, d)}
 
 
 def _airfoil(group: Group, mesh: Mesh) -> Parts:

@@ -15,10 +15,10 @@ from ._format import Checking, Format, Source, own_source
 
 FORMATS = (
     Format("SU2", (".su2",), "_su2"),
-    Format("VTK", (".vtu", ".vtk"), "_vtk", holds_arrays=True),
+    Format("VTK", (".vtu", ".vtk"), "vtk.file", holds_arrays=True),
     Format("gmsh", (".msh",), "gmsh.file"),
     Format("CGNS", (".cgns",), "cgns.file"),
-    Format("MFEM", (".mesh",), "_mfem"),
+    Format("MFEM", (".mesh",), "mfem.file"),
     Format("MED", (".med",), "_med"),
     Format("Exodus", (".e", ".exo", ".ex2", ".exoii", ".g"), "_exodus", magic=(b"CDF", b"\x89HDF")),
     Format("PLOT3D", (".xyz", ".p3d", ".p3dfmt", ".x", ".g"), "_plot3d"),

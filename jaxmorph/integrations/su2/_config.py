@@ -18,9 +18,8 @@ from jaxmorph._host.package.arguments import checked
 from ._airfoil import SIDED, airfoil_parts
 from ._boxes import box_parts, boxes_of
 from ._control import BoxPart
-from ._motion import DesignVariables, Displacement, check_alone, rigid_parts
+from ._motion import AbstractPart, DesignVariables, Displacement, check_alone, rigid_parts
 from ._options import Options, read_options
-from ._part import AbstractPart
 from ._planes import free_coordinates
 from ._variables import CONSTANT, LEFT, NOTHING, WHOLE, Variable, variables
 
