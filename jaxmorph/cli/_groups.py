@@ -87,7 +87,7 @@ def _in_group(what: str, **settings: Any) -> Any:
 
 
 def _vector(what: str, **settings: Any) -> Any:
-    return _in_group(what, metavar=("X", "Y"), type=float, nargs="+", **settings)
+    return _in_group(what, metavar=("X Y", "Z"), type=float, nargs="+", **settings)
 
 
 def _angle(what: str, **settings: Any) -> Any:
@@ -98,7 +98,7 @@ def _angle(what: str, **settings: Any) -> Any:
 class Group:
     """Patches that move and their motion: `--moving` and the flags after it."""
 
-    SECTION: ClassVar = "motion of the patches of the last --moving (one at least)"
+    SECTION: ClassVar = "motion of the patches of the last --moving (at least one flag)"
 
     patches: Sequence[str] = flag(WHAT_MOVES, "--moving", section="surface", everyday=True, action=Moving, **SEVERAL)
     displacement: Path | None = _in_group(
