@@ -34,7 +34,7 @@ PATIENCE = 120.0
 class Attempt:
     """All that an attempt needs but the method and the steps.
 
-    `summing` sums up the `undeformed` mesh, beside what comes next.
+    `summing` sums up the `undeformed` mesh in another thread.
     """
 
     request: Deform
@@ -45,7 +45,7 @@ class Attempt:
 
     @property
     def before(self) -> Summary:
-        """The sum of the undeformed mesh. Raises `ValueError` for what cannot be judged."""
+        """The summary of the undeformed mesh. Raises `ValueError` for what cannot be judged."""
         return self.summing.result()
 
     @property

@@ -35,7 +35,7 @@ TYPES = {
     ),
 } | {(name, 2): ("line", [[0, 1]] * 2) for name in ("BAR", "BEA", "TRU", "EDG", "ROD", "SHE")}
 TYPES |= {(name, 1): ("vertex", []) for name in ("SPH", "CIR", "POI", "NOD")}
-"""Our types by first letters and node counts of Exodus's, and the corners of their sides."""
+"""Types of cells by first letters and node counts of Exodus's types, and corners of each side."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -51,7 +51,7 @@ class _Block:
 def read(path: pathlib.Path) -> Mesh:
     """Reads points, cells and patches: side sets, node sets, blocks of lower dimension.
 
-    Those of one name are one patch. One without a name is called by its kind and number.
+    Sets and blocks of one name are one patch. A set without a name is called by its kind and number.
     """
     path.open("rb").close()
     with opened(path, what=WHAT) as file:

@@ -21,11 +21,14 @@ class Source:
     """The file that a mesh was read from, and the `content` that gives the file back as it was.
 
     It is compared by identity, so that it can be a static field of a pytree however large `content`
-    is. `polyhedra`, `cell_ids`, `between` and `groups` are those of `Mesh`. `node_ids` are the
-    numbers that files give to its nodes, None for 0, 1, 2, ... `periodic` are the pairs of patches
-    that the file names as such, `symmetry` the patches that lie in symmetry planes. `kinds` is what
-    the file says that patches are. `file_nodes` are those of `Mesh`. `in_file` makes points of the
-    file of points of the mesh. Both are None where a mesh has the nodes of its file.
+    is.
+
+    - `polyhedra`, `cell_ids`, `groups`, `between`, `file_nodes`: those of `Mesh`.
+    - `periodic`: the periodic pairs of patches that the file names; `symmetry`: its patches in
+      symmetry planes; `kinds`: the type of each patch in the file.
+    - `node_ids` (n,): numbers of the nodes in other files, None for 0, 1, 2, ...
+    - `in_file`: takes points (n, d) of the mesh to points (N, 3) of the file; None where a mesh has
+      the nodes of its file.
     """
 
     path: pathlib.Path

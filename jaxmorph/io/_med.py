@@ -27,7 +27,7 @@ TYPES = {
     "PE6": ("wedge", [0, 2, 1, 3, 5, 4]),
     "HE8": ("hexahedron", [0, 3, 2, 1, 4, 7, 6, 5]),
 }
-"""Our types by MED's, and MED's corners in VTK's order: it sees cells from the other side."""
+"""Types of cells by MED's, and the places of MED's corners in VTK's order."""
 
 
 def read(path: pathlib.Path) -> Mesh:

@@ -181,12 +181,12 @@ def _zones(path: pathlib.Path, shapes: tuple[tuple[int, ...], ...], points: np.n
     beside = path.with_name(f"{path.name}.patches")
     patches: dict[str, list[np.ndarray]] = {}
     if beside.is_file():
-        for name, nodes in _named(beside, shapes):
+        for name, nodes in _patches_beside(beside, shapes):
             patches.setdefault(name, []).append(nodes)
     return Zones(points, cells, patches, faces, None if patches else names)
 
 
-def _named(path: pathlib.Path, shapes: tuple[tuple[int, ...], ...]) -> Iterator[tuple[str, np.ndarray]]:
+def _patches_beside(path: pathlib.Path, shapes: tuple[tuple[int, ...], ...]) -> Iterator[tuple[str, np.ndarray]]:
     """Names and nodes from lines `NAME BLOCK SIDE` or `NAME BLOCK I1 I2 J1 J2 [K1 K2]`."""
     firsts = np.cumsum([0, *(int(np.prod(shape)) for shape in shapes)])
     for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):

@@ -96,10 +96,10 @@ def read(path: pathlib.Path) -> Mesh:
     space = _space_of(parts)
     if space.order > 1 and any(element.kind == "pyramid" for element in cells):
         raise space.section.error("pyramids of order 2 and more are not read.")
-    for section, group in (("elements", cells), ("boundary", sides)):
+    for name, group in (("elements", cells), ("boundary", sides)):
         for element in group:
             if element.corners.min() < 0 or element.corners.max() >= space.vertices:
-                raise parts[section].error(f"a {element.kind} has a vertex that is none of 0 to {space.vertices - 1}.")
+                raise parts[name].error(f"a {element.kind} has a vertex that is none of 0 to {space.vertices - 1}.")
     nodes, of_sides, total = numbered(cells, sides, space.order, space.vertices)
     node = lexicographic(cells, nodes) if space.is_torn else np.arange(total)
     values, lobatto = space.coordinates(node, total)
@@ -107,8 +107,8 @@ def read(path: pathlib.Path) -> Mesh:
     curved = nodes if space.order > 2 else {}
     points = at_places(curved, lobatto[:, :2] if flat else lobatto, from_lobatto)
     start, stop = space.section.start, space.section.stop
-    kept = Section(path, text[:start] + space.section.text[start:stop] + text[stop:], start, stop)
-    content = _Content(kept, space, values, node, points, curved)
+    section = Section(path, text[:start] + space.section.text[start:stop] + text[stop:], start, stop)
+    content = _Content(section, space, values, node, points, curved)
     ids = np.concatenate([element.rows for element in cells])
     patches = _patches(sides, of_sides)
     groups = _groups(parts.get("boundary_attribute_sets"), patches)
