@@ -223,14 +223,14 @@ def _axis(option: str, group: Group, d: int) -> np.ndarray | None:
     return _direction("--axis", group.axis, 3)
 
 
-def _length(option: str, asked: float | None, surface: Points, about: np.ndarray, along: np.ndarray) -> float:
+def _length(option: str, flag: float | None, surface: Points, about: np.ndarray, along: np.ndarray) -> float:
     """Measures the line along which a surface is bent or twisted.
 
     By default the line ends where the surface does.
     """
-    length = float(((surface - about) @ along).max()) if asked is None else asked
+    length = float(((surface - about) @ along).max()) if flag is None else flag
     if not (np.isfinite(length) and length > 0):
-        reason = "and no node lies ahead of --about in that direction" if asked is None else f"found {length:g}"
+        reason = "and no node lies ahead of --about in that direction" if flag is None else f"found {length:g}"
         raise ValueError(f"{option} needs a --length above 0, {reason}.")
     return length
 

@@ -51,7 +51,8 @@ class _Block:
 def read(path: pathlib.Path) -> Mesh:
     """Reads points, cells and patches: side sets, node sets, blocks of lower dimension.
 
-    Sets and blocks of one name are one patch. A set without a name is called by its kind and number.
+    Sets and blocks of one name are one patch. A set without a name is called by its kind and its
+    number.
     """
     path.open("rb").close()
     with opened(path, what=WHAT) as file:
