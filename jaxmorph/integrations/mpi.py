@@ -160,14 +160,7 @@ def prepare(
     that two processes have at different places.
     """
     check_comm(comm)
-
-    def checked() -> Share:
-        check("points", points, jm.Mesh | ROWS, prepare)
-        check("symmetry", symmetry, jm.Plane | Sequence[jm.Plane], prepare)
-        check("is_open", is_open, bool, prepare)
-        return Share.checked(points, nodes, moving, fixed, symmetry)
-
-    piece = together(comm, checked)
+    piece = together(comm, lambda: _share(points, nodes, moving, fixed, symmetry, is_open))
     marks = owned(comm, piece.nodes)
     faces = faces_of(comm, piece.mesh, piece.nodes, marks[1])
     everything, names, m, count, total = surface_of(comm, piece, faces)
@@ -190,6 +183,13 @@ def prepare(
     plan = together(comm, lambda: shared.attach(piece.points, piece.nodes))
     rows = np.searchsorted(names[:m], piece.nodes[piece.moving])
     return Piece(comm, plan, piece.nodes, piece.moving, rows, *marks)
+
+
+def _share(points: Any, nodes: Any, moving: Any, fixed: Any, symmetry: Any, is_open: Any) -> Share:
+    check("points", points, jm.Mesh | ROWS, prepare)
+    check("symmetry", symmetry, jm.Plane | Sequence[jm.Plane], prepare)
+    check("is_open", is_open, bool, prepare)
+    return Share.checked(points, nodes, moving, fixed, symmetry)
 
 
 def attach(
