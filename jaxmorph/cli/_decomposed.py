@@ -74,7 +74,7 @@ def deform_parts(request: Deform, out: Output) -> int:
 def _moved(
     parts: "Parts", case: io.Decomposed, ranks: Ranks, writer: Any, stage: Stage
 ) -> dict[int, tuple[Summary, Summary]]:
-    """Moves and writes each part in one of the processes; returns all summaries, before and after."""
+    """Moves and writes each part in one of the processes; returns summaries before and after."""
     judged: dict[int, tuple[Summary, Summary]] = {}
     for first in range(0, len(case), ranks.size):
         k = first + ranks.rank if first + ranks.rank < len(case) else None

@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, TypeVar
 
-from jaxmorph._host.package.errors import similar
+from jaxmorph._host.package.words import similar
 
 T = TypeVar("T")
 Fields = type[Any]

@@ -1,9 +1,8 @@
 """An error that names nodes, and warnings that name the caller's line."""
 
-import difflib
 import sys
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -39,13 +38,6 @@ def warn(message: str) -> None:
     while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] in INNER:
         level, frame = level + 1, frame.f_back
     warnings.warn(message, stacklevel=level)
-
-
-def similar(word: str, known: Iterable[str]) -> str | None:
-    """Finds the known word that was probably meant, in small letters or capitals; None if none."""
-    words = {other.lower(): other for other in known}
-    near = difflib.get_close_matches(word.lower(), list(words), n=1)
-    return words[near[0]] if near else None
 
 
 def place_of(point: np.ndarray) -> str:

@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxmorph._host.package.arguments import checked, finite_array
-from jaxmorph._host.package.errors import similar
 from jaxmorph._host.package.files import complete, output_path
+from jaxmorph._host.package.words import similar
 
 from ._options import Options, split
 
