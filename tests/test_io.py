@@ -172,7 +172,7 @@ def test_a_mesh_with_a_source_is_a_pytree(tmp_path):
 
 def test_a_missing_extra_is_named(monkeypatch, tmp_path):
     io.write(tmp_path / "a.vtu", rings())
-    for name in ("_meshio", "_vtk", "gmsh.file"):
+    for name in ("_meshio", "vtk.file", "gmsh.file"):
         monkeypatch.delitem(sys.modules, f"jaxmorph.io.{name}", raising=False)
     monkeypatch.setitem(sys.modules, "meshio", None)
     with pytest.raises(ImportError, match=r"pip install 'jaxmorph\[io\]'"):

@@ -115,6 +115,19 @@ def test_a_bent_symmetry_patch_is_left_to_the_caller(tmp_path):
     assert plan.images is None
 
 
+def test_an_overset_patch_is_not_fixed_but_follows(tmp_path):
+    """It lies inside of another grid: a grid that nothing else holds turns with its wall."""
+    foam.write_case(tmp_path / "case", *foam.mixed(), foam.PATCHES)
+    file = tmp_path / "case" / "constant" / "polyMesh" / "boundary"
+    file.write_text(file.read_text().replace("type patch", "type overset"))
+    mesh = io.read(tmp_path / "case")
+    assert "overset" in mesh.kinds.values()
+    with pytest.warns(UserWarning, match="neither moving, fixed nor on a symmetry plane") as told:
+        plan = jm.prepare(mesh, "floor", method=jm.InverseDistance())
+    assert len(plan.fixed) == 0
+    assert not any("kinds in the file" in str(each.message) for each in told)
+
+
 def test_every_format_has_the_nodes_of_its_file(tmp_path):
     """Blocks of PLOT3D share nodes, planes of an OpenFOAM case are one; elsewhere nodes are those of the file."""
     write_plot3d(tmp_path / "a.xyz", box(3, 2, 4), "plain", "<")

@@ -128,6 +128,25 @@ def test_patches_with_comments_dictionaries_and_groups(case):
     assert outlet == Patch("outlet", "patch", 11, 0, ("all",))
 
 
+@pytest.mark.parametrize(
+    ("pattern", "text"),
+    [
+        (r"\d+\s*\(", '#include "patches"\n3 ('),
+        (r"\d+\s*\(", '3 ( #include "patches"\n'),
+        (r"nFaces\s+\d+", 'nFaces #calc "1 + 1"'),
+        (r"type\s+\w+", "type $kind"),
+        (r"type\s+\w+", "$all; type patch"),
+    ],
+)
+def test_directives_and_variables_are_refused_by_name(case, pattern, text):
+    """What a solver would put in their place is not known. In a dictionary of a patch they do no harm."""
+    changed(case, "boundary", r"type\s+patch;", 'type patch; coupling { value #calc "2"; }')
+    assert "rest" in io.read(case).patches
+    changed(case, "boundary", pattern, text)
+    with pytest.raises(ValueError, match=r"boundary: [#$]\w+ is not read, nor are other directives"):
+        io.read(case)
+
+
 @pytest.mark.parametrize("text", ["a" * 100_000, "/*" * 50_000, "{" * 50_000, "a{" * 50_000, '"' * 50_000])
 def test_long_words_take_no_longer_than_others(case, text):
     """A pattern that is tried from each letter to the end would take minutes."""

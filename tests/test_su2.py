@@ -192,6 +192,7 @@ def test_a_patch_that_faces_cannot_express_is_refused(tmp_path):
 
 BAD = {
     "no mesh": ("", "no NDIME="),
+    "small letters": (PLAIN.replace("NDIME", "ndime"), "no NDIME= in this file; SU2's keywords are in capitals"),
     "dimension": (PLAIN.replace("NDIME= 2", "NDIME= 4"), "line 1: NDIME= must be 2 or 3, found 4"),
     "count is no number": (PLAIN.replace("NELEM= 3", "NELEM= many"), "line 2: NELEM= must be .* found 'many'"),
     "zones": ("NZONE= 2\n" + PLAIN, "line 1: NZONE= 2, but 0 zones are in the file"),

@@ -437,6 +437,9 @@ def test_names_are_in_any_case_and_the_result_is_su2s(folder):
     assert (case.output, case.parameters.tolist()) == (folder / "moved.su2", [1.1])
 
 
+DEFINITION = f"FFD_DEFINITION= (MAIN, 0,-1,0, 1,-1,0, 1,1,0, 0,1,0, {', '.join('0' * 12)})\n"
+
+
 @pytest.mark.parametrize(
     ("change", "says"),
     [
@@ -453,12 +456,16 @@ def test_names_are_in_any_case_and_the_result_is_su2s(folder):
         ({"param": "(1, 0.3); (0, 0.2)"}, "2 groups of parameters for 1 of DV_KIND"),
         ({"param": "(1, wide)"}, "DV_PARAM= a number expected, found 'wide'"),
         ({"param": "(4, 0.3)"}, "HICKS_HENNE has the side 4"),
-        ({"value": "0.1, 0.2"}, "2 values for 1"),
+        ({"value": "0.1, 0.2"}, "DV_VALUE= 1 values expected, one for each number, found 2"),
         ({"value": "0.1, nan"}, "a number expected"),
         ({"marker": "wing"}, "no patch .*wing"),
         ({"marker": ""}, "DV_MARKER= names no marker"),
         ({"more": "DV_VALUE= 1\n"}, "DV_VALUE= comes a second time"),
         ({"more": "DEFORM_NONLINEAR_ITER= 0\n"}, "1 or more"),
+        ({"more": "DEFORM_NONLINEAR_ITER= 2.5\n"}, "a whole number, 1 or more, expected, found 2.5"),
+        ({"kind": "FFD_SETTING", "more": DEFINITION + "FFD_DEGREE= (3.5, 1, 0)\n"}, "FFD_DEGREE= a whole number"),
+        ({"kind": "FFD_SETTING", "more": DEFINITION + "FFD_DEGREE= (3)\n"}, "FFD_DEGREE= 2 degrees .* found 4"),
+        ({"kind": "FFD_SETTING", "more": DEFINITION + "FFD_DEGREE= (99999, 9999, 0)\n"}, "at most 1000000 control"),
         ({"more": "nonsense\n"}, "line 6: an option NAME= value expected"),
         ({"kind": "NACA_4DIGITS, TRANSLATION", "param": "(2,4,12); (1,0,0)", "value": "1, 1"}, "taken alone"),
         ({"kind": "ROTATION", "param": "(0,0,0,1,0,1)"}, "both ends have the same x and y"),
@@ -478,6 +485,12 @@ def test_what_is_not_taken_is_told_by_its_name(folder, change, says):
     given = {"kind": "HICKS_HENNE", "param": "(1, 0.3)", "value": "0.01"} | change
     with pytest.raises(ValueError, match=rf"case\.cfg.*{says}|{says}"):
         config(folder, **given)
+
+
+def test_kinds_are_taken_in_small_letters(folder):
+    """As all other words of the file are."""
+    case = config(folder, "hicks_henne", "(1, 0.3)", "0.01")
+    assert case.names == ("HICKS_HENNE[0]",)
 
 
 def test_the_angle_of_attack_is_told_and_left_alone(folder):

@@ -14,15 +14,18 @@ from .symmetry import check_planes
 SYMMETRY = frozenset({"BCSymmetryPlane", "symmetry", "symmetryPlane", "axis"})
 """Kinds of symmetry planes."""
 
-INSIDE = "cyclic", "processor", "empty", "wedge"
-"""Beginnings of the kinds of patches that are no outer boundary."""
+INSIDE = "cyclic", "processor", "empty", "wedge", "overset"
+"""Beginnings of the kinds of patches that are no outer boundary.
+
+An overset patch lies inside of another grid: its nodes follow.
+"""
 
 
 def by_kinds(mesh: Any, moving: Any, periodic: Any) -> tuple[list[str], list[str]]:
     """Chooses fixed and symmetry patches by their kinds in the file, if only moving ones are named.
 
-    Symmetry patches that lie in planes slide; all other patches with a kind are fixed. A warning
-    names the choice. Nothing is chosen without kinds, or where `moving` are no names.
+    Symmetry patches that lie in planes slide; all other outer patches with a kind are fixed. A
+    warning names the choice. Nothing is chosen without kinds, or where `moving` are no names.
     """
     names = names_in(moving)
     if not isinstance(mesh, Mesh) or names is None:

@@ -42,7 +42,7 @@ _programs: "dict[str, Program]" = {}
 
 @dataclasses.dataclass(frozen=True)
 class _Shape:
-    """Stands for an array among arguments: shape and type, and whether the type may give way."""
+    """Stands for an array among arguments: shape and type, and whether the type is weak."""
 
     text: str
     is_weak: bool
@@ -80,7 +80,7 @@ class Program:
 
 
 class _UnkeptError(Exception):
-    """Tells that a program cannot be kept."""
+    """Ends the search for the name of a program that cannot be kept."""
 
 
 class _Pickler(pickle.Pickler):
@@ -186,7 +186,7 @@ def _made(key: str, function: Callable, arguments: tuple, options: dict[str, Any
 
     def flat(*traced: Any) -> tuple[Any, ...]:
         nonlocal form
-        given, rows, results = iter(traced), {id(leaf): row for row, leaf in enumerate(traced)}, []
+        arguments, rows, results = iter(traced), {id(leaf): row for row, leaf in enumerate(traced)}, []
 
         def placed(leaf: Any) -> Any:
             if not _is_array(leaf):
@@ -196,8 +196,8 @@ def _made(key: str, function: Callable, arguments: tuple, options: dict[str, Any
             results.append(leaf)
             return _Place(len(results) - 1, False)
 
-        words, named = jax.tree.unflatten(tree, [next(given) if _is_array(leaf) else leaf for leaf in leaves])
-        form = jax.tree.map(placed, function(*words, **named))
+        words, keywords = jax.tree.unflatten(tree, [next(arguments) if _is_array(leaf) else leaf for leaf in leaves])
+        form = jax.tree.map(placed, function(*words, **keywords))
         return tuple(results)
 
     # XLA writes code out incompletely if it has read the code. So JAX's own cache must not have the

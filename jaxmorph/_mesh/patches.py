@@ -1,8 +1,9 @@
 """Names of patches, from names, groups and patterns."""
 
-import difflib
 import re
 from collections.abc import Collection, Mapping, Sequence
+
+from .._host.package.words import similar
 
 SHOWN = 12
 """Names that an error lists."""
@@ -41,8 +42,8 @@ def _hint(name: str, known: Sequence[str]) -> str:
     shell = re.sub(r"(?<![.\])])\*", ".*", name)
     if shell != name and not re.search(r"[\[(\\]", shell) and any(re.fullmatch(shell, patch) for patch in known):
         return f" (patterns are regular expressions: {shell!r})"
-    near = difflib.get_close_matches(name, known, n=1)
-    return f" (did you mean {near[0]!r}?)" if near else ""
+    near = similar(name, known)
+    return f" (did you mean {near!r}?)" if near else ""
 
 
 def _known(patches: Collection[str], groups: Mapping[str, Sequence[str]]) -> str:

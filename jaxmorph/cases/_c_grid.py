@@ -1,14 +1,14 @@
 """C-grids of quads around any airfoil section, its trailing edge blunt or sharp."""
 
 from collections.abc import Callable
-from typing import NamedTuple, cast
+from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import brentq, isotonic_regression
+from scipy.optimize import isotonic_regression
 
 import jaxmorph as jm
 
-from ._structured import quads
+from ._structured import geometric, quads, root
 
 # A section of unit chord: t in [-1, 1] -> (k, 2), from the lower trailing edge (-1) round the nose
 # (0) to the upper.
@@ -130,23 +130,10 @@ def _two_sided(samples: int, cells: int, first: float, last: float) -> np.ndarra
     Comput. Phys. 50 (1983).
     """
     ratio, intensity = np.sqrt(last / first), 1 / (cells * np.sqrt(first * last))
-    delta = _root(lambda delta: np.sinh(delta) / delta - intensity, 1e-6, 50.0)
+    delta = root(lambda delta: np.sinh(delta) / delta - intensity, 1e-6, 50.0)
     u = 0.5 * (1 + np.tanh(delta * (np.linspace(0, 1, samples + 1) - 0.5)) / np.tanh(delta / 2))
     u[[0, -1]] = 0, 1
     return u / (ratio + (1 - ratio) * u)
-
-
-def _geometric(samples: int, cells: int, first: float) -> np.ndarray:
-    """Divides [0, 1] with a constant growth and a given first spacing.
-
-    The spacing is that of `cells` cells; the result is sampled by `samples` cells.
-    """
-    growth = _root(lambda beta: np.log(np.expm1(beta / cells) / np.expm1(beta) / first), 1e-9, 700.0)
-    return np.expm1(growth * np.linspace(0, 1, samples + 1)) / np.expm1(growth)
-
-
-def _root(function: Callable[[float], float], lower: float, upper: float) -> float:
-    return float(cast(float, brentq(function, lower, upper, xtol=1e-14)))
 
 
 def _with_wake(wall: np.ndarray, counts: Counts) -> tuple[np.ndarray, np.ndarray]:
@@ -155,7 +142,7 @@ def _with_wake(wall: np.ndarray, counts: Counts) -> tuple[np.ndarray, np.ndarray
     The second array is each ray's weight of the wake distribution.
     """
     first = TRAILING_EDGE_SPACING / (FARFIELD_X - 1)
-    along = _geometric(counts.wake, REFERENCE.wake, first)[1:]
+    along = geometric(REFERENCE.wake, first, counts.wake)[1:]
     rows = []
     for x, y in wall[[0, -1]]:
         rows.append(np.column_stack([x + (FARFIELD_X - x) * along, np.full_like(along, y)]))
@@ -165,9 +152,9 @@ def _with_wake(wall: np.ndarray, counts: Counts) -> tuple[np.ndarray, np.ndarray
 
 def _ray_lengths(weights: np.ndarray, cells: int, first_cell: float) -> np.ndarray:
     """Computes the distances (cells + 1, rays) of the nodes from the innermost line."""
-    wall = _geometric(cells, cells, first_cell / RAY_LENGTH)[:, None]
+    wall = geometric(cells, first_cell / RAY_LENGTH)[:, None]
     wake_first = max(first_cell, min(WAKE_FIRST_CELL, 0.5 * RAY_LENGTH / cells))
-    wake = _geometric(cells, cells, wake_first / RAY_LENGTH)[:, None]
+    wake = geometric(cells, wake_first / RAY_LENGTH)[:, None]
     return RAY_LENGTH * ((1 - weights) * wall + weights * wake)
 
 

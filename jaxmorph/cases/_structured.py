@@ -1,5 +1,8 @@
 """Parts of all structured meshes: ids in a block, the cells between them, spacings that grow."""
 
+from collections.abc import Callable
+from typing import cast
+
 import numpy as np
 from scipy.optimize import brentq
 
@@ -28,16 +31,18 @@ def hexahedra(ids: np.ndarray) -> np.ndarray:
     return np.concatenate([np.stack([quads(layer) for layer in part]) for part in (floor, lid)], axis=-1).reshape(-1, 8)
 
 
-def geometric(cells: int, first: float) -> np.ndarray:
+def geometric(cells: int, first: float, samples: int | None = None) -> np.ndarray:
     """Divides [0, 1] into `cells` that grow by a constant factor from `first`.
 
-    It is even where `first` is 1 / cells or more.
+    It is even where `first` is 1 / cells or more. With `samples` the growth is that of `cells`, and
+    so many cells sample it.
     """
+    samples = cells if samples is None else samples
     between("first_cell", first, 0)
     if first * cells >= 1:
-        return np.linspace(0, 1, cells + 1)
-    growth = float(brentq(lambda beta: np.log(np.expm1(beta / cells) / np.expm1(beta) / first), 1e-9, 700.0))  # pyright: ignore[reportArgumentType]
-    return np.expm1(growth * np.linspace(0, 1, cells + 1)) / np.expm1(growth)
+        return np.linspace(0, 1, samples + 1)
+    growth = root(lambda beta: np.log(np.expm1(beta / cells) / np.expm1(beta) / first), 1e-9, 700.0)
+    return np.expm1(growth * np.linspace(0, 1, samples + 1)) / np.expm1(growth)
 
 
 def two_sided(cells: int, first: float) -> np.ndarray:
@@ -52,7 +57,12 @@ def two_sided(cells: int, first: float) -> np.ndarray:
     def missing(delta):
         return np.log((1 - np.tanh(delta * (1 - 2 / cells)) / np.tanh(delta)) / 2 / first)
 
-    delta = float(brentq(missing, 1e-6, 18.0))  # pyright: ignore[reportArgumentType]
+    delta = root(missing, 1e-6, 18.0)
     share = 0.5 + 0.5 * np.tanh(np.linspace(-delta, delta, cells + 1)) / np.tanh(delta)
     share[[0, -1]] = 0, 1
     return share
+
+
+def root(function: Callable[[float], float], lower: float, upper: float) -> float:
+    """Finds where a function crosses zero, to the last digits of a spacing."""
+    return float(cast(float, brentq(function, lower, upper, xtol=1e-14)))

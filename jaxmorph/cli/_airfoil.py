@@ -1,7 +1,5 @@
 """Airfoils on the command line: bumps, class and shape functions, on either side."""
 
-import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,6 +7,8 @@ import numpy as np
 from jaxmorph import Mesh, shapes
 from jaxmorph._host.package.files import input_path
 from jaxmorph._host.package.toml import read
+
+from ._groups import as_json
 
 SIDES = ("upper", "lower")
 CHORD = ("nose", "tail", "up")
@@ -43,11 +43,8 @@ def class_functions(
 
 
 def _table(flag: str, source: str, more: tuple[str, ...]) -> dict[str, Any]:
-    try:
-        text = source.lstrip()
-        table = json.loads(text) if text.startswith("{") else read(source, input_path(Path(source)).read_bytes())
-    except (json.JSONDecodeError, RecursionError) as error:
-        raise ValueError(f"--{flag}: not a table in JSON ({error}).") from None
+    table = as_json(flag, source)
+    table = read(source, input_path(source).read_bytes()) if table is None else table
     known = (*SIDES, *more, *CHORD)
     foreign = [name for name in table if name not in known]
     if foreign or not set(table) & set(SIDES):

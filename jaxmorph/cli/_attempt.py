@@ -34,7 +34,7 @@ PATIENCE = 120.0
 class Attempt:
     """All that an attempt needs but the method and the steps.
 
-    `summing` sums up the `undeformed` mesh, beside what comes next.
+    `summing` sums up the `undeformed` mesh in another thread.
     """
 
     request: Deform
@@ -45,7 +45,7 @@ class Attempt:
 
     @property
     def before(self) -> Summary:
-        """The sum of the undeformed mesh. Raises `ValueError` for what cannot be judged."""
+        """The summary of the undeformed mesh. Raises `ValueError` for what cannot be judged."""
         return self.summing.result()
 
     @property
@@ -119,30 +119,30 @@ def _hint(choice: NamedMethod) -> str:
 
 def _tried(attempt: Attempt, choice: NamedMethod, out: Output) -> str:
     """Returns other flags of the first attempt whose mesh is good; empty if there is none."""
-    asked, steps = attempt.request.method, attempt.request.steps
+    first, steps = attempt.request.method, attempt.request.steps
     n, d = attempt.base.shape
-    trials = _trials(asked, steps, choice.sources, len(attempt.wall), n <= MOST_POINTS[d])
+    trials = _trials(first, steps, choice.sources, len(attempt.wall), n <= MOST_POINTS[d])
     with out.progress("trying others") as stage:
         for k, (method, number) in enumerate(trials):
             if _works(attempt, method, number):
-                flags = [f"--method {method.method}"] if method.method != asked.method else []
-                flags += [f"--sources {method.sources}"] if method.sources != asked.sources else []
+                flags = [f"--method {method.method}"] if method.method != first.method else []
+                flags += [f"--sources {method.sources}"] if method.sources != first.sources else []
                 return " ".join([*flags, *([f"--steps {number}"] if number != steps else [])])
             stage.done((k + 1) / len(trials))
     return ""
 
 
-def _trials(asked: Method, steps: int, sources: int, most: int, with_cells: bool) -> list[tuple[Method, int]]:
+def _trials(first: Method, steps: int, sources: int, most: int, with_cells: bool) -> list[tuple[Method, int]]:
     """Lists methods and numbers of steps, in the order in which they are tried."""
-    if asked.method != "default":
-        better = dataclasses.replace(asked, method="default")
-        slower = [(asked, 2 * steps)] if entry(asked.method).sources == "all" else []
+    if first.method != "default":
+        better = dataclasses.replace(first, method="default")
+        slower = [(first, 2 * steps)] if entry(first.method).sources == "all" else []
         return [*slower, (better, steps), (better, 4 * steps)]
-    more = [dataclasses.replace(asked, sources=min(factor * sources, most)) for factor in (2, 4)]
-    trials = [(more[0], steps), (asked, 2 * steps), (more[1], 4 * steps)]
-    if with_cells and asked.sources is None:
-        trials += [(dataclasses.replace(asked, method=name), steps) for name in CURES]
-    return [trial for trial in trials if trial != (asked, steps)]
+    more = [dataclasses.replace(first, sources=min(factor * sources, most)) for factor in (2, 4)]
+    trials = [(more[0], steps), (first, 2 * steps), (more[1], 4 * steps)]
+    if with_cells and first.sources is None:
+        trials += [(dataclasses.replace(first, method=name), steps) for name in CURES]
+    return [trial for trial in trials if trial != (first, steps)]
 
 
 def _works(attempt: Attempt, method: Method, steps: int) -> bool:

@@ -14,14 +14,14 @@ from jaxmorph._host.package.orders import rows_in
 from jaxmorph._host.package.ranks import Alone, Ranks, together
 
 from ._attempt import MORE
+from ._describe import check_files, described, say_proven, write_job
 from ._judged import Judged
 from ._method import in_double, patches_of
 from ._motion import motion
-from ._output import Output, title
+from ._output import Output, Stage, title
 from ._requests import Deform
 from ._summary import Summary
 from ._tables import faults, gate_facts, gate_table, table
-from ._told import check_files, described, say_proven, write_job
 from ._way import Way, followed
 
 COUNTS = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS")
@@ -55,17 +55,9 @@ def deform_parts(request: Deform, out: Output) -> int:
 
     half, path, dtype = ranks.bcast(together(ranks, prepared))  # pyright: ignore[reportGeneralTypeIssues]
     parts = Parts(half, path, dtype, largest, request.gates.limits)
-    judged: dict[int, tuple[Summary, Summary]] = {}
     try:
         with case.writing(request.output, ranks) as writer, out.progress("moving and judging the parts") as stage:
-            for first in range(0, len(case), ranks.size):
-                k = first + ranks.rank if first + ranks.rank < len(case) else None
-                moved = together(ranks, lambda k=k: None if k is None else parts.moved(case, k))
-                if k is not None and moved is not None:
-                    judged[k] = moved[1:]
-                writer.add(k, None if moved is None else moved[0])
-                stage.done(min(1.0, (first + ranks.size) / len(case)))
-            by_part = {k: pair for share in ranks.allgather(judged) for k, pair in share.items()}
+            by_part = _moved(parts, case, ranks, writer, stage)
             _say_warnings_of_all(out, ranks)
             bad = _print_summary([by_part[k] for k in sorted(by_part)], half.plan.is_linear, len(path), out)
             if bad and not request.allow_inverted:
@@ -77,6 +69,21 @@ def deform_parts(request: Deform, out: Output) -> int:
     _complain(request, bad, out)
     out.say(f"wrote {request.output} ({out.seconds:.1f} s)", output=str(request.output))
     return 1 if bad else 0
+
+
+def _moved(
+    parts: "Parts", case: io.Decomposed, ranks: Ranks, writer: Any, stage: Stage
+) -> dict[int, tuple[Summary, Summary]]:
+    """Moves and writes each part in one of the processes; returns summaries before and after."""
+    judged: dict[int, tuple[Summary, Summary]] = {}
+    for first in range(0, len(case), ranks.size):
+        k = first + ranks.rank if first + ranks.rank < len(case) else None
+        moved = together(ranks, lambda k=k: None if k is None else parts.moved(case, k))
+        if k is not None and moved is not None:
+            judged[k] = moved[1:]
+        writer.add(k, None if moved is None else moved[0])
+        stage.done(min(1.0, (first + ranks.size) / len(case)))
+    return {k: pair for share in ranks.allgather(judged) for k, pair in share.items()}
 
 
 def _print_summary(parts: list[tuple[Summary, Summary]], is_straight: bool, steps: int, out: Output) -> list[str]:

@@ -16,6 +16,7 @@ from jaxmorph._host.package.cores import Beside
 from jaxmorph._kernels.compile import quickly_compiled
 
 from ._attempt import Attempt, explain
+from ._describe import check_files, described, mesh_of, say_proven, wrapped, write_job
 from ._judged import Judged
 from ._method import NamedMethod, patches_of
 from ._motion import motion
@@ -23,12 +24,11 @@ from ._output import Output, title
 from ._requests import Deform
 from ._summary import Summary, coordinates, count
 from ._tables import gate_facts, gate_table, table
-from ._told import check_files, described, mesh_of, say_proven, wrapped, write_job
 from ._way import Way
 from ._writing import Writing
 
 Judgement = tuple[Judged, Summary, list[str]]
-"""The moved mesh as it was judged, its sum, and one sentence for each fault."""
+"""The moved mesh as it was judged, its summary, and one sentence for each fault."""
 
 Chunks = Iterator[tuple[np.ndarray, jm.Plan]]
 """Nodes and plans of a mesh in chunks, one after the other."""

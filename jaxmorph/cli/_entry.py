@@ -64,10 +64,7 @@ def one_line(message: object) -> str:
 
 @contextlib.contextmanager
 def _without_collection() -> Iterator[None]:
-    """Turns the garbage collector off during imports.
-
-    It would go through all that is imported again and again, and at the end.
-    """
+    """Turns the garbage collector off during imports: it would search all modules many times."""
     gc.disable()
     try:
         yield

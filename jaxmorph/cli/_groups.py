@@ -2,6 +2,7 @@
 
 import argparse
 import dataclasses
+import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, ClassVar
@@ -15,6 +16,19 @@ WHAT_MOVES = 'patches that move: names, or patterns as "wing.*"'
 def table(word: str) -> str:
     """Reads the name of a TOML file, or its table as JSON."""
     return word
+
+
+def is_json(word: str) -> bool:
+    """Checks whether the value of a `table` is JSON, and not the name of a file."""
+    return word.lstrip().startswith("{")
+
+
+def as_json(flag: str, word: str) -> dict[str, Any] | None:
+    """Reads a table in JSON; None for the name of a file. Raises `ValueError` for what is none."""
+    try:
+        return json.loads(word) if is_json(word) else None
+    except (json.JSONDecodeError, RecursionError) as error:
+        raise ValueError(f"--{flag}: not a table in JSON ({error}).") from None
 
 
 class Moving(argparse.Action):
@@ -73,7 +87,7 @@ def _in_group(what: str, **settings: Any) -> Any:
 
 
 def _vector(what: str, **settings: Any) -> Any:
-    return _in_group(what, metavar=("X", "Y"), type=float, nargs="+", **settings)
+    return _in_group(what, metavar=("X Y", "Z"), type=float, nargs="+", **settings)
 
 
 def _angle(what: str, **settings: Any) -> Any:
@@ -84,7 +98,7 @@ def _angle(what: str, **settings: Any) -> Any:
 class Group:
     """Patches that move and their motion: `--moving` and the flags after it."""
 
-    SECTION: ClassVar = "motion of the patches of the last --moving (one at least)"
+    SECTION: ClassVar = "motion of the patches of the last --moving (at least one flag)"
 
     patches: Sequence[str] = flag(WHAT_MOVES, "--moving", section="surface", everyday=True, action=Moving, **SEVERAL)
     displacement: Path | None = _in_group(

@@ -79,6 +79,11 @@ scale, twist, bend, rotate, translate[0]. NAME=NUMBER,NUMBER changes a whole
 list. If several motions have a variable of the name, put the motion's name
 first: flap.rotate=5. In a job, set is a table.
 
+The table of quality ends with the first grid line at the moving wall: the
+degrees by which its direction to the wall has changed, and the height of its
+cells over the undeformed one. Overshoot is the largest motion of an inner node
+over the largest motion of the wall.
+
 examples:
   pitch nose-up about the quarter chord, in three steps:
     jaxmorph deform airfoil.su2 pitched.su2 --moving airfoil --fixed farfield \\
@@ -185,8 +190,9 @@ jaxmorph sensitivity --help-all
 SU2 = """\
 Design variables, markers, steps and file names are those of the config file:
 DV_KIND, DV_PARAM, DV_VALUE, DV_MARKER, MARKER_SYM, DEFORM_NONLINEAR_ITER,
-FFD_*, MESH_FILENAME, MESH_OUT_FILENAME. Markers in neither list stay. Options
-of flow solvers are not looked at; a kind that is not taken is an error.
+FFD_*, MESH_FILENAME, MESH_OUT_FILENAME. Markers that neither DV_MARKER nor
+MARKER_SYM names stay. Options of flow solvers are not read. A DV_KIND that
+jaxmorph does not know is an error.
 
 def writes the mesh, and with it the boxes of the file with their control points
 moved; DV_KIND= FFD_SETTING writes the boxes of FFD_DEFINITION into it. dot

@@ -7,12 +7,12 @@ import numpy as np
 
 from jaxmorph import Mesh, _demo, io
 
+from ._describe import mesh_of
 from ._judged import Judged
 from ._output import Output, title
 from ._requests import Demo, Info, Quality
 from ._summary import Summary, count
 from ._tables import faults, gate_facts, gate_table, table
-from ._told import mesh_of
 
 
 def quality(request: Quality, out: Output) -> int:

@@ -11,7 +11,7 @@ from typing import Any
 
 from jaxmorph._host.package.toml import read, written
 
-from ._groups import Group, table
+from ._groups import Group, is_json, table
 from ._parser import Fields, flag_of, flags_of, meant
 from ._parts import Speech
 from ._requests import Deform
@@ -19,7 +19,7 @@ from ._requests import Deform
 NO_KEYS = ("job", "save_job", "set", *(field.name for field in dataclasses.fields(Speech)))
 """Flags that are not keys of a job; `set` is a table of it."""
 
-KINDS = {int: "number", float: "number", table: "table"}
+KINDS = {int: "whole number", float: "number", table: "table"}
 """Kinds of values by the types of flags; others are text, paths, or switches."""
 
 
@@ -76,25 +76,28 @@ def with_job(arguments: Sequence[str]) -> list[str]:
     if path is None:
         return arguments
     files, flags = _flags(path)
-    if command == ["sensitivity"]:
-        if not files:
-            raise ValueError(f"{path}: file is missing: the mesh that the job moves.")
-        return [*command, files[0], *arguments[1:]]
     first = next((k for k, word in enumerate(arguments) if word.startswith("-")), len(arguments))
-    return ["deform", *(arguments[1:first] or files), *flags, *arguments[first:]]
+    if "file" not in files and (command == ["sensitivity"] or ("output" in files and first == 1)):
+        raise ValueError(f"{path}: file is missing: the mesh that the job moves.")
+    if command == ["sensitivity"]:
+        return [*command, files["file"], *arguments[1:]]
+    return ["deform", *(arguments[1:first] or files.values()), *flags, *arguments[first:]]
 
 
-def _flags(path: Path) -> tuple[list[str], list[str]]:
-    """Reads a job: the words of its files, and its flags with their values."""
+def _flags(path: Path) -> tuple[dict[str, str], list[str]]:
+    """Reads a job: its file and output by these names, and its flags with their values."""
     job = _known(path, "a job", read(str(path), path.read_bytes()), (*JOB, "set", "moving"))
-    files: list[str] = []
+    files: dict[str, str] = {}
     flags: list[str] = []
     for name, key in JOB.items():
         if name not in job:
             continue
         if key.kind != "switch":
-            words = flags if key.flag else files
-            words += [*([key.flag] if key.flag else []), *_words(path, key, job[name])]
+            words = _words(path, key, job[name])
+            if key.flag:
+                flags += [key.flag, *words]
+            else:
+                files[name] = words[0]
         elif not isinstance(job[name], bool):
             raise ValueError(f"{path}: {name} is true or false, found {reprlib.repr(job[name])}.")
         elif job[name] is not key.default:
@@ -143,6 +146,8 @@ def _known(path: Path, what: str, table: dict[str, Any], names: Sequence[str]) -
     foreign = [key for key in table if key not in names]
     if foreign:
         hint = meant(foreign[0], names) or "."
+        if foreign[0] in MOTION and "moving" in names:
+            hint = ": it belongs to a motion, below a [[moving]]."
         raise ValueError(f"{path}: {what} has no {foreign[0]}{hint} It may have {', '.join(names)}.")
     return table
 
@@ -151,10 +156,11 @@ def _words(path: Path, key: Key, value: Any) -> list[str]:
     """Converts a value to words; a path becomes relative to the current folder."""
     if key.kind == "table" and isinstance(value, dict):
         return [json.dumps(value)]
-    is_number = key.kind == "number"
+    is_number = key.kind in ("number", "whole number")
+    types = {"number": (int, float), "whole number": (int,)}.get(key.kind, (str, int))
     values = value if isinstance(value, list) and key.is_list else [value]
-    if not values or any(type(word) not in ((int, float) if is_number else (str, int)) for word in values):
-        kinds = ("a number", "numbers") if is_number else ("text", "texts")
+    if not values or any(type(word) not in types for word in values):
+        kinds = (f"a {key.kind}", f"{key.kind}s") if is_number else ("text", "texts")
         what = f"{kinds[0]}, or a list of {kinds[1]}" if key.is_list else kinds[0]
         raise ValueError(f"{path}: {key.name} is {what}, found {reprlib.repr(value)}.")
     words = [str(word) for word in values]
@@ -162,7 +168,7 @@ def _words(path: Path, key: Key, value: Any) -> list[str]:
     if wrong:
         raise ValueError(f"{path}: {key.name} cannot be {reprlib.repr(wrong[0])}; a job has no flags as values.")
     is_path = key.kind in ("path", "table") or key.name == "mode"
-    if is_path and not words[0].lstrip().startswith("{"):
+    if is_path and not is_json(words[0]):
         words[0] = str(path.parent / words[0])
     return words
 
@@ -203,6 +209,6 @@ def _seen(key: Key, value: Any, folder: Path) -> Any:
         return [(_seen(MOTION["displacement"], file, folder), amplitude) for file, amplitude in value]
     if key.kind not in ("path", "table"):
         return value
-    if str(value).lstrip().startswith("{"):
+    if is_json(str(value)):
         return json.loads(value)
     return str(value) if os.path.isabs(value) else os.path.relpath(value, folder)

@@ -35,36 +35,38 @@ class NamedMethod:
 
 
 def named_method(
-    asked: Method, wall: Float[np.ndarray, "m d"], fixed: Float[np.ndarray, "f d"], chunk: int | None = None
+    request: Method, wall: Float[np.ndarray, "m d"], fixed: Float[np.ndarray, "f d"], chunk: int | None = None
 ) -> NamedMethod:
     """Makes the requested method for the points of the moving and of the fixed nodes.
 
     It raises `ValueError` for a number of sources, or a size of chunks, that the method cannot
     take.
     """
-    listed = entry(asked.method)
-    if asked.sources is not None and listed.sources != "some":
+    listed = entry(request.method)
+    if request.sources is not None and listed.sources != "some":
         free = " and ".join(method.name for method in METHODS if method.sources == "some")
-        raise ValueError(f"--sources is for the methods {free}; {asked.method} has no sources to choose.")
-    if asked.sources is not None and asked.sources <= wall.shape[1]:
-        raise ValueError(f"--sources must be {wall.shape[1] + 1} or more in {wall.shape[1]}-D, found {asked.sources}.")
+        raise ValueError(f"--sources is for the methods {free}; {request.method} has no sources to choose.")
+    if request.sources is not None and request.sources <= wall.shape[1]:
+        raise ValueError(
+            f"--sources must be {wall.shape[1] + 1} or more in {wall.shape[1]}-D, found {request.sources}."
+        )
     if chunk is not None and listed.needs_cells:
-        raise ValueError(f"--chunk is not for {asked.method}, which solves for all nodes at once.")
+        raise ValueError(f"--chunk is not for {request.method}, which solves for all nodes at once.")
     method = listed.make(Extent(wall, fixed))
     if listed.sources != "some":
-        return NamedMethod(method, listed, listed.sentence, len(wall) * (listed.sources == "all"), asked.dtype)
+        return NamedMethod(method, listed, listed.sentence, len(wall) * (listed.sources == "all"), request.dtype)
     assert isinstance(method, jm.SurfaceReconstruction)
     rbf, number = method.coarse, ""
-    if asked.sources is not None:
-        is_all = asked.sources >= len(wall)
-        rbf = jm.RBF(reduction=jm.AllPoints() if is_all else jm.KDTree.with_sources(asked.sources, wall))
+    if request.sources is not None:
+        is_all = request.sources >= len(wall)
+        rbf = jm.RBF(reduction=jm.AllPoints() if is_all else jm.KDTree.with_sources(request.sources, wall))
         is_fitted = isinstance(method.coarse, jm.FittedRBF)
         method = jm.SurfaceReconstruction(jm.FittedRBF(rbf) if is_fitted else rbf, method.correction)
     rbf = rbf.rbf if isinstance(rbf, jm.FittedRBF) else rbf
     sources = len(rbf.reduction(wall)) if isinstance(rbf, jm.RBF) else 0
-    if asked.sources is not None:
+    if request.sources is not None:
         number = f", {sources} wall sources"
-    return NamedMethod(method, listed, listed.sentence + number, sources, asked.dtype)
+    return NamedMethod(method, listed, listed.sentence + number, sources, request.dtype)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -101,10 +103,10 @@ class Patches:
             others = f" Patches there that neither move nor stay: {', '.join(left)}." if left else ""
             raise ValueError(f"{error}{others}") from None
 
-    def method(self, asked: Method, chunk: int | None = None) -> NamedMethod:
+    def method(self, request: Method, chunk: int | None = None) -> NamedMethod:
         """Makes the requested method. Raises what `named_method` does."""
         points = np.asarray(self.mesh.points)
-        return named_method(asked, points[self.nodes], points[np.setdiff1d(self.fixed_nodes, self.nodes)], chunk)
+        return named_method(request, points[self.nodes], points[np.setdiff1d(self.fixed_nodes, self.nodes)], chunk)
 
     def points(self, choice: NamedMethod) -> Float[np.ndarray, "n d"]:
         """Returns the mesh's points in the precision of the calculation."""

@@ -1,7 +1,6 @@
 """The motion of a surface that the command line describes, made of the library's shapes."""
 
 import dataclasses
-import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,11 +13,11 @@ from jaxtyping import Float, Int
 from jaxmorph import Mesh, io, shapes
 
 from ._airfoil import bumps, class_functions
-from ._groups import MOTIONS, Group
+from ._groups import MOTIONS, Group, as_json
 from ._parser import flag_of
 from ._requests import Deform
+from ._vectors import Points, angle_of, axis_of, direction_of, length_of, vector_of
 
-Points = Float[np.ndarray, "m d"]
 Parts = dict[str, tuple[shapes.AbstractShape, Any]]
 """Shapes by name in the order in which they are applied, with their parameters."""
 
@@ -89,7 +88,7 @@ def _parts(group: Group, mesh: Mesh, nodes: np.ndarray) -> Parts:
     if not group.mode and all(getattr(group, name) is None for name in MOTIONS if name != "mode"):
         raise ValueError(f"no motion: give one of {', '.join(map(flag_of, MOTIONS))}.")
     _check_used(group)
-    about = _vector("--about", group.about, d)
+    about = vector_of("--about", group.about, d)
     return {
         **_displacement(group, mesh, nodes),
         **_modes(group, mesh, nodes),
@@ -106,13 +105,8 @@ def _parts(group: Group, mesh: Mesh, nodes: np.ndarray) -> Parts:
 def _box(group: Group, d: int) -> Parts:
     if group.box is None:
         return {}
-    source: Any = group.box
-    if group.box.lstrip().startswith("{"):
-        try:
-            source = json.loads(group.box)
-        except (json.JSONDecodeError, RecursionError) as error:
-            raise ValueError(f"--box: not a table in JSON ({error}).") from None
-    return {"box": io.read_box(source, d)}
+    table = as_json("box", group.box)
+    return {"box": io.read_box(group.box if table is None else table, d)}
 
 
 def _airfoil(group: Group, mesh: Mesh) -> Parts:
@@ -128,7 +122,7 @@ def _scale(group: Group, about: np.ndarray) -> Parts:
     if group.scale is None:
         return {}
     is_one = len(group.scale) == 1 and np.isfinite(group.scale).all()
-    factors = _vector("--scale", group.scale, 1 if is_one else len(about))
+    factors = vector_of("--scale", group.scale, 1 if is_one else len(about))
     factors = factors[0] if len(factors) == 1 else factors
     shape = shapes.Function(lambda x, factors: shapes.scale(x, factors, about), np.ones_like(factors))
     return {"scale": (shape, factors)}
@@ -139,8 +133,8 @@ def _twist(group: Group, surface: Points, about: np.ndarray) -> Parts:
         return {}
     if len(about) == 2:
         raise ValueError("--twist is for meshes in 3-D; this one is in 2-D.")
-    angle, along = _angle("--twist", group.twist), _direction("--along", group.along, 3)
-    length = _length("--twist", group.length, surface, about, along)
+    angle, along = angle_of("--twist", group.twist), direction_of("--along", group.along, 3)
+    length = length_of("--twist", group.length, surface, about, along)
     shape = _by_angle(lambda x, angle: shapes.twist(x, angle, about, along, length))
     return {"twist": (shape, angle)}
 
@@ -149,11 +143,11 @@ def _bend(group: Group, surface: Points, about: np.ndarray) -> Parts:
     if group.bend is None:
         return {}
     d = len(about)
-    angle, axis = _angle("--bend", group.bend), _axis("--bend", group, d)
-    along = _direction("--along", group.along, d)
+    angle, axis = angle_of("--bend", group.bend), axis_of("--bend", group, d)
+    along = direction_of("--along", group.along, d)
     if axis is not None and abs(axis @ along) > 1e-3:
         raise ValueError("--bend needs --axis and --along at right angles.")
-    length = _length("--bend", group.length, surface, about, along)
+    length = length_of("--bend", group.length, surface, about, along)
     shape = _by_angle(lambda x, angle: shapes.bend(x, angle, about, along, length, axis))
     return {"bend": (shape, angle)}
 
@@ -161,7 +155,7 @@ def _bend(group: Group, surface: Points, about: np.ndarray) -> Parts:
 def _rotate(group: Group, about: np.ndarray) -> Parts:
     if group.rotate is None:
         return {}
-    angle, axis = _angle("--rotate", group.rotate), _axis("--rotate", group, len(about))
+    angle, axis = angle_of("--rotate", group.rotate), axis_of("--rotate", group, len(about))
     return {"rotate": (_by_angle(lambda x, angle: shapes.rotate(x, angle, about, axis)), angle)}
 
 
@@ -173,7 +167,7 @@ def _by_angle(function: Callable) -> shapes.Function:
 def _translate(group: Group, d: int) -> Parts:
     if group.translate is None:
         return {}
-    return {"translate": (shapes.Function(shapes.translate, np.zeros(d)), _vector("--translate", group.translate, d))}
+    return {"translate": (shapes.Function(shapes.translate, np.zeros(d)), vector_of("--translate", group.translate, d))}
 
 
 def _check_used(group: Group) -> None:
@@ -189,56 +183,6 @@ def _check_used(group: Group) -> None:
     for name, owners in needs.items():
         if getattr(group, name) is not None and all(getattr(group, owner) is None for owner in owners):
             raise ValueError(f"{flag_of(name)} without {' or '.join(map(flag_of, owners))}.")
-
-
-def _vector(option: str, values: list[float] | None, d: int) -> np.ndarray:
-    if values is None:
-        return np.zeros(d)
-    if len(values) != d or not np.isfinite(values).all():
-        found = " ".join(f"{value:g}" for value in values)
-        raise ValueError(f"{option} needs {d} numbers for a mesh in {d}-D, found: {found}.")
-    return np.array(values)
-
-
-def _direction(option: str, values: list[float] | None, d: int) -> np.ndarray:
-    """Scales a vector to length 1; in 2-D the default is the first axis."""
-    if values is None and d == 3:
-        raise ValueError(f"{option} X Y Z is missing.")
-    vector = _vector(option, values if values is not None else [1.0, 0.0], d)
-    length = np.linalg.norm(vector)
-    if length == 0:
-        raise ValueError(f"{option} needs a direction, found {' '.join(['0'] * d)}.")
-    return vector / length
-
-
-def _angle(option: str, degrees: float) -> float:
-    """Returns an angle in degrees. Raises `ValueError` for numbers that are not finite."""
-    if not np.isfinite(degrees):
-        raise ValueError(f"{option} needs an angle in degrees, found {degrees}.")
-    return degrees
-
-
-def _axis(option: str, group: Group, d: int) -> np.ndarray | None:
-    """Returns the axis of rotation and bending, of length 1; None in 2-D."""
-    if d == 2:
-        if group.axis is not None:
-            raise ValueError("--axis is for meshes in 3-D; this one is in 2-D.")
-        return None
-    if group.axis is None:
-        raise ValueError(f"{option} needs --axis X Y Z for a mesh in 3-D.")
-    return _direction("--axis", group.axis, 3)
-
-
-def _length(option: str, asked: float | None, surface: Points, about: np.ndarray, along: np.ndarray) -> float:
-    """Measures the line along which a surface is bent or twisted.
-
-    By default the line ends where the surface does.
-    """
-    length = float(((surface - about) @ along).max()) if asked is None else asked
-    if not (np.isfinite(length) and length > 0):
-        reason = "and no node lies ahead of --about in that direction" if asked is None else f"found {length:g}"
-        raise ValueError(f"{option} needs a --length above 0, {reason}.")
-    return length
 
 
 def _displacement(group: Group, mesh: Mesh, nodes: np.ndarray) -> Parts:

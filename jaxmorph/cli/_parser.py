@@ -2,10 +2,11 @@
 
 import argparse
 import dataclasses
-import difflib
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, TypeVar
+
+from jaxmorph._host.package.words import similar
 
 T = TypeVar("T")
 Fields = type[Any]
@@ -140,8 +141,8 @@ def flag_of(name: str) -> str:
 
 def meant(word: str, known: Iterable[str]) -> str:
     """Writes `; did you mean ...?`, or nothing if no known word is similar."""
-    near = difflib.get_close_matches(word, list(known), n=1)
-    return f"; did you mean {near[0]}?" if near else ""
+    near = similar(word, known)
+    return f"; did you mean {near}?" if near else ""
 
 
 def quoted(words: Sequence[str]) -> list[str]:

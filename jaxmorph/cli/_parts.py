@@ -73,8 +73,8 @@ class Gates:
     max_aspect_ratio: float | None = _limit("largest aspect ratio")
     max_non_orthogonality: float | None = _limit("largest non-orthogonality in degrees")
     max_skewness: float | None = _limit("largest skewness of a cell, 0 to 1")
-    max_face_skewness: float | None = _limit("largest skewness of a face, as checkMesh's")
-    max_face_aspect_ratio: float | None = _limit("largest aspect ratio from areas of faces, as checkMesh's")
+    max_face_skewness: float | None = _limit("largest skewness of a face, as checkMesh measures it")
+    max_face_aspect_ratio: float | None = _limit("largest aspect ratio from areas of faces, as checkMesh measures it")
     min_jacobian_ratio: float | None = _limit("smallest corner Jacobian over its initial value")
     proven: bool = switch(
         "every cell is proven to fold nowhere inside, by bounds on det J: during the whole motion, or in a mesh alone"

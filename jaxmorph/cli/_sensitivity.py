@@ -15,7 +15,7 @@ from ._motion import Motion, motion
 from ._output import Output, title
 from ._parts import Boundary, Method
 from ._requests import Deform, Sensitivity
-from ._summary import count
+from ._summary import coordinates, count
 from ._tables import LISTED, steepest
 
 
@@ -69,8 +69,8 @@ def _to_nodes(request: Sensitivity, plan: jm.Plan, sensitivity: np.ndarray, out:
         slope = np.asarray(jm.pullback(plan, np.zeros((len(moving), sensitivity.shape[1])), sensitivity), float)
     size = np.linalg.norm(slope, axis=1)
     worst = int(size.argmax())
-    place = ", ".join(f"{x:.3g}" for x in points[moving[worst]])
-    out.say(f"largest  {size[worst]:.5g}, at node {moving[worst]} near ({place})", largest=float(size[worst]))
+    place = coordinates(points[moving[worst]])
+    out.say(f"largest  {size[worst]:.5g}, at node {moving[worst]} near {place}", largest=float(size[worst]))
     out.say(f"sum      {', '.join(f'{x:.5g}' for x in slope.sum(axis=0))}", sum=slope.sum(axis=0).tolist())
     with out.progress(f"writing {request.output.name}"):
         io.write_sensitivity(request.output, moving, slope)

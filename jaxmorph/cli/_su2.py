@@ -94,8 +94,8 @@ def _project(request: SU2, config: su2.Config, out: Output) -> int:
     name = config.options.text("GRAD_OBJFUNC_FILENAME", "of_grad.dat")
     output = request.output or config.options.beside(name if Path(name).suffix else f"{name}.dat")
     with out.progress("reading the sensitivities"):
-        given = su2.read_sensitivity(config, request.sensitivity)
-    gradient, angle = _gradient(request, config, given, out), given.by_angle
+        sensitivities = su2.read_sensitivity(config, request.sensitivity)
+    gradient, angle = _gradient(request, config, sensitivities, out), sensitivities.by_angle
     if config.angles:
         gradient[config.angles] = angle or 0
         what = "is not told by this file, 0 here" if angle is None else f"from the file: {angle:.6g}"
@@ -109,8 +109,8 @@ def _project(request: SU2, config: su2.Config, out: Output) -> int:
     return 0
 
 
-def _gradient(request: SU2, config: su2.Config, given: su2.Sensitivity, out: Output) -> np.ndarray:
-    mesh, by_nodes = config.mesh, given.by_nodes
+def _gradient(request: SU2, config: su2.Config, sensitivities: su2.Sensitivity, out: Output) -> np.ndarray:
+    mesh, by_nodes = config.mesh, sensitivities.by_nodes
     wall, kind = np.asarray(mesh.points, float)[mesh.patch(*config.moving)], "surface"
     if len(by_nodes) == len(mesh.points):
         kind, choice = "volume", _method(request, config)
@@ -118,6 +118,8 @@ def _gradient(request: SU2, config: su2.Config, given: su2.Sensitivity, out: Out
             plan = jm.prepare(mesh, config.moving, config.fixed, method=choice.method, symmetry=config.symmetry)
         with out.progress("pulling back"):
             by_nodes = np.asarray(jm.pullback(plan, np.zeros(wall.shape), by_nodes))
-    out.say(f"reading  {given.path.name}: dJ/d(nodes) of the {kind}", sensitivity=str(given.path), kind=kind)
+    out.say(
+        f"reading  {sensitivities.path.name}: dJ/d(nodes) of the {kind}", sensitivity=str(sensitivities.path), kind=kind
+    )
     project = jax.jit(lambda by_wall: shapes.project(config.shape, wall, config.shape.neutral(), by_wall))
     return np.array(project(by_nodes), float)

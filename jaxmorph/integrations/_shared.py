@@ -6,11 +6,21 @@ from typing import Any
 import numpy as np
 
 from jaxmorph._boundary.outer_faces import outer_faces
+from jaxmorph._host.cells.pairs import parts_of as parts_of
 from jaxmorph._host.cells.pairs import sorted_columns
 from jaxmorph._host.cells.topology import CORNERS, solid
+from jaxmorph._host.package.arguments import shown
 from jaxmorph._host.package.orders import rows_in
 from jaxmorph._host.package.ranks import together
+from jaxmorph._host.surface.closest import closest as closest
+from jaxmorph._host.surface.closest import fans as fans
 from jaxmorph._mesh.mesh import Mesh
+
+
+def check_comm(comm: Any) -> None:
+    """Raises `ValueError` for anything that is no communicator of mpi4py."""
+    if not hasattr(comm, "allgather"):
+        raise ValueError(f"`comm` must be a communicator of mpi4py, MPI.COMM_WORLD for example, not {shown(comm)}.")
 
 
 def faces_of(comm: Any, mesh: Mesh | None, nodes: np.ndarray, is_shared: np.ndarray) -> dict[str, np.ndarray] | None:
@@ -96,16 +106,3 @@ def owned(comm: Any, keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     for rank, answer in enumerate(answers):
         marks[keeper == rank] = answer
     return marks[:, 0], marks[:, 1]
-
-
-def agree(comm: Any, ids: np.ndarray, is_shared: np.ndarray, is_owner: np.ndarray, values: np.ndarray) -> None:
-    """Puts the owner's rows of shared nodes in place of others', by way of each id's keeper."""
-    keeper = np.where(is_shared, ids % comm.size, -1)
-    owned_rows = [np.flatnonzero((keeper == rank) & is_owner) for rank in range(comm.size)]
-    asked_rows = [np.flatnonzero((keeper == rank) & ~is_owner) for rank in range(comm.size)]
-    known = comm.alltoall([(ids[rows], values[rows]) for rows in owned_rows])
-    asked = comm.alltoall([ids[rows] for rows in asked_rows])
-    names, rows = (np.concatenate([message[k] for message in known]) for k in range(2))
-    answers = comm.alltoall([rows[rows_in(names, ids)] for ids in asked])
-    for places, answer in zip(asked_rows, answers, strict=True):
-        values[places] = answer

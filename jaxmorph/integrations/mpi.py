@@ -15,12 +15,13 @@ import numpy as np
 from jaxtyping import ArrayLike, Bool, Float, Int, Real
 
 import jaxmorph as jm
-from jaxmorph._boundary.symmetry import check_dimension, on_facing
-from jaxmorph._host.package.arguments import check, shown
+from jaxmorph._host.package.arguments import check
 from jaxmorph._host.package.orders import rows_in
-from jaxmorph._host.package.ranks import together
+from jaxmorph._host.package.ranks import Agreement, together
 
-from ._shared import agree, faces_of, joined, owned
+from ._share import Share, surface_of
+from ._shared import check_comm, faces_of, joined, owned
+from ._summary import Summary as Summary
 
 ROWS = Real[ArrayLike, "k d"] | Sequence[Any]
 
@@ -60,7 +61,7 @@ class Piece:
         u = self.gathered(u)
         moved = np.array(together(self.comm, lambda: jm.deform(self.plan, u)))
         if self.comm.allreduce(int(self.is_shared.sum())):
-            agree(self.comm, self.nodes, self.is_shared, self.is_owner, moved)
+            moved[self.is_shared] = Agreement(self.comm)(self.nodes[self.is_shared], moved[self.is_shared])
         return moved
 
     def pullback(self, u: Real[ArrayLike, "k d"], cotangent: Real[ArrayLike, "n d"]) -> Float[np.ndarray, "k d"]:
@@ -112,30 +113,10 @@ class Piece:
             raise ValueError(f"{torn} moving nodes are displaced differently by the processes that share them.")
         return whole
 
-    def summary(self, report: jm.QualityReport) -> "Summary":
+    def summary(self, report: jm.QualityReport) -> Summary:
         """Sums up reports, `quality(piece, points)`, of all pieces: each cell is in one."""
         together(self.comm, lambda: check("report", report, jm.QualityReport, Piece.summary))
-        return _summed(self.comm, report)
-
-
-@dataclasses.dataclass(frozen=True)
-class Summary:
-    """Sums up the quality of a mesh in pieces.
-
-    Faces between two pieces are not judged: a piece's non-orthogonality is that of the faces inside
-    it.
-
-    - `cells`, `inverted`, `degenerate`: how many.
-    - `smallest`, `largest`, `mean`: of each measure of `QualityReport`, means weighted by area or
-      volume.
-    """
-
-    cells: int
-    inverted: int
-    degenerate: int
-    smallest: dict[str, float]
-    largest: dict[str, float]
-    mean: dict[str, float]
+        return Summary.gathered(self.comm, report)
 
 
 def prepare(
@@ -178,12 +159,11 @@ def prepare(
     **Raises:** `ValueError`, in every process, for what `jaxmorph.prepare` refuses. Also for a node
     that two processes have at different places.
     """
-
-    _check_comm(comm)
-    piece = together(comm, lambda: _given(points, nodes, moving, fixed, symmetry, is_open))
+    check_comm(comm)
+    piece = together(comm, lambda: _share(points, nodes, moving, fixed, symmetry, is_open))
     marks = owned(comm, piece.nodes)
     faces = faces_of(comm, piece.mesh, piece.nodes, marks[1])
-    everything, names, m, count, total = _surface(comm, piece, faces)
+    everything, names, m, count, total = surface_of(comm, piece, faces)
     whole = comm.gather(faces)
 
     def half() -> jm.SurfaceHalf | None:
@@ -205,6 +185,13 @@ def prepare(
     return Piece(comm, plan, piece.nodes, piece.moving, rows, *marks)
 
 
+def _share(points: Any, nodes: Any, moving: Any, fixed: Any, symmetry: Any, is_open: Any) -> Share:
+    check("points", points, jm.Mesh | ROWS, prepare)
+    check("symmetry", symmetry, jm.Plane | Sequence[jm.Plane], prepare)
+    check("is_open", is_open, bool, prepare)
+    return Share.checked(points, nodes, moving, fixed, symmetry)
+
+
 def attach(
     comm: Any,
     half: jm.SurfaceHalf,
@@ -223,115 +210,9 @@ def attach(
 
     **Raises:** `ValueError`, in every process, as `SurfaceHalf.attach` does.
     """
-    _check_comm(comm)
+    check_comm(comm)
     together(comm, lambda: check("half", half, jm.SurfaceHalf, attach))
     plan = together(comm, lambda: half.attach(np.asarray(points), np.asarray(nodes)))
     ids = np.asarray(nodes)
     moving = np.flatnonzero(np.isin(ids, half.moving))
     return Piece(comm, plan, ids, moving, rows_in(half.moving, ids[moving]), *owned(comm, ids))
-
-
-@dataclasses.dataclass(frozen=True)
-class _Given:
-    """Holds what one process gave of its piece, checked."""
-
-    points: np.ndarray
-    nodes: np.ndarray
-    moving: np.ndarray
-    fixed: np.ndarray
-    planes: list[jm.Plane]
-    mesh: jm.Mesh | None
-
-
-def _given(points: Any, nodes: Any, moving: Any, fixed: Any, symmetry: Any, is_open: Any) -> _Given:
-    check("points", points, jm.Mesh | ROWS, prepare)
-    check("symmetry", symmetry, jm.Plane | Sequence[jm.Plane], prepare)
-    check("is_open", is_open, bool, prepare)
-    mesh = points if isinstance(points, jm.Mesh) else None
-    x, ids = np.asarray(points if mesh is None else mesh.points), np.asarray(nodes)
-    if x.ndim != 2 or ids.shape != (len(x),) or ids.dtype.kind not in "iu" or len(np.unique(ids)) < len(ids):
-        raise ValueError(f"`nodes` must be one id for each of {len(x)} points, no id twice.")
-    if not len(x) or x.dtype.kind not in "fiu" or not np.isfinite(x).all() or (ids < 0).any():
-        raise ValueError("a piece needs at least one point, finite coordinates, and ids from 0 on.")
-    planes = [symmetry] if isinstance(symmetry, jm.Plane) else list(symmetry)
-    check_dimension(planes, x.shape[1])
-    return _Given(x, ids.astype(np.int64), _rows(moving, len(x)), _rows(fixed, len(x)), planes, mesh)
-
-
-def _surface(
-    comm: Any, piece: _Given, faces: dict[str, np.ndarray] | None
-) -> tuple[np.ndarray, np.ndarray, int, int, int]:
-    """Gathers the points that the surface's half needs, and their ids.
-
-    The first m move, those up to `count` are fixed, those up to `total` are on parallel planes or
-    on the boundary's `faces`. The outermost points, whose id is -1, are the last. All processes see
-    the same, and raise together.
-    """
-    x, ids = piece.points, piece.nodes
-    ends = np.unique([x.argmin(axis=0), x.argmax(axis=0)])
-    extent = np.concatenate(comm.allgather(x[ends]))  # a plane holds nodes to a share of the whole mesh's size
-    guided = on_facing(piece.planes, np.concatenate([x, extent]))[: len(x)]
-    on_faces = np.isin(ids, np.concatenate([corners.ravel() for corners in (faces or {}).values()] or [ids[:0]]))
-    kinds = piece.moving, piece.fixed, np.flatnonzero(guided | on_faces)
-    shares = comm.allgather([(ids[rows], x[rows]) for rows in kinds])
-    (moving, at_moving), (fixed, at_fixed), (further, at_further) = (
-        _union(parts) for parts in zip(*shares, strict=True)
-    )
-    rest = ~np.isin(fixed, moving)
-    others = ~np.isin(further, np.concatenate([moving, fixed]))
-    outermost = np.concatenate(comm.allgather(x[ends[~(guided | on_faces)[ends]]]))
-    everything = np.concatenate([at_moving, at_fixed[rest], at_further[others], outermost])
-    names = np.concatenate([moving, fixed[rest], further[others], np.full(len(outermost), -1)])
-    count = len(moving) + int(rest.sum())
-    return everything, names, len(moving), count, count + int(others.sum())
-
-
-def _check_comm(comm: Any) -> None:
-    if not hasattr(comm, "allgather"):
-        raise ValueError(f"`comm` must be a communicator of mpi4py, MPI.COMM_WORLD for example, not {shown(comm)}.")
-
-
-def _rows(values: Any, n: int) -> np.ndarray:
-    """Returns rows of the piece's points. Raises `ValueError` for what is no list of them."""
-    rows = np.asarray(values)
-    if rows.size == 0:
-        return np.zeros(0, dtype=np.int64)
-    if (
-        rows.ndim != 1
-        or rows.dtype.kind not in "iu"
-        or rows.min() < 0
-        or rows.max() >= n
-        or len(np.unique(rows)) < len(rows)
-    ):
-        raise ValueError(f"`moving` and `fixed` are rows of the piece's {n} points, whole numbers from 0, none twice.")
-    return rows.astype(np.int64)
-
-
-def _union(shares: Sequence[Any]) -> tuple[np.ndarray, np.ndarray]:
-    """Joins ids and coordinates, ascending. Raises `ValueError` for an id of several places."""
-    ids, points = (np.concatenate([share[k] for share in shares]) for k in range(2))
-    unique, first, back = np.unique(ids, return_index=True, return_inverse=True)
-    mismatched = np.flatnonzero((points != points[first][back]).any(axis=1))
-    if mismatched.size:
-        raise ValueError(
-            f"{mismatched.size} nodes lie at different places in different processes, first {ids[mismatched[0]]}."
-        )
-    return unique, points[first]
-
-
-def _summed(comm: Any, report: jm.QualityReport) -> Summary:
-    size = np.asarray(report.volume)[report.counted]
-    names = ("skewness", "aspect_ratio", "non_orthogonality", "volume", "jacobian_ratio")
-    values = {name: np.asarray(getattr(report, name))[report.counted] for name in names}
-    counts = len(size), int(report.inverted), int(report.degenerate)
-    least = {name: float(column.min(initial=np.inf)) for name, column in values.items()}
-    most = {name: float(column.max(initial=-np.inf)) for name, column in values.items()}
-    sums = {name: float((column * size).sum()) for name, column in values.items()}
-    shares = comm.allgather((counts, least, most, sums, float(size.sum())))
-    whole = sum(share[4] for share in shares)
-    return Summary(
-        *(sum(share[0][k] for share in shares) for k in range(3)),
-        smallest={name: float(np.min([share[1][name] for share in shares])) for name in names},
-        largest={name: float(np.max([share[2][name] for share in shares])) for name in names},
-        mean={name: sum(share[3][name] for share in shares) / whole if whole else float("nan") for name in names},
-    )

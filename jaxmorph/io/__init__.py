@@ -5,6 +5,8 @@ from ._boxes import Box as Box
 from ._boxes import boxes as boxes
 from ._boxes import with_boxes as with_boxes
 from ._displacement import read_displacement as read_displacement
+from ._format import periodic as periodic
+from ._format import symmetry as symmetry
 from ._gradient import check_gradient_output as check_gradient_output
 from ._gradient import write_gradient as write_gradient
 from ._lattice import check_lattice_output as check_lattice_output
@@ -12,8 +14,6 @@ from ._lattice import write_lattice as write_lattice
 from ._moved import cell_arrays as cell_arrays
 from ._moved import write_moved as write_moved
 from ._moved import write_pvd as write_pvd
-from ._periodic import periodic as periodic
-from ._periodic import symmetry as symmetry
 from ._registry import check_output as check_output
 from ._registry import read as read
 from ._registry import write as write

@@ -12,7 +12,7 @@ from jaxmorph import Mesh
 from jaxmorph._host.cells.topology import DIMENSION
 from jaxmorph._mesh.exchange import PREFIX
 
-from ._format import Arrays, Source, StampedPoints, stamp_of, unchanged_source
+from ._format import Arrays, Source, StampedPoints, stamp_of
 from ._meshio import meshio, to_mesh
 from .cgns.tree import opened, write_points
 from .text.digits import decoded
@@ -35,7 +35,7 @@ TYPES = {
     ),
 } | {(name, 2): ("line", [[0, 1]] * 2) for name in ("BAR", "BEA", "TRU", "EDG", "ROD", "SHE")}
 TYPES |= {(name, 1): ("vertex", []) for name in ("SPH", "CIR", "POI", "NOD")}
-"""Our types by first letters and node counts of Exodus's, and the corners of their sides."""
+"""Types of cells by first letters and node counts of Exodus's types, and corners of each side."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -51,7 +51,8 @@ class _Block:
 def read(path: pathlib.Path) -> Mesh:
     """Reads points, cells and patches: side sets, node sets, blocks of lower dimension.
 
-    Those of one name are one patch. One without a name is called by its kind and number.
+    Sets and blocks of one name are one patch. A set without a name is called by its kind and its
+    number.
     """
     path.open("rb").close()
     with opened(path, what=WHAT) as file:
@@ -68,11 +69,6 @@ def read(path: pathlib.Path) -> Mesh:
     content = StampedPoints(points, stamp_of(path))
     mesh = meshio.Mesh(points, [(block.kind, block.corners) for block in blocks], point_data=flags)
     return to_mesh(path, mesh, Source(path, NAME, content, in_file=content.in_file))
-
-
-def check(path: pathlib.Path, mesh: Mesh) -> None:
-    """Raises `ValueError` for a mesh of no Exodus file, or when its file has changed."""
-    unchanged_source(path, mesh, NAME)
 
 
 def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:

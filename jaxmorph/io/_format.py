@@ -1,14 +1,16 @@
 """File formats, and the memory of a mesh of the file that it came from."""
 
+import contextlib
 import dataclasses
 import importlib
 import pathlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Protocol, cast, runtime_checkable
 
 import numpy as np
 
 from jaxmorph import Mesh, Periodic
+from jaxmorph._host.package.arguments import checked
 from jaxmorph._mesh.polyhedra import Polyhedra
 
 Arrays = Mapping[str, np.ndarray]
@@ -19,11 +21,14 @@ class Source:
     """The file that a mesh was read from, and the `content` that gives the file back as it was.
 
     It is compared by identity, so that it can be a static field of a pytree however large `content`
-    is. `polyhedra`, `cell_ids`, `between` and `groups` are those of `Mesh`. `node_ids` are the
-    numbers that files give to its nodes, None for 0, 1, 2, ... `periodic` are the pairs of patches
-    that the file names as such, `symmetry` the patches that lie in symmetry planes. `kinds` is what
-    the file says that patches are. `file_nodes` are those of `Mesh`. `in_file` makes points of the
-    file of points of the mesh. Both are None where a mesh has the nodes of its file.
+    is.
+
+    - `polyhedra`, `cell_ids`, `groups`, `between`, `file_nodes`: those of `Mesh`.
+    - `periodic`: the periodic pairs of patches that the file names; `symmetry`: its patches in
+      symmetry planes; `kinds`: the type of each patch in the file.
+    - `node_ids` (n,): numbers of the nodes in other files, None for 0, 1, 2, ...
+    - `in_file`: takes points (n, d) of the mesh to points (N, 3) of the file; None where a mesh has
+      the nodes of its file.
     """
 
     path: pathlib.Path
@@ -46,18 +51,26 @@ class Source:
 
 @runtime_checkable
 class Codec(Protocol):
-    """Lists the functions that the module of a format defines."""
+    """Lists the functions that the module of a format defines.
+
+    A format without the `check` of `Checking` takes back only meshes that came from it.
+    """
 
     def read(self, path: pathlib.Path) -> Mesh:
         """Reads the mesh in a file; `ValueError` names file, place and what was found."""
         ...
 
-    def check(self, path: pathlib.Path, mesh: Mesh) -> None:
-        """Raises `ValueError` for what `write` could not do with the mesh, for any points."""
-        ...
-
     def write(self, path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:
         """Writes a new file; `cell_data` follows the order of `mesh.cells`, type by type."""
+        ...
+
+
+@runtime_checkable
+class Checking(Protocol):
+    """The function of a format that writes any mesh, or some of them."""
+
+    def check(self, path: pathlib.Path, mesh: Mesh) -> None:
+        """Raises `ValueError` for what `write` could not do with the mesh, for any points."""
         ...
 
 
@@ -74,7 +87,7 @@ class Format:
     name: str
     suffixes: tuple[str, ...]
     module: str
-    holds_arrays: bool = True
+    holds_arrays: bool = False
     is_folder: bool = False
     magic: tuple[bytes, ...] = ()
 
@@ -90,7 +103,11 @@ def source_of(mesh: Mesh, format_name: str) -> Source | None:
 
 
 def own_source(path: pathlib.Path, mesh: Mesh, format_name: str) -> Source:
-    """Returns a mesh's source for a format that writes only its own; else raises `ValueError`."""
+    """Returns the source of a mesh, for a format whose files are copies of the one that was read.
+
+    It raises `ValueError` for other meshes, and where the file has changed since, if the source's
+    content has its `stamp`.
+    """
     source = source_of(mesh, format_name)
     if source is None:
         article = "an" if format_name in ("Exodus", "MFEM") else "a"
@@ -98,7 +115,18 @@ def own_source(path: pathlib.Path, mesh: Mesh, format_name: str) -> Source:
             f"{path}: only a mesh that was read from {article} {format_name} file can be written to one; "
             "write .vtu or .su2."
         )
+    if hasattr(source.content, "stamp") and stamp_of(source.path) != source.content.stamp:
+        raise ValueError(f"{source.path} has changed since the mesh was read from it; read it again.")
     return source
+
+
+@contextlib.contextmanager
+def faults_of(path: pathlib.Path) -> Iterator[None]:
+    """Puts the name of the file that is read before the message of a `ValueError`."""
+    try:
+        yield
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
 
 
 def stamp_of(path: pathlib.Path) -> tuple[int, int]:
@@ -125,12 +153,29 @@ class StampedPoints(FilePoints):
     stamp: tuple[int, int]
 
 
-def unchanged_source(path: pathlib.Path, mesh: Mesh, format_name: str) -> Source:
-    """Returns `own_source`; raises `ValueError` also when the file has changed since it was read.
+@checked
+def periodic(mesh: Mesh) -> tuple[Periodic, ...]:
+    """Lists a file's periodic patches: OpenFOAM's `cyclic`, CGNS's periodic interfaces.
 
-    The source's `content` has the file's `stamp`.
+    **Arguments:**
+
+    - `mesh`: what `read` returned.
+
+    **Returns:** pairs for `prepare(..., periodic=)`; none for other formats.
     """
-    source = own_source(path, mesh, format_name)
-    if stamp_of(source.path) != source.content.stamp:
-        raise ValueError(f"{source.path} has changed since the mesh was read from it; read it again.")
-    return source
+    return mesh.source.periodic if isinstance(mesh.source, Source) else ()
+
+
+@checked
+def symmetry(mesh: Mesh) -> tuple[str, ...]:
+    """Lists a file's symmetry patches: OpenFOAM's `symmetry` and `symmetryPlane`, axes of wedges.
+
+    In CGNS these are of the type `BCSymmetryPlane`, their own or their family's.
+
+    **Arguments:**
+
+    - `mesh`: what `read` returned.
+
+    **Returns:** names for `prepare(..., symmetry=)`; none for other formats.
+    """
+    return mesh.source.symmetry if isinstance(mesh.source, Source) else ()

@@ -10,7 +10,7 @@ import numpy as np
 from jaxmorph import Mesh
 from jaxmorph._mesh.exchange import PREFIX
 
-from ._format import Arrays, Source, StampedPoints, stamp_of, unchanged_source
+from ._format import Arrays, Source, StampedPoints, stamp_of
 from ._meshio import meshio, to_mesh
 from .cgns.tree import opened, write_points
 from .text.digits import decoded
@@ -27,7 +27,7 @@ TYPES = {
     "PE6": ("wedge", [0, 2, 1, 3, 5, 4]),
     "HE8": ("hexahedron", [0, 3, 2, 1, 4, 7, 6, 5]),
 }
-"""Our types by MED's, and MED's corners in VTK's order: it sees cells from the other side."""
+"""Types of cells by MED's, and the places of MED's corners in VTK's order."""
 
 
 def read(path: pathlib.Path) -> Mesh:
@@ -56,11 +56,6 @@ def read(path: pathlib.Path) -> Mesh:
     content = StampedPoints(points, stamp_of(path))
     mesh = meshio.Mesh(points, blocks, point_data=flags, cell_sets=sets)
     return to_mesh(path, mesh, Source(path, NAME, content, in_file=content.in_file))
-
-
-def check(path: pathlib.Path, mesh: Mesh) -> None:
-    """Raises `ValueError` for a mesh of no MED file, or when its file has changed."""
-    unchanged_source(path, mesh, NAME)
 
 
 def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:

@@ -16,6 +16,8 @@ import numpy as np
 
 from jaxmorph import Mesh
 
+from ._format import faults_of
+
 for _kind in ("pyramid13", "wedge15"):  # types that meshio reads and writes, and whose dimension it lacks
     meshio._mesh.topological_dimension.setdefault(_kind, 3)
 
@@ -62,8 +64,6 @@ def load(path: pathlib.Path, name: str, reader: Callable[[str], Any]) -> meshio.
 
 def to_mesh(path: pathlib.Path, mesh: Any, source: Any) -> Mesh:
     """Makes a `Mesh` by `Mesh.from_meshio`, whose errors then name the file."""
-    try:
+    with faults_of(path):
         whole = Mesh.from_meshio(mesh)
         return Mesh(whole.points, whole.cells, whole.patches, source=source)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error

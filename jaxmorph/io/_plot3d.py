@@ -13,7 +13,7 @@ import numpy as np
 
 from jaxmorph import Mesh
 
-from ._format import Arrays, Source, own_source
+from ._format import Arrays, Source, faults_of, own_source
 from ._joined import Joined, Zones, join
 from ._structured import SIDES, block_cells, block_ids, block_sides
 from .text.sections import chunks, parse, replace_words
@@ -69,18 +69,11 @@ def read(path: pathlib.Path) -> Mesh:
             f"{path}: not a whole PLOT3D grid; no count of blocks and sizes fits this {form} file to its end."
         )
     points = np.concatenate([block.T.astype(float) for block in layout.coordinates(numbers)])
-    try:
+    with faults_of(path):
         mesh, joined = join(_zones(path, layout.shapes, points))
         content = _Content(data, layout, joined)
         source = Source(path, NAME, content, file_nodes=joined.node, in_file=joined.in_file)
         return Mesh(mesh.points, mesh.cells, mesh.patches, source=source)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
-
-
-def check(path: pathlib.Path, mesh: Mesh) -> None:
-    """Raises `ValueError` for a mesh that was not read from a PLOT3D file."""
-    own_source(path, mesh, NAME)
 
 
 def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:
@@ -188,12 +181,12 @@ def _zones(path: pathlib.Path, shapes: tuple[tuple[int, ...], ...], points: np.n
     beside = path.with_name(f"{path.name}.patches")
     patches: dict[str, list[np.ndarray]] = {}
     if beside.is_file():
-        for name, nodes in _named(beside, shapes):
+        for name, nodes in _patches_beside(beside, shapes):
             patches.setdefault(name, []).append(nodes)
     return Zones(points, cells, patches, faces, None if patches else names)
 
 
-def _named(path: pathlib.Path, shapes: tuple[tuple[int, ...], ...]) -> Iterator[tuple[str, np.ndarray]]:
+def _patches_beside(path: pathlib.Path, shapes: tuple[tuple[int, ...], ...]) -> Iterator[tuple[str, np.ndarray]]:
     """Names and nodes from lines `NAME BLOCK SIDE` or `NAME BLOCK I1 I2 J1 J2 [K1 K2]`."""
     firsts = np.cumsum([0, *(int(np.prod(shape)) for shape in shapes)])
     for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):

@@ -11,18 +11,18 @@ from jaxmorph._host.cells.topology import repeated_cells
 from jaxmorph._host.package import files
 from jaxmorph._host.package.arguments import checked
 
-from ._format import Format, Source
+from ._format import Checking, Format, Source, own_source
 
 FORMATS = (
-    Format("SU2", (".su2",), "_su2", holds_arrays=False),
-    Format("VTK", (".vtu", ".vtk"), "_vtk"),
-    Format("gmsh", (".msh",), "gmsh.file", holds_arrays=False),
-    Format("CGNS", (".cgns",), "cgns.file", holds_arrays=False),
-    Format("MFEM", (".mesh",), "_mfem", holds_arrays=False),
-    Format("MED", (".med",), "_med", holds_arrays=False),
-    Format("Exodus", (".e", ".exo", ".ex2", ".exoii", ".g"), "_exodus", holds_arrays=False, magic=(b"CDF", b"\x89HDF")),
-    Format("PLOT3D", (".xyz", ".p3d", ".p3dfmt", ".x", ".g"), "_plot3d", holds_arrays=False),
-    Format("OpenFOAM", (), "openfoam.case", holds_arrays=False, is_folder=True),
+    Format("SU2", (".su2",), "_su2"),
+    Format("VTK", (".vtu", ".vtk"), "vtk.file", holds_arrays=True),
+    Format("gmsh", (".msh",), "gmsh.file"),
+    Format("CGNS", (".cgns",), "cgns.file"),
+    Format("MFEM", (".mesh",), "mfem.file"),
+    Format("MED", (".med",), "_med"),
+    Format("Exodus", (".e", ".exo", ".ex2", ".exoii", ".g"), "_exodus", magic=(b"CDF", b"\x89HDF")),
+    Format("PLOT3D", (".xyz", ".p3d", ".p3dfmt", ".x", ".g"), "_plot3d"),
+    Format("OpenFOAM", (), "openfoam.case", is_folder=True),
 )
 
 
@@ -179,17 +179,16 @@ def check_output(path: str | os.PathLike[str], mesh: Mesh) -> bool:
 
 
 def _checked(name: str | os.PathLike[str], mesh: Mesh) -> Format:
-    chosen = checked_target(name, mesh.source)
-    chosen.codec().check(pathlib.Path(name), mesh)
-    return chosen
-
-
-def checked_target(name: str | os.PathLike[str], source: object) -> Format:
-    """Checks the name of a file to write; raises `ValueError` also for that of `source`."""
-    chosen = format_of(pathlib.Path(name), source)
+    """Checks the name of a file and the mesh to write there; returns the format."""
+    source, chosen = mesh.source, format_of(pathlib.Path(name), mesh.source)
     path = files.output_path(name, folder=chosen.is_folder)
     if isinstance(source, Source) and _same_file(path, source.path):
         raise ValueError(f"{path}: the mesh was read from this file; write to another one.")
+    codec = chosen.codec()
+    if isinstance(codec, Checking):
+        codec.check(path, mesh)
+    else:
+        own_source(path, mesh, chosen.name)
     return chosen
 
 

@@ -12,7 +12,6 @@ from jaxmorph._host.package.arguments import checked, finite_array, rows_of
 from jaxmorph._host.package.files import complete, input_path, output_path, read_arrays, real_array
 from jaxmorph._host.package.orders import rows_in
 
-from ._restart import is_restart, read_restart
 from ._surface import read_table
 from .openfoam.field import is_foam_file, read_point_vectors
 
@@ -60,8 +59,6 @@ def read_sensitivity(
         ids, values = _arrays(path, n)
     elif is_foam_file(path):
         ids, values = np.arange(n), read_point_vectors(path, mesh)
-    elif is_restart(path):
-        ids, values = _columns(path, d)
     else:
         ids, values = read_table(path, d, NAMES)
     if values.shape != (len(ids), d) or not np.isfinite(values).all():
@@ -82,16 +79,6 @@ def read_sensitivity(
     result = np.empty((n, d))
     result[ids] = values
     return result
-
-
-def _columns(path: pathlib.Path, d: int) -> tuple[np.ndarray, np.ndarray]:
-    names, values = read_restart(path)
-    missing = [name for name in NAMES[:d] if name not in names]
-    if missing:
-        raise ValueError(
-            f"{path}: a binary restart without the columns {', '.join(missing)}; it has {', '.join(names)}."
-        )
-    return np.arange(len(values)), values[:, [names.index(name) for name in NAMES[:d]]]
 
 
 def _arrays(path: pathlib.Path, n: int) -> tuple[np.ndarray, np.ndarray]:

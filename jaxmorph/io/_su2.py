@@ -168,7 +168,9 @@ def _keywords(path: pathlib.Path, text: bytes) -> Iterator[Keyword]:
 def _only(path: pathlib.Path, keywords: list[Keyword], name: str) -> Keyword:
     matches = [keyword for keyword in keywords if keyword.name == name]
     if not matches:
-        raise ValueError(f"{path}: no {name}= in this file; it is not an SU2 mesh, or it is cut short.")
+        small = any(keyword.name.upper() == name for keyword in keywords)
+        cause = "SU2's keywords are in capitals" if small else "it is not an SU2 mesh, or it is cut short"
+        raise ValueError(f"{path}: no {name}= in this file; {cause}.")
     if len(matches) > 1:
         raise matches[1].section.error(f"a second {name}=; zones of a file begin with IZONE=.")
     return matches[0]

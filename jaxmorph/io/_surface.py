@@ -1,4 +1,4 @@
-"""Tables of surface nodes: node id, x, y[, z]."""
+"""Tables of nodes: node id, x, y[, z], in text, and SU2's restart files in binary."""
 
 import os
 import pathlib
@@ -15,6 +15,12 @@ FACT = re.compile(rb"^[ \t]*[A-Za-z_]+[ \t]*=.*$", re.MULTILINE)
 """A line `NAME= value`, such as those behind the rows of SU2's older restarts."""
 IDS = (b"pointid", b"point_id", b"id", b"node", b"globalindex", b"global_index")
 """Names that headers give to the column of node ids, which is the first one otherwise."""
+MAGIC = 535532
+"""The first number of a binary restart, in four bytes of either order."""
+HEADER = 5
+"""Whole numbers at its beginning: `MAGIC`, the counts of columns and nodes, and two zeros."""
+WIDTH = 33
+"""Bytes of the name of one of its columns."""
 
 
 @checked
@@ -42,9 +48,12 @@ def read_table(
 ) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, "m d"]]:
     """Reads node ids and d numbers for each.
 
-    Columns that a header calls as `wanted` are taken, whatever stands beside them; else all.
+    Columns that a header calls as `wanted` are taken, whatever stands beside them; else all. A
+    binary restart must have these columns.
     """
     text = path.read_bytes()
+    if wanted and MAGIC in (int.from_bytes(text[:4], "little"), int.from_bytes(text[:4], "big")):
+        return _restart(path, text, wanted[:d])
     for mark in (b"%", b"#"):
         text = b"\n".join(line.partition(mark)[0] for line in text.split(b"\n"))
     text = FACT.sub(b"", text)
@@ -75,6 +84,30 @@ def read_table(
         row = int(np.setdiff1d(np.arange(len(ids)), first)[0])
         raise section.error(f"node {ids[row]} comes a second time.", row)
     return ids, np.ascontiguousarray(table[:, 1:])
+
+
+def _restart(
+    path: pathlib.Path, content: bytes, wanted: tuple[str, ...]
+) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n d"]]:
+    """Reads columns of a binary restart, which has a row for each node in the order of the mesh."""
+    order = "<" if int.from_bytes(content[:4], "little") == MAGIC else ">"
+    begin = 4 * HEADER
+    k, n = np.frombuffer(content[:begin].ljust(begin, b"\0"), f"{order}i4")[1:3].astype(int).tolist()
+    start = begin + WIDTH * k
+    if k < 1 or n < 1 or len(content) < start + 8 * n * k:
+        raise ValueError(
+            f"{path}: a binary restart of {n} nodes and {k} columns has {start + 8 * n * k} bytes or more, "
+            f"found {len(content)}."
+        )
+    words = [content[begin + WIDTH * i : begin + WIDTH * (i + 1)].partition(b"\0")[0] for i in range(k)]
+    names = [word.decode(errors="replace").strip("\"' ").lower() for word in words]
+    missing = [name for name in wanted if name not in names]
+    if missing:
+        raise ValueError(
+            f"{path}: a binary restart without the columns {', '.join(missing)}; it has {', '.join(names)}."
+        )
+    values = np.frombuffer(content, f"{order}f8", count=n * k, offset=start).reshape(n, k).astype(float)
+    return np.arange(n), values[:, [names.index(name) for name in wanted]]
 
 
 def _after_header(text: bytes) -> int:

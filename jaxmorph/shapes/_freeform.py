@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from .._host.package.arguments import between, checked
+from .._host.package.errors import place_of
 from .._kernels.values import is_known, slack
 from . import _bspline
 from ._arguments import Numbers, check_finite, known_positions, positions
@@ -214,10 +215,9 @@ class FreeForm(AbstractLinearShape):
         known = known_positions(x)
         outside = np.flatnonzero(~np.asarray(self.holds(self.coordinates(jnp.asarray(known)))))
         if len(outside):
-            place = ", ".join(f"{value:.6g}" for value in known[outside[0]])
             raise ValueError(
-                f"{len(outside)} of {len(known)} positions are outside the box, first row {outside[0]} at ({place}). "
-                "Try a larger box."
+                f"{len(outside)} of {len(known)} positions are outside the box, first row {outside[0]} at "
+                f"({place_of(known[outside[0]])}). Try a larger box."
             )
 
     @checked
@@ -240,8 +240,7 @@ class FreeForm(AbstractLinearShape):
         torn = outside & (moves > np.linalg.norm(x - border, axis=1))
         if torn.any():
             worst = int(np.where(torn, moves, 0).argmax())
-            place = ", ".join(f"{value:.6g}" for value in x[worst])
             raise ValueError(
-                f"{torn.sum()} of {len(x)} nodes stay outside the box while its border passes them, row {worst} at ({place}) by "
-                f"{moves[worst]:.3g}. Try continuity=0 or more, or a larger box."
+                f"{torn.sum()} of {len(x)} nodes stay outside the box while its border passes them, row {worst} at "
+                f"({place_of(x[worst])}) by {moves[worst]:.3g}. Try continuity=0 or more, or a larger box."
             )

@@ -48,8 +48,8 @@ class MeshGuard(Module):
     equal. It is twice differentiable, along any motion of a plan.
 
         guard = shapes.MeshGuard(plan, mesh, lambda p: shapes.displacement(bumps, plan, p))
-        scipy.optimize.minimize(guard.guarded(drag), start, jac=True, method="SLSQP",
-        constraints=guard.constraint())
+        options = {"jac": True, "method": "SLSQP", "constraints": guard.constraint()}
+        scipy.optimize.minimize(guard.guarded(drag), start, **options)
 
     **Arguments:**
 

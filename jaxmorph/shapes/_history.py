@@ -19,9 +19,10 @@ FIELDS = ("design", "value", "constraints", "measures")
 class History:
     """Iterations of an optimisation: lines of JSON, on the disk as soon as they are added.
 
-        history = shapes.History("wing.jsonl") start = history.designs[-1] if len(history) else
-        np.zeros(20) history.add(design, drag, constraints={"lift": lift},
-        measures={"jacobian_ratio": guard.smallest(design)})
+        history = shapes.History("wing.jsonl")
+        start = history.designs[-1] if len(history) else np.zeros(20)
+        measures = {"jacobian_ratio": guard.smallest(design)}
+        history.add(design, drag, constraints={"lift": lift}, measures=measures)
 
     A file that is there is read first, so that a run that was ended goes on from its last
     iteration. A last line that is cut off is left out. `plot.convergence(history)` draws it.

@@ -1,6 +1,5 @@
 """Names of design variables: one for each number of a shape's parameters."""
 
-import difflib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
@@ -9,6 +8,7 @@ import numpy as np
 from jaxtyping import PyTree
 
 from .._host.package.arguments import checked
+from .._host.package.words import similar
 from ._arguments import check_parameters
 
 LISTED = 12
@@ -84,8 +84,8 @@ def _called(name: str, known: Iterable[str]) -> list[str]:
 
 def _hint(name: str, known: Sequence[str]) -> str:
     """Suggests a known name, or the end of a known name, that is similar."""
-    near = difflib.get_close_matches(name, [*known, *(stem.rpartition(".")[2] for stem in known)], n=1)
-    return f" (did you mean {near[0]!r}?)" if near else ""
+    near = similar(name, [*known, *(stem.rpartition(".")[2] for stem in known)])
+    return f" (did you mean {near!r}?)" if near else ""
 
 
 def _leaves(parameters: PyTree) -> Iterator[tuple[str, Any]]:

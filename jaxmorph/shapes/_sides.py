@@ -125,8 +125,7 @@ def tour(places: Float[np.ndarray, "m 2"]) -> Int[np.ndarray, " m"]:
         before[k] = int(np.argmax(total <= total.min() + TIE))
         cost[:k] += np.linalg.norm(following - ahead[k])
         cost[k] = total[before[k]]
-    # backwards: k was reached from k - 1, or from `before[k - 1]` where the other chain ends at k -
-    # 1
+    # backwards: k was reached from k - 1, or from `before[k - 1]` where the other chain ends there
     other = int(before[count - 1])
     chains = [count - 1], [other]
     for k in range(count - 1, 1, -1):

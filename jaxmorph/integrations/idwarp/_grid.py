@@ -11,7 +11,7 @@ import jaxmorph as jm
 from jaxmorph import io
 
 from .. import mpi
-from .._shared import together
+from .._shared import check_comm, together
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -170,9 +170,9 @@ def _in_space(mesh: jm.Mesh, path: str) -> jm.Mesh:
 
 def communicator(comm: Any) -> Any:
     """Returns the communicator, by default of all processes. Raises `ValueError` otherwise."""
-    if comm is not None and not hasattr(comm, "allgather"):
-        raise ValueError(f"`comm` must be a communicator of mpi4py, MPI.COMM_WORLD for example, not {comm!r}.")
-    return mpi.MPI.COMM_WORLD if comm is None else comm
+    comm = mpi.MPI.COMM_WORLD if comm is None else comm
+    check_comm(comm)
+    return comm
 
 
 def surface_blocks(comm: Any, path: str) -> tuple[np.ndarray, np.ndarray]:

@@ -139,7 +139,9 @@ class MultiUSMesh:
 
     def warpDerivFwd(self, dXs: Any) -> Float[np.ndarray, " c"]:
         """Pushes a change of the surface's points (k, 3) forward to the solver's coordinates."""
-        tangent, change = self._given("dXs", dXs), np.zeros(self._solver().size)
+        self._defined()
+        tangent = together(self.comm, lambda: reals("dXs", dXs, self._coordinates.shape))
+        change = np.zeros(self._solver().size)
         for rows, chosen, mesh in zip(self._defined(), self._chosen, self.meshes, strict=True):
             change[chosen] = mesh.warpDerivFwd(tangent[rows])
         return change
@@ -170,10 +172,6 @@ class MultiUSMesh:
         if self._rows is None:
             raise ValueError("the surface is not known: call setSurfaceDefinition.")
         return self._rows
-
-    def _given(self, name: str, values: Any) -> np.ndarray:
-        self._defined()
-        return together(self.comm, lambda: reals(name, values, self._coordinates.shape))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

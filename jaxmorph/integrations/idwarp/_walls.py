@@ -71,15 +71,15 @@ class Walls:
         fixed = self.mesh.patch(*(name for name in self.mesh.patches if name not in loose))
         free = np.setdiff1d(self.mesh.patch(*self.free), np.concatenate([fixed, moving]))
         kinds = {"symmetry": self.symmetry, "periodic": periodic, "free": free}
-        held = np.setdiff1d(fixed, moving)
-        chosen = method(options, is_loose=len(free) > 0 and not len(held))
-        return jm.prepare_surface(self.mesh, moving, held, method=chosen, **kinds, **known)
+        fixed = np.setdiff1d(fixed, moving)
+        chosen = method(options, is_loose=len(free) > 0 and not len(fixed))
+        return jm.prepare_surface(self.mesh, moving, fixed, method=chosen, **kinds, **known)
 
 
 def walls_of(mesh: jm.Mesh, options: Mapping[str, Any]) -> Walls:
     """Sorts the patches of a mesh. Raises `ValueError`, with the names, for an unknown one."""
     kinds = _kinds(mesh)
-    specified, flat = (_named(mesh, options[name], name) for name in ("specifiedSurfaces", "symmetrySurfaces"))
+    specified, flat = (_patches_of(mesh, options[name], name) for name in ("specifiedSurfaces", "symmetrySurfaces"))
     walls = tuple(name for name, kind in kinds.items() if kind == "wall") if specified is None else specified
     symmetry: tuple[Any, ...] = ()
     if options["symmetryPlanes"] is not None:
@@ -105,7 +105,7 @@ def _kinds(mesh: jm.Mesh) -> dict[str, str]:
     return kinds
 
 
-def _named(mesh: jm.Mesh, names: Sequence[str] | None, option: str) -> tuple[str, ...] | None:
+def _patches_of(mesh: jm.Mesh, names: Sequence[str] | None, option: str) -> tuple[str, ...] | None:
     """Finds patches by names in whatever case, as IDWarp does."""
     if names is None:
         return None

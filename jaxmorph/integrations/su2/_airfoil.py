@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxmorph import shapes
 
-from ._part import AbstractPart
+from ._motion import AbstractPart
 from ._variables import Variable
 
 UPPER, LOWER, ONE = 1, 0, 2

@@ -1,5 +1,6 @@
 """Free-form boxes of a config file and its mesh, and variables that move control points."""
 
+import math
 from collections.abc import Sequence
 
 import jax.numpy as jnp
@@ -17,6 +18,9 @@ from ._variables import Variable
 HALVINGS = 60
 """Halvings of an interval, down to a double's rounding."""
 
+MOST = 10**6
+"""Control points that a box may have."""
+
 
 def boxes_of(options: Options, mesh: Mesh, moving: Sequence[str], is_setting: bool) -> tuple[io.Box, ...]:
     """Lists the mesh's boxes; those of `FFD_DEFINITION` without any, or if `is_setting`.
@@ -32,8 +36,8 @@ def boxes_of(options: Options, mesh: Mesh, moving: Sequence[str], is_setting: bo
         return present
     d = mesh.points.shape[1]
     blending = options.choice("FFD_BLENDING", "BEZIER", "BEZIER", "BSPLINE_UNIFORM")
-    orders = options.numbers("FFD_BSPLINE_ORDER") if "FFD_BSPLINE_ORDER" in options else [2, 2, 2]
-    degree = [int(order) - 1 for order in orders[:d]] if blending == "BSPLINE_UNIFORM" else None
+    orders = options.words("FFD_BSPLINE_ORDER")[:d] or ["2"] * d
+    degree = [options.whole("FFD_BSPLINE_ORDER", word) - 1 for word in orders] if blending != "BEZIER" else None
     degrees, groups = options.groups("FFD_DEGREE"), options.groups("FFD_DEFINITION")
     if len(degrees) != len(groups):
         raise options.error("FFD_DEGREE", f"{len(degrees)} groups of degrees for {len(groups)} boxes")
@@ -44,7 +48,10 @@ def boxes_of(options: Options, mesh: Mesh, moving: Sequence[str], is_setting: bo
             raise options.error(
                 "FFD_DEFINITION", f"24 numbers for box {name}, eight corners, expected; found {len(numbers)}"
             )
-        counts = [int(options.number("FFD_DEGREE", word)) + 1 for word in words_of_degrees[:d]]
+        counts = [options.whole("FFD_DEGREE", word) + 1 for word in words_of_degrees[:d]]
+        if len(counts) < d or math.prod(counts) > MOST:
+            found = " x ".join(map(str, counts))
+            raise options.error("FFD_DEGREE", f"{d} degrees of at most {MOST} control points expected, found {found}")
         shape = shapes.Hexahedron(np.reshape(numbers, (8, 3))[: 2**d, :d], counts, degree=degree)
         made.append(io.Box(name, shape, np.asarray(shape.lattice()), _surface(shape, mesh, moving)))
     return tuple(made)

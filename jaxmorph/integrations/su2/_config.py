@@ -18,9 +18,8 @@ from jaxmorph._host.package.arguments import checked
 from ._airfoil import SIDED, airfoil_parts
 from ._boxes import box_parts, boxes_of
 from ._control import BoxPart
-from ._motion import DesignVariables, Displacement, check_alone, rigid_parts
+from ._motion import AbstractPart, DesignVariables, Displacement, check_alone, rigid_parts
 from ._options import Options, read_options
-from ._part import AbstractPart
 from ._planes import free_coordinates
 from ._variables import CONSTANT, LEFT, NOTHING, WHOLE, Variable, variables
 
@@ -125,9 +124,7 @@ def read_config(path: str | os.PathLike[str], *, definition: bool = False) -> Co
     shape = _shape(options, listed, parts, free_coordinates(mesh, moving, () if is_whole else planes))
     symmetry = tuple(name for name in planes if name not in moving)
     loose = {*moving, *symmetry, *mesh.patch_names(*options.words("MARKER_INTERNAL"))}
-    steps = int(options.number("DEFORM_NONLINEAR_ITER", options.text("DEFORM_NONLINEAR_ITER", "1")))
-    if steps < 1:
-        raise options.error("DEFORM_NONLINEAR_ITER", f"1 or more expected, found {steps}")
+    steps = options.whole("DEFORM_NONLINEAR_ITER", options.text("DEFORM_NONLINEAR_ITER", "1"))
     for variable in listed:
         if variable.kind in LEFT:
             warnings.warn(f"{variable.kind} is left alone: it is the flow solver's, no wall moves by it.", stacklevel=3)
@@ -156,15 +153,13 @@ def _with_ending(file: pathlib.Path) -> pathlib.Path:
 
 
 def _values(options: Options, shape: DesignVariables, definition: bool) -> Float[np.ndarray, " n"]:
-    """Reads the value of each design variable; all are at rest where the file has none."""
+    """Reads the value of each design variable; without `DV_VALUE_NEW` of them all are at rest."""
     name, rest = "DV_VALUE_NEW" if definition else "DV_VALUE", np.asarray(shape.rest)
     values = options.numbers(name) if name in options else []
-    if definition and len(values) != len(rest):
-        return rest
-    if not len(rest):
+    if not len(rest) or (definition and len(values) != len(rest)):
         return rest
     if len(values) != len(rest):
-        raise options.error(name, f"{len(values)} values for {len(rest)} of the design variables")
+        raise options.error(name, f"{len(rest)} values expected, one for each number, found {len(values)}")
     return np.array(values)
 
 

@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxmorph import io, shapes
 
-from ._part import AbstractPart
+from ._motion import AbstractPart
 from ._variables import Variable
 
 Fixed = tuple[frozenset[int], ...]

@@ -1,5 +1,6 @@
 """The motion of a wall by SU2's design variables, as SU2 states each; displacements add up."""
 
+import abc
 from collections.abc import Sequence
 from typing import Any
 
@@ -10,8 +11,17 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxmorph import shapes
 
-from ._part import AbstractPart
 from ._variables import CONSTANT, LEFT, WHOLE, Variable
+
+
+class AbstractPart(eqx.Module):
+    """The displacement by some design variables; `rows` are their places among all values."""
+
+    rows: eqx.AbstractVar[tuple[int, ...]]
+
+    @abc.abstractmethod
+    def __call__(self, x: Float[Array, "m d"], values: Float[Array, " k"]) -> Float[Array, "m d"]:
+        """Computes displacements (m, d) of a wall at `x`."""
 
 
 class DesignVariables(shapes.AbstractShape):

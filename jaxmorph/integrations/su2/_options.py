@@ -50,6 +50,13 @@ class Options:
             raise self.error(name, f"a number expected, found {word!r}")
         return value
 
+    def whole(self, name: str, word: str) -> int:
+        """Reads one word of an option as a whole number, 1 or more. Raises as `number` does."""
+        value = self.number(name, word)
+        if value != int(value) or value < 1:
+            raise self.error(name, f"a whole number, 1 or more, expected, found {word}")
+        return int(value)
+
     def choice(self, name: str, default: str, *known: str) -> str:
         """Reads one of the words that are known. Raises `ValueError` for another one."""
         word = self.text(name, default).upper()

@@ -73,8 +73,8 @@ def read_sensitivity(config: Config, path: str | os.PathLike[str] | None = None)
     file = input_path(path) if path is not None else _file(config.options, is_normal)
     if is_normal and (rows := _normal_rows(file)) is not None:
         return Sensitivity(file, _along_normals(config, file, *rows), _by_angle(file))
-    given = io.read_sensitivity(file, config.mesh, moving=config.mesh.patch(*config.moving))
-    return Sensitivity(file, given, _by_angle(file))
+    by_nodes = io.read_sensitivity(file, config.mesh, moving=config.mesh.patch(*config.moving))
+    return Sensitivity(file, by_nodes, _by_angle(file))
 
 
 def _file(options: Options, is_normal: bool) -> pathlib.Path:

@@ -1,7 +1,6 @@
 """Design variables as a config file lists them, and derivatives by them as SU2_DOT writes them."""
 
 import dataclasses
-import difflib
 import os
 
 import numpy as np
@@ -9,6 +8,7 @@ from jaxtyping import Float
 
 from jaxmorph._host.package.arguments import checked, finite_array
 from jaxmorph._host.package.files import complete, output_path
+from jaxmorph._host.package.words import similar
 
 from ._options import Options, split
 
@@ -71,7 +71,7 @@ def variables(options: Options, definition: bool) -> tuple[list[Variable], list[
     """
     if definition:
         return _definition(options)
-    kinds, groups = options.words("DV_KIND"), options.groups("DV_PARAM")
+    kinds, groups = [word.upper() for word in options.words("DV_KIND")], options.groups("DV_PARAM")
     if not kinds:
         raise ValueError(f"{options.path}: DV_KIND= is missing: it says what kind of design variables there are.")
     _check_kinds(options, "DV_KIND", kinds)
@@ -91,7 +91,7 @@ def _definition(options: Options) -> tuple[list[Variable], list[str]]:
         head, *rest = [split(part) for part in text.split("|")]
         if not 1 <= len(head) <= 2 or len(rest) not in (1, 2):
             raise options.error(name, f"( kind, scale | markers | parameters ) expected, found {text.strip()[:60]!r}")
-        kind = NUMBERS.get(int(head[0]), head[0]) if head[0].isdecimal() else head[0]
+        kind = NUMBERS.get(int(head[0]), head[0]) if head[0].isdecimal() else head[0].upper()
         _check_kinds(options, name, [kind])
         scale = options.number(name, head[1]) if len(head) == 2 else 1.0
         listed.append(_variable(options, name, kind, rest[1] if len(rest) == 2 else [], scale))
@@ -107,8 +107,8 @@ def _definition(options: Options) -> tuple[list[Variable], list[str]]:
 def _check_kinds(options: Options, name: str, kinds: list[str]) -> None:
     wrong = [kind for kind in dict.fromkeys(kinds) if kind not in COUNTS and kind != "NO_DEFORMATION"]
     if wrong:
-        near = difflib.get_close_matches(wrong[0], COUNTS, n=1)
-        hint = f" (did you mean {near[0]}?)" if near and wrong[0] not in NUMBERS.values() else ""
+        near = similar(wrong[0], COUNTS)
+        hint = f" (did you mean {near}?)" if near and wrong[0] not in NUMBERS.values() else ""
         raise options.error(name, f"{', '.join(wrong)} is not taken{hint}; {', '.join(COUNTS)} are")
 
 

@@ -12,7 +12,7 @@ from jaxmorph._host.cells.pieces import boundary_faces
 from jaxmorph._mesh.faces import faces_of_cells, joined_faces
 from jaxmorph._mesh.polyhedra import Polyhedra
 
-from .._format import Arrays, Source, stamp_of, unchanged_source
+from .._format import Arrays, Source, faults_of, stamp_of
 from .._joined import Joined, Zones, join
 from .conditions import Connection, connections, patches
 from .kinds import groups_of, kinds_of, symmetry_of
@@ -40,20 +40,13 @@ def read(path: pathlib.Path) -> Mesh:
     path.open("rb").close()
     with opened(path) as file:
         zones, cells, pairs, known = _zones(path, file)
-    try:
+    with faults_of(path):
         mesh, joined = join(zones)
         whole, ids = _whole(cells, joined.node)
         content = _CGNSContent(**vars(joined), stamp=stamp_of(path))
         known |= {"periodic": periodic_of(pairs, joined.is_flat), "symmetry": symmetry_of(known["kinds"])}
         source = Source(path, NAME, content, whole, ids, file_nodes=joined.node, in_file=joined.in_file, **known)
         return Mesh(mesh.points, mesh.cells, mesh.patches, source=source)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
-
-
-def check(path: pathlib.Path, mesh: Mesh) -> None:
-    """Raises `ValueError` for a mesh of no CGNS file, or when its file has changed."""
-    unchanged_source(path, mesh, NAME)
 
 
 def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:

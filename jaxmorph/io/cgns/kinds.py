@@ -12,12 +12,7 @@ UNSAID = ("", "Null", "FamilySpecified")
 
 def kinds_of(file: Any, zones: list[Zone]) -> dict[str, str]:
     """Finds each patch's type: its conditions' or family's; several in turn, if they differ."""
-    families = {}
-    for _, base in children(file, "CGNSBase_t"):
-        for name, family in children(base, "Family_t"):
-            families[name] = [
-                word(condition) for _, condition in children(family, "FamilyBC_t") if " data" in condition
-            ]
+    families = _of_families(file, "FamilyBC_t")
     types: dict[str, list[str]] = {}
     for zone in zones:
         for patch, _, condition in conditions(zone):
@@ -30,6 +25,12 @@ def kinds_of(file: Any, zones: list[Zone]) -> dict[str, str]:
     return {patch: kind for patch, kind in kinds.items() if kind}
 
 
+def _of_families(file: Any, label: str) -> dict[str, list[str]]:
+    """Reads the words of each family's nodes of a label."""
+    families = [family for _, base in children(file, "CGNSBase_t") for family in children(base, "Family_t")]
+    return {name: [word(node) for _, node in children(family, label) if " data" in node] for name, family in families}
+
+
 def symmetry_of(kinds: dict[str, str]) -> tuple[str, ...]:
     """Lists the patches that lie in symmetry planes."""
     return tuple(patch for patch, kind in kinds.items() if kind == SYMMETRY)
@@ -40,10 +41,7 @@ def groups_of(file: Any, zones: list[Zone], names: Iterable[str]) -> dict[str, t
 
     gmsh names physical groups so. Names of patches are no groups.
     """
-    above: dict[str, list[str]] = {}
-    for _, base in children(file, "CGNSBase_t"):
-        for name, family in children(base, "Family_t"):
-            above[name] = [word(condition) for _, condition in children(family, "FamilyName_t") if " data" in condition]
+    above = _of_families(file, "FamilyName_t")
     groups: dict[str, dict[str, None]] = {}
     for zone in zones:
         for patch, _, condition in conditions(zone):

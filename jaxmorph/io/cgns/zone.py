@@ -17,16 +17,8 @@ from .polyhedra import Block, Ragged, polyhedra
 
 TYPES = {2: "vertex", 3: "line", 5: "triangle", 7: "quad", 10: "tetra", 12: "pyramid", 14: "wedge", 17: "hexahedron"}
 TYPES |= {
-    **{
-        4: "line3",
-        6: "triangle6",
-        8: "quad8",
-        9: "quad9",
-        11: "tetra10",
-        13: "pyramid14",
-        15: "wedge15",
-        16: "wedge18",
-    },
+    **{4: "line3", 6: "triangle6", 8: "quad8", 9: "quad9", 11: "tetra10", 13: "pyramid14", 15: "wedge15"},
+    16: "wedge18",
     **{18: "hexahedron20", 19: "hexahedron27", 21: "pyramid13", 24: "line4", 26: "triangle10", 28: "quad16"},
     **{30: "tetra20", 33: "pyramid30", 36: "wedge40", 39: "hexahedron64", 40: "line5", 42: "triangle15"},
     **{44: "quad25", 47: "tetra35", 50: "pyramid55", 53: "wedge75", 56: "hexahedron125"},

@@ -12,7 +12,7 @@ from jaxmorph._host.cells.orders import GMSH, MESHIO, reordered
 from jaxmorph._host.cells.topology import DIMENSION
 
 from .._boundary import patch_faces
-from .._format import Arrays, FilePoints, Source, source_of
+from .._format import Arrays, FilePoints, Source, faults_of, source_of
 from .._meshio import Block, Blocks, meshio, to_mesh
 from ..text.sections import Section, replace_numbers
 from .parts import TYPES, Elements, elements, entities, nodes
@@ -63,10 +63,8 @@ def read(path: pathlib.Path) -> Mesh:
     if vertices is None or not len(vertices[0]) or not cells:
         raise ValueError(f"{path}: no mesh, the file holds no $Nodes or no $Elements, or none in them.")
     tags, content = vertices
-    try:
+    with faults_of(path):
         mesh = _mesh(content.points, _numbered(cells, tags), names)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
     return to_mesh(path, mesh, Source(path, NAME, content, in_file=content.in_file))
 
 

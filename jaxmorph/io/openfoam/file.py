@@ -264,16 +264,18 @@ class Patch:
 def patches(file: FoamFile) -> list[Patch]:
     """Reads a `boundary`'s patches: `2 ( inlet { type patch; nFaces 4; startFace 8; } ... )`.
 
-    It raises `ValueError` for an entry without type, nFaces or startFace, and where the number
-    before the list is not that of its entries.
+    It raises `ValueError` for an entry without type, nFaces or startFace, for directives and
+    variables, and where the number before the list is not that of its entries.
     """
     words = _words(file.data[file.end :])
+    _refuse_directives(file, words[:1])
     stated = int(words[0]) if words and words[0].isdecimal() and len(words[0]) <= DIGITS else None
     at = 0 if stated is None else 1
     if words[at : at + 1] != ["("]:
         raise file.error("a list of patches expected, such as 1 ( wall { type wall; nFaces 4; startFace 8; } )")
     entries, at = [], at + 1
     while at < len(words) and words[at] != ")":
+        _refuse_directives(file, words[at : at + 1])
         end = _end_of_body(words, at + 1)
         if end is None:
             raise file.error(f"patch {words[at][:80]} has no entries between {{ and }}; is the file cut short?")
@@ -283,6 +285,16 @@ def patches(file: FoamFile) -> list[Patch]:
         end_of_list = "" if at < len(words) else " and no end of the list"
         raise file.error(f"{stated} patches announced, {len(entries)} read{end_of_list}")
     return entries
+
+
+def _refuse_directives(file: FoamFile, words: list[str]) -> None:
+    """Raises `ValueError` for `#include`, `#calc` and `$name`, which a solver replaces by text."""
+    for word in words:
+        if word.startswith(("#", "$")):
+            raise file.error(
+                f"{word[:40]} is not read, nor are other directives and variables: `foamDictionary -expand` prints "
+                "the file without them"
+            )
 
 
 def _end_of_body(words: list[str], start: int) -> int | None:
@@ -320,6 +332,7 @@ def _entries(body: list[str]) -> dict[str, list[str]]:
 
 def _patch(file: FoamFile, name: str, body: list[str]) -> Patch:
     entries = _entries(body)
+    _refuse_directives(file, [*entries, *(entries.get(key, [""])[0] for key in ("type", "nFaces", "startFace"))])
     try:
         # List<word> 2(wall wing), or (wall wing)
         groups = entries.get("inGroups", [])

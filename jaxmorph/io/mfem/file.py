@@ -6,39 +6,22 @@ at equal steps: the coordinates of the file are computed anew where cells have c
 """
 
 import dataclasses
-import functools
 import pathlib
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 
 import numpy as np
-from numpy.polynomial import legendre
 
 from jaxmorph import Mesh
-from jaxmorph._host.cells.lagrange import Lagrange, lagrange_types
-from jaxmorph._host.cells.shape_functions import values
 from jaxmorph._host.cells.topology import CORNERS, DIMENSION
-from jaxmorph._mesh.elevate import node_keys, of_order
 
-from ._format import Arrays, Source, own_source
-from .text.sections import Section, replace_numbers
+from .._format import Arrays, Source, faults_of, own_source
+from ..text.sections import Section, replace_numbers
+from .nodes import Elements, at_places, from_lobatto, lexicographic, numbered, to_lobatto
 
 NAME = "MFEM"
 GEOMETRIES = (None, "line", "triangle", "quad", "tetra", "hexahedron", "wedge", "pyramid")
 """Types by MFEM's numbers, whose corners are in VTK's order."""
-EDGES = {
-    "triangle": ((0, 1), (1, 2), (2, 0)),
-    "quad": ((0, 1), (1, 2), (2, 3), (3, 0)),
-    "tetra": ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)),
-    "hexahedron": ((0, 1), (1, 2), (3, 2), (0, 3), (4, 5), (5, 6), (7, 6), (4, 7), (0, 4), (1, 5), (2, 6), (3, 7)),
-    "wedge": ((0, 1), (1, 2), (2, 0), (3, 4), (4, 5), (5, 3), (0, 3), (1, 4), (2, 5)),
-}
-FACES = {
-    "tetra": ((1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1)),
-    "hexahedron": ((3, 2, 1, 0), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7), (4, 5, 6, 7)),
-    "wedge": ((0, 2, 1), (3, 4, 5), (0, 1, 4, 3), (1, 2, 5, 4), (2, 0, 3, 5)),
-}
-"""Edges and faces in the order in which MFEM numbers them; a face has its first cell's corners."""
 SAME = 1e-8
 """Distance of two nodes of L2 that are one, as a share of the mesh's extent."""
 
@@ -94,20 +77,10 @@ class _Content:
 
     def words(self, points: np.ndarray) -> np.ndarray:
         """Computes the file's numbers in its order; unchanged where points have not changed."""
-        new, old = (_at(self.cells, coordinates, _to_lobatto) for coordinates in (points, self.points))
+        new, old = (at_places(self.cells, coordinates, to_lobatto) for coordinates in (points, self.points))
         rows, d = self.values.copy(), points.shape[1]
         rows[:, :d] = np.where((new != old)[self.node], new[self.node], rows[:, :d])
         return rows.T.ravel() if self.space.by_nodes else rows.ravel()
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class _Elements:
-    """Elements of one type: corners (k, c), their rows in the file, and their attributes."""
-
-    kind: str
-    corners: np.ndarray
-    rows: np.ndarray
-    attributes: np.ndarray
 
 
 def read(path: pathlib.Path) -> Mesh:
@@ -123,32 +96,25 @@ def read(path: pathlib.Path) -> Mesh:
     space = _space_of(parts)
     if space.order > 1 and any(element.kind == "pyramid" for element in cells):
         raise space.section.error("pyramids of order 2 and more are not read.")
-    for section, group in (("elements", cells), ("boundary", sides)):
+    for name, group in (("elements", cells), ("boundary", sides)):
         for element in group:
             if element.corners.min() < 0 or element.corners.max() >= space.vertices:
-                raise parts[section].error(f"a {element.kind} has a vertex that is none of 0 to {space.vertices - 1}.")
-    nodes, of_sides, total = _numbered(cells, sides, space)
-    node = _lexicographic(cells, nodes) if space.is_torn else np.arange(total)
+                raise parts[name].error(f"a {element.kind} has a vertex that is none of 0 to {space.vertices - 1}.")
+    nodes, of_sides, total = numbered(cells, sides, space.order, space.vertices)
+    node = lexicographic(cells, nodes) if space.is_torn else np.arange(total)
     values, lobatto = space.coordinates(node, total)
     flat = lobatto.shape[1] > DIMENSION[cells[0].kind] and not np.ptp(lobatto[:, 2])
     curved = nodes if space.order > 2 else {}
-    points = _at(curved, lobatto[:, :2] if flat else lobatto, _from_lobatto)
+    points = at_places(curved, lobatto[:, :2] if flat else lobatto, from_lobatto)
     start, stop = space.section.start, space.section.stop
-    kept = Section(path, text[:start] + space.section.text[start:stop] + text[stop:], start, stop)
-    content = _Content(kept, space, values, node, points, curved)
+    section = Section(path, text[:start] + space.section.text[start:stop] + text[stop:], start, stop)
+    content = _Content(section, space, values, node, points, curved)
     ids = np.concatenate([element.rows for element in cells])
     patches = _patches(sides, of_sides)
     groups = _groups(parts.get("boundary_attribute_sets"), patches)
     source = Source(path, NAME, content, groups=groups, cell_ids=None if (np.diff(ids) == 1).all() else ids)
-    try:
+    with faults_of(path):
         return Mesh(points, nodes, patches, source=source)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
-
-
-def check(path: pathlib.Path, mesh: Mesh) -> None:
-    """Raises `ValueError` for a mesh that was not read from an MFEM file."""
-    own_source(path, mesh, NAME)
 
 
 def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:
@@ -175,7 +141,7 @@ def _sections(path: pathlib.Path, text: bytes) -> dict[str, Section]:
     return parts
 
 
-def _elements(section: Section) -> list[_Elements]:
+def _elements(section: Section) -> list[Elements]:
     """Reads rows of attribute, type and corners, type by type."""
     table = section.rows(np.int64)
     counts, first = table.counts[1:], table.first[1:]
@@ -193,7 +159,7 @@ def _elements(section: Section) -> list[_Elements]:
             raise section.error(f"an element of type {number} has {size} corners.", 1 + int(rows[0]))
         if kind is not None:
             corners = table.values[first[rows, None] + 2 + np.arange(size)]
-            found.append(_Elements(kind, corners, rows, table.values[first[rows]]))
+            found.append(Elements(kind, corners, rows, table.values[first[rows]]))
     return found
 
 
@@ -218,82 +184,7 @@ def _space_of(parts: dict[str, Section]) -> _Space:
     return _Space(numbers, int(words[0]), int(known[2]), int(head[2]), head[3] == b"0", known[1] != "H1")
 
 
-def _sides(cells: list[_Elements], table: dict[str, tuple[tuple[int, ...], ...]]) -> np.ndarray:
-    """Lists edges or faces (k, 4), -1 behind the last corner, in the order of first appearance."""
-    parts, places = [np.zeros((0, 4), np.int64)], [np.zeros(0, np.int64)]
-    for element in cells:
-        for local, side in enumerate(table.get(element.kind, ())):
-            part = np.full((len(element.rows), 4), -1)
-            part[:, : len(side)] = element.corners[:, side]
-            parts.append(part)
-            places.append(16 * element.rows + local)
-    sides = np.concatenate(parts)[np.argsort(np.concatenate(places))]
-    return sides[np.sort(np.unique(np.sort(sides, axis=1), axis=0, return_index=True)[1])]
-
-
-def _numbered(
-    cells: list[_Elements], sides: list[_Elements], space: _Space
-) -> tuple[dict[str, np.ndarray], list[np.ndarray], int]:
-    """Numbers the nodes as H1 does: vertices, edges, faces, inside of cells, in the file's order.
-
-    Returns nodes of the cells by type, those of sides, and the number of nodes.
-    """
-    order, count = space.order, space.vertices
-    edges, faces = np.sort(_sides(cells, EDGES)[:, :2], axis=1), _sides(cells, FACES)
-    is_triangle = faces[:, 3:].ravel() < 0
-    groups = [
-        [("line", edges, np.arange(len(edges)))],
-        [
-            ("triangle", faces[is_triangle, :3], np.flatnonzero(is_triangle)),
-            ("quad", faces[~is_triangle], np.flatnonzero(~is_triangle)),
-        ],
-        [(element.kind, element.corners, element.rows) for element in cells],
-    ]
-    keys = [np.zeros((0, 16), np.int64)]
-    for group in groups:  # those of one entity are consecutive, and entities of several types take turns
-        inner = [_inner(corners, of_order(kind, order)) for kind, corners, _ in group]
-        places = [np.repeat(rows, part.shape[1]) for (_, _, rows), part in zip(group, inner, strict=True)]
-        joined = np.concatenate([part.reshape(-1, 16) for part in inner])
-        keys.append(joined[np.argsort(np.concatenate(places), kind="stable")])
-    known = np.concatenate(keys)
-    all_keys = [node_keys(element.corners, of_order(element.kind, order)) for element in (*cells, *sides)]
-    same = np.unique(
-        np.concatenate([known, *(keys.reshape(-1, 16) for keys in all_keys)]), axis=0, return_inverse=True
-    )[1]
-    number = np.full(same.max(initial=-1) + 1, -1)
-    number[same.ravel()[: len(known)]] = count + np.arange(len(known))
-    nodes, first = [], len(known)
-    for element, own in zip((*cells, *sides), all_keys, strict=True):
-        new = number[same.ravel()[first : first + own.shape[0] * own.shape[1]]].reshape(own.shape[:2])
-        nodes.append(np.concatenate([element.corners, new], axis=1))
-        first += new.size
-    by_type = {of_order(element.kind, order).name: ids for element, ids in zip(cells, nodes, strict=False)}
-    return by_type, nodes[len(cells) :], count + len(known)
-
-
-def _inner(corners: np.ndarray, cell: Lagrange) -> np.ndarray:
-    """Returns the keys of the nodes inside of a line, a face or a cell, not on its sides."""
-    p, at = cell.order, cell.lattice[cell.corners :]
-    if cell.shape in ("triangle", "tetra"):
-        inside = (at > 0).all(axis=1) & (at.sum(axis=1) < p)
-    elif cell.shape == "wedge":
-        inside = (at > 0).all(axis=1) & (at[:, :2].sum(axis=1) < p) & (at[:, 2] < p)
-    else:
-        inside = ((at > 0) & (at < p)).all(axis=1)
-    return node_keys(corners, cell)[:, inside]
-
-
-def _lexicographic(cells: list[_Elements], nodes: dict[str, np.ndarray]) -> np.ndarray:
-    """Lists the nodes of L2's coordinates: cell by cell, the first reference coordinate fastest."""
-    parts, places = [], []
-    for element, (name, ids) in zip(cells, nodes.items(), strict=True):
-        order = np.lexsort(lagrange_types()[name].lattice.T)
-        parts.append(ids[:, order].ravel())
-        places.append(np.repeat(element.rows, ids.shape[1]))
-    return np.concatenate(parts)[np.argsort(np.concatenate(places), kind="stable")]
-
-
-def _patches(sides: list[_Elements], nodes: list[np.ndarray]) -> dict[str, np.ndarray]:
+def _patches(sides: list[Elements], nodes: list[np.ndarray]) -> dict[str, np.ndarray]:
     """Collects the nodes of boundary elements by their attribute."""
     found: dict[int, list[np.ndarray]] = {}
     for element, ids in zip(sides, nodes, strict=True):
@@ -314,31 +205,3 @@ def _groups(section: Section | None, patches: Iterable[str]) -> dict[str, tuple[
         for name, attributes in sets.items()
         if (members := tuple(patch for patch in patches if patch in attributes))
     }
-
-
-def _at(cells: dict[str, np.ndarray], points: np.ndarray, matrix: Callable[[str], np.ndarray]) -> np.ndarray:
-    """Computes the nodes of cells at other places, cell by cell."""
-    moved = points.copy()
-    for kind, ids in cells.items():
-        moved[ids] = np.einsum("mn,knd->kmd", matrix(kind), points[ids])
-    return moved
-
-
-@functools.cache
-def _to_lobatto(kind: str) -> np.ndarray:
-    """Returns the matrix from nodes at equal steps to those at Gauss-Lobatto places."""
-    cell = lagrange_types()[kind]
-    p, at = cell.order, cell.lattice
-    inner = legendre.legroots(legendre.legder(np.eye(p + 1)[p]))
-    line = np.concatenate([[0], (np.sort(inner) + 1) / 2, [1]])
-    places = line[at]
-    simplex = {"triangle": 2, "wedge": 2, "tetra": 3}.get(cell.shape, 0)
-    if simplex:
-        rest = line[p - at[:, :simplex].sum(axis=1)]
-        places[:, :simplex] /= (places[:, :simplex].sum(axis=1) + rest)[:, None]
-    return values(kind, places)
-
-
-@functools.cache
-def _from_lobatto(kind: str) -> np.ndarray:
-    return np.linalg.inv(_to_lobatto(kind))

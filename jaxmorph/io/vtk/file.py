@@ -13,9 +13,9 @@ from jaxmorph import Mesh
 from jaxmorph._host.cells.orders import swapped_edges
 from jaxmorph._host.cells.topology import CORNERS, NODES, SHAPES, VTK, VTK_QUADRATIC
 
-from . import _legacy
-from ._format import Arrays, FilePoints, Source
-from ._meshio import load, meshio, to_mesh
+from .._format import Arrays, FilePoints, Source
+from .._meshio import load, meshio, to_mesh
+from . import legacy
 
 NAME = "VTK"
 
@@ -43,7 +43,7 @@ def read(path: pathlib.Path) -> Mesh:
         if b'"ascii"' in data:
             _check_counts(path)
     else:
-        mesh = _legacy.read(path)
+        mesh = legacy.read(path)
     return to_mesh(path, mesh, Source(path, NAME, mesh, in_file=FilePoints(np.asarray(mesh.points, float)).in_file))
 
 
@@ -91,10 +91,8 @@ def check(path: pathlib.Path, mesh: Mesh) -> None:
 
 def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:
     """Writes in double precision, .vtu compressed; keeps the cells and arrays of its own file."""
-    made, is_legacy = (
-        mesh.to_meshio(point_data=dict(point_data), cell_data=dict(cell_data)),
-        path.suffix.lower() == ".vtk",
-    )
+    made = mesh.to_meshio(point_data=dict(point_data), cell_data=dict(cell_data))
+    is_legacy = path.suffix.lower() == ".vtk"
     blocks: Any = [(block.type, swapped_edges(block.type, block.data)) for block in made.cells]
     out: Any = meshio.Mesh(made.points, blocks, made.point_data, made.cell_data, field_data=made.field_data)
     ends = np.cumsum([len(block.data) for block in out.cells])[:-1]
