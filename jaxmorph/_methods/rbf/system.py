@@ -76,7 +76,8 @@ def symmetric_kernel_sum(
 
     def step(total, pair):
         i, j = pair
-        # laid out here: a loop that picks its rows from all rows takes four times as long in a caller's `jit`
+        # laid out here: a loop that picks its rows from all rows takes four times as long in a
+        # caller's `jit`
         kernel = phi(squared_distances(places[i], in_rows(places[j], one).T))
         there = few_rows_times(split[:, i], kernel)
         back = jnp.where(i == j, 0, few_rows_times_transposed(split[:, j], kernel))
