@@ -20,7 +20,6 @@ INSIDE = "cyclic", "processor", "empty", "wedge"
 
 def by_kinds(mesh: Any, moving: Any, periodic: Any) -> tuple[list[str], list[str]]:
     """Chooses fixed and symmetry patches by their kinds in the file, if only moving ones are named.
-
     Symmetry patches that lie in planes slide; all other patches with a kind are fixed. A warning
     names the choice. Nothing is chosen without kinds, or where `moving` are no names.
     """

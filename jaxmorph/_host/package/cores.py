@@ -53,10 +53,9 @@ class Tree(KDTree):
 
 
 class Beside(Generic[T]):
-    """A call that runs in a thread of its own, beside what comes next; `result` waits for it.
-
-    With one core the call runs when its result is asked for: nothing takes turns, and nothing waits
-    for a thread that cannot run.
+    """A call that runs in a thread of its own, beside what comes next; `result` waits for it. With
+    one core the call runs when its result is asked for: nothing takes turns, and nothing waits for
+    a thread that cannot run.
     """
 
     def __init__(self, function: Callable[..., T], *arguments: Any):
@@ -89,7 +88,6 @@ class Beside(Generic[T]):
 
 def in_order(function: Callable[[Any], T], pieces: Iterable[Any]) -> Iterator[T]:
     """Yields `function` of each piece of work, in order, while all cores compute what comes next.
-
     NumPy and SciPy release Python's lock for all that takes long, but `ufunc.at` and `unique`.
     """
     pieces = list(pieces)
@@ -109,9 +107,8 @@ def in_order(function: Callable[[Any], T], pieces: Iterable[Any]) -> Iterator[T]
 
 
 def by_blocks(function: Callable[[slice], Any], count: int) -> None:
-    """Calls `function` with slices of `count` rows, on all cores: it fills the rows of results.
-
-    The number of cores does not change the slices.
+    """Calls `function` with slices of `count` rows, on all cores: it fills the rows of results. The
+    number of cores does not change the slices.
     """
     for _ in in_order(function, (slice(start, min(start + BLOCK, count)) for start in range(0, count, BLOCK))):
         pass
