@@ -50,11 +50,12 @@ def choose(
 ) -> Choice:
     """Chooses a method, its sources and support radius for a family of motions.
 
-    It also decides whether to fit the field to the wall. For each number of `leaves` a thin plate
-    spline, a Wendland C2 function and a fitted thin plate spline are tried. In 3-D one more number
-    is tried where the motions need more sources. The radius of the Wendland C2 function minimises
-    the sum of `error` and `rounding` (see `Choice`). Optimistix's golden section search finds it
-    between 0.2 and 10 times the moving nodes' extent.
+    It also decides whether to fit the field to the wall.
+
+    For each number of `leaves` a thin plate spline, a Wendland C2 function and a fitted thin plate
+    spline are tried. In 3-D one more number is tried where the motions need more sources. The
+    radius of the Wendland C2 function minimises the sum of `error` and `rounding` (see `Choice`).
+    Optimistix's golden section search finds it between 0.2 and 10 times the moving nodes' extent.
 
     Of the rows that invert fewest cells and keep 80 % of the best Jacobian ratio, the first is
     chosen whose angle is within a degree of the best. Rows stand in the order of the table: radial
@@ -150,8 +151,9 @@ def _resolving(leaves: Sequence[int], points: np.ndarray, motions: np.ndarray) -
 
 
 def _columns(motions: np.ndarray, nodes: int, images: Images | None) -> np.ndarray:
-    """Lists the displacements of all rows of the surface, with images, motion after motion. They
-    are scaled to a largest component of 1.
+    """Lists the displacements of all rows of the surface, with images, motion after motion.
+
+    They are scaled to a largest component of 1.
     """
     columns = []
     for motion in motions:
@@ -212,8 +214,9 @@ def _log_radius(rbf: RBF, ids, points, values, extent) -> Float[Array, ""]:
 
 @compiled
 def _errors(rbf: RBF, ids, points, values) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """Computes the root mean square error on the surface, and an estimate of its rounding. The
-    estimate is the size of the weights times the unit of rounding.
+    """Computes the root mean square error on the surface, and an estimate of its rounding.
+
+    The estimate is the size of the weights times the unit of rounding.
     """
     field = rbf.field(ids, rbf.fit(ids, points, points), points, values)
     missed = values - jax.lax.map(lambda x: field(x, None), points, batch_size=256)

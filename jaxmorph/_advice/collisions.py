@@ -11,8 +11,9 @@ from .._host.package.cores import Tree
 from .._mesh.mesh import Mesh
 
 SAME = 1e-9
-"""Distance of nodes that count as one place, relative to the extent of the mesh. They are the two
-sides of a cut or of a sharp edge.
+"""Distance of nodes that count as one place, relative to the extent of the mesh.
+
+They are the two sides of a cut or of a sharp edge.
 """
 
 
@@ -57,6 +58,7 @@ def _between(first: str, second: str) -> str:
 
 def crossings(cut: tuple[np.ndarray, np.ndarray], mesh: Mesh, nodes: np.ndarray, vectors: np.ndarray) -> Crossings:
     """Finds where the boundary crosses itself after its `nodes` (o,) move by `vectors` (o, d).
+
     `cut` is what `simplices` returned for the nodes.
     """
     faces, ids = cut
@@ -72,9 +74,11 @@ def crossings(cut: tuple[np.ndarray, np.ndarray], mesh: Mesh, nodes: np.ndarray,
 
 
 def simplices(mesh: Mesh, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    """Cuts the boundary faces between `nodes` (o,) into simplices (f, d); None without faces. A
-    simplex has rows of `nodes`, seen from outside. It also returns the number (f,) of the file's
-    face that each is a part of.
+    """Cuts the boundary faces between `nodes` (o,) into simplices (f, d); None without faces.
+
+    A simplex has rows of `nodes`, seen from outside.
+
+    It also returns the number (f,) of the file's face that each is a part of.
     """
     outer = outer_faces(mesh)
     if outer is None:

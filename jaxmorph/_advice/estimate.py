@@ -88,8 +88,9 @@ def estimate(
 
 
 def _sources(method: AbstractMethod, points: np.ndarray, moving: np.ndarray, fixed: np.ndarray) -> int:
-    """Counts the sources that the reductions choose, without symmetry planes. A `FittedRBF` adds
-    some sources of its own.
+    """Counts the sources that the reductions choose, without symmetry planes.
+
+    A `FittedRBF` adds some sources of its own.
     """
     coarse = method.coarse if isinstance(method, SurfaceReconstruction) else method
     rbf = coarse.rbf if isinstance(coarse, FittedRBF) else coarse

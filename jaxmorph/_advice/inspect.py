@@ -89,8 +89,10 @@ def inspected(plan: Plan, u: Any, mesh: Mesh | None, nodes: Any, moved: np.ndarr
 
 
 def _with_faces(inspection: Inspection, mesh: Mesh, nodes: np.ndarray, vectors: np.ndarray, moving: int) -> Inspection:
-    """Adds what needs faces to the inspection. The mesh's `nodes` (o,) move by `vectors` (o, d);
-    the caller gave the first `moving` vectors.
+    """Adds what needs faces to the inspection.
+
+    The mesh's `nodes` (o,) move by `vectors` (o, d); the caller gave the first `moving`
+    vectors.
     """
     cut, left, node, touches = simplices(mesh, nodes), None, None, inspection.touches
     crossed = None if cut is None else crossings(cut, mesh, nodes, vectors)

@@ -139,8 +139,9 @@ class Corners:
 
 
 def _polynomials(kind: str, start: np.ndarray, end: np.ndarray, ids: np.ndarray) -> np.ndarray:
-    """Finds the coefficients (4, s, k) of corner Jacobians over t from 0 to 1. The lowest
-    coefficient comes first. They follow from four values.
+    """Finds the coefficients (4, s, k) of corner Jacobians over t from 0 to 1.
+
+    The lowest coefficient comes first. They follow from four values.
     """
     places = np.arange(4) / 3
     samples = [corner_jacobians(kind, start + t * (end - start), ids) for t in places]

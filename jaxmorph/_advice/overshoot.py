@@ -16,11 +16,13 @@ def overshoot(
 ) -> tuple[float, float]:
     """Compares the largest motion off the surface with that of the surface.
 
-    The second number is for nodes behind a part that rests. A node lies behind a part that rests if
-    three conditions hold. The nearest node of the moving surface rests. The part that moves lies on
-    the other side of this node, as the upper side of an airfoil does for nodes below it. And the
-    node is no farther away than the surface is long. `moved` is what `deform` returns, where it is
-    known.
+    The second number is for nodes behind a part that rests.
+
+    A node lies behind a part that rests if three conditions hold. The nearest node of the moving
+    surface rests. The part that moves lies on the other side of this node, as the upper side of an
+    airfoil does for nodes below it. And the node is no farther away than the surface is long.
+
+    `moved` is what `deform` returns, where it is known.
     """
     points, moving = np.asarray(plan.points), np.asarray(plan.moving)
     size = np.linalg.norm(u, axis=1)

@@ -17,10 +17,11 @@ from .first_roots import first_roots
 def proven_share(
     mesh: Mesh, start: Float[np.ndarray, "n d"], end: Float[np.ndarray, "n d"], ratio: float
 ) -> tuple[float, int]:
-    """Finds the share of the straight way on which all cells keep their bound, at most 1. Also
-    finds the cell that ends it, or -1. The bound is `ratio` times the least det J that is proven of
-    the undeformed cell. At each instant the least coefficient is a lower bound on det J, so the
-    step ends where the first coefficient falls below. Only cells that would end it are cut.
+    """Finds the share of the straight way on which all cells keep their bound, at most 1.
+
+    Also finds the cell that ends it, or -1. The bound is `ratio` times the least det J that is
+    proven of the undeformed cell. At each instant the least coefficient is a lower bound on det J,
+    so the step ends where the first coefficient falls below. Only cells that would end it are cut.
     """
     undeformed = proof(mesh, mesh.points)
     if undeformed.valid < undeformed.count:

@@ -14,9 +14,10 @@ LEAVES = (64, 128, 256, 512, 1024, 2048)
 
 
 def missed(points: np.ndarray, u: np.ndarray, sources: np.ndarray) -> float:
-    """Measures what an interpolation from `sources` misses of `u` (m, d) at `points` (m, d). It is
-    relative to the largest displacement, and zero without one. The interpolation is that of SciPy
-    by distances.
+    """Measures what an interpolation from `sources` misses of `u` (m, d) at `points` (m, d).
+
+    It is relative to the largest displacement, and zero without one. The interpolation is that of
+    SciPy by distances.
     """
     from scipy.interpolate import RBFInterpolator  # takes a tenth of a second to import
 

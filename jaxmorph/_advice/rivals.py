@@ -72,8 +72,9 @@ def tried(boundary: Boundary, method: AbstractMethod | None) -> Plan | Exception
 def others(
     mesh: Mesh, boundary: Boundary, methods: Mapping[str, AbstractMethod] | None, motions: np.ndarray
 ) -> list[tuple[dict[str, Any], Plan | None]]:
-    """Tries the named methods, by default all of the list. It returns a row of the table and a plan
-    for each method; None for a method without a plan.
+    """Tries the named methods, by default all of the list.
+
+    It returns a row of the table and a plan for each method; None for a method without a plan.
     """
     wall = Extent(boundary.points[boundary.moving], boundary.points[boundary.fixed])
     makers = {entry.name: functools.partial(entry.make, wall) for entry in METHODS if entry.is_tried}

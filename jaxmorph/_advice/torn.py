@@ -25,6 +25,7 @@ def torn_pairs(points: np.ndarray, vectors: np.ndarray, is_fixed: np.ndarray) ->
 
 def share_faces(pairs: np.ndarray, faces: np.ndarray, count: int) -> np.ndarray:
     """Marks the pairs (k, 2) of `count` rows that lie on one face, or on faces that share a node.
+
     `faces` are (f, corners).
     """
     corners = np.repeat(np.arange(len(faces)), faces.shape[1])
@@ -36,9 +37,10 @@ def share_faces(pairs: np.ndarray, faces: np.ndarray, count: int) -> np.ndarray:
 
 
 def remedies(rests: np.ndarray, touches: np.ndarray) -> str:
-    """Describes what tears each kind of pairs (k,), and what to try. Either one node of a pair
-    rests, or both move. The boundary of a resting node touches that of the moving node, or lies
-    across a gap.
+    """Describes what tears each kind of pairs (k,), and what to try.
+
+    Either one node of a pair rests, or both move. The boundary of a resting node touches that of
+    the moving node, or lies across a gap.
     """
     slides, gap, both = (int(mask.sum()) for mask in (touches, rests & ~touches, ~rests))
     at = "" if slides == len(rests) else f"At {slides} of them a fixed boundary touches the moving one. "

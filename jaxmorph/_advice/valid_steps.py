@@ -22,10 +22,12 @@ from .largest_step import Corners
 class ValidSteps(Module, optx.AbstractSearch):
     """Searches along a line by backtracking, within what the mesh allows.
 
-    A step that would invert a cell is shortened. Corner Jacobians are polynomials in the step.
-    Their first root, as `largest_step` finds it, is the end of the way, and `share` of the way is
-    tried next. Other steps end by Armijo's rule. The search suits descents whose change is a
-    multiple of the step, such as `optimistix.NewtonDescent` and `optimistix.SteepestDescent`.
+    A step that would invert a cell is shortened.
+
+    Corner Jacobians are polynomials in the step. Their first root, as `largest_step` finds it, is
+    the end of the way, and `share` of the way is tried next. Other steps end by Armijo's rule. The
+    search suits descents whose change is a multiple of the step, such as `optimistix.NewtonDescent`
+    and `optimistix.SteepestDescent`.
 
         search = jm.ValidSteps(plan, mesh, lambda design: operator(design))
         solver = equinox.tree_at(lambda solver: solver.search, optimistix.BFGS(1e-6, 1e-6), search)

@@ -29,8 +29,10 @@ def find_boundary(
     *,
     outer: OuterFaces | None = None,
 ) -> Boundary:
-    """Checks the arguments of `prepare`. Raises `ValueError` in one sentence that names the call to
-    make. `outer` are the boundary faces, if a `Mesh` has no cells that show them.
+    """Checks the arguments of `prepare`.
+
+    Raises `ValueError` in one sentence that names the call to make. `outer` are the boundary faces,
+    if a `Mesh` has no cells that show them.
     """
     points = checked_points(mesh.points if isinstance(mesh, Mesh) else mesh)
     patches = mesh if isinstance(mesh, Mesh) else None
@@ -100,6 +102,7 @@ def walls_of(
     mesh: Mesh, symmetry: Any, sliding: Any, periodic: Any, fixed: Any = ()
 ) -> tuple[list[tuple[AbstractWall, np.ndarray]], tuple[Pairing, ...]]:
     """Makes the walls of sliding patches and symmetry planes, their nodes, and the periodic pairs.
+
     It takes and refuses the arguments of `prepare`.
     """
     points = np.asarray(mesh.points)
@@ -121,8 +124,9 @@ def _walls(
     lists: Mapping[str, np.ndarray],
     outer: OuterFaces | None,
 ) -> list[tuple[AbstractWall, np.ndarray]]:
-    """Makes the walls of sliding patches, with their nodes. Raises `ValueError` for a patch that a
-    list holds whole.
+    """Makes the walls of sliding patches, with their nodes.
+
+    Raises `ValueError` for a patch that a list holds whole.
     """
     walls, patches, faces = [], [], None if outer is None else outer.corners
     for slide in slides(sliding):
@@ -145,8 +149,9 @@ def _walls(
 def _guided(
     pairings: Sequence[Pairing], tracks: Sequence[Track], moving: np.ndarray, fixed: np.ndarray, points: np.ndarray
 ) -> np.ndarray:
-    """Lists sliding and periodic nodes in no list. Raises `ValueError` for a pair whose nodes are
-    in different lists.
+    """Lists sliding and periodic nodes in no list.
+
+    Raises `ValueError` for a pair whose nodes are in different lists.
     """
     role = np.zeros(len(points), dtype=int)
     role[moving], role[fixed] = 1, 2

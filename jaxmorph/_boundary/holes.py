@@ -10,17 +10,20 @@ from scipy.spatial import Delaunay, QhullError
 from .._host.surface.gaps import distance_from_segment
 
 CONTINUES = 0.5
-"""Least cosine, of 60 degrees, between a hole's new faces and the faces around it. The rim of a
-dome and the end of a tube are no holes.
+"""Least cosine, of 60 degrees, between a hole's new faces and the faces around it.
+
+The rim of a dome and the end of a tube are no holes.
 """
 
 
 def filled(
     faces: Int[np.ndarray, "e d"], vertices: Float[np.ndarray, "v d"], moves: Bool[np.ndarray, " v"]
 ) -> Int[np.ndarray, "f d"]:
-    """Adds faces across all holes whose rim moves; other holes stay open. New faces continue the
-    direction of the faces around them. In 2-D a line joins two ends that move. In 3-D a Delaunay
-    triangulation in the rim's mean plane makes the faces. Old faces come first, in their order.
+    """Adds faces across all holes whose rim moves; other holes stay open.
+
+    New faces continue the direction of the faces around them. In 2-D a line joins two ends that
+    move. In 3-D a Delaunay triangulation in the rim's mean plane makes the faces. Old faces come
+    first, in their order.
     """
     if faces.shape[1] == 2:
         return np.concatenate([faces, _joined(faces, vertices, moves)]).astype(faces.dtype)

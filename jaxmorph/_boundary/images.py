@@ -17,10 +17,11 @@ from .symmetry import Plane, facing, tolerance
 
 
 class Images(eqx.Module):
-    """The own rows of a surface, extended by their images. Extended row i is the image of own row
-    `rows[i]` by the transform `kind[i]`: x -> `matrices` x + `shifts`. Kind 0 is the identity. Own
-    row j lies on plane k where `on_plane[j, k]`. `pairings` pair own rows; `powers[t, q]` is the
-    power of periodic transform q in transform t.
+    """The own rows of a surface, extended by their images.
+
+    Extended row i is the image of own row `rows[i]` by the transform `kind[i]`: x -> `matrices` x +
+    `shifts`. Kind 0 is the identity. Own row j lies on plane k where `on_plane[j, k]`. `pairings`
+    pair own rows; `powers[t, q]` is the power of periodic transform q in transform t.
     """
 
     normals: Float[Array, "p d"]
@@ -129,6 +130,7 @@ def copies(
     points: Float[np.ndarray, "o d"],
 ) -> Copies:
     """Finds images of own rows at `points`; `moving` rows move, `pairings` are of own rows.
+
     Parallel planes make no images. Of several rows and images at one place, one counts. The nearest
     images come first.
     """

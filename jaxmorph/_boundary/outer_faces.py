@@ -67,8 +67,9 @@ def boundary_faces(mesh: Mesh, *patches: str) -> dict[str, np.ndarray]:
 
 
 def outer_faces(mesh: Mesh) -> OuterFaces | None:
-    """Finds the boundary faces of a mesh, without the faces between this part and others. It
-    returns None if no cells fill the mesh's dimension.
+    """Finds the boundary faces of a mesh, without the faces between this part and others.
+
+    It returns None if no cells fill the mesh's dimension.
     """
     points = np.asarray(mesh.points)
     cells = {kind: np.asarray(corners) for kind, corners in topology.solid(mesh.cells, points.shape[1]).items()}
@@ -83,8 +84,9 @@ def outer_faces(mesh: Mesh) -> OuterFaces | None:
 
 
 def _of_polyhedra(whole: Polyhedra, points: np.ndarray, between: np.ndarray | None) -> OuterFaces:
-    """Finds the boundary faces in the file. Pieces of polyhedra do not share faces with the whole
-    cells beside them.
+    """Finds the boundary faces in the file.
+
+    Pieces of polyhedra do not share faces with the whole cells beside them.
     """
     faces = whole.faces
     outer = np.ones(len(faces.owner), dtype=bool)

@@ -138,8 +138,9 @@ def _union(one: Pairing, other: Pairing) -> Pairing:
 
 
 def check_pairings(pairings: Sequence[Pairing], planes: Sequence[Plane], size: float) -> None:
-    """Raises `ValueError` for transforms that turn a symmetry plane, or that do not commute. Pairs
-    without images may lie across a plane.
+    """Raises `ValueError` for transforms that turn a symmetry plane, or that do not commute.
+
+    Pairs without images may lie across a plane.
     """
     pairings = [pairing for pairing in pairings if pairing.copies]
     for k, pairing in enumerate(pairings):

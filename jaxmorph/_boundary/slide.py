@@ -60,9 +60,10 @@ class Slide:
 
     Examples are blade tips along a shroud, and a body along the sides of its box. Nodes between two
     sliding patches, or between a patch and a symmetry plane, stay on both. Corners of the mesh, the
-    apex of a cone, and fixed nodes do not move. Moving nodes of the patch stay on it. On a plane, a
-    cylinder and other given surfaces the motion is smooth. On the patch's own faces the motion has
-    a kink where a node crosses an edge.
+    apex of a cone, and fixed nodes do not move. Moving nodes of the patch stay on it.
+
+    On a plane, a cylinder and other given surfaces the motion is smooth. On the patch's own faces
+    the motion has a kink where a node crosses an edge.
 
     **Arguments:**
 
@@ -95,9 +96,10 @@ def walls_of_patch(
     faces: Mapping[str, np.ndarray] | None,
     moving: np.ndarray | Sequence[int] = (),
 ) -> list[tuple[AbstractWall, np.ndarray]]:
-    """Makes the walls of a sliding patch, with their nodes. Own faces are divided at sharp edges,
-    and filled up below bodies whose nodes are `moving`. Raises `ValueError`, with the worst node,
-    where nodes do not lie on their wall.
+    """Makes the walls of a sliding patch, with their nodes.
+
+    Own faces are divided at sharp edges, and filled up below bodies whose nodes are `moving`.
+    Raises `ValueError`, with the worst node, where nodes do not lie on their wall.
     """
     exact, dimension = points.astype(float), points.shape[1]
     if not len(nodes):
@@ -220,6 +222,7 @@ def _flat(nodes: np.ndarray, points: np.ndarray, elements: np.ndarray) -> FlatFa
 
 def _smooth_parts(elements: Int[np.ndarray, "e d"], normals: Float[np.ndarray, "e d"]) -> Int[np.ndarray, " e"]:
     """Numbers the parts of a patch between edges (2-D: corners) that turn by more than 60 degrees.
+
     Faces that fold back onto each other, the two sides of a thin plate, are one part.
     """
     ids = np.repeat(np.arange(len(elements)), elements.shape[1])

@@ -25,13 +25,15 @@ class SmoothFaces(Faceted):
     A place p of a face goes up to p + (p' - p) / 2, where p' is the mean of the places below p on
     the tangent planes of the face's nodes. A parabola is met exactly, faces in one plane stay it.
     The normal is the mean of the nodes' normals. It has no jump, but the surface has a tiny one.
+
     Source: Boubekeur and Alexa, Phong tessellation, ACM Trans. Graph. 27, 2008.
     """
 
     def _normals(self, dtype) -> Float[Array, "v d"]:
-        """Computes unit normals at the vertices, exact on a sphere (a circle in 2-D). Source: Max,
-        Weights for computing vertex normals from facet normals, J. Graph. Tools 4, 1999. At a rim,
-        where faces lie on one side only, the normals of inner vertices go on.
+        """Computes unit normals at the vertices, exact on a sphere (a circle in 2-D).
+
+        Source: Max, Weights for computing vertex normals from facet normals, J. Graph. Tools 4,
+        1999. At a rim, where faces lie on one side only, the normals of inner vertices go on.
         """
         vertices, faces = jnp.asarray(self.vertices, dtype), jnp.asarray(self.faces)
         corners, size = vertices[faces], faces.shape[1]
@@ -50,9 +52,10 @@ class SmoothFaces(Faceted):
         return jnp.where((turns != 0)[:, None], self._beyond(unit, turns != 0), unit)
 
     def _beyond(self, unit: Float[Array, "v d"], is_rim: Bool[Array, " v"]) -> Float[Array, "v d"]:
-        """Continues the normals of inner vertices along edges, exact on a sphere. A short edge
-        counts most: those of quads, not their diagonals. Without inner neighbours a vertex keeps
-        its normal.
+        """Continues the normals of inner vertices along edges, exact on a sphere.
+
+        A short edge counts most: those of quads, not their diagonals. Without inner neighbours a
+        vertex keeps its normal.
         """
         vertices, faces = jnp.asarray(self.vertices, unit.dtype), jnp.asarray(self.faces)
         total, weights, size = jnp.zeros_like(unit), jnp.zeros(len(unit), unit.dtype), faces.shape[1]

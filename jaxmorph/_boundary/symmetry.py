@@ -101,8 +101,9 @@ MOST = 6
 def planes_through(
     points: Float[np.ndarray, "n d"], nodes: Int[np.ndarray, " k"], faces: Iterable[Int[np.ndarray, "_ c"]]
 ) -> tuple[Plane, ...]:
-    """Finds the planes of a patch, such as front and back, by boundary faces (e, corners). The
-    plane with most of the nodes comes first, then the plane with most of the remaining nodes.
+    """Finds the planes of a patch, such as front and back, by boundary faces (e, corners).
+
+    The plane with most of the nodes comes first, then the plane with most of the remaining nodes.
     Raises the error of `Plane.through` if `MOST` planes do not hold all nodes, or if other planes
     hold as many nodes.
     """
@@ -163,6 +164,7 @@ def tolerance(points: np.ndarray) -> float:
 
 def check_planes(planes: Sequence[Plane], points: np.ndarray) -> None:
     """Raises `ValueError` unless planes have the mesh's dimension, bound it, and suit each other.
+
     Two planes are parallel or at right angles.
     """
     check_dimension(planes, points.shape[1])

@@ -95,6 +95,7 @@ def tracks_of(
     walls: Sequence[tuple[AbstractWall, np.ndarray]], planes: Sequence[Plane], points: np.ndarray
 ) -> tuple[tuple[Track, ...], np.ndarray]:
     """Groups nodes of sliding patches by walls, as tracks; also lists nodes that cannot slide.
+
     Corners and the apex of a cone cannot slide. Raises `ValueError` where two walls meet without an
     edge.
     """

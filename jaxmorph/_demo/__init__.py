@@ -8,10 +8,13 @@ CASES = {"naca0015": "_airfoil", "agard445": "_wing"}
 
 
 def run(case: str, output: pathlib.Path, *, points: int | None = None) -> int:
-    """Shows a case: tables on the terminal, pictures and meshes in the folder `output`. `points`
-    asks for a smaller or larger mesh than the paper's. Returns 0, or 1 when a method has inverted a
-    cell. It needs float64: switch JAX's x64 mode on first. Raises `ValueError` for a case that is
-    not known, `ImportError` where an extra (`plot`, `io`) is missing.
+    """Shows a case: tables on the terminal, pictures and meshes in the folder `output`.
+
+    `points` asks for a smaller or larger mesh than the paper's. Returns 0, or 1 when a method has
+    inverted a cell. It needs float64: switch JAX's x64 mode on first.
+
+    Raises `ValueError` for a case that is not known, `ImportError` where an extra (`plot`, `io`) is
+    missing.
     """
     if case not in CASES:
         raise ValueError(f"no demo is called {case!r}; there are: {', '.join(CASES)}.")

@@ -16,8 +16,9 @@ POINTS = 64_943
 """The paper's number of points."""
 
 MOTIONS = ((1, 0.0735), (1, 0.1), (1, 0.25), (1, 0.5), (1, 0.75), (2, 0.2), (2, 0.3))
-"""Mode, and motion of the tip's trailing edge in semi-spans. At 0.0735 the mean aspect ratio rises
-as in the paper.
+"""Mode, and motion of the tip's trailing edge in semi-spans.
+
+At 0.0735 the mean aspect ratio rises as in the paper.
 """
 
 SHOWN = (1, 0.5)
@@ -26,8 +27,9 @@ SHOWN = (1, 0.5)
 
 @dataclasses.dataclass(frozen=True)
 class Outcome:
-    """Result of one method in metres and seconds: a report for each of MOTIONS. `points` are those
-    of the motion that is shown.
+    """Result of one method in metres and seconds: a report for each of MOTIONS.
+
+    `points` are those of the motion that is shown.
     """
 
     study: Study

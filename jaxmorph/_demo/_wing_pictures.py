@@ -60,8 +60,9 @@ def surface(path: pathlib.Path, mesh: jm.Mesh, start: jm.QualityReport, outcome:
 
 
 def cut(path: pathlib.Path, mesh: jm.Mesh, outcomes: Sequence["Outcome"], motion: Any) -> None:
-    """Draws the cells that a plane across the wing cuts, by each method. The aspect ratio is above,
-    the change of volume below.
+    """Draws the cells that a plane across the wing cuts, by each method.
+
+    The aspect ratio is above, the change of volume below.
     """
     plane = jm.Plane((0, 1, 0), (0, _span_of_cut(mesh), 0))
     kinds = (ASPECT_RATIO, "aspect ratio"), (CHANGE_OF_VOLUME, "|V/V0 - 1|")
@@ -96,8 +97,9 @@ def _span_of_cut(mesh: jm.Mesh) -> float:
 
 
 def whole(points: np.ndarray, viewer: tuple[float, float, float]) -> tuple[tuple, tuple[float, float]]:
-    """Places a camera in the direction `viewer` that sees all points (n, 3), z up. It returns also
-    half the width and height of the picture.
+    """Places a camera in the direction `viewer` that sees all points (n, 3), z up.
+
+    It returns also half the width and height of the picture.
     """
     towards = np.asarray(viewer) / np.linalg.norm(viewer)
     right = np.cross((0, 0, 1), towards)

@@ -19,9 +19,10 @@ from jaxtyping import Array
 
 
 def host_call(function: Callable[..., Any], result: jax.ShapeDtypeStruct, *arguments: Any) -> Array:
-    """Calls a function of NumPy arrays on the host, for an array shaped as `result`. Traced. The
-    function must be pure and must not call JAX, which may wait. Under `vmap` it is called for one
-    element after another. It has no derivative: the caller may wrap it, as in
+    """Calls a function of NumPy arrays on the host, for an array shaped as `result`. Traced.
+
+    The function must be pure and must not call JAX, which may wait. Under `vmap` it is called for
+    one element after another. It has no derivative: the caller may wrap it, as in
     `jax.lax.custom_linear_solve`.
     """
     return _call_p.bind(*arguments, function=function, shape=result.shape, dtype=np.dtype(result.dtype), batch=())

@@ -10,8 +10,9 @@ from jax.extend import core
 from .instructions import fma
 
 CALLS = {"jit": "jaxpr", "pjit": "jaxpr", "custom_jvp_call": "call_jaxpr", "closed_call": "call_jaxpr"}
-"""Operations that hold a jaxpr, and the name of the parameter, by names of JAX, which may change. A
-function that calls another by a name that is not here runs as loops.
+"""Operations that hold a jaxpr, and the name of the parameter, by names of JAX, which may change.
+
+A function that calls another by a name that is not here runs as loops.
 """
 
 

@@ -42,8 +42,9 @@ _ARTANH = (
     0.07665860800278021,
     0.07308224842521703,
 )
-"""(artanh(s) / s - 1) / s^2 as a polynomial in s^2. It holds for |s| <= (sqrt(2) - 1) / (sqrt(2) +
-1), to 2^-57.
+"""(artanh(s) / s - 1) / s^2 as a polynomial in s^2.
+
+It holds for |s| <= (sqrt(2) - 1) / (sqrt(2) + 1), to 2^-57.
 """
 
 _SHORT_ARTANH = (
@@ -72,8 +73,9 @@ def _log_jvp(primals, tangents):
 
 @jax.custom_jvp
 def half_x_log_x(x: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
-    """Computes x log(x) / 2 for x >= 0, and 0 at 0: r^2 log r of x = r^2. Below round-off squared,
-    the slope is constant.
+    """Computes x log(x) / 2 for x >= 0, and 0 at 0: r^2 log r of x = r^2.
+
+    Below round-off squared, the slope is constant.
     """
     return _by_platform(
         lambda x: x * _short_half_log(x),
@@ -90,9 +92,11 @@ def _half_x_log_x_jvp(primals, tangents):
 
 
 def _not_zero(x):
-    """Returns x, but at least the square of round-off at unit size. A `where` on x > 0 is not safe.
-    A compiler may compute the distance of a point from itself twice: once as 0, and once, with a
-    fused multiply-add, as a rounding error. Then condition and value differ.
+    """Returns x, but at least the square of round-off at unit size.
+
+    A `where` on x > 0 is not safe. A compiler may compute the distance of a point from itself
+    twice: once as 0, and once, with a fused multiply-add, as a rounding error. Then condition and
+    value differ.
     """
     return jnp.maximum(x, float(jnp.finfo(x.dtype).eps) ** 2)
 
@@ -141,8 +145,10 @@ def _seeded_half_log(x):
 
 
 def _reduced(x, less: Array | float = 0.0):
-    """Splits x = 2^(k + `less`) m with m in [sqrt(1/2), sqrt(2)). Returns k, f = (m - 1) / 2, s =
-    (m - 1) / (m + 1). The half in f costs nothing here, and a thin plate spline needs it.
+    """Splits x = 2^(k + `less`) m with m in [sqrt(1/2), sqrt(2)).
+
+    Returns k, f = (m - 1) / 2, s = (m - 1) / (m + 1). The half in f costs nothing here, and a thin
+    plate spline needs it.
     """
     k, m = _split(x, less)
     f, d = m - 0.5, m + 0.5

@@ -41,9 +41,10 @@ def _few_rows(rows, block, *, axis):
 
 
 def few_rows_in_one_loop(rows: Float[Array, "k s"], block: Float[Array, "..."], axis: int) -> Float[Array, "k c"]:
-    """Computes the product of `_few_rows` as one reduction of all rows, for GPUs. XLA computes an
-    element of the block where it is summed, once for all rows. A library's product of matrices
-    would need the block in memory.
+    """Computes the product of `_few_rows` as one reduction of all rows, for GPUs.
+
+    XLA computes an element of the block where it is summed, once for all rows. A library's product
+    of matrices would need the block in memory.
     """
     if len(rows) > MOST_ROWS:
         return _contract(rows, block, axis)

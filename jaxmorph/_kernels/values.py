@@ -10,8 +10,9 @@ from jax.core import Tracer  # pyright: ignore[reportAttributeAccessIssue]
 from jaxtyping import Array, Float
 
 Either = Any
-"""An array of JAX or NumPy, for formulas with `namespace`. Type checkers know no common operations
-of both.
+"""An array of JAX or NumPy, for formulas with `namespace`.
+
+Type checkers know no common operations of both.
 """
 
 
@@ -29,8 +30,10 @@ def constant(values: Either) -> Either:
 
 
 def as_jax(tree: Any) -> Any:
-    """Copies the NumPy arrays of a tree into arrays of JAX. `jnp.asarray` compiles a program for
-    every new shape, and may share memory that the caller changes later.
+    """Copies the NumPy arrays of a tree into arrays of JAX.
+
+    `jnp.asarray` compiles a program for every new shape, and may share memory that the caller
+    changes later.
     """
     return jax.tree.map(lambda leaf: leaf if isinstance(leaf, jax.Array) else jax.device_put(np.array(leaf)), tree)
 
@@ -120,8 +123,9 @@ def slack(dtype: Any) -> float:
 
 
 def clipped(values: Float[Array, "*shape"], low: Any, high: Any) -> Float[Array, "*shape"]:
-    """Clips values to an interval. Its ends count as inside, with round-off; `jnp.clip` halves the
-    derivative there.
+    """Clips values to an interval.
+
+    Its ends count as inside, with round-off; `jnp.clip` halves the derivative there.
     """
     beyond = slack(values.dtype) * (high - low)
     return jnp.where(values < low - beyond, low, jnp.where(values > high + beyond, high, values))

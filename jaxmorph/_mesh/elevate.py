@@ -54,8 +54,9 @@ def elevate(mesh: Mesh, order: int) -> Mesh:
 
 
 def node_keys(ids: np.ndarray, cell: Lagrange) -> np.ndarray:
-    """Lists corners and weights in turn (k, new, 16) of each cell's new nodes. Corners ascend, with
-    zeros in front.
+    """Lists corners and weights in turn (k, new, 16) of each cell's new nodes.
+
+    Corners ascend, with zeros in front.
     """
     weights = _weights(cell)
     weights = weights // np.gcd.reduce(weights, axis=1)[:, None]  # alike in cells of all types that share a face

@@ -33,8 +33,9 @@ Arrays = Mapping[str, Any]
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Origin:
-    """The mesh of another library that a mesh came from. It is compared by identity, as a static
-    field of a pytree must be.
+    """The mesh of another library that a mesh came from.
+
+    It is compared by identity, as a static field of a pytree must be.
     """
 
     content: Any
@@ -114,8 +115,9 @@ def kind_of_block(kind: str, ids: np.ndarray) -> tuple[str, np.ndarray]:
 
 
 def block_of(kind: str, ids: Any) -> tuple[str, np.ndarray]:
-    """Names a cell type as meshio does, and orders its nodes as meshio's files need them. Cells of
-    order 3 and more are VTK's of any order, where it has them.
+    """Names a cell type as meshio does, and orders its nodes as meshio's files need them.
+
+    Cells of order 3 and more are VTK's of any order, where it has them.
     """
     ids, shape = np.asarray(ids), SHAPES[kind]
     if kind == shape or kind in VTK_QUADRATIC or shape not in VTK_LAGRANGE:
@@ -147,6 +149,7 @@ class Parts(NamedTuple):
 
 def parts(grid: Grid) -> Parts:
     """Makes points, cells and patches of a grid: highest dimension, without z if all z are equal.
+
     Patches are named sets of cells of lower dimension, gmsh's physical groups, and point arrays
     `patch:NAME`. Without them, the numbers of an array of `MARKERS` name patches. Without such an
     array, the nodes of faces that belong to one cell only are the patch `boundary`.
@@ -208,8 +211,9 @@ def _physical(grid: Grid) -> dict[str, np.ndarray]:
 
 
 def _marked(grid: Grid) -> dict[str, np.ndarray]:
-    """Makes patches by the first array of `MARKERS`, on cells of lower dimension or points. On
-    points, 0 means inside.
+    """Makes patches by the first array of `MARKERS`, on cells of lower dimension or points.
+
+    On points, 0 means inside.
     """
     levels = grid.levels
     for name in _markers(grid.cell_data):

@@ -44,8 +44,9 @@ class Faces:
         return np.diff(self.starts)
 
     def corners(self, faces: np.ndarray, size: int) -> np.ndarray:
-        """Gathers node ids (..., size) of faces with `size` corners, outward for the cell. `~f` is
-        face f as its neighbour sees it.
+        """Gathers node ids (..., size) of faces with `size` corners, outward for the cell.
+
+        `~f` is face f as its neighbour sees it.
         """
         # A window of `size` labels is one element of a void type, at every place where a face may
         # begin. So one index gathers all corners of a face.
@@ -84,8 +85,9 @@ class Faces:
         return self.labels[self.starts[first] : self.starts[last]]
 
     def of_cells(self) -> tuple[np.ndarray, np.ndarray]:
-        """Lists the faces of all cells, cell by cell, and where cells begin, with the end. `~f`
-        stands for face f if the cell is its neighbour.
+        """Lists the faces of all cells, cell by cell, and where cells begin, with the end.
+
+        `~f` stands for face f if the cell is its neighbour.
         """
         # A sparse matrix sorts the sides of faces by cell: its columns are sides, its rows cells.
         # The conversion from columns to rows is a counting sort in linear time.
@@ -132,6 +134,7 @@ def joined_faces(parts: list[Faces]) -> Faces:
 
 def standard_cells(faces: Faces) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
     """Finds tetrahedra, pyramids, wedges and hexahedra: corners (k, c) and cell ids (k,) by type.
+
     The cell ids have an entry `polyhedron` for other cells. Numbers of faces, triangles and quads
     select candidates; `_typed` numbers their corners and refuses cells with other connections.
     """

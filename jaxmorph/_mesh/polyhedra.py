@@ -16,6 +16,7 @@ ENOUGH = 0.05
 @dataclasses.dataclass(frozen=True, eq=False)
 class Polyhedra:
     """Whole cells of a mesh with cut cells: all faces (2-D: edges), and the ids of cut cells.
+
     `Mesh.cell_ids` has the whole cell of every cell or piece of the mesh.
     """
 
@@ -24,9 +25,10 @@ class Polyhedra:
 
 
 def triangles(faces: Faces, chosen: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Cuts the faces `chosen` into triangles (t, 3), with each one's place in `chosen`. Triangles
-    have the sense of their face. A face is a fan about the corner that makes its smallest triangle
-    largest. So both cells of a face see equal triangles.
+    """Cuts the faces `chosen` into triangles (t, 3), with each one's place in `chosen`.
+
+    Triangles have the sense of their face. A face is a fan about the corner that makes its smallest
+    triangle largest. So both cells of a face see equal triangles.
     """
     sizes = faces.sizes[chosen]
     parts, owners = [], []
@@ -53,6 +55,7 @@ def _least(x: np.ndarray, normal: np.ndarray) -> np.ndarray:
 
 def tetrahedra(faces: Faces, cells: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Cuts cells into tetrahedra (t, 4) between an apex node and triangles of faces away from it.
+
     It also returns the cell of every tetrahedron. The apex is the first node whose smallest piece
     is no sliver, or, if there is none, the node whose smallest piece is largest.
     """

@@ -13,14 +13,16 @@ from .._kernels.module import Module
 from .surface import Surface
 
 BLOCK = 512
-"""Points that are evaluated together. Memory, also for derivatives, is that of one block, whatever
-the size of the mesh.
+"""Points that are evaluated together.
+
+Memory, also for derivatives, is that of one block, whatever the size of the mesh.
 """
 
 
 class Located(eqx.Module):
-    """Counts of how points were located. `repaired` answers of the graph were wrong, and points lie
-    `outside` of it by round-off.
+    """Counts of how points were located.
+
+    `repaired` answers of the graph were wrong, and points lie `outside` of it by round-off.
     """
 
     repaired: Int[Array, ""]
@@ -47,15 +49,17 @@ class AbstractField(Module):
 
     @abc.abstractmethod
     def __call__(self, x: Float[Array, " d"], ids: PyTree) -> Float[Array, " d"]:
-        """Computes the displacement at `x`. `ids` is what `connect` chose for this point, or
-        `place` made of it.
+        """Computes the displacement at `x`.
+
+        `ids` is what `connect` chose for this point, or `place` made of it.
         """
 
     def evaluate(self, points: Float[Array, "c d"], ids: PyTree) -> Float[Array, "c d"]:
         """Computes the displacements of a block of c points.
 
-        The result is that of the mapped one-point form. The function exists for speed alone. A leaf
-        of `ids` has one row a point.
+        The result is that of the mapped one-point form. The function exists for speed alone.
+
+        A leaf of `ids` has one row a point.
         """
         return jax.vmap(self)(points, ids)
 

@@ -12,8 +12,9 @@ from .placing import AbstractPlacing
 from .sparse import Interpolation
 
 WIDER = 256
-"""Factor of the size of blocks on platforms that are no CPU. A GPU wants millions of elements at
-once, and few launches.
+"""Factor of the size of blocks on platforms that are no CPU.
+
+A GPU wants millions of elements at once, and few launches.
 """
 
 FEW = 64
@@ -21,8 +22,9 @@ FEW = 64
 
 
 def map_points(field: AbstractField, points: Float[Array, "n d"], ids: PyTree) -> Float[Array, "n d"]:
-    """Evaluates the field at every point, block by block. For derivatives each block is computed
-    again, not stored.
+    """Evaluates the field at every point, block by block.
+
+    For derivatives each block is computed again, not stored.
     """
     if field.block_size is None:
         return field.evaluate(points, ids)
@@ -77,9 +79,12 @@ def _placed(place: Callable, rows: tuple, block: int) -> PyTree:
 
 
 def map_rows(function: Callable[[PyTree], PyTree], rows: PyTree, block: int) -> PyTree:
-    """Applies a function to blocks of `block` rows, and joins the results. A result has as many
-    rows as its block. Each block adds its rows to one array of zeros, in place; the last block may
-    be shorter. Nothing is padded. Blocks are larger on a platform that is no CPU.
+    """Applies a function to blocks of `block` rows, and joins the results.
+
+    A result has as many rows as its block.
+
+    Each block adds its rows to one array of zeros, in place; the last block may be shorter. Nothing
+    is padded. Blocks are larger on a platform that is no CPU.
     """
     return by_platform(lambda rows, block: _joined(function, rows, block), rows, block)
 

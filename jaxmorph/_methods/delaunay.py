@@ -55,6 +55,7 @@ class DelaunayGraph(AbstractPlacing):
 
 def begin_graph(method: AbstractMethod, surface: Surface, count: int) -> None:
     """Begins a surface's graph beside what comes next, where a method is or has a `DelaunayGraph`.
+
     It does nothing unless some of the `count` points are off the surface.
     """
 
@@ -70,8 +71,9 @@ def _begun(surface: Surface) -> Beside[Graph]:
 
 
 def barycentric(x: Float[Array, " d"], corners: list[Float[Array, " d"]], at_node) -> list[Float[Array, ""]]:
-    """Computes barycentric coordinates e of x in closed form; (1, 0, ...) `at_node`. These are eqs.
-    6 and 7, and their like in 3-D.
+    """Computes barycentric coordinates e of x in closed form; (1, 0, ...) `at_node`.
+
+    These are eqs. 6 and 7, and their like in 3-D.
     """
     edges = [corner - corners[0] for corner in corners[1:]]
     inner = x - corners[0]

@@ -9,10 +9,11 @@ from .reconstruction import SurfaceReconstruction
 
 
 def guiding(method: AbstractMethod) -> AbstractMethod:
-    """Returns the method that guides nodes along boundaries for a plan of `method`. Such nodes lie
-    outside of the hull of moving and fixed nodes, where no graph reaches, and have no cells among
-    themselves. Near moving and fixed nodes they have to follow exactly. The result has the coarse
-    field of `method`, with a `Multiscale` correction.
+    """Returns the method that guides nodes along boundaries for a plan of `method`.
+
+    Such nodes lie outside of the hull of moving and fixed nodes, where no graph reaches, and have
+    no cells among themselves. Near moving and fixed nodes they have to follow exactly. The result
+    has the coarse field of `method`, with a `Multiscale` correction.
     """
     coarse = method.coarse if isinstance(method, SurfaceReconstruction) else method
     if coarse.needs_cells or isinstance(coarse, DelaunayGraph | NearWall):

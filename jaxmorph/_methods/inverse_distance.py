@@ -22,8 +22,9 @@ SMALLEST = 1e-12
 class InverseDistance(AbstractMethod):
     """Moves each point by a mean of the surface's displacements, weighted by distance.
 
-    The method is that of Luke, Collins and Blades (Journal of Computational Physics 231, 2012). The
-    weight of node i is A_i ((L / r)^far + (alpha L / r)^near). A_i is its share of the boundary
+    The method is that of Luke, Collins and Blades (Journal of Computational Physics 231, 2012).
+
+    The weight of node i is A_i ((L / r)^far + (alpha L / r)^near). A_i is its share of the boundary
     faces; without cells it is 1. L is the largest distance of a surface node from the middle of the
     moving nodes. There is no system to solve. IDWarp has the defaults of the weights, and
     `rotations=True`.

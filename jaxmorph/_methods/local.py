@@ -19,8 +19,9 @@ from .sparse import InterpolatedField, Reach
 from .surface import Surface
 
 REACH = 1.25
-"""Distance in radii within which nodes are searched for. By the part beyond 1 another node may come
-nearer than the nearest node.
+"""Distance in radii within which nodes are searched for.
+
+By the part beyond 1 another node may come nearer than the nearest node.
 """
 
 SPACING = 2.0

@@ -29,6 +29,7 @@ class Multiscale(AbstractPlacing):
 
     The order of the nodes is discontinuous in their coordinates. Distances within a relative 1e-9
     are equal, and the first node in the order of coordinates counts, so round-off decides nothing.
+
     As a correction, the sources of the coarse field come before all other nodes. Alone, the first
     function reaches across the whole surface, and not even a translation is reproduced.
     `Multiscale.whole` makes the method with its first stage.
@@ -95,8 +96,9 @@ class Sweep(eqx.Module):
 
 
 class Hierarchy(eqx.Module):
-    """The nearest node before each node, and the entries (row, column) of the system. A node
-    without a function is its own nearest node.
+    """The nearest node before each node, and the entries (row, column) of the system.
+
+    A node without a function is its own nearest node.
     """
 
     nearest: Int[Array, " b"]
@@ -131,8 +133,9 @@ def _solve(ids: Hierarchy, entries: Float[Array, " e"], values: Float[Array, "b 
 def _swept(
     sweep: Sweep, source: Int[Array, " e"], entries: Float[Array, " e"], values: Float[Array, "b d"]
 ) -> Float[Array, "b d"]:
-    """Substitutes step by step. Each step subtracts from its owners what the nodes known by then
-    contribute.
+    """Substitutes step by step.
+
+    Each step subtracts from its owners what the nodes known by then contribute.
     """
     used = sweep.entries >= 0
     weights = jnp.where(used, entries[sweep.entries], 0)

@@ -20,8 +20,9 @@ from .sparse import InterpolatedField, Interpolation
 from .surface import Surface
 
 NEIGHBOURS = 6
-"""Wall nodes whose displacements a point near the wall averages. One more node sets the distance at
-which weights vanish.
+"""Wall nodes whose displacements a point near the wall averages.
+
+One more node sets the distance at which weights vanish.
 """
 
 REACH = 0.5
@@ -121,10 +122,13 @@ class NearWall(AbstractPlacing):
 
 
 class Extent(eqx.Module):
-    """Walls, as rows of the surface. `wall` is each row's wall, `matched` its nearest matched row
-    of that wall, or itself. `ends` are two ends of each wall, `share` its mean chord. `widest` is
-    each wall's row that is farthest from its matched row. The mean chord is relative to the
-    distance of the ends, and zero where the wall has matched rows.
+    """Walls, as rows of the surface.
+
+    `wall` is each row's wall, `matched` its nearest matched row of that wall, or itself. `ends` are
+    two ends of each wall, `share` its mean chord.
+
+    `widest` is each wall's row that is farthest from its matched row. The mean chord is relative to
+    the distance of the ends, and zero where the wall has matched rows.
     """
 
     wall: Int[Array, " b"]
@@ -157,8 +161,9 @@ class Extent(eqx.Module):
 
 
 def layer_width(width: Float[Either, ""] | None, extent: Extent, surface: Float[Either, "b d"]) -> Float[Either, " b"]:
-    """Computes the layer's width over each surface node, one width for each wall. `width` takes its
-    place where it is set.
+    """Computes the layer's width over each surface node, one width for each wall.
+
+    `width` takes its place where it is set.
     """
     xp = namespace(surface)
     if width is not None:

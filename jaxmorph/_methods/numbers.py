@@ -15,8 +15,9 @@ from .._kernels.values import is_known
 
 
 def number(name: str, low: float | int = -np.inf, high: float | int = np.inf, ends: str = "()") -> Callable[[Any], Any]:
-    """Returns a converter to one real number in an interval; `ends` are as for `between`. The
-    converter raises `ValueError` for anything else.
+    """Returns a converter to one real number in an interval; `ends` are as for `between`.
+
+    The converter raises `ValueError` for anything else.
     """
 
     def convert(value: Any) -> Float[Array, ""]:

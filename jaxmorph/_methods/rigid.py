@@ -79,8 +79,9 @@ class RigidBlend(AbstractMethod):
 
 
 class RigidField(AbstractField):
-    """Evaluates the blended motion. `turn` is the angle, or the rotation vector, about `middle`,
-    which moves by `translation`.
+    """Evaluates the blended motion.
+
+    `turn` is the angle, or the rotation vector, about `middle`, which moves by `translation`.
     """
 
     method: RigidBlend
@@ -116,8 +117,9 @@ def _angle(arms: Float[Array, "b 2"], u: Float[Array, "b 2"]) -> Float[Array, ""
 
 
 def _rotation_vector(arms: Float[Array, "b 3"], u: Float[Array, "b 3"]) -> Float[Array, "3"]:
-    """Computes the rotation vector of the nearest rotation. Its quaternion is an eigenvector (Horn
-    1987).
+    """Computes the rotation vector of the nearest rotation.
+
+    Its quaternion is an eigenvector (Horn 1987).
     """
     size = jnp.sum(arms**2)
     spread = jnp.matmul(arms.T, arms + u, precision="highest") / size

@@ -6,8 +6,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 SLACK = 0.05
-"""Share of a radius by which a search goes beyond it. Where a new base differs by less than half of
-it, no other pairs are looked at.
+"""Share of a radius by which a search goes beyond it.
+
+Where a new base differs by less than half of it, no other pairs are looked at.
 """
 
 
@@ -21,8 +22,9 @@ class Searched(eqx.Module):
     def certain(
         self, radius: Float[Array, ""], surface: Float[Array, "b d"], points: Float[Array, "n d"]
     ) -> Bool[Array, ""]:
-        """Checks whether the search surely found all nodes within a radius. The search reached
-        `distance` on the old base, and nodes may have come nearer since.
+        """Checks whether the search surely found all nodes within a radius.
+
+        The search reached `distance` on the old base, and nodes may have come nearer since.
         """
         shifts = surface - self.surface, points - self.points[: len(points)]  # images, which follow, are of the surface
         mean = shifts[0].mean(axis=0)

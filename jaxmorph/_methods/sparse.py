@@ -32,6 +32,7 @@ class Table(eqx.Module):
 
 class Interpolation(eqx.Module):
     """Interpolates points' displacements from surface nodes: weighted sums by a sparse operator.
+
     For one point, `nodes` and `weights` are (k,); for many (n, k), to which a table of the
     transpose may be added. A row or entry where `reached` is False is empty, whatever the
     coordinates.
@@ -139,8 +140,9 @@ def weighted_sum(rows: Interpolation, values: Float[Array, "b c"]) -> Float[Arra
 
 
 def _sum(values, weights, *table, turned: bool, count: int):
-    """Sums weights[i, k] values[nodes[i, k]] over k for each row i. `turned`, it computes the
-    transpose, for each column j.
+    """Sums weights[i, k] values[nodes[i, k]] over k for each row i.
+
+    `turned`, it computes the transpose, for each column j.
     """
     # The transpose by a scatter adds each entry to its column one by one. With a table, `tabulate`
     # has sorted the entries by column, in rows of fixed width. Each row is summed by gathers. The

@@ -81,8 +81,9 @@ class Surface:
     def once(self, key: Any, make: Callable[[], T]) -> T:
         """Makes a value that depends on the surface alone, once.
 
-        All surfaces that are `altered` from this surface share it. `key` names the value, with all
-        that it depends on beside the surface.
+        All surfaces that are `altered` from this surface share it.
+
+        `key` names the value, with all that it depends on beside the surface.
         """
         if key not in self.values:
             self.values[key] = make()
@@ -103,8 +104,9 @@ class Surface:
         return np.concatenate([first, drop_near(self.points, second, first, min(closest, closest_fixed))])
 
     def _chosen(self, reduction: AbstractReduction, rows: np.ndarray, others: np.ndarray) -> tuple[np.ndarray, float]:
-        """Chooses rows by a reduction, with images; returns also how close two of them may come. A
-        source too close to its own image gives way to the nearest node that is not too close, one
+        """Chooses rows by a reduction, with images; returns also how close two of them may come.
+
+        A source too close to its own image gives way to the nearest node that is not too close, one
         on the plane if there is any. Two sources that are not too close are farther from each
         other's images: all nodes lie on one side of a plane.
         """
@@ -125,9 +127,11 @@ class Surface:
         return rows[np.isin(self.images[rows], chosen)], closest
 
     def _on_far_walls(self, reduction: AbstractReduction, rows: np.ndarray, others: np.ndarray) -> np.ndarray:
-        """Chooses rows of each wall that is farther from the `others` (s, d) than it is long. The
-        reduction then chooses as if there were no others. It chooses none where they would be too
-        many, and where the walls are unknown without faces.
+        """Chooses rows of each wall that is farther from the `others` (s, d) than it is long.
+
+        The reduction then chooses as if there were no others.
+
+        It chooses none where they would be too many, and where the walls are unknown without faces.
         """
         chosen = [rows[:0]]
         if not reduction.most_on_far_walls or self.faces is None or not len(rows):

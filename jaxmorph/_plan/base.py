@@ -25,9 +25,10 @@ def refitted(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Plan
 def carry(
     plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any], surface: Float[Array, "o d"] | None = None
 ) -> Plan:
-    """Moves a plan to the mesh of one of its own steps; a piece needs the whole moved surface. The
-    solve is made anew, and every point keeps its place in the graph. A layer over a wall is laid
-    anew.
+    """Moves a plan to the mesh of one of its own steps; a piece needs the whole moved surface.
+
+    The solve is made anew, and every point keeps its place in the graph. A layer over a wall is
+    laid anew.
     """
     return _fitted(plan, points, surface, carried=True)
 

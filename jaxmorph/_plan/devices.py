@@ -58,8 +58,9 @@ def pad_rows(leaf: Array, layout: Layout) -> Array:
 
 
 def rows_here(layout: Layout | None, ids: Int[Array, " k"], count: int) -> Int[Array, " k"]:
-    """Finds the rows of points `ids` on this device, within `over_points`. The device has `count`
-    rows; a point of another device gets a row from `count` on.
+    """Finds the rows of points `ids` on this device, within `over_points`.
+
+    The device has `count` rows; a point of another device gets a row from `count` on.
     """
     return ids if layout is None else rows_from(jax.lax.axis_index(AXIS) * count, ids, count)
 
@@ -74,6 +75,7 @@ def over_points(
     layout: Layout | None, function: Callable[[PyTree, PyTree], PyTree], shared: PyTree, rows: PyTree
 ) -> PyTree:
     """Evaluates `function(shared, rows)`; leaves of `rows` and the result have one row a point.
+
     Every device works on its own rows. JAX's tracking of what varies (`check_vma`) is off. So one
     all-reduce at the end sums the gradient of `shared`, not one in every round of an inner loop.
     """

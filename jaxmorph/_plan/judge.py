@@ -91,8 +91,9 @@ def deviations(plan: Plan, points: np.ndarray) -> Iterator[tuple[str, np.ndarray
 
 
 def ended(plan: Plan, places: Float[np.ndarray, "o d"]) -> Int[np.ndarray, " k"]:
-    """Lists the sliding rows that `places` has at or beyond an end of their surface. Rows that were
-    at an end in the base mesh, and rows between two walls, do not count.
+    """Lists the sliding rows that `places` has at or beyond an end of their surface.
+
+    Rows that were at an end in the base mesh, and rows between two walls, do not count.
     """
     guide = plan.surface.guide
     base, rows = np.asarray(plan.surface_points), [np.zeros(0, dtype=int)]

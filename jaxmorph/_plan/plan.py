@@ -23,9 +23,10 @@ from .devices import Layout, over_points, rows_here
 
 
 class SurfacePart(eqx.Module):
-    """The surface and the solve, which every device holds whole. The o own rows are the moving,
-    fixed and guided nodes. The b rows are own rows and their images. In a plan of a piece, `nodes`
-    has numbers from n on for nodes that the piece lacks.
+    """The surface and the solve, which every device holds whole.
+
+    The o own rows are the moving, fixed and guided nodes. The b rows are own rows and their images.
+    In a plan of a piece, `nodes` has numbers from n on for nodes that the piece lacks.
     """
 
     points: Float[Array, "b d"]
@@ -89,8 +90,9 @@ class Guide(Module):
 
 
 class VolumePart(eqx.Module):
-    """Per-point arrays, split over devices. Every leaf has one row per mesh point, except tables of
-    transposes.
+    """Per-point arrays, split over devices.
+
+    Every leaf has one row per mesh point, except tables of transposes.
     """
 
     points: Float[Array, "n d"]
@@ -103,11 +105,13 @@ class Plan(Module):
     """Everything that `deform` needs to know about a mesh: an immutable pytree of arrays.
 
     `prepare` makes it. It survives `jax.tree` round trips, pickling and
-    `equinox.tree_serialise_leaves`, and passes through `jit`, `vmap` and `grad` like any array. Use
-    `points`, `moving`, `fixed`, `guided`, `sources`, `n_moving`, `method`, `is_linear`, `is_piece`
-    and `offset`. The fields `surface` and `volume` belong to the driver. So do `carried` (by a step
-    of `march`) and `layout` (over devices). In a plan of a piece (`SurfaceHalf.attach`), node ids
-    of len(points) and more stand for nodes of other pieces.
+    `equinox.tree_serialise_leaves`, and passes through `jit`, `vmap` and `grad` like any array.
+
+    Use `points`, `moving`, `fixed`, `guided`, `sources`, `n_moving`, `method`, `is_linear`,
+    `is_piece` and `offset`. The fields `surface` and `volume` belong to the driver. So do
+    `carried` (by a step of `march`) and `layout` (over devices).
+    In a plan of a piece (`SurfaceHalf.attach`), node ids of len(points) and more stand for
+    nodes of other pieces.
     """
 
     method: AbstractMethod
@@ -264,6 +268,7 @@ def extended(plan: Plan, u: Any) -> Float[Array, "o d"]:
 
 class Shared(eqx.Module):
     """Holds what all points share in a motion: the field, what is assigned to nodes, and images.
+
     `are_places` says whether nodes are `assigned` places, or displacements.
     """
 
@@ -316,8 +321,9 @@ def moved_surface(plan: Plan, vectors: Float[Array, "o d"]) -> Float[Array, "o d
 
 
 def kept(plan: Plan, vectors: Float[Array, "o d"]) -> Float[Array, "o d"]:
-    """Changes displacements of the surface's own rows so that they keep to the boundaries. Rows
-    stay on planes and follow walls and periodic partners.
+    """Changes displacements of the surface's own rows so that they keep to the boundaries.
+
+    Rows stay on planes and follow walls and periodic partners.
     """
     surface = plan.surface
     if surface.guide is not None:

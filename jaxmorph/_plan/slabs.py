@@ -27,8 +27,9 @@ STEP = 1536
 
 
 def slabs(count: int, *arguments: Any) -> list[tuple[np.ndarray, int]]:
-    """Divides points into slabs: first rows and counts; none for traced calls or few points. All
-    have one size, and so one program; some overlap. The number of cores does not change them:
+    """Divides points into slabs: first rows and counts; none for traced calls or few points.
+
+    All have one size, and so one program; some overlap. The number of cores does not change them:
     results have equal bits.
     """
     if count < 2 * LEAST or not is_direct(arguments):

@@ -11,8 +11,11 @@ from .._methods.blocks import is_rows, with_tables, without_tables
 
 def with_transposes(plan: Any, parts: int = 1) -> Any:
     """Adds the tables, for so many shares of points, to a plan of known arrays, and to its guide.
-    They are made once for a plan. A plan that is traced, or laid over devices, stays as it is: its
-    transpose scatters, or has tables.
+
+    They are made once for a plan.
+
+    A plan that is traced, or laid over devices, stays as it is: its transpose scatters, or has
+    tables.
     """
     volume, guide = getattr(plan, "volume", None), getattr(getattr(plan, "surface", None), "guide", None)
     if volume is None or plan.layout is not None or not is_readable(plan) or (parts == 1 and not _lacks_tables(plan)):

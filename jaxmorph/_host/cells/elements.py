@@ -17,10 +17,11 @@ _COLLAPSED = {
 
 @functools.cache
 def quadrature(kind: str) -> tuple[np.ndarray, np.ndarray]:
-    """Computes derivatives (q, corners, d) of the shape functions, and weights (q,). Derivatives
-    are by the reference coordinates. A simplex has one point. A quad has its four corners, with the
-    linear triangles of the corners and their neighbours: the mean of both ways to cut the quad.
-    Other types have two Gauss points in every direction.
+    """Computes derivatives (q, corners, d) of the shape functions, and weights (q,).
+
+    Derivatives are by the reference coordinates. A simplex has one point. A quad has its four
+    corners, with the linear triangles of the corners and their neighbours: the mean of both ways to
+    cut the quad. Other types have two Gauss points in every direction.
     """
     if kind in ("triangle", "tetra"):
         d = 2 if kind == "triangle" else 3

@@ -29,6 +29,7 @@ class Lines(NamedTuple):
 
 def first_lines(cells: Mapping[str, np.ndarray], points: np.ndarray, wall: np.ndarray) -> Lines:
     """Picks, for every wall node, the edge off the wall that is nearest to the wall's normal.
+
     Raises `ValueError` if no boundary side of a cell has all corners among the wall nodes.
     """
     on_wall = np.zeros(len(points), dtype=bool)

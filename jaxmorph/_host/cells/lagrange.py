@@ -56,8 +56,9 @@ class Lagrange:
 
     @property
     def name(self) -> str:
-        """The name of the type. It is meshio's, or the shape and the number of nodes; a linear
-        cell's has no number.
+        """The name of the type.
+
+        It is meshio's, or the shape and the number of nodes; a linear cell's has no number.
         """
         return self.shape if self.order == 1 else f"{self.shape}{len(self.lattice)}"
 
@@ -100,9 +101,10 @@ class Lagrange:
         return sides
 
     def completion(self) -> tuple[str, np.ndarray]:
-        """Returns the type with all lattice nodes, and the matrix (nodes, k) that makes them. The
-        completed cell is the same curved cell: a missing node is where the serendipity functions
-        put it.
+        """Returns the type with all lattice nodes, and the matrix (nodes, k) that makes them.
+
+        The completed cell is the same curved cell: a missing node is where the serendipity
+        functions put it.
         """
         complete, place, missing = of_order(self.shape, self.order), self.place, []
         matrix = np.zeros((len(complete.lattice), len(self.lattice)))

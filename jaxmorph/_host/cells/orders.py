@@ -164,8 +164,9 @@ CGNS_ORDER = NodeOrder(
 
 
 def swapped_edges(kind: str, ids: np.ndarray) -> np.ndarray:
-    """Changes hexahedra of any order between VTK's node order and that before version 9. In files
-    of an older version the inner nodes of the last two edges stand the other way round.
+    """Changes hexahedra of any order between VTK's node order and that before version 9.
+
+    In files of an older version the inner nodes of the last two edges stand the other way round.
     """
     if kind != "VTK_LAGRANGE_HEXAHEDRON" or not ids.size:
         return ids

@@ -13,6 +13,7 @@ from ..package.cores import BLOCK, by_blocks, cores, in_order
 
 def sorted_columns(nodes: Sequence[np.ndarray], width: int) -> list[np.ndarray]:
     """Sorts nodes of faces, given and returned by column: first nodes (f,), second nodes (f,), ...
+
     Columns of -1 follow, up to the `width`.
     """
     columns = [np.empty_like(column) for column in nodes]
@@ -40,6 +41,7 @@ def columns_of(corners: np.ndarray) -> list[np.ndarray]:
 
 def twins(columns: Sequence[np.ndarray]) -> np.ndarray:
     """Finds for each face the row of the other face with equal nodes; -1 for none or several.
+
     `columns` are the nodes of the faces as `sorted_columns` gives them.
     """
     number = min(cores(), len(columns[0]) // BLOCK)
@@ -78,9 +80,10 @@ def is_single(columns: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def unpaired(parts: Sequence[Sequence[np.ndarray]], n: int) -> list[list[np.ndarray]]:
-    """Drops faces that surely come twice: faces whose first node has only pairs of equal faces. A
-    mesh has few other faces, so that exact work on them is fast. A part has the nodes of its faces
-    by column; there are n nodes.
+    """Drops faces that surely come twice: faces whose first node has only pairs of equal faces.
+
+    A mesh has few other faces, so that exact work on them is fast. A part has the nodes of its
+    faces by column; there are n nodes.
     """
     # A face has a random number, made of its nodes in any order. The numbers of two equal faces
     # cancel each other in an "exclusive or" over all faces of their first node.
@@ -127,6 +130,7 @@ def _equals_next(columns: Sequence[np.ndarray], order: np.ndarray) -> np.ndarray
 
 def _keys(columns: Sequence[np.ndarray]) -> np.ndarray:
     """Packs a face into one integer: its first node in the upper bits, a hash of the rest below.
+
     One sort of integers then replaces a sort by columns. Keys of a mesh ascend almost as its faces
     do, which makes the sort fast. Faces with one key are equal, except by an accident that
     `_ordered` sees.

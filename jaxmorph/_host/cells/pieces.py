@@ -138,9 +138,10 @@ def _of_pyramid(rows, starts: np.ndarray) -> dict[str, list]:
 
 
 def _of_edges(cell: Lagrange) -> dict[str, list]:
-    """Cuts a cell of order 2 with nodes on its edges alone. Each corner is cut off, with the
-    middles of its edges. What is left goes from one of its nodes to its sides: inner polygons of
-    the faces, and triangles where corners were.
+    """Cuts a cell of order 2 with nodes on its edges alone.
+
+    Each corner is cut off, with the middles of its edges. What is left goes from one of its nodes
+    to its sides: inner polygons of the faces, and triangles where corners were.
     """
     middle = {frozenset(ends): cell.corners + k for k, ends in enumerate(EDGES[cell.shape])}
     pieces: dict[str, list] = {"triangle": [], "quad": [], "tetra": [], "pyramid": []}

@@ -17,8 +17,9 @@ from .lagrange import Lagrange, depth, lagrange_types
 
 @functools.cache
 def derivatives_at_nodes(kind: str) -> np.ndarray:
-    """Returns derivatives (s, nodes, d) of the shape functions at the nodes of a type. They are by
-    the reference coordinates.
+    """Returns derivatives (s, nodes, d) of the shape functions at the nodes of a type.
+
+    They are by the reference coordinates.
     """
     return derivatives(kind, collapsed(kind, lagrange_types()[kind].reference))
 
@@ -26,6 +27,7 @@ def derivatives_at_nodes(kind: str) -> np.ndarray:
 @functools.cache
 def jacobian_samples(kind: str) -> tuple[np.ndarray, np.ndarray]:
     """Returns shape function derivatives (s, nodes, d) where det J is measured, and weights (s,).
+
     Places are a lattice twice as fine as that of the nodes, where weights are 0, and Gauss points
     of the exact volume.
     """
@@ -80,8 +82,9 @@ def _basis(cell: Lagrange, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _pyramid(
     one: np.ndarray, slope: np.ndarray, places: np.ndarray, powers: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Computes a pyramid's basis: f(a) g(b) c^n with c = 1 - z, a = x / c, b = y / c. n is not
-    below the degrees of f and g.
+    """Computes a pyramid's basis: f(a) g(b) c^n with c = 1 - z, a = x / c, b = y / c.
+
+    n is not below the degrees of f and g.
     """
     f, g = one[:, 0, powers[:, 0]], one[:, 1, powers[:, 1]]
     df, dg = slope[:, 0, powers[:, 0]], slope[:, 1, powers[:, 1]]

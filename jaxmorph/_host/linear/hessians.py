@@ -29,8 +29,9 @@ class Pattern(NamedTuple):
 
 
 def pattern(cells: list[np.ndarray], n: int, dimension: int) -> Pattern:
-    """Makes the pattern of cells, given by corner ids (k, c), type by type. Pairs of a type run
-    over first corners, then over second corners, then, fastest, over cells.
+    """Makes the pattern of cells, given by corner ids (k, c), type by type.
+
+    Pairs of a type run over first corners, then over second corners, then, fastest, over cells.
     """
     starts, columns, block = _rows(cells, n)
     order = np.arange(n)
@@ -61,18 +62,20 @@ def _ordering(starts: np.ndarray, columns: np.ndarray) -> np.ndarray:
 
 
 def solve(starts, columns, block, order, blocks, shift, right) -> np.ndarray:
-    """Solves (H + diag(shift)) x = right for a step that descends. `right` is (n, d), and H the sum
-    of `blocks` (d, d, pairs). A small matrix is factored; for a large matrix, conjugate gradients
-    with the diagonal blocks as preconditioner run to 1 % of the right side. The matrix is damped if
-    H is not positive. The result is zero if H is not finite.
+    """Solves (H + diag(shift)) x = right for a step that descends.
+
+    `right` is (n, d), and H the sum of `blocks` (d, d, pairs). A small matrix is factored; for a
+    large matrix, conjugate gradients with the diagonal blocks as preconditioner run to 1 % of the
+    right side. The matrix is damped if H is not positive. The result is zero if H is not finite.
     """
     return _solved((starts, columns, block, order), blocks, shift, right, None)
 
 
 def solve_exactly(starts, columns, block, order, blocks, shift, right) -> np.ndarray:
-    """Solves as `solve` does, to round-off or to 1e-10 of the right side. The result is NaN if the
-    matrix is not positive or the iteration does not converge; zero for a right side of zeros,
-    whatever the matrix is.
+    """Solves as `solve` does, to round-off or to 1e-10 of the right side.
+
+    The result is NaN if the matrix is not positive or the iteration does not converge; zero for
+    a right side of zeros, whatever the matrix is.
     """
     return _solved((starts, columns, block, order), blocks, shift, right, 1e-10)
 

@@ -9,6 +9,7 @@ from ..sources.farthest import farthest
 
 def far_to_near(points: np.ndarray, first: int, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Orders points (n, d) so that each is far from its predecessors, and finds near predecessors.
+
     Returns ids (n,), and places in their order (n - first, count). A row begins with the point's
     own place. The nearest earlier places follow; its own place fills up the row. The result depends
     on the set of points, not on their order.
@@ -26,9 +27,10 @@ def far_to_near(points: np.ndarray, first: int, count: int) -> tuple[np.ndarray,
 
 
 def _before(points: np.ndarray, start: int, count: int) -> np.ndarray:
-    """Finds, for the points from `start` on, `count` near earlier places. A point's own place fills
-    up its row. The places are the nearest, unless most neighbours of a point are later ones. Then
-    some places between `start` and the point may be missed.
+    """Finds, for the points from `start` on, `count` near earlier places.
+
+    A point's own place fills up its row. The places are the nearest, unless most neighbours of a
+    point are later ones. Then some places between `start` and the point may be missed.
     """
     place = np.arange(start, len(points))[:, None]
     distance, nearest = _query(points, points[start:], min(len(points), 2 * count + 2))

@@ -22,8 +22,10 @@ def is_factored(unknowns: int, dimension: int) -> bool:
 
 
 class Factors:
-    """Factors of a sparse symmetric matrix, by pivots on the diagonal. Pivots are taken in an order
-    of minimum degree, or, with `is_ordered`, in the order of the matrix.
+    """Factors of a sparse symmetric matrix, by pivots on the diagonal.
+
+    Pivots are taken in an order of minimum degree, or, with `is_ordered`, in the order of the
+    matrix.
     """
 
     def __init__(self, matrix: Any, *, is_ordered: bool = False):

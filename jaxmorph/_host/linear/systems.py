@@ -169,10 +169,11 @@ def _factored(scaled: Any, scale: np.ndarray) -> Callable[[np.ndarray], np.ndarr
 def iterated(
     matrix: Any, right: np.ndarray, cycle: Callable[[np.ndarray], np.ndarray] | None, scale: np.ndarray
 ) -> np.ndarray:
-    """Solves for a right side (k,); NaN if CG does not converge, or the matrix is not positive. The
-    wanted unknowns are `scale` (k,) times x. The cycle's image of the residual is as large as the
-    error. The residual alone says too little: one that is small beside stiff cells moves soft cells
-    far. Without a cycle, it must be enough.
+    """Solves for a right side (k,); NaN if CG does not converge, or the matrix is not positive.
+
+    The wanted unknowns are `scale` (k,) times x. The cycle's image of the residual is as large as
+    the error. The residual alone says too little: one that is small beside stiff cells moves soft
+    cells far. Without a cycle, it must be enough.
     """
     enough = ACCURACY**2 * inner_product(right, right)
 
@@ -191,8 +192,10 @@ def _largest(x: np.ndarray) -> float:
 
 
 def _cycle(scaled: Any, scale: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-    """Makes a matrix's multigrid cycle; for blocks, one a component, of diagonal entries. The
-    diagonal entries are equivalent to the matrix (Korn's inequality), with a ninth of its entries.
+    """Makes a matrix's multigrid cycle; for blocks, one a component, of diagonal entries.
+
+    The diagonal entries are equivalent to the matrix (Korn's inequality), with a ninth of its
+    entries.
     """
     if scaled.format != "bsr":
         return hierarchy(scaled, 1 / scale)
@@ -242,8 +245,9 @@ def reached(pairs: np.ndarray, known: np.ndarray) -> np.ndarray:
 
 
 def coincident(points: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """Finds, for every point (n,), the point that represents its place. A point of `first`
-    represents itself, and all other points at its place.
+    """Finds, for every point (n,), the point that represents its place.
+
+    A point of `first` represents itself, and all other points at its place.
     """
     order = np.concatenate([first, np.setdiff1d(np.arange(len(points)), first)])
     index, inverse = distinct(points[order])

@@ -23,14 +23,16 @@ WORDS = {
     type: "a class",
 }
 KINDS = {"Float": "fiuV", "Real": "fiuV", "Int": "iu", "Integer": "iu", "Bool": "b", "Shaped": "fiubcV"}
-"""NumPy's letters for the numbers of an annotated array. Whole numbers count as real numbers. V is
-bfloat16 and similar types.
+"""NumPy's letters for the numbers of an annotated array.
+
+Whole numbers count as real numbers. V is bfloat16 and similar types.
 """
 
 
 def says(annotation: Any) -> bool:
-    """Checks whether an annotation restricts a value. Annotations of trees, and names of classes
-    that are defined later, do not.
+    """Checks whether an annotation restricts a value.
+
+    Annotations of trees, and names of classes that are defined later, do not.
     """
     is_silent = annotation in (Any, inspect.Parameter.empty, object) or isinstance(annotation, str | typing.TypeVar)
     return not is_silent and getattr(annotation, "__name__", "") != "PyTree"

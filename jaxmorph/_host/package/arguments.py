@@ -21,8 +21,10 @@ Function = typing.TypeVar("Function", bound=Callable)
 
 
 def checked(function: Function) -> Function:
-    """Makes a function compare its arguments with its annotations at every call. The function then
-    raises `ValueError` for a wrong argument, with its name, its value and the call to make.
+    """Makes a function compare its arguments with its annotations at every call.
+
+    The function then raises `ValueError` for a wrong argument, with its name, its value and the
+    call to make.
     """
     parameters = inspect.signature(function).parameters
     rules = {name: parameter.annotation for name, parameter in parameters.items() if says(parameter.annotation)}

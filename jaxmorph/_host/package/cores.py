@@ -77,6 +77,7 @@ class Beside(Generic[T]):
 
 def in_order(function: Callable[[Any], T], pieces: Iterable[Any]) -> Iterator[T]:
     """Yields `function` of each piece of work, in order, while all cores compute what comes next.
+
     NumPy and SciPy release Python's lock for all that takes long, but `ufunc.at` and `unique`.
     """
     pieces = list(pieces)
@@ -96,8 +97,9 @@ def in_order(function: Callable[[Any], T], pieces: Iterable[Any]) -> Iterator[T]
 
 
 def by_blocks(function: Callable[[slice], Any], count: int) -> None:
-    """Calls `function` with slices of `count` rows, on all cores: it fills the rows of results. The
-    number of cores does not change the slices.
+    """Calls `function` with slices of `count` rows, on all cores: it fills the rows of results.
+
+    The number of cores does not change the slices.
     """
     for _ in in_order(function, (slice(start, min(start + BLOCK, count)) for start in range(0, count, BLOCK))):
         pass

@@ -17,9 +17,10 @@ import numpy as np
 
 
 def input_path(path: str | os.PathLike[str]) -> pathlib.Path:
-    """Checks the name of a file or folder to read; returns a path, also where nothing exists. It
-    raises `ValueError` for a device or a pipe, for which a reader would wait, and for a name with a
-    null byte.
+    """Checks the name of a file or folder to read; returns a path, also where nothing exists.
+
+    It raises `ValueError` for a device or a pipe, for which a reader would wait, and for a name
+    with a null byte.
     """
     path = _without_null(path)
     if path.exists() and not (path.is_file() or path.is_dir()):
@@ -30,8 +31,9 @@ def input_path(path: str | os.PathLike[str]) -> pathlib.Path:
 
 
 def file_path(path: str | os.PathLike[str]) -> pathlib.Path:
-    """Returns the name of a file to write as a path. Raises `ValueError` for a name with a null
-    byte, and for the name of a folder.
+    """Returns the name of a file to write as a path.
+
+    Raises `ValueError` for a name with a null byte, and for the name of a folder.
     """
     name = os.fspath(path)
     if name.endswith((os.sep, os.altsep or os.sep)):
@@ -47,6 +49,7 @@ def _without_null(path: str | os.PathLike[str]) -> pathlib.Path:
 
 def output_path(path: str | os.PathLike[str], *endings: str, folder: bool = False) -> pathlib.Path:
     """Checks the name of a file, or of a folder, to write, before any work; returns it as a path.
+
     It raises `ValueError` for a name without one of the `endings`, if there are any, and if the
     parent folder does not exist. Also for a folder, a device or a pipe, which no file can replace.
     """
@@ -60,8 +63,10 @@ def output_path(path: str | os.PathLike[str], *endings: str, folder: bool = Fals
 
 
 def read_arrays(path: pathlib.Path, what: str = "an NPZ file") -> dict[str, np.ndarray]:
-    """Reads the arrays of an NPZ file by name, without objects. It raises `ValueError` for a file
-    that is damaged or not `what` is expected, `OSError` for a file that cannot be opened.
+    """Reads the arrays of an NPZ file by name, without objects.
+
+    It raises `ValueError` for a file that is damaged or not `what` is expected, `OSError` for a
+    file that cannot be opened.
     """
     with path.open("rb") as file:
         try:
@@ -73,8 +78,9 @@ def read_arrays(path: pathlib.Path, what: str = "an NPZ file") -> dict[str, np.n
 
 
 def _member(archive: zipfile.ZipFile, name: str) -> np.ndarray:
-    """Reads one array to the end of its member, where `zipfile` compares the checksum. With a
-    damaged type, NumPy would read only a part of the member.
+    """Reads one array to the end of its member, where `zipfile` compares the checksum.
+
+    With a damaged type, NumPy would read only a part of the member.
     """
     with archive.open(name) as member:
         array = np.lib.format.read_array(member, allow_pickle=False)
@@ -99,8 +105,9 @@ _is_wanted: contextvars.ContextVar[Callable[[], bool] | None] = contextvars.Cont
 
 @contextlib.contextmanager
 def appearing_if(is_wanted: Callable[[], bool]) -> Iterator[None]:
-    """Lets a file that is `complete` wait for `is_wanted` before it appears. The writer gets an
-    `UnwantedError`, and nothing appears, where the answer is False.
+    """Lets a file that is `complete` wait for `is_wanted` before it appears.
+
+    The writer gets an `UnwantedError`, and nothing appears, where the answer is False.
     """
     token = _is_wanted.set(is_wanted)
     try:

@@ -62,8 +62,9 @@ def together(ranks: Ranks, function: Callable[[], T]) -> T:
 
 
 class Agreement:
-    """Makes the values of a node that several parts share equal: the first values count. One
-    process keeps the values of an id, and no process keeps the values of all ids.
+    """Makes the values of a node that several parts share equal: the first values count.
+
+    One process keeps the values of an id, and no process keeps the values of all ids.
     """
 
     def __init__(self, ranks: Ranks):

@@ -27,8 +27,9 @@ def spacing(points: np.ndarray) -> np.ndarray:
 
 
 def ranked(values: np.ndarray, slack: float) -> np.ndarray:
-    """Ranks numbers from the least, which has rank 0. A number at most `slack` above its
-    predecessor has the predecessor's rank.
+    """Ranks numbers from the least, which has rank 0.
+
+    A number at most `slack` above its predecessor has the predecessor's rank.
     """
     order = np.argsort(values, kind="stable")
     rank = np.zeros(len(values), dtype=np.int64)

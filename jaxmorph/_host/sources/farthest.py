@@ -89,9 +89,10 @@ def farthest(
     first: np.ndarray | None = None,
     reach: np.ndarray | float = 0.0,
 ) -> np.ndarray:
-    """Picks ids of `count` points, each the farthest from all chosen points; `first` come first. It
-    ends early if all points are within `closest` of chosen points. With `reach` (n,), distances are
-    relative to a point's own reach, and it ends when all points are within reach.
+    """Picks ids of `count` points, each the farthest from all chosen points; `first` come first.
+
+    It ends early if all points are within `closest` of chosen points. With `reach` (n,), distances
+    are relative to a point's own reach, and it ends when all points are within reach.
     """
     columns = np.ascontiguousarray(points.T)
     distance, work = np.full(len(points), np.inf), np.empty((2, len(points)))

@@ -88,8 +88,9 @@ def _own_images(points: np.ndarray, images: np.ndarray) -> tuple[np.ndarray, np.
 
 
 def _first(points: np.ndarray, distance: np.ndarray, nearest: np.ndarray) -> np.ndarray:
-    """Picks the node farthest from the middle. If it has no image, the node farthest from it
-    becomes its nearest.
+    """Picks the node farthest from the middle.
+
+    If it has no image, the node farthest from it becomes its nearest.
     """
     first = first_largest(np.linalg.norm(points - points.mean(axis=0), axis=1))
     if nearest[first] == first:
@@ -144,8 +145,9 @@ def overlaps(
 
 
 def padded(target: np.ndarray, centre: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Lays pairs, sorted by target, into rows (count, k) of centres, with a mask of the pairs. k is
-    the largest number of centres of a target.
+    """Lays pairs, sorted by target, into rows (count, k) of centres, with a mask of the pairs.
+
+    k is the largest number of centres of a target.
     """
     sizes = np.bincount(target, minlength=count)
     column = np.arange(len(target)) - (np.cumsum(sizes) - sizes)[target]
@@ -156,14 +158,16 @@ def padded(target: np.ndarray, centre: np.ndarray, count: int) -> tuple[np.ndarr
 
 
 Sweep = tuple[np.ndarray, np.ndarray]
-"""The order in which a triangular system is solved: s steps of r rows. A row adds up to `WIDTH`
-entries of its owner. The first array (s, r, WIDTH) has positions in the list of entries, -1 for
-padding; the second array (s, r) has the owners.
+"""The order in which a triangular system is solved: s steps of r rows.
+
+A row adds up to `WIDTH` entries of its owner. The first array (s, r, WIDTH) has positions in the
+list of entries, -1 for padding; the second array (s, r) has the owners.
 """
 
 
 def sweeps(row: np.ndarray, column: np.ndarray, count: int) -> tuple[Sweep, Sweep]:
     """Orders the equations of a triangular matrix, and of its transpose, for forward substitution.
+
     The `count` equations have ones on the diagonal and entries below it. Equations of one level are
     independent; a level needs only earlier levels.
     """

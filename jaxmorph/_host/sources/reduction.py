@@ -19,14 +19,16 @@ from .separation import drop_close, least_distance
 class AbstractReduction(abc.ABC):
     """Chooses source points: called with points (k, d), it returns distinct ids, ascending.
 
-    Your own reduction is a frozen (hashable) dataclass with one method, `__call__`. A choice is
-    discontinuous in the coordinates: as nodes move, another node becomes a source. In the library's
-    own reductions, round-off decides nothing: lengths within a relative 1e-9 are equal, and the
-    first of equals in the order of coordinates counts.
+    Your own reduction is a frozen (hashable) dataclass with one method, `__call__`.
+
+    A choice is discontinuous in the coordinates: as nodes move, another node becomes a source. In
+    the library's own reductions, round-off decides nothing: lengths within a relative 1e-9 are
+    equal, and the first of equals in the order of coordinates counts.
     """
 
     most_on_far_walls: ClassVar[int] = 0
     """Most sources on fixed walls whose distance from the moving walls is larger than their length.
+
     With 0, such walls are reduced like all fixed walls.
     """
 
@@ -226,8 +228,9 @@ class KDTree(AbstractSeparated):
 
 
 def _halves(points: np.ndarray, members: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray]:
-    """Splits members at the median along an axis. Points at one coordinate (an outlet, both sides
-    of a wing) stay together.
+    """Splits members at the median along an axis.
+
+    Points at one coordinate (an outlet, both sides of a wing) stay together.
     """
     members = members[np.argsort(points[members, axis], kind="stable")]
     along = points[members, axis]

@@ -13,6 +13,7 @@ def share_left(
     before: np.ndarray, after: np.ndarray, wall: np.ndarray, faces: np.ndarray, touching: float
 ) -> np.ndarray:
     """Measures the share (b,) of the gap at every row that a motion leaves; infinite without a gap.
+
     The gap before is the smaller of two: at the row, and at the corners of the face that is nearest
     afterwards. So walls that slide along each other keep their gap. Distances up to `touching`
     count as no gap.
@@ -25,6 +26,7 @@ def share_left(
 
 def gaps(points: np.ndarray, wall: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Finds the nearest face (b, d) of another wall for each of `points`, and its distance (b,).
+
     The distance is infinite without other walls. `wall` (b,) numbers the walls; `faces` are rows of
     `points`, segments (f, 2) in 2-D and triangles (f, 3) in 3-D. A face between two walls does not
     count.

@@ -77,9 +77,10 @@ def graph_of(surface: np.ndarray) -> Graph:
 
 
 class _Graph(Delaunay):
-    """A triangulation with a closed form of the barycentric transforms. SciPy calls LAPACK for
-    every simplex, whose threads cost twenty times more than the work. It fails for the flattest
-    simplices, and then `find_simplex` searches through all simplices.
+    """A triangulation with a closed form of the barycentric transforms.
+
+    SciPy calls LAPACK for every simplex, whose threads cost twenty times more than the work. It
+    fails for the flattest simplices, and then `find_simplex` searches through all simplices.
     """
 
     @functools.cached_property
@@ -127,9 +128,10 @@ def _without_coincident(unit: np.ndarray, closest: float) -> np.ndarray:
 
 
 def _snapped(nodes: np.ndarray) -> np.ndarray:
-    """Rounds coordinates to about `SNAP` of the distance of the nearest node. So the last bits of
-    the mesh do not reach qhull. Jitter alone separates nodes on one sphere by no more than qhull's
-    own round-off.
+    """Rounds coordinates to about `SNAP` of the distance of the nearest node.
+
+    So the last bits of the mesh do not reach qhull. Jitter alone separates nodes on one sphere by
+    no more than qhull's own round-off.
     """
     step = 2 ** np.floor(np.log2(SNAP * spacing(nodes)) + BETWEEN)[:, None]
     return np.floor(nodes / step + BETWEEN) * step
@@ -137,6 +139,7 @@ def _snapped(nodes: np.ndarray) -> np.ndarray:
 
 def _jittered(nodes: np.ndarray, phase: int) -> np.ndarray:
     """Moves nodes by `JITTER` of the distance of their nearest nodes, by a function of place alone.
+
     The function is a sine of very short wave length. Unlike random numbers, it does not depend on
     the order of the nodes, on units, or on the place of the mesh.
     """

@@ -133,6 +133,7 @@ def _repair(graph: Graph, points: np.ndarray, simplex: np.ndarray) -> tuple[np.n
 
 def _search(graph: Graph, points: np.ndarray, simplex: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Tries all simplices for a few points: the best ones, and the points' distances beyond them.
+
     Between flat simplices of nodes in one plane, the walk of `_repair` may end early.
     """
     heights = smallest_height(graph.nodes[graph.delaunay.simplices])
@@ -151,6 +152,7 @@ def _search(graph: Graph, points: np.ndarray, simplex: np.ndarray) -> tuple[np.n
 
 def _beyond_hull(graph: Graph, targets: np.ndarray) -> np.ndarray:
     """Measures how far points surely lie beyond the plane of a facet of the hull: 0 or less inside.
+
     A small facet says little about a distant point: jitter and round-off may have turned it.
     """
     corners = graph.nodes[graph.delaunay.convex_hull]

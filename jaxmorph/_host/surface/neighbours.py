@@ -36,8 +36,9 @@ def near_walls(
     `reach` (b,) is the distance to which a node's wall reaches into the volume. A row holds the
     `count` nearest nodes of the nearest wall, nearest first; ties go to the first node. Its last
     entry is the nearest node of another wall within eight times the reach, or the first entry
-    again. A point that is nearer to another wall is left out. `once(key, make)` caches results that
-    depend on the surface and its walls alone.
+    again. A point that is nearer to another wall is left out.
+
+    `once(key, make)` caches results that depend on the surface and its walls alone.
     """
     # A search finds the nearest node of a point within reach. The `count` nearest nodes of the
     # point are then among 2 `count` neighbours of that node on its wall, which are found once a
@@ -91,6 +92,7 @@ def _nearest_within(
     surface: np.ndarray, wall: np.ndarray, reach: np.ndarray, points: np.ndarray, once: Once
 ) -> tuple[np.ndarray, np.ndarray]:
     """Finds the nearest surface node whose reach has the point, and its distance, else infinite.
+
     Nodes of similar reach are searched together: a bound that is far too large costs ten times as
     much.
     """
@@ -103,9 +105,10 @@ def _nearest_within(
 
 
 def searched_together(wall: np.ndarray, rows: np.ndarray) -> list[np.ndarray]:
-    """Divides rows of the surface by their walls, unless there are more than `FEW` walls. A search
-    in a plane is fast from any distance. A tree of several planes has boxes that reach from plane
-    to plane: a search from the middle of a cube then takes fifty times longer.
+    """Divides rows of the surface by their walls, unless there are more than `FEW` walls.
+
+    A search in a plane is fast from any distance. A tree of several planes has boxes that reach
+    from plane to plane: a search from the middle of a cube then takes fifty times longer.
     """
     labels = wall[rows]
     walls = np.unique(labels)
@@ -120,6 +123,7 @@ def _nearest(
     reach: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Finds the nearest node of several lists within their bounds, and its distance, else infinite.
+
     With `reach` (b,), a node counts only within its own reach. Of equally near lists the first
     counts.
     """
@@ -183,9 +187,11 @@ def _around(surface: np.ndarray, wall: np.ndarray, count: int) -> np.ndarray:
 
 
 def nearly_coincident(points: np.ndarray, radius: float, share: float) -> tuple[np.ndarray, np.ndarray]:
-    """Finds close pairs: points with neighbours far nearer than the next neighbour. Returns ids and
-    nearest ids. Far nearer means below a `share` of the distance of the next neighbour, or of the
-    `radius`. The closest pair comes first. Up to `AROUND` points may be near each other.
+    """Finds close pairs: points with neighbours far nearer than the next neighbour.
+
+    Returns ids and nearest ids. Far nearer means below a `share` of the distance of the next
+    neighbour, or of the `radius`. The closest pair comes first. Up to `AROUND` points may be near
+    each other.
     """
     if len(points) < 2:
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)

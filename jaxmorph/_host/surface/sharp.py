@@ -66,10 +66,11 @@ def sharp_tips(points: np.ndarray, pairs: np.ndarray) -> Tips:
 
 
 def behind_tips(walls: Tips, length: np.ndarray, closest: float, room: np.ndarray) -> np.ndarray:
-    """Lists rows (g, 3): a sharp tip of a wall, and a node on either side. The middle of the two
-    nodes, mirrored in the tip, lies behind the tip. Its distance is at least `length`, at least one
-    edge, more than `closest`, and less than `room`. Edges (e,) of the walls have `length` and
-    `room`.
+    """Lists rows (g, 3): a sharp tip of a wall, and a node on either side.
+
+    The middle of the two nodes, mirrored in the tip, lies behind the tip. Its distance is at least
+    `length`, at least one edge, more than `closest`, and less than `room`. Edges (e,) of the walls
+    have `length` and `room`.
     """
     place, found = walls.points, []
     for tip in walls.tips.tolist():

@@ -9,8 +9,10 @@ from ..package.cores import by_blocks
 def smallest_weight(
     nodes: np.ndarray, simplices: np.ndarray, simplex: np.ndarray, points: np.ndarray, flat: float
 ) -> np.ndarray:
-    """Computes the smallest barycentric coordinate of every point in its simplex. It is -inf where
-    the simplex is -1 or not higher than `flat`. Blocks of points keep memory small.
+    """Computes the smallest barycentric coordinate of every point in its simplex.
+
+    It is -inf where the simplex is -1 or not higher than `flat`. Blocks of points keep memory
+    small.
     """
     smallest = np.empty(len(points))
 
@@ -32,6 +34,7 @@ def smallest_weight(
 
 def smallest_height(corners: np.ndarray) -> np.ndarray:
     """Computes least heights (k,) of simplices (k, c, d): content over the largest side's content.
+
     The result does not depend on which corner comes first.
     """
     count = corners.shape[1]

@@ -14,9 +14,10 @@ from .walls import outward
 FacesByType = Mapping[str, np.ndarray] | None
 
 RINGS, BEYOND = (40, 80), 1.1
-"""Radii of rings at which a body's field comes to rest. They are relative to the distance of the
-body's ends from its middle. A far field has rings if it is `BEYOND` times as far away as the last
-ring.
+"""Radii of rings at which a body's field comes to rest.
+
+They are relative to the distance of the body's ends from its middle. A far field has rings if it is
+`BEYOND` times as far away as the last ring.
 """
 
 SIDES = 64
@@ -28,6 +29,7 @@ APART = {2: 0.6, 3: 0.8}
 
 def edges(points: np.ndarray, moving: int, faces: FacesByType = None) -> np.ndarray:
     """Lists pairs (e, 2) of neighbouring rows among the first `moving` surface rows, each once.
+
     Pairs are the sides of the `faces`; without faces, neighbours by distance. Pairs that coincide
     are left out.
     """
@@ -75,9 +77,10 @@ def thinned(places: np.ndarray, most: int) -> np.ndarray:
 
 
 def chords(points: np.ndarray, wall: np.ndarray, faces: FacesByType = None) -> tuple[np.ndarray, np.ndarray]:
-    """Finds two distant nodes of every wall (w, 2), and measures its mean chord (w,). In 2-D the
-    mean chord is half of the wall's length. In 3-D it is half of the wall's area over the distance
-    of the two nodes: a wing's chord, and about the diameter of a sphere or a fuselage.
+    """Finds two distant nodes of every wall (w, 2), and measures its mean chord (w,).
+
+    In 2-D the mean chord is half of the wall's length. In 3-D it is half of the wall's area over
+    the distance of the two nodes: a wing's chord, and about the diameter of a sphere or a fuselage.
     """
     count = int(wall.max(initial=-1)) + 1
     size, ends = np.zeros(count), np.zeros((count, 2), dtype=np.int32)
@@ -95,6 +98,7 @@ def chords(points: np.ndarray, wall: np.ndarray, faces: FacesByType = None) -> t
 
 def thicknesses(points: np.ndarray, wall: np.ndarray, faces: FacesByType, ends: np.ndarray) -> np.ndarray:
     """Measures relative thickness (w,) of walls in 2-D: 2 area / length, over the `ends`' distance.
+
     It is infinite for a wall that is not closed, and without faces.
     """
     count = len(ends)
@@ -114,8 +118,9 @@ def thicknesses(points: np.ndarray, wall: np.ndarray, faces: FacesByType, ends: 
 
 
 def _shares(points: np.ndarray, faces: FacesByType) -> np.ndarray:
-    """Measures the length (2-D) or area (3-D) of the surface around every node (b,). It is exact
-    with faces, and an estimate from the distances of neighbours without faces.
+    """Measures the length (2-D) or area (3-D) of the surface around every node (b,).
+
+    It is exact with faces, and an estimate from the distances of neighbours without faces.
     """
     share = np.zeros(len(points))
     for corners in (faces or {}).values():
@@ -144,9 +149,10 @@ def nearest_held(points: np.ndarray, moving: int, wall: np.ndarray, pairs: np.nd
 
 
 def drawn_in(surface: np.ndarray, moving: np.ndarray, fixed: np.ndarray, images: np.ndarray) -> tuple:
-    """Finds distant fixed sources, and shares of the way to them where the field comes to rest. The
-    way begins at the middle of the moving sources. Few directions, with their mirror images, are
-    enough.
+    """Finds distant fixed sources, and shares of the way to them where the field comes to rest.
+
+    The way begins at the middle of the moving sources. Few directions, with their mirror images,
+    are enough.
     """
     centre = surface[moving].mean(axis=0)
     rings = np.array(RINGS)[:, None] * np.linalg.norm(surface[moving] - centre, axis=1).max()
@@ -161,6 +167,7 @@ def drawn_in(surface: np.ndarray, moving: np.ndarray, fixed: np.ndarray, images:
 
 def has_free_sides(surface: np.ndarray, is_free: np.ndarray, points: np.ndarray) -> bool:
     """Checks whether a flat side of the surface's hull holds points that are not on the surface.
+
     `surface` (b, d) has the images in symmetry planes; `is_free` (n,) marks the `points` (n, d)
     that are not on the surface.
     """
@@ -184,8 +191,9 @@ def has_free_sides(surface: np.ndarray, is_free: np.ndarray, points: np.ndarray)
 
 
 def has_free_faces(points: np.ndarray, faces: Mapping[str, np.ndarray], is_held: np.ndarray) -> bool:
-    """Checks whether boundary faces have corners that are not held (n,). Coincident faces, the
-    sides of a cut, do not count.
+    """Checks whether boundary faces have corners that are not held (n,).
+
+    Coincident faces, the sides of a cut, do not count.
     """
     free = [corners[~is_held[corners].all(axis=1)] for corners in faces.values()]
     middles = np.concatenate([points[corners].mean(axis=1) for corners in free])

@@ -109,6 +109,7 @@ def outward(corners: np.ndarray) -> np.ndarray:
 
 def _beside(groups: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Finds pairs of faces that share an edge (2-D: node), and marks opposite senses along it.
+
     Faces of a consistent surface have opposite senses. Faces are numbered through all groups.
     """
     # Every face lists its edges. Sorted by their nodes, lowest node first, equal edges are
@@ -149,9 +150,11 @@ def _by_chains(points: np.ndarray) -> np.ndarray:
 
 
 def _next_to_curves(points: np.ndarray, label: np.ndarray, spacing: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs every part that is a curve with the next part of its wall, on both sides. A wall is a
-    surface, so that a curve of nodes has a part beside it: beside the plane of a section, or beside
-    a straight line. Most nodes of a sample of the curve must find one part there.
+    """Pairs every part that is a curve with the next part of its wall, on both sides.
+
+    A wall is a surface, so that a curve of nodes has a part beside it: beside the plane of a
+    section, or beside a straight line. Most nodes of a sample of the curve must find one part
+    there.
     """
     tree, pairs = Tree(points), []
     for curve in range(label.max() + 1):
@@ -169,8 +172,9 @@ def _next_to_curves(points: np.ndarray, label: np.ndarray, spacing: np.ndarray) 
 
 
 def _votes(points: np.ndarray, label: np.ndarray, members: np.ndarray, sample: np.ndarray, around: np.ndarray) -> list:
-    """Pairs a curve with the nearest part on both sides, by the vote of its sample. `around` lists
-    the nodes to search.
+    """Pairs a curve with the nearest part on both sides, by the vote of its sample.
+
+    `around` lists the nodes to search.
     """
     curve = label[members[0]]
     offsets = points[around] - sample[:, None]
@@ -189,8 +193,9 @@ def _votes(points: np.ndarray, label: np.ndarray, members: np.ndarray, sample: n
 
 
 def _across(curve: np.ndarray, offsets: np.ndarray, distance: np.ndarray) -> np.ndarray:
-    """Finds the direction across a curve. It is the normal of its plane; for a straight curve, it
-    points to the nearest other node.
+    """Finds the direction across a curve.
+
+    It is the normal of its plane; for a straight curve, it points to the nearest other node.
     """
     size, axes = np.linalg.svd(curve - curve.mean(axis=0), full_matrices=False)[1:]
     if size[1] > 0.01 * size[0]:

@@ -87,8 +87,9 @@ class AbstractCellMethod(AbstractMethod):
     def _numbered(
         self, corners: Mapping[str, np.ndarray], n: int
     ) -> tuple[np.ndarray, dict[str, tuple[np.ndarray, np.ndarray]]]:
-        """Numbers the pairs of nodes (e, 2), and finds each cell's entries (k, p). The third array
-        marks the flipped entries.
+        """Numbers the pairs of nodes (e, 2), and finds each cell's entries (k, p).
+
+        The third array marks the flipped entries.
         """
         # A pair of nodes is one integer, smaller id times n plus larger id. Sorted and without
         # copies they are the list of pairs, so a search finds each cell's entries. Corners at one

@@ -17,9 +17,12 @@ from .stiffness import AbstractStiffness, ByVolume, gradients, stiffness
 class LinearElasticity(AbstractCellMethod):
     """Moves the mesh like an elastic solid, of linear finite elements (in 2-D in plane strain).
 
-    A quad is the mean of the two ways to cut it into triangles. Small cells are stiff, as Johnson
-    and Tezduyar proposed (Computer Methods in Applied Mechanics and Engineering 119, 1994). It
-    needs the mesh's cells. Symmetry planes are planes in which nodes slide freely. Translations,
+    A quad is the mean of the two ways to cut it into triangles.
+
+    Small cells are stiff, as Johnson and Tezduyar proposed (Computer Methods in Applied Mechanics
+    and Engineering 119, 1994).
+
+    It needs the mesh's cells. Symmetry planes are planes in which nodes slide freely. Translations,
     and small rotations, are reproduced; a large rotation of everything is not, for the equation is
     linear.
 

@@ -43,9 +43,10 @@ class Laplacian(AbstractCellMethod):
 class Biharmonic(AbstractCellMethod):
     """Smooths each component by the biharmonic equation (Helenbrook 2003).
 
-    The equation is in its mixed form, with linear finite elements. The displacement's derivative
-    across the surface is zero: first cells keep their height, and follow the wall's translation,
-    not its rotation. It needs the mesh's cells.
+    The equation is in its mixed form, with linear finite elements.
+
+    The displacement's derivative across the surface is zero: first cells keep their height, and
+    follow the wall's translation, not its rotation. It needs the mesh's cells.
 
     **Raises:** `prepare` raises a `ValueError` for points without cells, and for cells without
     volume.

@@ -61,8 +61,9 @@ def product(ids: NodeIds, factors: NodeFactors, x: Float[Array, "n d"]) -> Float
 
 
 def symmetric_product(pairs, values, diagonal, x: Float[Array, "n d"]) -> Float[Array, "n d"]:
-    """Multiplies by a symmetric matrix of numbers or blocks. Traced. The matrix has an entry for
-    each pair of nodes, and an entry for each node.
+    """Multiplies by a symmetric matrix of numbers or blocks. Traced.
+
+    The matrix has an entry for each pair of nodes, and an entry for each node.
     """
     i, j = pairs.T
 

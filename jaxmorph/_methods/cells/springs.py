@@ -97,8 +97,9 @@ def _triangle(corners: Float[Array, "3 2"], lineal: Float[Array, ""]) -> dict[tu
 
 
 def _tetrahedron(corners: Float[Array, "4 3"], lineal: Float[Array, ""]) -> dict[tuple[int, int], Float[Array, ""]]:
-    """Computes the stiffness of a tetrahedron's six edges. The stiffness has a lineal part, and a
-    part by the angle between the faces opposite to the ends.
+    """Computes the stiffness of a tetrahedron's six edges.
+
+    The stiffness has a lineal part, and a part by the angle between the faces opposite to the ends.
     """
     parts = {}
     for i, j in all_pairs("tetra"):

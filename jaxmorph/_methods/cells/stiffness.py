@@ -19,8 +19,10 @@ class AbstractStiffness(Module):
 
     @abc.abstractmethod
     def __call__(self, volume: Float[Array, ""], distance: Float[Array, ""]) -> Float[Array, ""]:
-        """Computes the stiffness of one cell. Traced. `volume` is the cell's (area in 2-D),
-        `distance` its corners' mean distance from the moving nodes.
+        """Computes the stiffness of one cell. Traced.
+
+        `volume` is the cell's (area in 2-D), `distance` its corners' mean distance from the moving
+        nodes.
         """
 
 
@@ -43,9 +45,12 @@ class ByVolume(AbstractStiffness):
 class ByDistance(AbstractStiffness):
     """Makes a cell as stiff as 1 / distance^exponent.
 
-    The distance is that of its corners from the nearest moving node, in the mean. A quad has a
-    stiffness at each corner, with the mean distance of the corner and its two neighbours. OpenFOAM
-    calls it `inverseDistance`, with the exponent 2 `quadratic inverseDistance`.
+    The distance is that of its corners from the nearest moving node, in the mean.
+
+    A quad has a stiffness at each corner, with the mean distance of the corner and its two
+    neighbours.
+
+    OpenFOAM calls it `inverseDistance`, with the exponent 2 `quadratic inverseDistance`.
 
     **Arguments:**
 
@@ -63,8 +68,9 @@ SLIVER = 1e-6
 
 
 def gradients(kind: str, corners: Float[Array, "c d"]) -> tuple[Float[Array, "q c d"], Float[Array, " q"]]:
-    """Computes the shape functions' gradients and the volumes at the quadrature points. Traced. A
-    point whose Jacobian is small beside the cell's largest Jacobian fades out. It belongs to a
+    """Computes the shape functions' gradients and the volumes at the quadrature points. Traced.
+
+    A point whose Jacobian is small beside the cell's largest Jacobian fades out. It belongs to a
     triangle at a straight corner, or between two corners at one place.
     """
     reference, weights = (jnp.asarray(table, corners.dtype) for table in quadrature(kind))
@@ -80,9 +86,12 @@ def gradients(kind: str, corners: Float[Array, "c d"]) -> tuple[Float[Array, "q 
 def stiffness(
     of_cell: AbstractStiffness, kind: str, volume: Float[Array, " q"], distance: Float[Array, " c"]
 ) -> Float[Array, " q"]:
-    """Computes the stiffness at the points of a cell's quadrature. Traced. `distance` is that of
-    the corners from the moving nodes. A point takes the mean of the corners whose shape functions
-    vary there. Where all corners move, nothing depends on the stiffness.
+    """Computes the stiffness at the points of a cell's quadrature. Traced.
+
+    `distance` is that of the corners from the moving nodes.
+
+    A point takes the mean of the corners whose shape functions vary there. Where all corners move,
+    nothing depends on the stiffness.
     """
     share = np.any(quadrature(kind)[0] != 0, axis=2).astype(float)
     share = jnp.asarray(share / share.sum(axis=1, keepdims=True), distance.dtype)

@@ -55,8 +55,9 @@ class CompactIds(eqx.Module):
 
 
 class CompactFactors(eqx.Module):
-    """The radius, the matrix, and marks of rows with functions (b,). `is_certain` is True where all
-    nodes within the radius were surely found.
+    """The radius, the matrix, and marks of rows with functions (b,).
+
+    `is_certain` is True where all nodes within the radius were surely found.
     """
 
     radius: Float[Array, ""]
@@ -72,10 +73,12 @@ class CompactFactors(eqx.Module):
 class CompactRBF(AbstractPlacing):
     """Interpolates with a Wendland C2 function at every surface node: a sparse system.
 
-    All functions have one radius. The field is exact at the nodes, and zero beyond the radius from
-    all nodes. It has no polynomial, so alone it does not even reproduce a translation. It may be a
-    correction too. Cells fold where the motion is a good part of the radius, so take a radius of
-    several times the largest displacement. Memory is that of the pairs of nodes within the radius.
+    All functions have one radius.
+
+    The field is exact at the nodes, and zero beyond the radius from all nodes. It has no
+    polynomial, so alone it does not even reproduce a translation. It may be a correction too. Cells
+    fold where the motion is a good part of the radius, so take a radius of several times the
+    largest displacement. Memory is that of the pairs of nodes within the radius.
 
     Nodes at one place have one function. One place is a distance of 1.5e-8 (3.5e-4 in float32)
     times the radius or the extent of the surface, whichever is less. In the matrix such nodes are

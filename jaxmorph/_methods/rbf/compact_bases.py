@@ -17,9 +17,12 @@ from .basis import AbstractBasis
 
 
 class AbstractCompactBasis(AbstractBasis):
-    """A function of xi = r / R that is zero from xi = 1 on. It is given with its slope, so that
-    both are right at a source. The radius R is in the mesh's units. All are positive definite, in
-    2-D and 3-D: no polynomial is needed.
+    """A function of xi = r / R that is zero from xi = 1 on.
+
+    It is given with its slope, so that both are right at a source.
+
+    The radius R is in the mesh's units. All are positive definite, in 2-D and 3-D: no polynomial is
+    needed.
     """
 
     support_radius: Float[Array, ""] = eqx.field(converter=length("support_radius"))
@@ -145,8 +148,10 @@ class CompactC0(AbstractCompactBasis):
 class CompactC1(AbstractCompactBasis):
     """Evaluates de Boer's CTPS C1.
 
-    phi = 1 + 80/3 xi^2 - 40 xi^3 + 15 xi^4 - 8/3 xi^5 + 20 xi^2 log xi. xi is the distance over
-    `support_radius`, a length in the mesh's units (Wu 1995; de Boer, van der Schoot and Bijl 2007).
+    phi = 1 + 80/3 xi^2 - 40 xi^3 + 15 xi^4 - 8/3 xi^5 + 20 xi^2 log xi.
+
+    xi is the distance over `support_radius`, a length in the mesh's units (Wu 1995; de Boer, van
+    der Schoot and Bijl 2007).
     """
 
     @staticmethod
@@ -161,8 +166,10 @@ class CompactC1(AbstractCompactBasis):
 class CompactC2a(AbstractCompactBasis):
     """Evaluates de Boer's CTPS C2a.
 
-    phi = 1 - 30 xi^2 - 10 xi^3 + 45 xi^4 - 6 xi^5 - 60 xi^3 log xi. xi is the distance over
-    `support_radius`, a length in the mesh's units (Wu 1995; de Boer, van der Schoot and Bijl 2007).
+    phi = 1 - 30 xi^2 - 10 xi^3 + 45 xi^4 - 6 xi^5 - 60 xi^3 log xi.
+
+    xi is the distance over `support_radius`, a length in the mesh's units (Wu 1995; de Boer, van
+    der Schoot and Bijl 2007).
     """
 
     @staticmethod
@@ -177,8 +184,10 @@ class CompactC2a(AbstractCompactBasis):
 class CompactC2b(AbstractCompactBasis):
     """Evaluates de Boer's CTPS C2b.
 
-    phi = 1 - 20 xi^2 + 80 xi^3 - 45 xi^4 - 16 xi^5 + 60 xi^4 log xi. xi is the distance over
-    `support_radius`, a length in the mesh's units (Wu 1995; de Boer, van der Schoot and Bijl 2007).
+    phi = 1 - 20 xi^2 + 80 xi^3 - 45 xi^4 - 16 xi^5 + 60 xi^4 log xi.
+
+    xi is the distance over `support_radius`, a length in the mesh's units (Wu 1995; de Boer, van
+    der Schoot and Bijl 2007).
     """
 
     @staticmethod

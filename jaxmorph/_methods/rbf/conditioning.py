@@ -15,8 +15,9 @@ from .expansion import Expansion, RBFFactors
 from .iterations import LIMIT, PROMISING, TRIAL
 
 SUSPICIOUS = 0.1
-"""Rounding of the residual after a few steps, from which on `prepare` takes all steps. It is
-relative to the rounding that makes a field NaN.
+"""Rounding of the residual after a few steps, from which on `prepare` takes all steps.
+
+It is relative to the rounding that makes a field NaN.
 """
 
 USELESS, NOTICEABLE, NOTICEABLE_SINGLE = 1e-2, 1e-6, 1e-3
@@ -32,9 +33,12 @@ def is_noticeable(error: float, dtype) -> bool:
 
 
 def rounding(expansion: Expansion, factors: RBFFactors, values: np.ndarray) -> float:
-    """Measures how much rounding changes the interpolation of `values` (s, d). Host. The change is
-    taken at the sources and between them. It takes one step of iterative refinement: the field of
-    what the first field misses at the sources. It is infinite for a system without a solution.
+    """Measures how much rounding changes the interpolation of `values` (s, d). Host.
+
+    The change is taken at the sources and between them.
+
+    It takes one step of iterative refinement: the field of what the first field misses at the
+    sources. It is infinite for a system without a solution.
     """
     lu, order, sources, scale = map(np.asarray, (factors.lu, factors.order, factors.sources, factors.scale))
     count, block = len(values), min(1024, len(values))
@@ -88,9 +92,10 @@ def fault_of_iterations(expansion: Expansion, factors: RBFFactors, values: np.nd
 def _left_after_trial(
     expansion: Expansion, factors: RBFFactors, values: Float[Array, "s k"]
 ) -> tuple[Float[Array, ""], Int[Array, ""], Float[Array, ""]]:
-    """Takes some steps; returns the share of the error that is left, and their number. The error is
-    measured in the norm of the basis. The third number is what rounding has made of the residual,
-    over what makes a field NaN.
+    """Takes some steps; returns the share of the error that is left, and their number.
+
+    The error is measured in the norm of the basis. The third number is what rounding has made of
+    the residual, over what makes a field NaN.
     """
     iterations = expansion.iterations(factors)
     trial = dataclasses.replace(iterations, tolerance=jnp.asarray(PROMISING, values.dtype))

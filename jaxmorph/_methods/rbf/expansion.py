@@ -17,6 +17,7 @@ from .system import block_size, in_rows, kernel_sum, polynomial, squared_distanc
 
 class RBFFactors(eqx.Module):
     """Sources in coordinates of order one, and the factored system (eq. 3) of t = s + p equations.
+
     `order` are the rows as the pivots have them. With `cardinals`, the factored system is that of
     the first sources alone.
     """
@@ -72,8 +73,9 @@ class RBFField(AbstractField):
 
 
 class Expansion(Module):
-    """Radial functions and a polynomial without coefficients: basis, degree and ridge. Sources and
-    points are in scaled coordinates; `scale` is the factor that scaled them.
+    """Radial functions and a polynomial without coefficients: basis, degree and ridge.
+
+    Sources and points are in scaled coordinates; `scale` is the factor that scaled them.
     """
 
     basis: AbstractBasis
@@ -96,8 +98,9 @@ class Expansion(Module):
         return kernel + self.at_sources * jnp.eye(len(kernel), dtype=kernel.dtype) if self.ridge else kernel
 
     def factored(self, sources, scale):
-        """Factors the dense system of some sources. It returns the factors, and the rows in the
-        order of the pivots.
+        """Factors the dense system of some sources.
+
+        It returns the factors, and the rows in the order of the pivots.
         """
         tail = polynomial(sources, self.degree)
         # One reduction, not a sum of d terms: XLA's CPU backend (jaxlib 0.10.2) merges d terms
@@ -168,8 +171,9 @@ class Expansion(Module):
         return product + self.at_sources * beta if self.ridge else product
 
     def _times_kernel_quickly(self, factors: RBFFactors, beta: Float[Array, "s k"]) -> Float[Array, "s k"]:
-        """Multiplies by the kernel's matrix in half the time on a CPU. It evaluates each function
-        of two sources once.
+        """Multiplies by the kernel's matrix in half the time on a CPU.
+
+        It evaluates each function of two sources once.
         """
 
         def of_pairs(factors, beta):

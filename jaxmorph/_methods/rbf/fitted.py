@@ -31,10 +31,11 @@ SOURCES_ALONE = 64
 class FittedRBF(AbstractMethod):
     """Fits radial basis functions that follow the body instead of its skin.
 
-    It is a coarse field, made to be corrected. `RBF` takes the wall's displacement u at its
-    sources. This method chooses the values v at the moving sources; at the fixed sources v is u.
-    The field c_v is then the best fit, in least squares over nodes i and edges e of the moving
-    walls:
+    It is a coarse field, made to be corrected.
+
+    `RBF` takes the wall's displacement u at its sources. This method chooses the values v at the
+    moving sources; at the fixed sources v is u. The field c_v is then the best fit, in least
+    squares over nodes i and edges e of the moving walls:
 
         mean_i |c_v - u|^2  +  mean_e mu^2 |d/ds (c_v - u)|^2  +  mean_e ell^2 2 |dev sym grad
         c_v|^2
@@ -73,8 +74,10 @@ class FittedRBF(AbstractMethod):
     - `mu`: the length that weighs the slope along the wall, in the mesh's units. Default 0.1 of
       each wall's mean chord, and 0.5 within 0.03 chords of a sharp tip. In 3-D it is 0.4.
 
-    Walls of more than 4,096 nodes or edges, in 3-D 2,048, are sampled. The fit is linear in u. It
-    costs a dense factorisation of d s unknowns once per plan, for s moving sources.
+    Walls of more than 4,096 nodes or edges, in 3-D 2,048, are sampled.
+
+    The fit is linear in u. It costs a dense factorisation of d s unknowns once per plan, for s
+    moving sources.
     """
 
     rbf: RBF = eqx.field(default_factory=lambda: RBF(reduction=Filled()))
@@ -210,8 +213,9 @@ class FitFactors(eqx.Module):
 
 
 def _system(follow: Float[Array, "m s"], slopes: Float[Array, "e d s"]) -> Float[Array, "d m d s"]:
-    """Assembles the normal equations of the first m sources, which move. They hold `follow` for
-    each component, and 2 |dev sym G|^2 = G:G + G:G^T - 2/d (tr G)^2.
+    """Assembles the normal equations of the first m sources, which move.
+
+    They hold `follow` for each component, and 2 |dev sym G|^2 = G:G + G:G^T - 2/d (tr G)^2.
     """
     (count, d, s), m = slopes.shape, len(follow)
     moving = slopes[:, :, :m].reshape(count, d * m)

@@ -1,7 +1,8 @@
 """The kernel sum as one operation, with a kernel for the GPU.
 
-It is linear in its weights. Its transpose is the sum with points and sources exchanged. Derivatives
-with respect to places and constants need more. It is computed block by block.
+It is linear in its weights. Its transpose is the sum with points and sources exchanged.
+
+Derivatives with respect to places and constants need more. It is computed block by block.
 """
 
 from typing import Any
@@ -36,8 +37,9 @@ class Radial(eqx.Module):
 
 
 def is_fused(phi: Radial, dtype: Any) -> bool:
-    """Checks whether a weighted sum can be one operation. A GPU must be able to run it, and its
-    kernel must be able to contain the function.
+    """Checks whether a weighted sum can be one operation.
+
+    A GPU must be able to run it, and its kernel must be able to contain the function.
     """
     if is_for_cpu() or not has_kernels() or dtype not in (jnp.float32, jnp.float64):
         return False

@@ -17,18 +17,21 @@ ROUNDS = 3
 """Solves for what rounding leaves of the residual."""
 
 STALLED = 0.5
-"""Share of the residual that another solve must take away. Where less goes, the rest is rounding of
-the product itself.
+"""Share of the residual that another solve must take away.
+
+Where less goes, the rest is rounding of the product itself.
 """
 
 TRIAL, PROMISING = 6, 1e-2
-"""Products after which `prepare` judges the convergence. It judges earlier at an error of
-`PROMISING`, relative to the start.
+"""Products after which `prepare` judges the convergence.
+
+It judges earlier at an error of `PROMISING`, relative to the start.
 """
 
 MISSED, NOTICEABLE = 1e3, 1e-3
-"""Tolerances, and share of the displacement, by which a field may miss its sources. A field that
-misses them by more is NaN.
+"""Tolerances, and share of the displacement, by which a field may miss its sources.
+
+A field that misses them by more is NaN.
 """
 
 ROUNDINGS = 100
@@ -36,16 +39,18 @@ ROUNDINGS = 100
 
 
 GIVE = 1e-10
-"""Corner of a small system, relative to its kernel. It leaves a polynomial undetermined where
-neighbours lie in one plane.
+"""Corner of a small system, relative to its kernel.
+
+It leaves a polynomial undetermined where neighbours lie in one plane.
 """
 
 Product = Callable[[Float[Array, "s k"]], Float[Array, "s k"]]
 
 
 class OrderedIds(eqx.Module):
-    """Sources in the order from far apart to close, and neighbours of all but the first ones. A row
-    of `earlier` has the source's own place first, then places of sources before it.
+    """Sources in the order from far apart to close, and neighbours of all but the first ones.
+
+    A row of `earlier` has the source's own place first, then places of sources before it.
     """
 
     sources: Int[Array, " s"]
@@ -63,8 +68,9 @@ class Cardinals(eqx.Module):
 def local_weights(
     phi: Callable, sources: Float[Array, "s d"], earlier: Int[Array, "r q"], degree: int | None, sign: int
 ) -> Float[Array, "r q"]:
-    """Computes the coefficients of the functions. Traced. `sign` is that of `phi` as a definite
-    function.
+    """Computes the coefficients of the functions. Traced.
+
+    `sign` is that of `phi` as a definite function.
     """
     count = earlier.shape[1]
 
@@ -90,8 +96,9 @@ def local_weights(
 
 
 def precondition(rows: Cardinals, solve_first: Callable, residual: Float[Array, "s k"]) -> Float[Array, "s k"]:
-    """Applies the approximate inverse. It is sum_l w_l (w_l . r) / w_ll, and the inverse of the
-    dense part for the first sources.
+    """Applies the approximate inverse.
+
+    It is sum_l w_l (w_l . r) / w_ll, and the inverse of the dense part for the first sources.
     """
     first = len(residual) - len(rows.earlier)
     columns = rows.earlier.T, rows.weights.T
@@ -123,6 +130,7 @@ class Progress(eqx.Module):
 @dataclasses.dataclass(frozen=True, eq=False)
 class ConjugateGradients:
     """Solves K beta + T alpha = v, T' beta = g, on weights that the polynomial does not see.
+
     `product` multiplies by K, `inverse` by the preconditioner; `tail` is T.
     """
 
@@ -168,8 +176,9 @@ class ConjugateGradients:
     def improve(
         self, residual: Float[Array, "s k"], size: Float[Array, ""], most: int, energy: Float[Array, " k"] | None = None
     ) -> Progress:
-        """Takes at most `most` steps from zero. `energy` is that of the solutions so far, to which
-        the error is relative.
+        """Takes at most `most` steps from zero.
+
+        `energy` is that of the solutions so far, to which the error is relative.
         """
         energy = jnp.zeros_like(residual[0]) if energy is None else energy
 

@@ -96,8 +96,9 @@ class RBF(AbstractMethod):
     def classic(cls, basis: AbstractBasis | None = None, *, degree: int | None = 1) -> "RBF":
         """Returns the classic method: every surface node is a source (de Boer et al. 2007).
 
-        The surface is then exact. It takes one dense solve of as many unknowns as there are surface
-        nodes.
+        The surface is then exact.
+
+        It takes one dense solve of as many unknowns as there are surface nodes.
 
         **Arguments:**
 

@@ -8,8 +8,9 @@ from ..._kernels.module import Module
 from ..numbers import number
 
 DENSE, SHARE = (1000, 6000), 6
-"""Least and greatest number of sources that are solved densely by default. Between them it is one
-source of every `SHARE`.
+"""Least and greatest number of sources that are solved densely by default.
+
+Between them it is one source of every `SHARE`.
 """
 
 
@@ -24,12 +25,13 @@ class Direct(Module):
 class Iterative(Module):
     """Solves by conjugate gradients without the matrix.
 
-    For s sources the memory grows with s, the time with s^2. A displacement takes 10 to 20 products
-    with the kernel, and so does a gradient. The preconditioner is a sparse factor of the inverse
-    (Faul, Goodsell and Powell, IMA Journal of Numerical Analysis 25, 2005). Sources are ordered
-    from far apart to close (Schaefer, Katzfuss and Owhadi, SIAM Journal on Scientific Computing 43,
-    2021). A source carries the function that is 1 at its place and 0 at the nearest sources before
-    it. The first sources are solved densely.
+    For s sources the memory grows with s, the time with s^2.
+
+    A displacement takes 10 to 20 products with the kernel, and so does a gradient. The
+    preconditioner is a sparse factor of the inverse (Faul, Goodsell and Powell, IMA Journal of
+    Numerical Analysis 25, 2005). Sources are ordered from far apart to close (Schaefer, Katzfuss
+    and Owhadi, SIAM Journal on Scientific Computing 43, 2021). A source carries the function that
+    is 1 at its place and 0 at the nearest sources before it. The first sources are solved densely.
 
     The system is symmetric, so its solve serves derivatives too. `prepare` finds sources and
     neighbours, and `refit` does not change them. Where no solve converges, `prepare` raises. A

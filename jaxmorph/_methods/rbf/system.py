@@ -34,10 +34,11 @@ def block_size(count: int) -> int:
 
 
 def in_rows(points: Float[Array, "c d"], scale: Float[Array, ""]) -> Float[Array, "d c"]:
-    """Scales points, and lays each coordinate in a row of its own, for `kernel_sum`. A product of
-    matrices does it. The compiler does not merge it into the loop along the points, as it would a
-    transposition. The barrier keeps it from making the transposed product of it, which it does in
-    programs for several devices.
+    """Scales points, and lays each coordinate in a row of its own, for `kernel_sum`.
+
+    A product of matrices does it. The compiler does not merge it into the loop along the points, as
+    it would a transposition. The barrier keeps it from making the transposed product of it, which
+    it does in programs for several devices.
     """
     matrix = scale * jnp.eye(points.shape[1], dtype=points.dtype)
     return jax.lax.optimization_barrier(jnp.matmul(matrix, points.T, precision="highest"))
@@ -46,9 +47,11 @@ def in_rows(points: Float[Array, "c d"], scale: Float[Array, ""]) -> Float[Array
 def kernel_sum(
     phi: Callable, sources: Float[Array, "s d"], weights: Float[Array, "k s"], points: Float[Array, "d c"]
 ) -> Float[Array, "k c"]:
-    """Sums weighted functions at points that `in_rows` laid out; `phi` takes squared distances. It
-    computes distances and kernel in one loop along the points, then a product with the weights. The
-    compiler makes vector instructions of the loop only if each coordinate lies in a row of its own.
+    """Sums weighted functions at points that `in_rows` laid out; `phi` takes squared distances.
+
+    It computes distances and kernel in one loop along the points, then a product with the weights.
+    The compiler makes vector instructions of the loop only if each coordinate lies in a row of its
+    own.
     """
     return few_rows_times(weights, phi(squared_distances(sources, points.T)))
 
@@ -56,8 +59,9 @@ def kernel_sum(
 def symmetric_kernel_sum(
     phi: Callable, sources: Float[Array, "s d"], weights: Float[Array, "k s"]
 ) -> Float[Array, "k s"]:
-    """Sums weighted functions at the sources themselves. Each block of the kernel is made once, and
-    serves for its mirror image too.
+    """Sums weighted functions at the sources themselves.
+
+    Each block of the kernel is made once, and serves for its mirror image too.
     """
     # The sources are padded to whole blocks by copies of the last one, which have the weight 0. A
     # scan goes over the blocks (i, j) with i <= j: a block gives sums of columns j and, transposed,

@@ -13,24 +13,29 @@ from ..._kernels.values import as_jax
 from ..surface import Surface
 
 ELL, MU = {2: 0.17, 3: 0.07}, {2: 0.1, 3: 0.4}
-"""Defaults of `ell` and `mu` by dimension, relative to the mean chord of the wall. A body that
-twists in 3-D pays for every large rotation, so less of it is asked for there.
+"""Defaults of `ell` and `mu` by dimension, relative to the mean chord of the wall.
+
+A body that twists in 3-D pays for every large rotation, so less of it is asked for there.
 """
 
 THIN = 2.25
-"""Largest default of `ell`, relative to the mean thickness of a closed wall in 2-D. Both sides of a
-thin body may change in opposite senses.
+"""Largest default of `ell`, relative to the mean thickness of a closed wall in 2-D.
+
+Both sides of a thin body may change in opposite senses.
 """
 
 BEHIND, BEYOND_TIP = 0.02, 0.2
-"""Distance of the source behind a sharp tip, and its largest distance. Both are relative to the
-mean chord, or to the distance of the nearest held node if that is less.
+"""Distance of the source behind a sharp tip, and its largest distance.
+
+Both are relative to the mean chord, or to the distance of the nearest held node if that is less.
 """
 
 AT_TIP = 0.03, 0.5
-"""Distance from a sharp tip, and `mu` there, both relative to the mean chord. The field follows the
-wall's slope at the tip. Cells at a sharp tip are small, and the wall's angle there changes with the
-thickness.
+"""Distance from a sharp tip, and `mu` there, both relative to the mean chord.
+
+The field follows the wall's slope at the tip.
+
+Cells at a sharp tip are small, and the wall's angle there changes with the thickness.
 """
 
 ROWS = {2: 4096, 3: 2048}
@@ -105,16 +110,22 @@ class WallIds(eqx.Module):
         return jnp.concatenate([moving, fixed, ring, self.behind_tips(surface)])
 
     def behind_tips(self, values: Float[Array, "b d"]) -> Float[Array, "g d"]:
-        """Continues places or displacements of the walls behind their tips. A place behind is the
-        mirror image in the tip. It is right for affine motions.
+        """Continues places or displacements of the walls behind their tips.
+
+        A place behind is the mirror image in the tip.
+
+        It is right for affine motions.
         """
         tip, first, second = self.tips.T
         return 2 * values[tip] - (values[first] + values[second]) / 2
 
     def at_rings(self, values: Float[Array, "b d"]) -> Float[Array, "r d"]:
-        """Computes the displacement of the rings, a share of the walls' mean displacement. So a
-        body that is carried far away takes them along. It is the share of the deflection of a plate
-        that is held at the far field and pushed in the middle.
+        """Computes the displacement of the rings, a share of the walls' mean displacement.
+
+        So a body that is carried far away takes them along.
+
+        It is the share of the deflection of a plate that is held at the far field and pushed in the
+        middle.
         """
         mean, squared = values[self.moving].mean(axis=0), self.reach.astype(values.dtype) ** 2
         return (1 - squared + squared * jnp.log(squared))[:, None] * mean[None]
@@ -132,10 +143,13 @@ def default_lengths(points, wall, faces, ends, share) -> tuple[np.ndarray, np.nd
 def _at_tips(
     surface: Surface, pairs: np.ndarray, chord: np.ndarray, closest: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Finds sources (k,) beside sharp tips in 2-D, and the tips. It returns the sources, the tips
-    (g, 3) that get a source behind them, each with a node on either side, and the places (h, 2) of
-    all tips. `pairs` are all edges of the moving walls: a tip lies between two. `chord` (e,) is
-    that of each edge's wall. A source stands behind the g tips.
+    """Finds sources (k,) beside sharp tips in 2-D, and the tips.
+
+    It returns the sources, the tips (g, 3) that get a source behind them, each with a node on
+    either side, and the places (h, 2) of all tips.
+
+    `pairs` are all edges of the moving walls: a tip lies between two. `chord` (e,) is that of each
+    edge's wall. A source stands behind the g tips.
     """
     held = nearest_held(surface.points, surface.moving, surface.walls[0], pairs)
     distance = np.linalg.norm(surface.points[pairs].mean(axis=1) - surface.points[held], axis=1)
