@@ -184,31 +184,22 @@ def _radial(
 
 def _candidate(surface: Surface, columns: np.ndarray, count: int, with_radius: bool) -> tuple[RBF, dict[str, Any]]:
     rbf = RBF(reduction=KDTree(count, extremes=True))
-    ids, points, values = (
-        jnp.asarray(rbf.chosen(surface)),
-        jnp.asarray(surface.points),
-        jnp.asarray(columns),
-    )
+    ids, points, values = map(jnp.asarray, (rbf.chosen(surface), surface.points, columns))
     radius = None
     if with_radius:
-        of_moving, of_all = (
-            float(np.ptp(points, axis=0).max()) for points in (surface.points[: surface.moving], surface.points)
-        )
-        extent = of_moving or of_all
+        extent = _extent(surface.points[: surface.moving]) or _extent(surface.points)
         radius = extent * math.exp(float(_log_radius(rbf, ids, points, values, jnp.asarray(extent))))
         rbf = eqx.tree_at(lambda it: it.basis, rbf, WendlandC2(radius))
     missed, rounding = _errors(rbf, ids, points, values)
-    return rbf, {
-        "sources": len(ids),
-        "radius": radius,
-        "error": float(missed),
-        "rounding": float(rounding),
-    }
+    return rbf, {"sources": len(ids), "radius": radius, "error": float(missed), "rounding": float(rounding)}
+
+
+def _extent(points: np.ndarray) -> float:
+    return float(np.ptp(points, axis=0).max())
 
 
 @compiled
 def _log_radius(rbf: RBF, ids, points, values, extent) -> Float[Array, ""]:
-    """Searches the logarithm of the radius over the extent."""
 
     def loss(log_radius, _):
         wide = eqx.tree_at(lambda it: it.basis, rbf, WendlandC2(extent * jnp.exp(log_radius)))

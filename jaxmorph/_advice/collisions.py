@@ -3,11 +3,11 @@
 import dataclasses
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from .._boundary.outer_faces import outer_faces
 from .._host.cells.pairs import parts_of
 from .._host.collisions.crossings import crossing_faces
+from .._host.package.cores import Tree
 from .._mesh.mesh import Mesh
 
 SAME = 1e-9
@@ -101,7 +101,7 @@ def _simplices(corners: np.ndarray) -> np.ndarray:
 
 def _together(points: np.ndarray, distance: float) -> np.ndarray:
     """Numbers the places of nodes (b,): nodes that nearly coincide are at one place."""
-    pairs = KDTree(points).query_pairs(distance, output_type="ndarray")
+    pairs = Tree(points).query_pairs(distance, output_type="ndarray")
     return parts_of(pairs[:, 0], pairs[:, 1], len(points))
 
 

@@ -86,10 +86,10 @@ class Inspection:
     def warnings(self) -> tuple[str, ...]:
         """One sentence for each thing that no method moves well."""
         crossings = (str(self.crossings),) if self.crossings else ()
-        return (*self._contradicting, *crossings, *self._kept, *filter(None, [ends(self.ended, self.ended_at)]))
+        return (*self._contradicting, *crossings, *self._put_back, *filter(None, [ends(self.ended, self.ended_at)]))
 
     @property
-    def _kept(self) -> tuple[str, ...]:
+    def _put_back(self) -> tuple[str, ...]:
         if not len(self.put_back):
             return ()
         return (

@@ -92,7 +92,6 @@ def largest_step(
 
 
 def _nonlinear(plan: Plan) -> str:
-    """Names what makes a plan's displacements not linear."""
     method = plan.method
     if method.linear:
         return "nodes slide along curved walls"

@@ -12,9 +12,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial import KDTree
 
 from .._boundary.boundary import Boundary
+from .._host.package.cores import Tree
 from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod
 from .._methods.inverse_distance import InverseDistance
@@ -46,7 +46,7 @@ class Extent:
     @property
     def gap(self) -> float:
         """The distance from moving to fixed nodes; 20 times the size without fixed nodes."""
-        return float(KDTree(self.moving).query(self.fixed)[0].min()) if len(self.fixed) else 20 * self.size
+        return float(Tree(self.moving).query(self.fixed)[0].min()) if len(self.fixed) else 20 * self.size
 
 
 def too_large(method: AbstractMethod, boundary: Boundary) -> str | None:

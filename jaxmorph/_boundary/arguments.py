@@ -57,8 +57,8 @@ def find_boundary(
     fixed = np.append(fixed, corners[~np.isin(corners, fixed)])
     tracks = tuple(Track(track.rows[~np.isin(track.rows, fixed)], track.walls) for track in tracks)
     tracks = tuple(track for track in tracks if len(track.rows))
-    lists = moving, fixed, _guided(pairings, tracks, moving, fixed, points), planes, pairings, tracks
-    boundary = Boundary(points, *lists, None, None, None)
+    guided = _guided(pairings, tracks, moving, fixed, points)
+    boundary = Boundary(points, moving, fixed, guided, planes, pairings, tracks)
     return boundary if patches is None else boundary.with_faces_of(patches, outer, free)
 
 
@@ -84,7 +84,6 @@ def _check_corners(corners: np.ndarray, moving: np.ndarray, points: np.ndarray) 
 
 
 def _pairings(periodic: Any, points: np.ndarray, mesh: Mesh | None) -> tuple[Pairing, ...]:
-    """Finds the pairs of nodes of periodic patches."""
     several = [periodic] if isinstance(periodic, Periodic) else periodic
     if not isinstance(several, Sequence) or not all(isinstance(pair, Periodic) for pair in several):
         raise ValueError(

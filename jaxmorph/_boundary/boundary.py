@@ -40,9 +40,9 @@ class Boundary:
     planes: tuple[Plane, ...]
     pairings: tuple[Pairing, ...]
     tracks: tuple[Track, ...]
-    faces: Mapping[str, np.ndarray] | None
-    left: FreeFaces | None
-    is_open: bool | None
+    faces: Mapping[str, np.ndarray] | None = None
+    left: FreeFaces | None = None
+    is_open: bool | None = None
     cells: Mapping[str, np.ndarray] | None = None
 
     @property

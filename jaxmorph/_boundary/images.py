@@ -8,8 +8,8 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
-from scipy.spatial import KDTree
 
+from .._host.package.cores import Tree
 from .._host.package.orders import rows_in
 from .._kernels.values import as_jax
 from .pairing import Pairing
@@ -189,7 +189,7 @@ def _joined(places: Int[np.ndarray, "t o"], at: Float[np.ndarray, "t o d"], poin
     numbers, first = np.unique(places, return_index=True)
     first = np.sort(first)  # own rows come before images
     kind = first // len(points)
-    pairs = KDTree(at.reshape(-1, at.shape[-1])[first]).query_pairs(tolerance(points), output_type="ndarray")
+    pairs = Tree(at.reshape(-1, at.shape[-1])[first]).query_pairs(tolerance(points), output_type="ndarray")
     pairs = np.sort(pairs, axis=1)
     pairs = pairs[kind[pairs[:, 0]] != kind[pairs[:, 1]]]
     pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]

@@ -4,14 +4,13 @@ import contextlib
 import dataclasses
 import itertools
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from .._host.package.arguments import between, check_patch, finite_array, whole
 from .._host.package.cores import Tree
-from .._host.package.errors import MeshError, place_of
+from .._host.package.errors import MeshError, place_of, worst_first
 from .._host.package.rounding import spacing
 from .pairing import ALONG_AXIS, Pairing
 from .symmetry import Plane, tolerance
@@ -63,14 +62,13 @@ class Periodic:
         check_patch("partner", partner)
         if rotation is not None:
             between("rotation", rotation)
-        vectors = (("translation", translation), ("about", about), ("axis", axis))
-        fields: dict[str, Any] = {
+            rotation = float(rotation)
+        vectors = {
             name: None if vector is None else finite_array(name, vector, (2,), (3,)).astype(float)
-            for name, vector in vectors
+            for name, vector in (("translation", translation), ("about", about), ("axis", axis))
         }
-        fields |= {"patch": patch, "partner": partner, "copies": int(copies)}
-        fields |= {"rotation": None if rotation is None else float(rotation)}
-        for name, value in fields.items():
+        fields = {"patch": patch, "partner": partner, "rotation": rotation, "copies": int(copies)}
+        for name, value in (fields | vectors).items():
             object.__setattr__(self, name, value)
 
     @property
@@ -132,15 +130,14 @@ def _paired(
     distance, nearest = map(np.asarray, Tree(exact[second]).query(images))
     gaps = np.minimum(spacing(exact[second]), np.ptp(exact, axis=0).max())
     allowed = np.maximum(MISMATCH * gaps[nearest], 2 * tolerance(points))
-    unmatched = np.flatnonzero(distance > allowed)
+    unmatched = worst_first(distance, allowed)
     if unmatched.size:
-        worst_first = unmatched[np.argsort(-distance[unmatched], kind="stable")]
-        place = place_of(points[first[worst_first[0]]])
+        place = place_of(points[first[unmatched[0]]])
         raise MeshError(
             f"{periodic.name} do not match: {len(unmatched)} of {len(first)} nodes of the first have no partner, the worst is "
-            f"node {{node}} at ({place}): {distance[worst_first[0]]:.3g} from the nearest after the transform. Check "
+            f"node {{node}} at ({place}): {distance[unmatched[0]]:.3g} from the nearest after the transform. Check "
             "`translation`, or `rotation`, `about` and `axis`; they lead from the first patch to the second.",
-            first[worst_first],
+            first[unmatched],
         )
     single = second[np.setdiff1d(np.arange(len(second)), nearest)]
     if single.size:

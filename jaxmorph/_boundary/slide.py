@@ -10,7 +10,7 @@ from scipy.sparse import csr_array
 
 from .._host.cells.pairs import parts_of
 from .._host.package.arguments import check_patch, finite_array
-from .._host.package.errors import MeshError, place_of
+from .._host.package.errors import MeshError, place_of, worst_first
 from .._host.surface.simplices import normals
 from .facets import Faceted, FlatFaces
 from .holes import CONTINUES, filled
@@ -122,14 +122,13 @@ def _check_on(slide: Slide, wall: AbstractWall, nodes: np.ndarray, points: np.nd
     patch = points[nodes]
     off = np.abs(np.asarray(wall.height(jnp.asarray(patch))[0]))
     allowed = DEVIATION * np.ptp(patch, axis=0).max()
-    wrong = np.flatnonzero(off > allowed)
+    wrong = nodes[worst_first(off, allowed)]
     if wrong.size:
-        worst_first = nodes[wrong[np.argsort(-off[wrong], kind="stable")]]
-        place = place_of(points[worst_first[0]])
+        place = place_of(points[wrong[0]])
         raise MeshError(
             f"{slide.name} does not lie on its surface: {len(wrong)} of {len(nodes)} nodes are off, the worst is node {{node}} at "
             f"({place}), {off.max():.3g} away (allowed {allowed:.3g}). Give the right surface, or None for the patch's faces.",
-            worst_first,
+            wrong,
         )
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from .._host.package.arguments import finite_array, rows_of
-from .._host.package.errors import MeshError, place_of
+from .._host.package.errors import MeshError, place_of, worst_first
 from .._host.package.rounding import roundoff
 from .._host.surface.simplices import normals
 from .._kernels.module import Module
@@ -71,11 +71,11 @@ class Plane(Module):
             normal, origin[axis] = np.eye(len(normal))[axis], np.median(patch[:, axis])
         deviation = np.abs((patch - origin) @ normal)
         if deviation.max() > tolerance(points):
-            worst_first = np.argsort(-deviation, kind="stable")
-            place = place_of(patch[worst_first[0]])
+            order = np.argsort(-deviation, kind="stable")
+            place = place_of(patch[order[0]])
             raise MeshError(
                 f"these {len(nodes)} nodes do not lie in one plane: node {{node}} at ({place}) is {deviation.max():.3g} off.",
-                nodes[worst_first],
+                nodes[order],
             )
         return Plane(normal, origin)
 
@@ -94,7 +94,7 @@ class Plane(Module):
         return (points - self.origin) @ self.normal
 
 
-MOST = 2 * 3
+MOST = 6
 """Most planes of one patch: the sides of a box."""
 
 
@@ -199,8 +199,7 @@ def _check_bounds(plane: Plane, points: np.ndarray) -> None:
     above, below = ~on & (height > 0), ~on & (height < 0)
     beyond = above if above.sum() < below.sum() else below
     if beyond.any():
-        outside = np.flatnonzero(beyond)
-        outside = outside[np.argsort(-np.abs(height[outside]), kind="stable")]
+        outside = worst_first(np.abs(height) * beyond, 0)
         worst = outside[0]
         place = place_of(points[worst])
         raise MeshError(

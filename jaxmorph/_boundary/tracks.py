@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from .._host.package.errors import MeshError, place_of
+from .._host.package.errors import MeshError, place_of, worst_first
 from .._kernels.values import norm
 from .facets import Faceted
 from .pairing import Pairing
@@ -128,15 +128,13 @@ def tracks_of(
 
 def _check_edge(walls: tuple[AbstractWall, ...], nodes: np.ndarray, points: np.ndarray) -> None:
     first, second = (np.asarray(wall.height(jnp.asarray(points[nodes]))[1]) for wall in walls)
-    cosine = np.abs(np.sum(first * second, axis=1))
-    wrong = np.flatnonzero(cosine > SMOOTH)
+    wrong = nodes[worst_first(np.abs(np.sum(first * second, axis=1)), SMOOTH)]
     if wrong.size:
-        worst_first = wrong[np.argsort(-cosine[wrong], kind="stable")]
-        place = place_of(points[nodes[worst_first[0]]])
+        place = place_of(points[wrong[0]])
         raise MeshError(
             f"two sliding patches, or a sliding patch and a symmetry plane, meet at {len(wrong)} nodes without an edge, the worst "
             f"is node {{node}} at ({place}). Let both slide as one patch, jm.Slide((first, second)), or remove one.",
-            nodes[worst_first],
+            wrong,
         )
 
 
@@ -159,13 +157,12 @@ def check_repeated(
     for pairing in pairings:
         first, second, matrix = map(np.asarray, (pairing.first, pairing.second, pairing.matrix))
         mismatch = np.linalg.norm(matrix @ off[first] @ matrix.T - off[second], axis=(1, 2))
-        wrong = np.flatnonzero((mismatch > np.sqrt(2 - 2 * SMOOTH**2)) & free[first] & free[second])
+        wrong = worst_first(mismatch * (free[first] & free[second]), np.sqrt(2 - 2 * SMOOTH**2))
         if wrong.size:
-            worst_first = wrong[np.argsort(-mismatch[wrong], kind="stable")]
-            node, partner = (int(side[worst_first[0]]) for side in (first, second))
+            node, partner = (int(side[wrong[0]]) for side in (first, second))
             raise MeshError(
                 f"{len(wrong)} periodic pairs slide along walls that do not repeat each other, the worst is node {{node}} at "
                 f"({place_of(points[node])}) and its partner {partner}: they cannot stay on both walls and move alike. Name them "
                 "in `fixed`, or let both slide on a surface that repeats, jm.Slide(patch, jm.Plane(normal, origin)).",
-                first[worst_first],
+                first[wrong],
             )

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 import jaxmorph as jm
-from jaxmorph import cases, io
+from jaxmorph import cases
 
 from . import _airfoil_pictures as pictures
-from ._terminal import progress, table
+from ._terminal import Study, progress, table, write
 
 ANGLES = (5.0, 10.0, 15.0)
 """Degrees, nose up, at the end of each step."""
@@ -23,17 +23,6 @@ FAR_FIELD = jm.KDTree(2)
 
 LEAVES = (1, 2, 4, 8)
 """Leaves of the wall's trees to compare, with four sources a leaf."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Study:
-    """A method to compare; `file` names its deformed mesh, if that is written."""
-
-    name: str
-    method: jm.AbstractMethod
-    rebuild: bool = False
-    file: str = ""
-    title: str = ""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -66,14 +55,15 @@ def run(output: pathlib.Path, *, points: int | None = None) -> int:
     with progress(len(studies) + 4) as say:
         say("generating the mesh, judging it")
         start, outcomes = jm.quality(mesh), []
-        written = _write(output / "naca0015-undeformed.su2", mesh, np.asarray(mesh.points), start)
+        written = write(output / "naca0015-undeformed.su2", mesh, np.asarray(mesh.points), _skewness(start))
         for study in studies:
             say(f"moving the mesh, {study.name}")
             outcomes.append(measure(mesh, start, study))
         by_file = {outcome.study.file: outcome for outcome in outcomes if outcome.study.file}
         say("writing meshes")
         for name, outcome in by_file.items():
-            written += _write(output / f"naca0015-{name}.su2", mesh, outcome.points, outcome.reports[-1])
+            path, values = output / f"naca0015-{name}.su2", _skewness(outcome.reports[-1])
+            written += write(path, mesh, outcome.points, values)
         figures = [output / "figure5.png", output / "figure6.png"]
         say("drawing airfoil and trailing edge (figure 5)")
         pictures.figure5(figures[0], mesh, [by_file["dgm"], by_file["reduced-rbf"]])
@@ -150,13 +140,8 @@ def near_wall(mesh: jm.Mesh) -> np.ndarray:
     return (np.arange(round(0.4 * layers))[:, None] * columns + np.arange(wake, columns - wake)).ravel()
 
 
-def _write(path: pathlib.Path, mesh: jm.Mesh, points: np.ndarray, report: jm.QualityReport) -> list[pathlib.Path]:
-    """Writes a mesh for SU2, and a mesh to look at."""
-    moved, picture = mesh.moved(points), path.with_suffix(".vtu")
-    io.write(path, moved)
-    skewness = np.asarray(report.skewness)
-    io.write(picture, moved, point_data={"displacement": points - mesh.points}, cell_data={"skewness": skewness})
-    return [path, picture]
+def _skewness(report: jm.QualityReport) -> dict[str, np.ndarray]:
+    return {"skewness": np.asarray(report.skewness)}
 
 
 def _tables(mesh: jm.Mesh, start: jm.QualityReport, outcomes: list[Outcome]) -> str:

@@ -50,7 +50,6 @@ def figure5(path: pathlib.Path, mesh: jm.Mesh, outcomes: Sequence["Outcome"]) ->
 
 
 def _frame(axis: Axes, window: plot.Window) -> None:
-    """Frames the window of another axis."""
     (left, right), (bottom, top) = window
     axis.add_patch(Rectangle((left, bottom), right - left, top - bottom, fill=False, color=plot.BLUE, linewidth=2.5))
 

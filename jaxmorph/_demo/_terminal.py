@@ -1,10 +1,36 @@
-"""Output of a demo: tables as plain text, progress only on a terminal."""
+"""What both demos share: methods to compare, progress on a terminal, tables and meshes."""
 
 import contextlib
+import dataclasses
+import pathlib
 import sys
 from collections.abc import Callable, Iterator, Sequence
 
+import numpy as np
+
+import jaxmorph as jm
+from jaxmorph import io
+
 Say = Callable[[str], None]
+
+
+@dataclasses.dataclass(frozen=True)
+class Study:
+    """A method to compare, None for the default; `file` names its deformed mesh, if written."""
+
+    name: str
+    method: jm.AbstractMethod | None
+    rebuild: bool = False
+    file: str = ""
+    title: str = ""
+
+
+def write(path: pathlib.Path, mesh: jm.Mesh, points: np.ndarray, values: dict[str, np.ndarray]) -> list[pathlib.Path]:
+    """Writes a mesh for SU2, and a mesh with displacements and `values` of cells to look at."""
+    moved, picture = mesh.moved(points), path.with_suffix(".vtu")
+    io.write(path, moved)
+    io.write(picture, moved, point_data={"displacement": points - mesh.points}, cell_data=values)
+    return [path, picture]
 
 
 @contextlib.contextmanager

@@ -7,10 +7,10 @@ import time
 import numpy as np
 
 import jaxmorph as jm
-from jaxmorph import cases, io
+from jaxmorph import cases
 
 from . import _wing_pictures as pictures
-from ._terminal import progress, table
+from ._terminal import Study, progress, table, write
 
 POINTS = 64_943
 """The paper's number of points."""
@@ -23,15 +23,6 @@ At 0.0735 the mean aspect ratio rises as in the paper.
 
 SHOWN = (1, 0.5)
 """The motion of the pictures and of the meshes that are written."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Study:
-    """A method to compare; `file` names its deformed mesh."""
-
-    name: str
-    method: jm.AbstractMethod | None
-    file: str
 
 
 @dataclasses.dataclass(frozen=True)
@@ -68,11 +59,10 @@ def run(output: pathlib.Path, *, points: int | None = None) -> int:
             say(f"moving the mesh, {study.name}")
             outcomes.append(measure(mesh, study))
         say("writing meshes")
-        written = _write(output / "agard445-undeformed.su2", mesh, np.asarray(mesh.points), start)
+        written = write(output / "agard445-undeformed.su2", mesh, np.asarray(mesh.points), _aspect_ratio(start))
         for outcome in outcomes:
-            written += _write(
-                output / f"agard445-{outcome.study.file}.su2", mesh, outcome.points, outcome.reports[SHOWN]
-            )
+            path, values = output / f"agard445-{outcome.study.file}.su2", _aspect_ratio(outcome.reports[SHOWN])
+            written += write(path, mesh, outcome.points, values)
         drawn = [output / "agard445-surface.png", output / "agard445-cut.png"]
         say("drawing the wing")
         pictures.surface(drawn[0], mesh, start, outcomes[-1], SHOWN)
@@ -89,9 +79,9 @@ def compare() -> list[Study]:
         jm.RBF(reduction=jm.KDTree(64), fixed_reduction=jm.AllPoints()), jm.DelaunayGraph()
     )
     return [
-        Study("DGM", jm.DelaunayGraph(), "dgm"),
-        Study("reduced RBF", paper, "reduced-rbf"),
-        Study("default", None, "default"),
+        Study("DGM", jm.DelaunayGraph(), file="dgm"),
+        Study("reduced RBF", paper, file="reduced-rbf"),
+        Study("default", None, file="default"),
     ]
 
 
@@ -120,13 +110,8 @@ def _sources(plan: jm.Plan) -> tuple[int, int]:
     return on_wing, len(plan.sources) - on_wing
 
 
-def _write(path: pathlib.Path, mesh: jm.Mesh, points: np.ndarray, report: jm.QualityReport) -> list[pathlib.Path]:
-    """Writes a mesh for SU2, and a mesh to look at."""
-    moved, picture = mesh.moved(points), path.with_suffix(".vtu")
-    io.write(path, moved)
-    displacement, aspect_ratio = points - mesh.points, np.asarray(report.aspect_ratio)
-    io.write(picture, moved, point_data={"displacement": displacement}, cell_data={"aspect_ratio": aspect_ratio})
-    return [path, picture]
+def _aspect_ratio(report: jm.QualityReport) -> dict[str, np.ndarray]:
+    return {"aspect_ratio": np.asarray(report.aspect_ratio)}
 
 
 def _numbers(report: jm.QualityReport) -> tuple[str, ...]:

@@ -24,7 +24,6 @@ def contracted(function: Callable, *arguments: Any) -> Any:
 
 
 def _evaluate(jaxpr: core.Jaxpr, constants: Sequence[Any], arguments: Sequence[Any]) -> list[Any]:
-    """Runs a jaxpr equation by equation, with its products and sums fused."""
     # If one addition alone uses a product, the factors wait in `products` until the addition, which
     # becomes one `fma`. Another operation that reads a waiting product multiplies it first.
     values = dict(zip((*jaxpr.constvars, *jaxpr.invars), (*constants, *arguments), strict=True))

@@ -54,7 +54,6 @@ def _values(module: Any) -> tuple[Any, ...]:
 
 
 def _has_value(*modules: Any) -> bool:
-    """Checks whether all fields have a hash."""
     try:
         return isinstance(hash(tuple(map(_values, modules))), int)
     except TypeError:

@@ -1,11 +1,10 @@
 """Meshes of high order made of linear ones."""
 
-import itertools
-
 import numpy as np
 
-from .._host.cells.lagrange import ORDERS, Lagrange, lagrange_types
+from .._host.cells.lagrange import ORDERS, Lagrange, of_order
 from .._host.cells.pieces import boundary_sides
+from .._host.cells.shape_functions import collapsed, values
 from .._host.cells.topology import CORNERS, SHAPES, solid
 from .._host.package.arguments import checked
 from .mesh import Mesh
@@ -24,7 +23,7 @@ def elevate(mesh: Mesh, order: int) -> Mesh:
     - `mesh`: a mesh of linear cells.
     - `order`: 2, 3 or 4.
 
-    **Returns:** a `Mesh`. It is a new one, which no file knows.
+    **Returns:** a new `Mesh`, which belongs to no file.
 
     **Raises:** `ValueError` for another order, for cells that are curved already, for a mesh
     without cells and for polyhedra.
@@ -54,13 +53,6 @@ def elevate(mesh: Mesh, order: int) -> Mesh:
     return Mesh(points, cells, _patches(mesh, cells, len(points)))
 
 
-def of_order(kind: str, order: int) -> Lagrange:
-    """Returns the type of complete cells of an order, by the type of its linear cell."""
-    return next(
-        cell for cell in lagrange_types().values() if (cell.shape, cell.order, cell.is_complete) == (kind, order, True)
-    )
-
-
 def node_keys(ids: np.ndarray, cell: Lagrange) -> np.ndarray:
     """Lists corners and weights in turn (k, new, 16) of each cell's new nodes.
 
@@ -80,22 +72,9 @@ def node_keys(ids: np.ndarray, cell: Lagrange) -> np.ndarray:
 
 
 def _weights(cell: Lagrange) -> np.ndarray:
-    """Lists integer weights (new, corners) of corners at new nodes: linear shape functions."""
-    at, p = cell.lattice[cell.corners :], cell.order
-    x, d = at.T, cell.dimension
-    if cell.shape in ("triangle", "tetra", "line"):
-        return np.column_stack([p - at.sum(axis=1), at])
-    if cell.shape == "wedge":
-        base = np.column_stack([p - x[0] - x[1], x[0], x[1]])
-        return np.concatenate([base * (p - x[2])[:, None], base * x[2][:, None]], axis=1)
-    if cell.shape == "pyramid":  # times (p - z): the functions of the base are bilinear in x / (p - z), y / (p - z)
-        left = p - x[2]
-        base = [(left - x[0]) * (left - x[1]), x[0] * (left - x[1]), x[0] * x[1], (left - x[0]) * x[1]]
-        return np.stack([*base, x[2] * left], axis=1)
-    factors = [(p - share, share) for share in x]
-    signs = [(0, 0), (1, 0), (1, 1), (0, 1)]
-    signs = signs if d == 2 else [(*sign, z) for z, sign in itertools.product((0, 1), signs)]
-    return np.stack([np.prod([factors[axis][s] for axis, s in enumerate(sign)], axis=0) for sign in signs], axis=1)
+    """Lists integer weights (new, corners) of corners at new nodes: 12^3 linear shape functions."""
+    places = collapsed(cell.shape, cell.reference[cell.corners :])
+    return np.rint(12**3 * values(cell.shape, places)).astype(np.int64)
 
 
 def _patches(mesh: Mesh, cells: dict[str, np.ndarray], n: int) -> dict[str, np.ndarray]:

@@ -72,19 +72,13 @@ def of_meshio(mesh: Any) -> Grid:
 def of_pyvista(grid: Any) -> Grid:
     """Reads points, cells and arrays of a PyVista grid. Raises `ValueError` for unknown types."""
     numbers = np.asarray(grid.celltypes)
-    kinds = {number: kind for kind, number in (VTK | VTK_QUADRATIC).items()} | {1: "vertex"}
-    shapes = {number: shape for shape, number in VTK_LAGRANGE.items()}
     pyvista = imported("pyvista", "plot")
-    _refuse_unknown(
-        kinds.get(n) or pyvista.CellType(n).name.lower() for n in np.unique(numbers).tolist() if n and n not in shapes
-    )
     starts, ids = offsets_of(grid), np.asarray(grid.cell_connectivity)
     sizes = np.diff(starts)
     blocks, masks = [], []
     for number, size in np.unique(np.stack([numbers, sizes], axis=1)[numbers > 0], axis=0).tolist():
         masks.append((numbers == number) & (sizes == size))
-        shape = shapes.get(number, "")
-        kind = kinds[number] if not shape else shape if size == CORNERS[shape] else f"{shape}{size}"
+        kind = kind_of_vtk(number, size) or pyvista.CellType(number).name.lower()
         _refuse_unknown([kind])
         if kind in NODES and NODES[kind] != size:
             raise ValueError(f"cells of type {kind} have {size} nodes, not {NODES[kind]}.")
@@ -92,6 +86,17 @@ def of_pyvista(grid: Any) -> Grid:
         blocks.append((kind, reordered(kind, nodes, VTK_ORDER, None) if kind in NODES else nodes))
     cell_data = {name: [np.asarray(values)[mask] for mask in masks] for name, values in grid.cell_data.items()}
     return Grid(np.asarray(grid.points), blocks, dict(grid.point_data), cell_data)
+
+
+def kind_of_vtk(number: int, size: int) -> str:
+    """Names the type of a cell by VTK's number and the cell's number of nodes; "" if unknown."""
+    kinds = {n: kind for kind, n in (VTK | VTK_QUADRATIC).items()} | {1: "vertex"}
+    shapes = {n: shape for shape, n in VTK_LAGRANGE.items()}
+    return _of_size(shapes[number], size) if number in shapes else kinds.get(number, "")
+
+
+def _of_size(shape: str, size: int) -> str:
+    return shape if size == CORNERS[shape] else f"{shape}{size}"
 
 
 def offsets_of(grid: Any) -> np.ndarray:
@@ -103,8 +108,7 @@ def kind_of_block(kind: str, ids: np.ndarray) -> tuple[str, np.ndarray]:
     """Names the type of a meshio block as here, and orders its nodes canonically."""
     shape, order = LAGRANGE.get(kind), MESHIO
     if shape is not None and len(ids):
-        size = ids.shape[1]
-        kind, order = (f"{shape}{size}" if size != CORNERS[shape] else shape), VTK_ORDER
+        kind, order = _of_size(shape, ids.shape[1]), VTK_ORDER
     if kind in NODES and len(ids) and ids.shape[1:] != (NODES[kind],):
         raise ValueError(f"cells of type {kind} have {ids.shape[-1]} nodes, not {NODES[kind]}.")
     return kind, reordered(kind, ids, order, None) if kind in NODES and len(ids) else ids

@@ -8,7 +8,7 @@ import numpy as np
 
 from .._host.cells.orders import VTK_ORDER, reordered
 from .._host.cells.topology import SHAPES, VTK, VTK_LAGRANGE, VTK_QUADRATIC
-from .exchange import PREFIX, Arrays, Parts, block_of, imported, kind_of_block, offsets_of
+from .exchange import PREFIX, Arrays, Parts, block_of, imported, kind_of_block, kind_of_vtk, offsets_of
 
 
 def to_meshio(mesh: Parts, source: Any, point_data: Arrays | None, cell_data: Arrays | None) -> Any:
@@ -39,10 +39,8 @@ def to_pyvista(mesh: Parts, source: Any, point_data: Arrays | None, cell_data: A
     else:
         new = old.copy()
         new.points = points
-    names = {number: kind for kind, number in (VTK | VTK_QUADRATIC).items()}
-    shapes = {number: shape for shape, number in VTK_LAGRANGE.items()}
-    both = zip(np.asarray(new.celltypes).tolist(), np.diff(offsets_of(new)).tolist(), strict=True)
-    kinds = np.array([f"{shapes[n]}{size}" if n in shapes else names.get(n, "") for n, size in both], dtype="<U13")
+    both, inverse = np.unique([new.celltypes, np.diff(offsets_of(new))], axis=1, return_inverse=True)
+    kinds = np.array([kind_of_vtk(*pair) for pair in both.T.tolist()], dtype="<U13")[inverse.ravel()]
     for name, values in point_arrays.items():
         new.point_data[name] = values
     for name, values in _dealt(mesh, cell_arrays, kinds).items():

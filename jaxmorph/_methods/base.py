@@ -29,31 +29,6 @@ class Located(eqx.Module):
     outside: Int[Array, ""]
 
 
-class AbstractRows(eqx.Module):
-    """Rows of a linear operator, one for each point, with an optional table for its transpose.
-
-    The table makes the transpose as fast as the operator.
-
-    The places of points (`AbstractPlacing.place`) may hold such rows. The driver builds their
-    tables.
-    """
-
-    @abc.abstractmethod
-    def with_table(self, count: int, parts: int) -> "AbstractRows":
-        """Adds a table for `count` surface nodes; the rows lie in `parts` equal shares. Host.
-
-        A share's table has positions within the share. All tables have the same number of rows.
-        """
-
-    @abc.abstractmethod
-    def without_table(self) -> "AbstractRows":
-        """Drops the table: every leaf then has one row a point."""
-
-    @abc.abstractmethod
-    def with_table_of(self, old: Any) -> "AbstractRows":
-        """Takes over the table of rows with equal ids, with the weights of these rows. Traced."""
-
-
 @dataclasses.dataclass(frozen=True)
 class Control:
     """Rows of the surface that control a field, and how far the field reaches.

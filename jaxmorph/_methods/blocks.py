@@ -7,8 +7,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PyTree
 
 from .._kernels.compile import is_for_cpu
-from .base import BLOCK, AbstractField, AbstractMethod, AbstractRows
+from .base import BLOCK, AbstractField, AbstractMethod
 from .placing import AbstractPlacing
+from .sparse import Interpolation
 
 WIDER = 256
 """Factor of the size of blocks on platforms that are no CPU.
@@ -57,7 +58,6 @@ def carry_points(
 
 
 def _mapped(function: Callable[..., PyTree], rows: tuple) -> PyTree:
-    """Applies a function of one point's rows to all points, in blocks."""
     place = jax.checkpoint(jax.vmap(function))
     return by_platform(lambda rows, block: _placed(place, rows, block), rows, BLOCK)
 
@@ -133,7 +133,6 @@ def _joined(function: Callable[[PyTree], PyTree], rows: PyTree, block: int) -> P
 
 
 def _add_rows(whole: Array, part: Array, start: Int[Array, ""]) -> Array:
-    """Adds rows to an array in place."""
     window = jax.lax.ScatterDimensionNumbers(
         update_window_dims=tuple(range(part.ndim)), inserted_window_dims=(), scatter_dims_to_operand_dims=(0,)
     )
@@ -149,7 +148,7 @@ def _add_rows(whole: Array, part: Array, start: Int[Array, ""]) -> Array:
 
 
 def is_rows(leaf: object) -> bool:
-    return isinstance(leaf, AbstractRows)
+    return isinstance(leaf, Interpolation)
 
 
 def with_tables(placed: PyTree, count: int, parts: int = 1) -> PyTree:

@@ -143,7 +143,6 @@ def _diagonals(corners: Float[Array, "k c 3"]) -> tuple[Float[Array, "k 3"], Flo
 
 
 def _normals(faces: Mapping[str, Int[Array, "k c"]], surface: Float[Array, "b d"]) -> Float[Array, "b d"]:
-    """Adds the vectors of each node's faces."""
     total = jnp.zeros_like(surface)
     for ids in faces.values():
         total = total.at[ids].add(_vectors(surface[ids])[:, None])

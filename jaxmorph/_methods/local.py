@@ -96,6 +96,5 @@ class LocalCorrection(AbstractPlacing):
         return InterpolatedField(self, factors, surface, u)
 
     def _radius(self, extent: Extent, surface):
-        """Computes the radius of each surface node."""
         width = layer_width(self.radius, extent, surface)
         return width if self.radius is not None else SPACING * width

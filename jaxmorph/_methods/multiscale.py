@@ -116,7 +116,6 @@ class MultiscaleFactors(eqx.Module):
 
 
 def _solve(ids: Hierarchy, entries: Float[Array, " e"], values: Float[Array, "b d"]) -> Float[Array, "b d"]:
-    """Solves for the functions' coefficients by a forward substitution."""
 
     def product(c):
         reached = entries[:, None] * c[ids.column]
@@ -151,7 +150,6 @@ def _swept(
 
 
 def _wendland(squared_distance: Float[Array, "..."], squared_radius: Float[Array, "..."]) -> Float[Array, "..."]:
-    """Evaluates the basis at a distance relative to the radius."""
     positive = squared_radius > 0
     return WendlandC2(1.0)(squared_distance / jnp.where(positive, squared_radius, 1))
 

@@ -215,9 +215,7 @@ def _blend(x: Float[Array, " d"], row: WallRow, width: Float[Array, " b"], surfa
     reach = jnp.maximum(distance[-1], (1 - SLIGHTLY) * distance.max()) * (1 + 2 * SLIGHTLY)
     at_node = distance[0] == 0
     safe = jnp.where(at_node, 1, distance)
-    weights = (
-        jnp.where(at_node, 0, (reach - safe) * (safe[0] / safe)) ** 2
-    )  # Franke and Little, times the first distance
+    weights = jnp.where(at_node, 0, (reach - safe) * (safe[0] / safe)) ** 2  # Franke and Little, times safe[0]
     weights = jnp.where(at_node, jnp.zeros_like(weights).at[0].set(1), weights)[:-1]
     layer = jnp.where(width[nearest[0]] > 0, width[nearest[0]], 1)
     gap = norm(surface[other] - x)

@@ -112,7 +112,6 @@ def _sinc(squared: Float[Array, ""]) -> Float[Array, ""]:
 
 
 def _angle(arms: Float[Array, "b 2"], u: Float[Array, "b 2"]) -> Float[Array, ""]:
-    """Computes the angle of the nearest rotation."""
     across = jnp.sum(arms[:, 0] * u[:, 1] - arms[:, 1] * u[:, 0])
     return jnp.arctan2(across, jnp.sum(arms**2) + jnp.sum(arms * u))
 

@@ -5,7 +5,6 @@ two forms, each the transpose of the other, avoids that.
 """
 
 import weakref
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -16,16 +15,14 @@ from jaxtyping import Array, Bool, Float, Int, PyTree
 from .._host.linear.transpose import WIDTH, tabulate
 from .._kernels.linear import linear_primitive
 from .._kernels.values import as_jax
-from .base import AbstractField, AbstractRows
+from .base import AbstractField
 from .placing import AbstractPlacing
 
 
 class Table(eqx.Module):
-    """The entries of each column in the flattened weights (n, k), as `tabulate` sorts them.
+    """The entries of each column in the flattened weights (n, k), in the order of `tabulate`.
 
-    `jaxmorph._host.linear.transpose.tabulate` describes the order.
-
-    `weights` are the entries themselves, gathered once per base mesh. The gather costs more than
+    `weights` are the entries themselves, gathered once per base mesh: the gather costs more than
     all else in a transpose.
     """
 
@@ -34,7 +31,7 @@ class Table(eqx.Module):
     weights: Float[Array, "r width"]
 
 
-class Interpolation(AbstractRows):
+class Interpolation(eqx.Module):
     """Interpolates points' displacements from surface nodes: weighted sums by a sparse operator.
 
     For one point, `nodes` and `weights` are (k,); for many (n, k), to which a table of the
@@ -48,6 +45,10 @@ class Interpolation(AbstractRows):
     table: Table | None = None
 
     def with_table(self, count: int, parts: int) -> "Interpolation":
+        """Adds a table for `count` surface nodes; the rows lie in `parts` equal shares. Host.
+
+        A share's table has positions within the share. All tables have the same number of rows.
+        """
         if self.table is not None:
             return self
         # An interpolation is remade by each `jit` boundary, its array of weights is not. So the
@@ -76,9 +77,11 @@ class Interpolation(AbstractRows):
             return Table(*as_jax([np.concatenate(part) for part in (entries, owners, gathered)]))
 
     def without_table(self) -> "Interpolation":
+        """Drops the table: every leaf then has one row a point."""
         return Interpolation(self.nodes, self.weights, self.reached)
 
-    def with_table_of(self, old: Any) -> "Interpolation":
+    def with_table_of(self, old: "Interpolation") -> "Interpolation":
+        """Takes over the table of rows with equal ids, with the weights of these rows. Traced."""
         table = old.table
         if table is not None:
             gathered = jnp.where(table.entries < 0, 0, self.weights.ravel()[table.entries])

@@ -25,7 +25,7 @@ from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod, check_kind
 from .._methods.reconstruction import SurfaceReconstruction, sees_free_sides
 from .._methods.surface import Surface
-from .plan import Plan, SurfacePart
+from .plan import Plan
 from .prepare import between_planes, boundary_of, laid_out, plan_of, refuse_cells, surface_of
 
 SAME = 1e-12
@@ -112,8 +112,7 @@ class SurfaceHalf:
             on_plane = np.stack([plane.holds(together)[:count] for plane in boundary_of(plan).planes], axis=1)
         volume_ids = as_jax(jax.tree.map(lambda leaf: leaf[:count], volume_ids))
         here = as_jax(rows[np.asarray(plan.surface.nodes)].astype(np.int32))
-        shared = plan.surface
-        shared = SurfacePart(shared.points, here, shared.images, shared.ids, shared.factors, shared.guide)
+        shared = dataclasses.replace(plan.surface, nodes=here)
         return laid_out(plan, shared, as_jax(points), on_plane, volume_ids)
 
     def _check_sides(self, points: np.ndarray, place: np.ndarray) -> None:

@@ -14,7 +14,7 @@ from .._boundary.periodic import MISMATCH
 from .._boundary.symmetry import tolerance
 from .._boundary.tracks import Track
 from .._host.package.arguments import checked
-from .._host.package.errors import MeshError, place_of
+from .._host.package.errors import MeshError, place_of, worst_first
 from .._host.package.rounding import spacing
 from .._kernels.compile import compiled
 from .._kernels.values import is_readable
@@ -145,13 +145,11 @@ def _check_places(plan: Plan, points: np.ndarray) -> None:
 
 
 def _refuse(what: str, off: np.ndarray, allowed: np.ndarray | float, nodes: np.ndarray, points: np.ndarray) -> None:
-    wrong = np.flatnonzero(off > allowed)
+    wrong = worst_first(off, allowed)
     if wrong.size:
-        wrong = wrong[np.argsort(-off[wrong], kind="stable")]
-        worst_first, limit = nodes[wrong], np.broadcast_to(allowed, off.shape)[wrong[0]]
-        place = place_of(points[worst_first[0]])
+        place, limit = place_of(points[nodes[wrong[0]]]), np.broadcast_to(allowed, off.shape)[wrong[0]]
         raise MeshError(
             f"{len(wrong)} of {len(nodes)} {what} at the new base points, the worst is node {{node}} at ({place}), "
             f"{off.max():.3g} away (allowed {limit:.3g}). Call `prepare` with the new mesh and its boundaries.",
-            worst_first,
+            nodes[wrong],
         )

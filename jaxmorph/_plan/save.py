@@ -167,8 +167,6 @@ class _Writer:
 
 @dataclasses.dataclass
 class _Reader:
-    """Builds a tree from its description."""
-
     arrays: list[np.ndarray]
     classes: dict[str, type]
     built: dict[tuple[int, str], Any] = dataclasses.field(default_factory=dict)

@@ -35,7 +35,7 @@ def slabs(count: int, *arguments: Any) -> list[tuple[np.ndarray, int]]:
     if count < 2 * LEAST or not is_direct(arguments):
         return []
     # Every slab ends with the points that are left over when all are divided into steps, as the
-    # last slab has to. What a slab overlaps its successor by is cut off.
+    # last slab has to. The rows that a slab shares with the next slab are cut off.
     rest, number = count % STEP, min(MOST, count // LEAST // 2 * 2)
     stride = -(-(count - rest) // (number * STEP)) * STEP
     size = stride + rest

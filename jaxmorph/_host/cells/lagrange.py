@@ -78,6 +78,11 @@ class Lagrange:
         return self.lattice / self.order
 
     @property
+    def place(self) -> dict[tuple[int, ...], int]:
+        """The node at each place of the lattice."""
+        return {tuple(at): node for node, at in enumerate(self.lattice.tolist())}
+
+    @property
     def edges(self) -> np.ndarray:
         """Nodes (edges, order + 1) of each edge of `EDGES`: first, second, inner nodes."""
         ends = np.array(EDGES[self.shape])
@@ -87,10 +92,9 @@ class Lagrange:
     @property
     def sides(self) -> list[tuple[str, np.ndarray]]:
         """Type of each face of `FACES` (2-D: edge), and its nodes in that type's own order."""
-        place = {tuple(at): node for node, at in enumerate(self.lattice.tolist())}
-        corners, sides = np.array(PLACES[self.shape]), []
+        place, corners, sides = self.place, np.array(PLACES[self.shape]), []
         for face in FACES[self.shape]:
-            side = _cell(SIDE_TYPES[len(face)], self.order, self.is_complete)
+            side = of_order(SIDE_TYPES[len(face)], self.order, self.is_complete)
             along = corners[[face[1], face[-1]][: side.dimension]] - corners[face[0]]
             at = self.order * corners[face[0]] + side.lattice @ along
             sides.append((side.name, np.array([place[tuple(position)] for position in at.tolist()])))
@@ -102,10 +106,8 @@ class Lagrange:
         The completed cell is the same curved cell: a missing node is where the serendipity
         functions put it.
         """
-        complete = _cell(self.shape, self.order, True)
+        complete, place, missing = of_order(self.shape, self.order), self.place, []
         matrix = np.zeros((len(complete.lattice), len(self.lattice)))
-        place = {tuple(at): node for node, at in enumerate(self.lattice.tolist())}
-        missing = []
         for row, at in enumerate(complete.lattice.tolist()):
             if tuple(at) in place:
                 matrix[row, place[tuple(at)]] = 1
@@ -120,21 +122,21 @@ class Lagrange:
         return complete.name, matrix
 
 
-def is_inside(shape: str, order: int, at: np.ndarray) -> Any:
-    """Finds which places (k, d) of a lattice are in a cell: a mask (k,)."""
-    inside = (at >= 0).all(axis=1) & (at <= order).all(axis=1)
+def depth(shape: str, order: int, at: np.ndarray) -> Any:
+    """Counts the steps (k,) of lattice places (k, d) from the nearest side; negative outside."""
+    beyond = at
     if shape in ("triangle", "tetra"):
-        inside &= at.sum(axis=1) <= order
+        beyond = at.sum(axis=1, keepdims=True)
     elif shape == "wedge":
-        inside &= at[:, :2].sum(axis=1) <= order
+        beyond = np.column_stack([at[:, :2].sum(axis=1), at[:, 2]])
     elif shape == "pyramid":
-        inside &= at[:, :2].max(axis=1) + at[:, 2] <= order
-    return inside
+        beyond = at[:, :2].max(axis=1, keepdims=True) + at[:, 2:]
+    return np.minimum(at.min(axis=1), order - beyond.max(axis=1))
 
 
 @functools.cache
-def _cell(shape: str, order: int, is_complete: bool) -> Lagrange:
-    """Makes the description of a type."""
+def of_order(shape: str, order: int, is_complete: bool = True) -> Lagrange:
+    """Describes the type with the shape of a linear cell, and an order."""
     corners, nodes = np.array(PLACES[shape]), [tuple(order * np.array(at)) for at in PLACES[shape]]
     for first, second in EDGES[shape]:
         nodes += [tuple((order - t) * corners[first] + t * corners[second]) for t in range(1, order)]
@@ -146,13 +148,13 @@ def _cell(shape: str, order: int, is_complete: bool) -> Lagrange:
                     nodes.append(tuple(order * corners[face[0]] + s * u + t * v))
         grid = np.array(list(itertools.product(range(order + 1), repeat=DIMENSION[shape])))[:, ::-1]
         present = {tuple(map(int, at)) for at in nodes}
-        nodes += [at for at in map(tuple, grid[is_inside(shape, order, grid)].tolist()) if at not in present]
+        nodes += [at for at in map(tuple, grid[depth(shape, order, grid) >= 0].tolist()) if at not in present]
     return Lagrange(shape, order, np.array(nodes, dtype=np.int64), is_complete)
 
 
 @functools.cache
 def lagrange_types() -> dict[str, Lagrange]:
     """Lists all types by name: linear, orders 2 to 4 complete, order 2 with nodes on edges."""
-    cells = [_cell(shape, order, True) for shape in PLACES for order in ORDERS]
-    partial = [_cell(shape, 2, False) for shape in ("quad", "pyramid", "wedge", "hexahedron")]
+    cells = [of_order(shape, order) for shape in PLACES for order in ORDERS]
+    partial = [of_order(shape, 2, False) for shape in ("quad", "pyramid", "wedge", "hexahedron")]
     return {cell.name: cell for cell in (*cells, *partial)}

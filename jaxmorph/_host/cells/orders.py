@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from .lagrange import PLACES, lagrange_types
+from .lagrange import PLACES, depth, lagrange_types
 from .topology import EDGES, FACES, SHAPES
 
 Sides = Mapping[str, tuple[tuple[int, ...], ...]]
@@ -68,18 +68,7 @@ def _rows(shape: str, order: int) -> np.ndarray:
     """Lists the inner lattice row by row, the first coordinate fastest."""
     cell = lagrange_types()[shape]
     grid = np.indices((order + 1,) * cell.dimension).reshape(cell.dimension, -1)[::-1].T
-    return grid[_is_inner(shape, order, grid)]
-
-
-def _is_inner(shape: str, order: int, at: np.ndarray) -> Any:
-    inner = (at > 0).all(axis=1)
-    if shape in ("triangle", "tetra"):
-        return inner & (at.sum(axis=1) < order)
-    if shape == "wedge":
-        return inner & (at[:, :2].sum(axis=1) < order) & (at[:, 2] < order)
-    if shape == "pyramid":
-        return inner & (at[:, :2].max(axis=1) + at[:, 2] < order)
-    return inner & (at < order).all(axis=1)
+    return grid[depth(shape, order, grid) > 0]
 
 
 def _as_gmsh(shape: str, order: int) -> np.ndarray:

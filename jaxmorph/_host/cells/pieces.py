@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from .lagrange import PLACES, Lagrange, is_inside, lagrange_types
+from .lagrange import PLACES, Lagrange, depth, lagrange_types
 from .pairs import columns_of, is_single, sorted_columns, unpaired
 from .topology import CORNERS, EDGES, FACES, FRAMES, NODES, SHAPES
 
@@ -96,12 +96,11 @@ def pieces_of(kind: str) -> dict[str, np.ndarray]:
 
 def _of_lattice(cell: Lagrange) -> dict[str, list]:
     """Cuts a cell with all lattice nodes into cells of its shape; pyramids also into tetrahedra."""
-    place = {tuple(at): node for node, at in enumerate(cell.lattice.tolist())}
-    p, shape = cell.order, cell.shape
+    place, p, shape = cell.place, cell.order, cell.shape
 
     def rows(corners: np.ndarray, starts: np.ndarray) -> list[list[int]]:
         every = starts[:, None] + corners
-        inside = is_inside(shape, p, every.reshape(-1, corners.shape[1])).reshape(every.shape[:2]).all(axis=1)
+        inside = (depth(shape, p, every.reshape(-1, corners.shape[1])).reshape(every.shape[:2]) >= 0).all(axis=1)
         return [[place[tuple(at)] for at in piece] for piece in every[inside].tolist()]
 
     starts = np.indices((p,) * cell.dimension).reshape(cell.dimension, -1)[::-1].T

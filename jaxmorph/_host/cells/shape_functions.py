@@ -12,7 +12,7 @@ import itertools
 import numpy as np
 from numpy.polynomial import legendre
 
-from .lagrange import Lagrange, is_inside, lagrange_types
+from .lagrange import Lagrange, depth, lagrange_types
 
 
 @functools.cache
@@ -21,7 +21,7 @@ def derivatives_at_nodes(kind: str) -> np.ndarray:
 
     They are by the reference coordinates.
     """
-    return derivatives(kind, _collapsed(kind, lagrange_types()[kind].reference))
+    return derivatives(kind, collapsed(kind, lagrange_types()[kind].reference))
 
 
 @functools.cache
@@ -35,7 +35,7 @@ def jacobian_samples(kind: str) -> tuple[np.ndarray, np.ndarray]:
     d, fine = cell.dimension, 2 * cell.order
     grid = np.indices((fine + 1,) * d).reshape(d, -1).T
     if cell.shape != "pyramid":  # a pyramid has a lattice in its own coordinates
-        grid = grid[is_inside(cell.shape, fine, grid)]
+        grid = grid[depth(cell.shape, fine, grid) >= 0]
     nodes, weights = np.polynomial.legendre.leggauss(-(-d * cell.order // 2))
     cube = np.array(list(itertools.product((nodes + 1) / 2, repeat=d)))
     weight = np.array(list(itertools.product(weights / 2, repeat=d))).prod(axis=1)
@@ -46,19 +46,22 @@ def jacobian_samples(kind: str) -> tuple[np.ndarray, np.ndarray]:
 
 def derivatives(kind: str, places: np.ndarray) -> np.ndarray:
     """Computes derivatives (s, nodes, d) of the shape functions of a type at places (s, d)."""
-    name, completion = lagrange_types()[kind].completion()
-    complete = lagrange_types()[name]
-    values, _ = _basis(complete, _collapsed(name, complete.reference))
-    _, slopes = _basis(complete, places)
-    return np.einsum("skd,kn,nm->smd", slopes, np.linalg.inv(values), completion, optimize=True)
+    (_, slopes), inverse, completion = _expanded(kind, places)
+    return np.einsum("skd,kn,nm->smd", slopes, inverse, completion, optimize=True)
 
 
 def values(kind: str, places: np.ndarray) -> np.ndarray:
     """Computes the shape functions (s, nodes) of a type at places (s, d)."""
+    (at_places, _), inverse, completion = _expanded(kind, places)
+    return at_places @ inverse @ completion
+
+
+def _expanded(kind: str, places: np.ndarray) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray, np.ndarray]:
+    """Returns basis and derivatives at places, and two matrices to the functions of a type."""
     name, completion = lagrange_types()[kind].completion()
     complete = lagrange_types()[name]
-    at_nodes, _ = _basis(complete, _collapsed(name, complete.reference))
-    return _basis(complete, places)[0] @ np.linalg.inv(at_nodes) @ completion
+    at_nodes, _ = _basis(complete, collapsed(name, complete.reference))
+    return _basis(complete, places), np.linalg.inv(at_nodes), completion
 
 
 def _basis(cell: Lagrange, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -92,7 +95,7 @@ def _pyramid(
     return f * g * c**n, slopes
 
 
-def _collapsed(kind: str, places: np.ndarray) -> np.ndarray:
+def collapsed(kind: str, places: np.ndarray) -> np.ndarray:
     """Maps reference places to those of the basis; a pyramid's apex is seen from the middle."""
     if lagrange_types()[kind].shape != "pyramid":
         return places

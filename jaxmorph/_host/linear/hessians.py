@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import sparse
 
-from .solves import Factors, conjugate_gradients, dot, is_factored
+from .solves import Factors, conjugate_gradients, inner_product, is_factored
 
 DAMPING = (1e-2, 1e-1, 1.0, 10.0)
 """Terms that are added to the diagonal, one after another, until a matrix is positive."""
@@ -112,14 +112,13 @@ def _factored(matrix: Any, right: np.ndarray, damping: tuple[float, ...]) -> np.
 
 
 def _iterated(matrix: Any, right: np.ndarray, accuracy: float) -> np.ndarray:
-    """Runs conjugate gradients, with the blocks on the diagonal as preconditioner."""
-    blocks, enough = _inverse_diagonal(matrix), accuracy**2 * dot(right.ravel(), right.ravel())
+    blocks, enough = _inverse_diagonal(matrix), accuracy**2 * inner_product(right.ravel(), right.ravel())
 
     def inverse(residual):
         return np.einsum("nab,nb->na", blocks, residual.reshape(right.shape)).ravel()
 
     def is_enough(_, residual, __):
-        return dot(residual, residual) <= enough
+        return inner_product(residual, residual) <= enough
 
     limit = 500 if accuracy == ROUGH else 20_000
     return conjugate_gradients(matrix.tocsr(), right.ravel(), inverse, is_enough, limit)[0].reshape(right.shape)

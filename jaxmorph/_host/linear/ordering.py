@@ -20,9 +20,7 @@ def far_to_near(points: np.ndarray, first: int, count: int) -> tuple[np.ndarray,
     earlier = np.repeat(np.arange(min(first, n), n, dtype=np.int32)[:, None], count, axis=1)
     start = first
     while start < n:
-        end = min(
-            n, start + start // 4 + 1
-        )  # one tree for a quarter more points: most of what it gives stands before them
+        end = min(n, start + start // 4 + 1)  # one tree for a quarter more points: most it gives are earlier
         earlier[start - first : end - first, 1:] = _before(points[:end], start, count - 1)
         start = end
     return order, earlier

@@ -75,10 +75,10 @@ def conjugate_gradients(
         steep = inverse(residual)
         if is_enough(x, residual, steep):
             return x, True
-        share = dot(residual, steep)
+        share = inner_product(residual, steep)
         along = steep + share / before * along
         image = matrix @ along
-        curvature = dot(along, image)
+        curvature = inner_product(along, image)
         if not curvature > 0:
             return (x if x.any() else steep), False
         x += share / curvature * along
@@ -87,6 +87,6 @@ def conjugate_gradients(
     return x, False
 
 
-def dot(a: np.ndarray, b: np.ndarray) -> float:
+def inner_product(a: np.ndarray, b: np.ndarray) -> float:
     """Sums products without a BLAS."""
     return float(np.einsum("i,i->", a, b))

@@ -1,7 +1,4 @@
-"""Sparse symmetric positive systems with one number, or one small block, for every pair of nodes.
-
-The last few are cached.
-"""
+"""Sparse symmetric positive systems with one number, or one small block, for every pair of nodes."""
 
 import collections
 import threading
@@ -16,7 +13,7 @@ from scipy.sparse import linalg
 from ..cells.pairs import parts_of
 from ..package.rounding import distinct
 from .multigrid import by_component, hierarchy
-from .solves import Factors, conjugate_gradients, dot, is_factored
+from .solves import Factors, conjugate_gradients, inner_product, is_factored
 
 ACCURACY = 1e-9
 """Residual relative to the right side, and error relative to the solution, that end CG."""
@@ -27,10 +24,10 @@ LIMIT = 500
 RESORT = 60_000
 """Unknowns up to which a 3-D system is factored if CG does not converge, as on thin layers."""
 
-KEPT = 2
+LATEST = 2
 """Number of the latest systems whose factors are cached."""
 
-_kept: collections.deque[tuple[tuple[np.ndarray, ...], Callable]] = collections.deque(maxlen=KEPT)
+_kept: collections.deque[tuple[tuple[np.ndarray, ...], Callable]] = collections.deque(maxlen=LATEST)
 _lock = threading.Lock()
 
 
@@ -78,7 +75,6 @@ def _equal(a: np.ndarray, b: np.ndarray) -> bool:
 
 
 def _inverse(pairs, values, diagonal, masses, free, multigrid: bool) -> Callable[[np.ndarray], np.ndarray]:
-    """Makes the function that solves for right sides (n, d)."""
     n, d = free.shape
     if values.ndim == 3:
         rows, used = np.flatnonzero(free.any(axis=1)), free[free.any(axis=1)]
@@ -179,10 +175,10 @@ def iterated(
     the error. The residual alone says too little: one that is small beside stiff cells moves soft
     cells far. Without a cycle, it must be enough.
     """
-    enough = ACCURACY**2 * dot(right, right)
+    enough = ACCURACY**2 * inner_product(right, right)
 
     def is_enough(x, residual, steep):
-        is_small = dot(residual, residual) <= enough
+        is_small = inner_product(residual, residual) <= enough
         return is_small and (cycle is None or _largest(scale * steep) <= ACCURACY * _largest(scale * x))
 
     # Without a cycle, twice as many steps are allowed.

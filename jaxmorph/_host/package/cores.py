@@ -45,46 +45,35 @@ class Tree(KDTree):
 
     def query(self, x: Any, *arguments: Any, **keywords: Any) -> tuple[Any, Any]:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Finds the nearest points of the tree, as `scipy.spatial.KDTree.query` does."""
-        return super().query(x, *arguments, workers=cores() if len(x) > FEW else 1, **keywords)
-
-    def alone(self, x: Any, *arguments: Any, **keywords: Any) -> tuple[Any, Any]:
-        """Finds the nearest points as `query` does, with one core: other cores search elsewhere."""
-        return super().query(x, *arguments, **keywords)
+        return super().query(x, *arguments, **{"workers": cores() if len(x) > FEW else 1} | keywords)
 
 
 class Beside(Generic[T]):
-    """A call that runs in a thread of its own, beside what comes next; `result` waits for it.
+    """A call that runs in a thread of its own, beside what comes next.
 
-    With one core the call runs when its result is asked for: nothing takes turns, and nothing waits
-    for a thread that cannot run.
+    With one core, the call runs when its result is asked for, so that no thread waits for another.
     """
 
     def __init__(self, function: Callable[..., T], *arguments: Any):
         context = contextvars.copy_context()
-        self._call: Callable[[], T] | None = lambda: context.run(function, *arguments)
-        self._thread = threading.Thread(target=self._run, daemon=True) if cores() > 1 else None
-        self._value: Any = None
-        self._error: BaseException | None = None
-        if self._thread is not None:
-            self._thread.start()
+        self._call: Callable[[], T] = lambda: context.run(function, *arguments)
+        self._future: Future[T] = Future()
+        self._has_thread = cores() > 1
+        if self._has_thread:
+            threading.Thread(target=self._run, daemon=True).start()
 
     def _run(self) -> None:
-        assert self._call is not None
         try:
-            self._value = self._call()
+            self._future.set_result(self._call())
         except BaseException as error:  # raised where the result is asked for
-            self._error = error
+            self._future.set_exception(error)
+        del self._call  # and all that it holds
 
     def result(self) -> T:
         """Waits for the call, and returns what it returned, or raises what it raised."""
-        if self._thread is not None:
-            self._thread.join()
-        elif self._call is not None:
+        if not self._has_thread and not self._future.done():
             self._run()
-        self._call = None
-        if self._error is not None:
-            raise self._error
-        return self._value
+        return self._future.result()
 
 
 def in_order(function: Callable[[Any], T], pieces: Iterable[Any]) -> Iterator[T]:

@@ -40,6 +40,12 @@ def warn(message: str) -> None:
     warnings.warn(message, stacklevel=level)
 
 
+def worst_first(off: np.ndarray, allowed: np.ndarray | float) -> np.ndarray:
+    """Lists the rows where `off` (k,) exceeds what is `allowed`, the largest first."""
+    wrong = np.flatnonzero(off > allowed)
+    return wrong[np.argsort(-off[wrong], kind="stable")]
+
+
 def place_of(point: np.ndarray) -> str:
     """Writes coordinates (d,) for a message, without brackets."""
     return ", ".join(f"{x:.6g}" for x in point)

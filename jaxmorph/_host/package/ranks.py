@@ -88,7 +88,6 @@ class Agreement:
         return common
 
     def _keep(self, ids: np.ndarray, values: np.ndarray) -> None:
-        """Adds new ids, with their values."""
         new = np.flatnonzero(~np.isin(ids, self.ids))
         if len(new):
             order = np.argsort(np.concatenate([self.ids, ids[new]]), kind="stable")

@@ -4,10 +4,9 @@ import dataclasses
 
 import numpy as np
 
-from ..package.arguments import check_fields, whole
+from ..package.arguments import between, check_fields, whole
 from ..package.rounding import SAME, first_largest
 from .reduction import AbstractReduction, AbstractSeparated, KDTree, chosen_in_order, extreme_points
-from .separation import check_separation
 
 ENOUGH = {2: 84, 3: 400}
 """Sources of `Filled` by dimension: a wall in 3-D needs more than a curve."""
@@ -41,7 +40,7 @@ class FarthestPoints(AbstractSeparated):
     def __post_init__(self):
         whole("count", self.count)
         check_fields(self)
-        check_separation(self.separation)
+        between("separation", self.separation, 0, 1, "[)")
 
     def _chosen(self, points: np.ndarray, order: np.ndarray) -> np.ndarray:
         first = extreme_points(points) if self.extremes else None

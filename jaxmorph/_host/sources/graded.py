@@ -9,7 +9,6 @@ from ..package.cores import Tree
 from ..package.rounding import nearest_of, spacing
 from .farthest import farthest
 from .reduction import AbstractSeparated, chosen_in_order
-from .separation import check_separation
 
 SHARE = {2: 0.25, 3: 0.5}
 """Default `share` by dimension: a distant circle gets 16 sources, a sphere about 30."""
@@ -53,7 +52,7 @@ class Graded(AbstractSeparated):
         if self.share is not None:
             between("share", self.share, 0)
         whole("most", self.most)
-        check_separation(self.separation)
+        between("separation", self.separation, 0, 1, "[)")
 
     def _chosen(self, points: np.ndarray, order: np.ndarray) -> np.ndarray:
         return self._near(points, points[:0])

@@ -8,7 +8,6 @@ from ..package.arguments import between, finite_array, whole
 from ..package.rounding import SAME, first_largest
 from .farthest import farthest
 from .reduction import AbstractSeparated
-from .separation import check_separation
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -48,7 +47,7 @@ class Greedy(AbstractSeparated):
             finite_array("motions", self.motions, (None, None, None))
         between("tolerance", self.tolerance, 0, ends="[)")
         between("group", self.group, 0, 1, "[]")
-        check_separation(self.separation)
+        between("separation", self.separation, 0, 1, "[)")
 
     def _chosen(self, points: np.ndarray, order: np.ndarray) -> np.ndarray:
         closest = self.closest(points)

@@ -4,10 +4,9 @@ import dataclasses
 
 import numpy as np
 
-from ..package.arguments import check_fields, whole
+from ..package.arguments import between, check_fields, whole
 from ..package.rounding import SAME, first_largest
 from .reduction import AbstractSeparated
-from .separation import check_separation
 
 NOISE = 1e-13
 """Round-off of the power function, whose largest value is 1."""
@@ -37,7 +36,7 @@ class PGreedy(AbstractSeparated):
     def __post_init__(self):
         whole("count", self.count)
         check_fields(self)
-        check_separation(self.separation)
+        between("separation", self.separation, 0, 1, "[)")
 
     def _chosen(self, points: np.ndarray, order: np.ndarray) -> np.ndarray:
         radius = float(np.linalg.norm(np.ptp(points, axis=0))) or 1.0

@@ -9,11 +9,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from ..package.arguments import check_fields, finite_array, whole
+from ..package.arguments import between, check_fields, finite_array, whole
 from ..package.cores import Tree
 from ..package.orders import canonical_order
 from ..package.rounding import SAME, first_largest, nearest_of, roundoff
-from .separation import check_separation, drop_close, least_distance
+from .separation import drop_close, least_distance
 
 
 class AbstractReduction(abc.ABC):
@@ -151,7 +151,7 @@ class KDTree(AbstractSeparated):
         check_fields(self)
         if not 0 <= self.smallest_box <= self.largest_box:
             raise ValueError(f"need 0 <= smallest_box <= largest_box, not {self.smallest_box}, {self.largest_box}.")
-        check_separation(self.separation)
+        between("separation", self.separation, 0, 1, "[)")
 
     def _chosen(self, points: np.ndarray, order: np.ndarray) -> np.ndarray:
         boxes = self.boxes(points)

@@ -2,14 +2,8 @@
 
 import numpy as np
 
-from ..package.arguments import between
 from ..package.cores import Tree
 from ..package.rounding import SAME, roundoff
-
-
-def check_separation(separation: float) -> None:
-    """Raises `ValueError` for a `separation` that is no share of the points' extent."""
-    between("separation", separation, 0, 1, "[)")
 
 
 def least_distance(points: np.ndarray, separation: float) -> float:

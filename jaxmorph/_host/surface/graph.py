@@ -13,9 +13,10 @@ import functools
 import numpy as np
 from scipy.spatial import Delaunay, QhullError
 
-from ..package.cores import Tree, by_blocks
+from ..package.cores import by_blocks
 from ..package.orders import BETWEEN, canonical_order
 from ..package.rounding import roundoff, spacing
+from ..sources.separation import drop_close
 from . import simplices
 from .simplices import cofactors, smallest_height
 
@@ -122,10 +123,7 @@ def _has_volume(nodes: np.ndarray, simplices: np.ndarray, flat: float) -> bool:
 
 def _without_coincident(unit: np.ndarray, closest: float) -> np.ndarray:
     """Lists distinct nodes in canonical order: of coincident ones the first, or a moving one."""
-    groups = Tree(unit).query_pairs(closest, output_type="ndarray")
-    keep = np.ones(len(unit), dtype=bool)
-    keep[groups.max(axis=1) if len(groups) else []] = False
-    rows = np.flatnonzero(keep)
+    rows = drop_close(unit, np.arange(len(unit)), closest)
     return rows[canonical_order(unit[rows])]
 
 
@@ -147,7 +145,6 @@ def _jittered(nodes: np.ndarray, phase: int) -> np.ndarray:
     """
     dimension = nodes.shape[1]
     waves = 1e6 * np.sqrt(np.array([[2.0, 3.0, 5.0], [7.0, 11.0, 13.0], [17.0, 19.0, 23.0]]))[:dimension, :dimension]
-    angle = sum(
-        column[:, None] * wave for column, wave in zip(nodes.T, waves, strict=True)
-    )  # the same bits on every processor
+    # a sum of products has equal bits on every processor, a product of matrices has not
+    angle = sum(column[:, None] * wave for column, wave in zip(nodes.T, waves, strict=True))
     return nodes + JITTER * spacing(nodes)[:, None] * np.sin(angle + np.arange(dimension) + phase)

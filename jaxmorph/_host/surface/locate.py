@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 
 from ..package.cores import by_blocks
-from ..package.errors import MeshError, place_of
+from ..package.errors import MeshError, place_of, worst_first
 from ..package.orders import morton_order
 from .graph import JITTER, Graph, graph_of
 from .simplices import normals, smallest_height
@@ -170,12 +170,11 @@ def _beyond_hull(graph: Graph, targets: np.ndarray) -> np.ndarray:
 
 def _check_inside(points: np.ndarray, ids: np.ndarray, beyond: np.ndarray) -> None:
     """Raises `MeshError` for points outside of the hull; points on it, within round-off, pass."""
-    outside = beyond > 0
-    if outside.any():
-        worst_first = ids[outside][np.argsort(-beyond[outside], kind="stable")]
+    outside = ids[worst_first(beyond, 0)]
+    if outside.size:
         raise MeshError(
-            f"{outside.sum()} of {len(points)} points lie outside of the convex hull of the moving and fixed nodes; the worst is "
-            f"node {{node}} at ({place_of(points[worst_first[0]])}), {beyond.max():.3g} beyond it. Add the missing boundary "
+            f"{len(outside)} of {len(points)} points lie outside of the convex hull of the moving and fixed nodes; the worst is "
+            f"node {{node}} at ({place_of(points[outside[0]])}), {beyond.max():.3g} beyond it. Add the missing boundary "
             "(outlet, inlet, far field, channel wall) as fixed nodes.",
-            worst_first,
+            outside,
         )

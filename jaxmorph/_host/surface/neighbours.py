@@ -135,7 +135,7 @@ def _nearest(
         members, bound = bounded[k]
         if not len(rows):
             return
-        found = trees[k].alone(points[rows], k=min(2, len(members)), distance_upper_bound=bound)
+        found = trees[k].query(points[rows], k=min(2, len(members)), distance_upper_bound=bound, workers=1)
         distances, row = (np.asarray(table).reshape(len(rows), -1) for table in found)
         equal = np.flatnonzero((distances[:, -1] <= (1 + SAME) * distances[:, 0]) & (row[:, -1] < len(members)))
         least, row = distances[:, 0], np.minimum(row[:, 0], len(members) - 1)

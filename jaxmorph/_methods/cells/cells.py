@@ -117,7 +117,6 @@ class AbstractCellMethod(AbstractMethod):
         return NodeFactors(values, diagonal, self.masses(ids, places), places)
 
     def _of_cells(self, kind: str, ids: NodeIds, places, distance):
-        """Adds up the entries of all cells of one type, one row a pair of nodes."""
         cells = ids.cells[kind]
 
         @jax.checkpoint

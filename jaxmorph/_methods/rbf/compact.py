@@ -192,7 +192,6 @@ def _at_places(ids: CompactIds, u: Float[Array, "b d"]) -> Float[Array, "b d"]:
 
 
 def _product(ids: CompactIds, factors: CompactFactors):
-    """Returns the product with the matrix."""
     matrix = factors.matrix
     return lambda x: symmetric_product(ids.pairs, matrix.values, matrix.diagonal, x)
 

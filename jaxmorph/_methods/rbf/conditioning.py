@@ -5,9 +5,9 @@ import dataclasses
 import jax.numpy as jnp
 import numpy as np
 import scipy.linalg
-import scipy.spatial
 from jaxtyping import Array, Bool, Float, Int
 
+from ..._host.package.cores import Tree
 from ..._host.package.errors import place_of, warn
 from ..._host.surface.neighbours import nearly_coincident
 from ..._kernels.compile import compiled
@@ -116,7 +116,7 @@ def nearest_two(sources: np.ndarray) -> str:
     """Describes the two sources that are nearest to each other, as the end of a sentence."""
     if len(sources) < 2:
         return ""
-    distance, nearest = map(np.asarray, scipy.spatial.KDTree(sources).query(sources, k=2))
+    distance, nearest = map(np.asarray, Tree(sources).query(sources, k=2))
     first = distance[:, 1].argmin()
     pair = " and ".join(str(tuple(float(f"{x:.6g}") for x in sources[i])) for i in (first, nearest[first, 1]))
     return f"; the nearest two sources, {pair}, are {distance[first, 1]:.3g} apart"

@@ -129,7 +129,6 @@ class Expansion(Module):
         return RBFField(self.basis, self.degree, sources, centre, scale, beta, alpha)
 
     def _iterated(self, factors: RBFFactors, right: Float[Array, "t k"]) -> Float[Array, "t k"]:
-        """Solves the system without its matrix."""
         count, tail = len(factors.sources), polynomial(factors.sources, self.degree)
 
         def product(x):

@@ -166,7 +166,6 @@ class FittedRBF(AbstractMethod):
         return FitFactors(rbf, node * value[:, :moves], of_edges, outer, scale, lower, *affine, ring)
 
     def _lengths(self, ids: WallIds, surface, middle):
-        """Computes ell and mu at each edge."""
         span = norm(surface[ids.ends[:, 0]] - surface[ids.ends[:, 1]])
         ell, mu = (
             share.astype(surface.dtype) * span if length is None else jnp.full_like(span, length)

@@ -241,5 +241,4 @@ class RBF(AbstractMethod):
 
 
 def _rows(ids: Any) -> Any:
-    """Returns the surface's rows that are sources."""
     return ids.sources if isinstance(ids, OrderedIds) else ids

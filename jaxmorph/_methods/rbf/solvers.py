@@ -14,11 +14,7 @@ Between them it is one source of every `SHARE`.
 """
 
 
-class AbstractSolver(Module):
-    """Solves the interpolation system of an `RBF`: `Direct()` or `Iterative()`."""
-
-
-class Direct(AbstractSolver):
+class Direct(Module):
     """Factors the dense system once per plan.
 
     It takes 8 s^2 bytes and a time proportional to s^3 for s sources: 0.5 GB for 8,000. Each
@@ -26,7 +22,7 @@ class Direct(AbstractSolver):
     """
 
 
-class Iterative(AbstractSolver):
+class Iterative(Module):
     """Solves by conjugate gradients without the matrix.
 
     For s sources the memory grows with s, the time with s^2.
