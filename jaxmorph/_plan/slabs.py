@@ -54,7 +54,7 @@ def shares(plan: Any, *arguments: Any) -> int:
 
 
 def on_all_cores(program: Callable[[Any], T], pieces: list[Any]) -> tuple[T, ...]:
-    """Begins a program for each piece, in as many threads as there are cores. The first call compiles."""
+    """Begins a program for each piece, in a thread for each core. The first call compiles."""
     number, results, wide = min(cores(), len(pieces)), {0: program(pieces[0])}, jax.config.jax_enable_x64
 
     def begin(places: range) -> None:
