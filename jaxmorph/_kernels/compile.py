@@ -32,6 +32,16 @@ _is_for_cpu = contextvars.ContextVar("_is_for_cpu", default=False)
 Function = TypeVar("Function", bound=Callable)
 
 
+class Constant(eqx.Module):
+    """Holds a value that shapes a program. The value is no leaf.
+
+    A call with arrays alone as leaves returns before its results are there, so that programs run
+    beside each other. `equinox.filter_jit` waits for them.
+    """
+
+    value: Any = eqx.field(static=True)
+
+
 def compiled(function: Function) -> Function:
     """Compiles a function as `equinox.filter_jit` does, with `OPTIONS` for direct calls on a CPU.
 

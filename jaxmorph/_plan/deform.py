@@ -8,12 +8,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float, Real
 
 from .._host.package.arguments import checked
-from .._kernels.compile import compiled
+from .._kernels.compile import Constant, compiled
 from .._methods.blocks import without_tables
 from .devices import rows_from
 from .plan import Plan, Shared, VolumePart, deform_surface, extended, move, shared_by
 from .shares import pulled_back
-from .slabs import joined, shares, slabs
+from .slabs import joined, on_all_cores, shares, slabs
 from .transposes import transposable, with_transposes
 
 
@@ -39,7 +39,8 @@ def deform(plan: Plan, u: Real[ArrayLike, "m d"] | Sequence[Any]) -> Float[Array
     if not parts:
         return _deform(transposable(plan, u), u)
     shared, volume = _shared(plan, u), without_tables(plan.volume)
-    return joined(tuple(_slab(shared, volume, *part) for part in parts), len(volume.points))
+    moved = on_all_cores(lambda part: _slab(shared, volume, part[0], Constant(part[1])), parts)
+    return joined(moved, len(volume.points))
 
 
 @compiled
@@ -53,9 +54,9 @@ def _shared(plan: Plan, u: Any) -> Shared:
 
 
 @compiled
-def _slab(shared: Shared, volume: VolumePart, start: Any, size: int) -> Float[Array, "s d"]:
-    rows = jax.tree.map(lambda leaf: jax.lax.dynamic_slice_in_dim(leaf, start, size), volume)
-    return move(shared, rows, rows_from(start, shared.nodes, size))
+def _slab(shared: Shared, volume: VolumePart, start: Any, size: Constant) -> Float[Array, "s d"]:
+    rows = jax.tree.map(lambda leaf: jax.lax.dynamic_slice_in_dim(leaf, start, size.value), volume)
+    return move(shared, rows, rows_from(start, shared.nodes, size.value))
 
 
 @checked

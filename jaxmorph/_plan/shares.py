@@ -9,10 +9,10 @@ import numpy as np
 from jax.extend.core import Literal
 from jaxtyping import Array, Float, PyTree
 
-from .._kernels.compile import compiled
+from .._kernels.compile import Constant, compiled
 from .devices import rows_from
 from .plan import Plan, Shared, VolumePart, extended, move, shared_by
-from .slabs import share_of
+from .slabs import on_all_cores, share_of
 from .transposes import with_transposes
 
 
@@ -20,7 +20,9 @@ def pulled_back(plan: Plan, u: Any, cotangent: Float[Array, "n d"], number: int)
     """Pulls sensitivities back to the moving nodes, by `number` shares of the points."""
     plan = with_transposes(plan, number)
     shared, varying = _shared_by(plan, u, "traced")
-    parts = tuple(_share(shared, varying, plan.volume, cotangent, np.int32(k), number) for k in range(number))
+    volume, constant = plan.volume, Constant((varying, number))
+    places = [np.asarray(k, np.int32) for k in range(number)]
+    parts = on_all_cores(lambda k: _share(shared, volume, cotangent, k, constant), places)
     return _put_together(plan, u, varying, parts)
 
 
@@ -54,8 +56,9 @@ def _leaves(shared: Shared, varying: str) -> list[Array]:
 
 
 @compiled
-def _share(shared: Shared, varying: str, volume: VolumePart, cotangent: Array, k: Any, number: int) -> list[Array]:
+def _share(shared: Shared, volume: VolumePart, cotangent: Array, k: Any, constant: Constant) -> list[Array]:
     """Pulls the cotangents of one share of the points back to what varies of what they share."""
+    varying, number = constant.value
     count, size = len(cotangent), -(-len(cotangent) // number)
     start = jnp.minimum(k * size, count - size)  # the last share overlaps the one before it
     rows, at = share_of(volume, k, start, size, number), rows_from(start, shared.nodes, size)

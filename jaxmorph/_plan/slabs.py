@@ -1,11 +1,12 @@
 """A direct call on a CPU in slabs of points, which all cores compute beside each other.
 
 XLA splits the loop over a program's blocks among threads operation by operation, and they wait for
-each other at each. Programs of one slab each have nothing to wait for: JAX runs programs that it
-has begun on threads of its own.
+each other at each. Programs of one slab each have nothing to wait for. XLA runs the programs that
+one thread begins one after the other, so a thread for each core begins them.
 """
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
@@ -13,8 +14,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PyTree
 
+from .._host.package.cores import Beside, cores
 from .._kernels.compile import compiled, is_direct
 from .._methods.blocks import is_rows
+
+T = TypeVar("T")
 
 LEAST = 2**16
 """Points of a slab below which a program of its own costs more than it gains."""
@@ -47,6 +51,21 @@ def shares(plan: Any, *arguments: Any) -> int:
     surface = len(plan.surface.points)  # each share has a sum for all of it
     number = min(MOST, len(plan.points) // max(LEAST, 2 * surface)) // 2 * 2
     return number if number and is_direct(plan, arguments) else 1
+
+
+def on_all_cores(program: Callable[[Any], T], pieces: list[Any]) -> tuple[T, ...]:
+    """Begins a program for each piece, in a thread for each core. The first call compiles."""
+    number, results, wide = min(cores(), len(pieces)), {0: program(pieces[0])}, jax.config.jax_enable_x64
+
+    def begin(places: range) -> None:
+        with jax.enable_x64(wide):  # a setting of the thread
+            results.update((k, program(pieces[k])) for k in places)
+
+    threads = [Beside(begin, range(first, len(pieces), number)) for first in range(1, number)]
+    begin(range(number, len(pieces), number))
+    for thread in threads:
+        thread.result()
+    return tuple(results[k] for k in range(len(pieces)))
 
 
 def share_of(rows: PyTree, k: Any, start: Any, size: int, number: int) -> PyTree:

@@ -22,7 +22,7 @@ from .._host.cells.lagrange import PLACES
 from .._host.cells.shape_functions import derivatives_at_nodes, jacobian_samples
 from .._host.cells.topology import CORNERS, DIMENSION, EDGES, FACES, FRAMES, HIGH_ORDER, SHAPES
 from .._kernels.values import Either, constant, largest, namespace, smallest
-from .vector import Scalar, Vector, angle, cross, determinant, divide, dot, mean, norm, stack, total
+from .vector import Scalar, Vector, angle, cross, determinant, divide, dot, mean, norm, stack
 
 Largest = Callable[[Float[Either, "t k"]], Scalar]
 
@@ -55,8 +55,7 @@ def _edges(x: Sequence[Vector], kind: str) -> Vector:
 
 def principal_axes(kind: str, x: Sequence[Vector]) -> list[Vector]:
     """Computes vectors between the middles of opposite sides: of quads times 2, of hexahedra 4."""
-    picked = [pick(x, pairs) for pairs in _PARALLEL[kind]]
-    return [total(end - start) for start, end in picked]
+    return [functools.reduce(Vector.__add__, [x[end] - x[start] for start, end in pairs]) for pairs in _PARALLEL[kind]]
 
 
 def face_areas(kind: str, x: Sequence[Vector]) -> Vector:
@@ -127,11 +126,11 @@ def frames(kind: str, x: Sequence[Vector]) -> list[Vector]:
     """
     if kind in HIGH_ORDER:
         return _tangents(jacobian_samples(kind)[0], x)
-    corner, *ends = pick(x, FRAMES[kind])
-    edges = [end - corner for end in ends]
+    corner, *ends = zip(*FRAMES[kind], strict=True)
+    edges = [[x[b] - x[a] for a, b in zip(corner, column, strict=True)] for column in ends]
     if kind == "hexahedron":
-        edges = [_append(edge, axis * 0.25) for edge, axis in zip(edges, principal_axes(kind, x), strict=True)]
-    return edges
+        edges = [[*rows, axis * 0.25] for rows, axis in zip(edges, principal_axes(kind, x), strict=True)]
+    return [stack(rows) for rows in edges]
 
 
 def jacobians(kind: str, x: Sequence[Vector]) -> tuple[Float[Either, "s k"], Float[Either, "s k"]]:
@@ -173,12 +172,6 @@ def openings(kind: str, x: Sequence[Vector]) -> Float[Either, "s k"]:
     lengths = [constant(norm(edge)) for edge in frames(kind, x)]
     product = functools.reduce(namespace(lengths[0]).multiply, lengths)
     return product * (kind in HIGH_ORDER or (len(FRAMES[kind]) > 1 and kind != "triangle"))
-
-
-def _append(a: Vector, row: Vector) -> Vector:
-    pairs = zip(a.components, row.components, strict=True)
-    xp = namespace(a[0])
-    return Vector([xp.concatenate([rows, last[None]]) for rows, last in pairs])
 
 
 def skewness(kind: str, x: Sequence[Vector], maximum: Largest = largest) -> Scalar:

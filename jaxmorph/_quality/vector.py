@@ -87,11 +87,6 @@ def stack(vectors: Sequence[Vector]) -> Vector:
     return Vector([xp.stack(rows) for rows in zip(*(a.components for a in vectors), strict=True)])
 
 
-def total(a: Vector) -> Vector:
-    """Sums over the corners, edges or faces."""
-    return Vector([namespace(component).sum(component, axis=0) for component in a.components])
-
-
 def mean(vectors: Sequence[Vector]) -> Vector:
     return functools.reduce(Vector.__add__, vectors) * (1 / len(vectors))
 
