@@ -45,10 +45,10 @@ class Guide(Module):
     """Moves the guided nodes along their boundaries, before the mesh moves.
 
     Guided nodes slide or repeat. No caller gives their displacement, but the field of the mesh
-    needs it. So a first field, of the moving and fixed nodes alone, moves the nodes of the surface. The
-    first field has sources, images and factors, and needs them anew in every step of a march. So it
-    is a plan too: its mesh is the surface of the outer plan, and it has no guide. Its result is put
-    back on walls, and made equal in periodic pairs. The outer plan takes it as data.
+    needs it. So a first field, of the moving and fixed nodes alone, moves the nodes of the surface.
+    The first field has sources, images and factors, and needs them anew in every step of a march.
+    So it is a plan too: its mesh is the surface of the outer plan, and it has no guide. Its result
+    is put back on walls, and made equal in periodic pairs. The outer plan takes it as data.
 
     - `plan`: moves the surface's own rows, which are its points.
     - `pairings`: pairs of own rows.

@@ -1,4 +1,4 @@
-"""Sparse symmetric positive systems with one number, or one small block, for every pair of nodes."""
+"""Sparse symmetric positive systems: a number, or a small block, for every pair of nodes."""
 
 import collections
 import threading
