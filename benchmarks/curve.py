@@ -25,8 +25,8 @@ FIRST = 1e-4
 """Height of the first cell at the wall, in chords."""
 
 COARSE = "--coarse" in sys.argv
-ALONG, RATIO, LAYERS, ROUND, BOX = (9, 3.0, 1, 10, 2) if COARSE else (21, 1.5, 2, 12, 3)
-"""Nodes along a side of the airfoil, growth of its layers, layers of the wing; tetrahedra round the sphere, half a box."""
+ALONG, AROUND, RATIO, LAYERS = (6, 4, 4.0, 1) if COARSE else (21, 9, 1.5, 2)
+"""Nodes along a side of the airfoil and of the circle, growth of the airfoil's layers, layers of the wing."""
 
 
 def naca(count: int = 60) -> np.ndarray:
@@ -51,7 +51,7 @@ def airfoil() -> int:
     for line in lines:
         gmsh.model.mesh.setTransfiniteCurve(line, ALONG, "Bump", 0.2)
     for arc in circle:
-        gmsh.model.mesh.setTransfiniteCurve(arc, 9)
+        gmsh.model.mesh.setTransfiniteCurve(arc, AROUND)
     field = gmsh.model.mesh.field.add("BoundaryLayer")
     gmsh.model.mesh.field.setNumbers(field, "CurvesList", lines)
     gmsh.model.mesh.field.setNumbers(field, "FanPointsList", [points[0]])
@@ -65,17 +65,22 @@ def airfoil() -> int:
 
 
 def sphere() -> int:
-    """A sphere in a box, tetrahedra. With eight round it a cell has two faces on the sphere, which none can curve."""
+    """A sphere in a box, tetrahedra; a corner of both with `--coarse`. With eight round it a cell has two faces on the sphere."""
     occ = gmsh.model.occ
-    volume, _ = occ.cut([(3, occ.addBox(*3 * [-BOX], *3 * [2 * BOX]))], [(3, occ.addSphere(0, 0, 0, 1))])
+    box = (0, 0, 0, 2, 2, 2) if COARSE else (-3, -3, -3, 6, 6, 6)
+    volume, _ = occ.cut([(3, occ.addBox(*box))], [(3, occ.addSphere(0, 0, 0, 1))])
     occ.synchronize()
     sides = [tag for _, tag in gmsh.model.getBoundary(volume, oriented=False)]
     wall = [tag for tag in sides if gmsh.model.getType(2, tag) == "Sphere"]
-    gmsh.option.setNumber("Mesh.MeshSizeMax", 2)
-    gmsh.option.setNumber("Mesh.MeshSizeFromCurvature", ROUND)
+    ends = [tag for tag in sides if COARSE and min(map(abs, gmsh.model.occ.getCenterOfMass(2, tag))) < 1e-9]
+    gmsh.option.setNumber("Mesh.MeshSizeMax", 0.6 if COARSE else 2)
+    if not COARSE:
+        gmsh.option.setNumber("Mesh.MeshSizeFromCurvature", 12)
     gmsh.model.addPhysicalGroup(3, [volume[0][1]], name="fluid")
     gmsh.model.addPhysicalGroup(2, wall, name="wall")
-    gmsh.model.addPhysicalGroup(2, [tag for tag in sides if tag not in wall], name="far")
+    if ends:
+        gmsh.model.addPhysicalGroup(2, ends, name="ends")
+    gmsh.model.addPhysicalGroup(2, [tag for tag in sides if tag not in (*wall, *ends)], name="far")
     return 3
 
 
@@ -120,8 +125,9 @@ def wing(folder: Path) -> tuple[jm.Mesh, np.ndarray]:
     place = np.full(len(points), -1)
     place[used] = np.arange(len(used))
     patches = {name: place[nodes][place[nodes] >= 0] for name, nodes in names.items()}
-    patches["ends"] = np.flatnonzero(np.isin(points[used, 2], (0, 0.5)))
     mesh = jm.elevate(jm.Mesh(points[used], {kind: place[ids] for kind, ids in solid.items()}, patches), ORDER)
+    ends = np.flatnonzero(np.isin(mesh.points[:, 2], (0, 0.5)))
+    mesh = jm.Mesh(mesh.points, mesh.cells, dict(mesh.patches) | {"ends": ends})
     wall, section = mesh.points[mesh.patch("wall")], straight.patch("wall")
     nearest = KDTree(straight.points[section]).query(wall[:, :2])[1]
     return mesh, np.column_stack([curved.points[section][nearest], wall[:, 2]])
@@ -146,7 +152,8 @@ def compare(case) -> None:
         )
         moved = np.array(start.points)
         moved[nodes] = places
-        io.write(folder / "wall.msh", jm.Mesh(moved, start.cells, start.patches))
+        written = {name: start.patches[name] for name in ("wall", "far")}  # sliding ends have no faces of their own
+        io.write(folder / "wall.msh", jm.Mesh(moved, start.cells, written))
         gmsh.open(str(folder / "wall.msh"))
         row("the wall's nodes alone", dimension, 0)
         symmetry = ("ends",) if "ends" in start.patches else ()
@@ -154,7 +161,7 @@ def compare(case) -> None:
             begin = time.process_time()
             result = jm.curve(start, places, nodes, "far", method=method, symmetry=symmetry)
             seconds = time.process_time() - begin
-            io.write(folder / "moved.msh", jm.Mesh(result.points, start.cells, start.patches))
+            io.write(folder / "moved.msh", jm.Mesh(result.points, start.cells, written))
             gmsh.open(str(folder / "moved.msh"))
             report = jm.proof(result)
             row(name, dimension, seconds, f"{report.valid} of {report.count}")

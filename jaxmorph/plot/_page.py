@@ -125,8 +125,7 @@ class _Surface:
     @staticmethod
     def outside_of(mesh: jm.Mesh, points: Any, values: Any, patch: str | None) -> "_Surface":
         faces = outside(mesh, points, values, patch)
-        ids = np.asarray(faces.point_data["node"])
-        before, after = (np.asarray(places, dtype=float)[ids] for places in (mesh.points, points))
+        before, after = (np.asarray(part.points, dtype=float) for part in (outside(mesh, None, None, patch), faces))
         middle = (after.min(axis=0) + after.max(axis=0)) / 2
         triangles, edges, owners = [], [], []
         labels, starts = corners_of(faces)

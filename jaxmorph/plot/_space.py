@@ -7,10 +7,11 @@ import numpy as np
 from jaxtyping import Float
 
 import jaxmorph as jm
-from jaxmorph._host.cells.topology import VTK
+from jaxmorph._host.cells.topology import DIMENSION, VTK, solid
 from jaxmorph._host.package.arguments import checked
 
 from ._cells import plt
+from ._curved import outer_sides, refined, segments
 from ._plane import ROOM
 from ._style import (
     BLUE,
@@ -30,6 +31,7 @@ from ._style import (
 )
 from ._view import VIEWER, add_bar, add_legend, aim, new_plotter, pyvista, view_axes
 
+NOTHING = "there is nothing to draw: the plane cuts no cell."
 LIT = {"ambient": 0.4, "diffuse": 0.7}
 LINES = {"show_edges": True, "edge_color": DARK, "edge_opacity": 0.6, "line_width": 0.5}
 
@@ -94,7 +96,7 @@ def before_after_3d(mesh: jm.Mesh, points: Float[Any, "n 3"], *, patch: str | No
     )
     parts = [part for part in parts if part[0].n_cells]
     for faces, colour, opacity, _ in parts:
-        plotter.add_mesh(faces, color=colour, opacity=opacity, **LIT, **LINES | {"show_edges": colour != ORANGE})
+        _add_faces(plotter, faces, colour != ORANGE, color=colour, opacity=opacity, **LIT)
     add_legend(plotter, [(name, colour) for _, colour, _, name in parts])
     if new:
         aim(plotter, _viewer(after))
@@ -128,8 +130,9 @@ def cut(
     """
     normal, origin = (np.asarray(vector, dtype=float) for vector in (plane.normal, plane.origin))
     viewer = normal * (-1 if np.dot(normal, VIEWER) < 0 else 1)
-    grid = _grid(mesh, points, values)
-    grid.cell_data["whole"] = whole_of(mesh)
+    grid = _near(mesh, points, values, normal, origin) if mesh.is_curved else _grid(mesh, points, values)
+    if not mesh.is_curved:
+        grid.cell_data["whole"] = whole_of(mesh)
     # through nodes, up to round-off, the plane would cut cells on both sides of it by turns
     origin = origin + 1e-9 * grid.length * normal
     body = np.asarray(grid.points)[bodies(np.asarray(mesh.points), mesh.patches)]
@@ -182,14 +185,18 @@ def corners_of(faces: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def outside(mesh: jm.Mesh, points: Any, values: Any, patch: str | None) -> Any:
-    """Returns outer faces, or a patch's faces, for pyvista; `node` is the id of each point.
+    """Returns outer faces, or a patch's faces, for pyvista.
 
-    Faces of polyhedra are whole. `ValueError` where there are none.
+    Faces of polyhedra are whole. Faces of curved cells are cut into pieces; `whole` is then the
+    face of each piece. `ValueError` where there are none.
     """
     on_patch = None if patch is None else mesh.patch(patch)
-    grid = _grid(mesh, points, values)
-    faces = _skin(grid) if mesh.polyhedra is None else _polygons(mesh, grid)
-    if on_patch is not None:
+    if mesh.is_curved:
+        faces = _curved_faces(mesh, points, values, on_patch)
+    else:
+        grid = _grid(mesh, points, values)
+        faces = _skin(grid) if mesh.polyhedra is None else _polygons(mesh, grid)
+    if on_patch is not None and not mesh.is_curved:
         faces = faces.extract_points(np.isin(faces.point_data["node"], on_patch), adjacent_cells=False)
     if faces.n_cells == 0:
         owner = "the mesh" if patch is None else f"patch {patch!r}"
@@ -230,12 +237,60 @@ def _polygons(mesh: jm.Mesh, grid: Any) -> Any:
     return faces
 
 
-def _grid(mesh: jm.Mesh, points: Any, values: Any) -> Any:
-    """Turns the mesh into pyvista's."""
+def _places(mesh: jm.Mesh, points: Any) -> np.ndarray:
     if mesh.points.shape[1] != 3:
         raise ValueError(f"this is for 3-D meshes, not {mesh}; see `plot.mesh` and `plot.before_after`.")
-    points = finite(mesh.points if points is None else mesh.moved(np.asarray(points)).points)
-    pieces = {VTK[kind]: np.asarray(ids) for kind, ids in mesh.linear.cells.items()}
+    return finite(mesh.points if points is None else mesh.moved(np.asarray(points)).points)
+
+
+def _curved_faces(mesh: jm.Mesh, points: Any, values: Any, on_patch: np.ndarray | None) -> Any:
+    """Returns the outer faces of curved cells, or those with all nodes on a patch, in pieces."""
+    x, cells = _places(mesh, points), solid(mesh.cells, 3)
+    sides, owner = outer_sides(cells)
+    if on_patch is not None:
+        chosen = {kind: np.isin(ids, on_patch).all(axis=1) for kind, ids in sides.items()}
+        sides = {kind: ids[chosen[kind]] for kind, ids in sides.items()}
+        owner = owner[np.concatenate(list(chosen.values()))]
+    if not len(owner):
+        return pyvista().PolyData()
+    grid, whole = _pieces(sides, x, segments(sides))
+    if values is not None:
+        inside = np.concatenate([np.full(len(ids), kind in cells) for kind, ids in mesh.cells.items()])
+        grid.cell_data["values"] = cell_values(mesh, values)[inside][owner][whole]
+    return _skin(grid)
+
+
+def _near(mesh: jm.Mesh, points: Any, values: Any, normal: np.ndarray, origin: np.ndarray) -> Any:
+    """Returns pieces of the curved cells that a plane may cut."""
+    x, chosen, number, first = _places(mesh, points), {}, [], 0
+    above = (x - origin) @ normal
+    for kind, ids in mesh.cells.items():
+        low, high = above[ids].min(axis=1), above[ids].max(axis=1)
+        room = (high - low) / 2  # a curved cell goes beyond its nodes
+        rows = np.flatnonzero((low - room <= 0) & (high + room >= 0) & (DIMENSION[kind] == 3))
+        chosen[kind] = np.asarray(ids)[rows]
+        number.append(first + rows)
+        first += len(ids)
+    if not sum(map(len, chosen.values())):
+        raise ValueError(NOTHING)
+    grid, whole = _pieces(chosen, x, segments(chosen))
+    if values is not None:
+        grid.cell_data["values"] = cell_values(mesh, values)[np.concatenate(number)][whole]
+    return grid
+
+
+def _pieces(cells: Any, points: np.ndarray, m: int) -> tuple[Any, np.ndarray]:
+    """Cuts curved cells into pieces for pyvista; `whole` is the number of each piece's cell."""
+    places, pieces, whole = refined(cells, points, m)
+    grid = pyvista().UnstructuredGrid({VTK[shape]: ids for shape, ids in pieces.items()}, places)
+    grid.cell_data["whole"] = whole
+    return grid, whole
+
+
+def _grid(mesh: jm.Mesh, points: Any, values: Any) -> Any:
+    """Turns the mesh into pyvista's."""
+    points = _places(mesh, points)
+    pieces = {VTK[kind]: np.asarray(ids) for kind, ids in mesh.cells.items()}
     grid = pyvista().UnstructuredGrid(pieces, points)
     if values is not None:
         grid.cell_data["values"] = cell_values(mesh, values)
@@ -254,7 +309,7 @@ def _draw(
 ) -> Any:
     """Draws faces, with colours and a bar where they have values."""
     if part.n_cells == 0:
-        raise ValueError("there is nothing to draw: the plane cuts no cell.")
+        raise ValueError(NOTHING)
     has_values = "values" in part.cell_data
     if label is not None and not has_values:
         raise ValueError(f"there are no `values` that are {label!r}.")
@@ -270,12 +325,21 @@ def _draw(
         style = {"scalars": "values", "cmap": colours, "clim": limits}
         style |= {f"{side}_color": plt.get_cmap(colours)(float(side == "above")) for side, _ in ends}
     light = LIT if lighting and not has_values else {"lighting": False}  # it would change the colours, and the bar not
-    plotter.add_mesh(part, show_scalar_bar=False, **LINES | {"show_edges": show_edges}, **light, **style)
+    _add_faces(plotter, part, show_edges, show_scalar_bar=False, **light, **style)
     if has_values and bar:
         add_bar(plotter, label or "", limits, {f"{side}_label": sign for side, sign in ends})
     if new:
         aim(plotter, _viewer(part))
     return plotter
+
+
+def _add_faces(plotter: Any, faces: Any, show_edges: bool, **style: Any) -> None:
+    """Draws faces, with their edges; of pieces of curved faces the edges of the whole faces."""
+    in_pieces = "whole" in faces.cell_data
+    plotter.add_mesh(faces, **LINES | {"show_edges": show_edges and not in_pieces}, **style)
+    if show_edges and in_pieces:
+        lines = {"color": DARK, "opacity": LINES["edge_opacity"], "line_width": LINES["line_width"]}
+        plotter.add_mesh(_outlines(faces), lighting=False, **lines)
 
 
 def _viewer(part: Any) -> np.ndarray:

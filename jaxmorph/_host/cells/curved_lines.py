@@ -63,11 +63,11 @@ def node_areas(x: Any, slopes: Any) -> Any:
     """Computes the area vectors (f, s, d) of sides x (f, s, d) at their own nodes."""
     nodes = range(slopes.shape[1])
     a, *others = (
-        functools.reduce(operator.add, (slopes[:, k, axis, None] * x[:, k, None] for k in nodes))
+        functools.reduce(operator.add, (slopes[None, :, k, axis, None] * x[:, k, None] for k in nodes))
         for axis in range(slopes.shape[2])
     )
     if not others:
-        return a[..., ::-1] * np.array([-1.0, 1.0], dtype=x.dtype)
+        return a[..., ::-1] * np.array([[[-1.0, 1.0]]], dtype=x.dtype)
     (b,), after, before = others, np.array([1, 2, 0]), np.array([2, 0, 1])
     return a[..., after] * b[..., before] - a[..., before] * b[..., after]
 

@@ -21,7 +21,7 @@ def derivatives_at_nodes(kind: str) -> np.ndarray:
 
     They are by the reference coordinates.
     """
-    return derivatives(kind, _collapsed(kind, lagrange_types()[kind].reference))
+    return derivatives(kind, collapsed(kind, lagrange_types()[kind].reference))
 
 
 @functools.cache
@@ -48,7 +48,7 @@ def derivatives(kind: str, places: np.ndarray) -> np.ndarray:
     """Computes derivatives (s, nodes, d) of the shape functions of a type at places (s, d)."""
     name, completion = lagrange_types()[kind].completion()
     complete = lagrange_types()[name]
-    values, _ = _basis(complete, _collapsed(name, complete.reference))
+    values, _ = _basis(complete, collapsed(name, complete.reference))
     _, slopes = _basis(complete, places)
     return np.einsum("skd,kn,nm->smd", slopes, np.linalg.inv(values), completion, optimize=True)
 
@@ -57,7 +57,7 @@ def values(kind: str, places: np.ndarray) -> np.ndarray:
     """Computes the shape functions (s, nodes) of a type at places (s, d)."""
     name, completion = lagrange_types()[kind].completion()
     complete = lagrange_types()[name]
-    at_nodes, _ = _basis(complete, _collapsed(name, complete.reference))
+    at_nodes, _ = _basis(complete, collapsed(name, complete.reference))
     return _basis(complete, places)[0] @ np.linalg.inv(at_nodes) @ completion
 
 
@@ -92,7 +92,7 @@ def _pyramid(
     return f * g * c**n, slopes
 
 
-def _collapsed(kind: str, places: np.ndarray) -> np.ndarray:
+def collapsed(kind: str, places: np.ndarray) -> np.ndarray:
     """Maps reference places to those of the basis; a pyramid's apex is seen from the middle."""
     if lagrange_types()[kind].shape != "pyramid":
         return places
