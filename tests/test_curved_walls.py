@@ -149,3 +149,25 @@ def test_nodes_slide_on_curved_faces_in_3d(kind):
     places, normals = map(np.asarray, wall.nearest(jnp.asarray(on + 0.01 * normal)))
     np.testing.assert_allclose(places, on, atol=1e-10)
     np.testing.assert_allclose(np.abs(np.sum(normals * normal, axis=1)), 1, atol=1e-10)
+
+
+@pytest.mark.slow
+def test_pictures_draw_the_curved_cells():
+    """Fills and edges of a ring of order 3 lie on its circles, where chords between the nodes are not; also in 3-D."""
+    cells_of = pytest.importorskip("jaxmorph.plot._cells").Cells
+    mesh = circles(6, 3)
+    cells = cells_of.of(mesh, None)
+    np.testing.assert_allclose(cells.areas, jm.quality(mesh).volume, rtol=2e-3)
+    edges, counts, _ = cells.edges(np.arange(12))
+    assert (len(edges), edges.shape[1], (counts == 1).sum()) == (6 * 3 + 12, 13, 12)
+    radius = np.linalg.norm(edges[counts == 1], axis=2)
+    chord = 1 - np.cos(np.pi / 18)  # by which a piece between two nodes misses a circle of radius 1
+    assert np.abs(radius / np.round(radius) - 1).max() < chord / 2
+    outside = pytest.importorskip("jaxmorph.plot._outside").outside
+    pytest.importorskip("pyvista")
+    solid = jm.elevate(cases.bricks("wedge", cells=3), 2)
+    plane = np.asarray(solid.points)
+    floor = outside(solid, bent(plane), None, "floor")
+    flat = outside(solid, plane, None, "floor")
+    np.testing.assert_allclose(floor.points, bent(np.asarray(flat.points, float)), atol=1e-6)
+    assert floor.n_cells == 64 * len(np.unique(floor.cell_data["whole"]))

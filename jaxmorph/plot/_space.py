@@ -7,11 +7,10 @@ import numpy as np
 from jaxtyping import Float
 
 import jaxmorph as jm
-from jaxmorph._host.cells.topology import DIMENSION, VTK, solid
 from jaxmorph._host.package.arguments import checked
 
 from ._cells import plt
-from ._curved import outer_sides, refined, segments
+from ._outside import NOTHING, grid_of, near_plane, outlines, outside, skin
 from ._plane import ROOM
 from ._style import (
     BLUE,
@@ -23,15 +22,12 @@ from ._style import (
     Values,
     beyond,
     bodies,
-    cell_values,
     colour_scale,
-    finite,
     usual_limits,
     whole_of,
 )
-from ._view import VIEWER, add_bar, add_legend, aim, new_plotter, pyvista, view_axes
+from ._view import VIEWER, add_bar, add_legend, aim, new_plotter, view_axes
 
-NOTHING = "there is nothing to draw: the plane cuts no cell."
 LIT = {"ambient": 0.4, "diffuse": 0.7}
 LINES = {"show_edges": True, "edge_color": DARK, "edge_opacity": 0.6, "line_width": 0.5}
 
@@ -130,7 +126,7 @@ def cut(
     """
     normal, origin = (np.asarray(vector, dtype=float) for vector in (plane.normal, plane.origin))
     viewer = normal * (-1 if np.dot(normal, VIEWER) < 0 else 1)
-    grid = _near(mesh, points, values, normal, origin) if mesh.is_curved else _grid(mesh, points, values)
+    grid = near_plane(mesh, points, values, normal, origin) if mesh.is_curved else grid_of(mesh, points, values)
     if not mesh.is_curved:
         grid.cell_data["whole"] = whole_of(mesh)
     # through nodes, up to round-off, the plane would cut cells on both sides of it by turns
@@ -147,7 +143,7 @@ def cut(
     before = (
         1e-3 * section.length * view_axes(viewer)[0]
     )  # lines in front of the cells, which would cover a part of them
-    for lines, width in ((_outlines(section), 1), (walls, 3.5)):
+    for lines, width in ((outlines(section), 1), (walls, 3.5)):
         if lines.n_cells:
             drawn.add_mesh(lines.translate(before), color=DARK, line_width=width, lighting=False)
     if plotter is None:
@@ -163,138 +159,6 @@ def _cropped(section: Any, body: np.ndarray | None, axes: Sequence[np.ndarray]) 
     for axis in (*axes, *(-axis for axis in axes)):
         section = section.clip(normal=axis, origin=axis * ((body @ axis).max() + room))
     return section
-
-
-def _outlines(section: Any) -> Any:
-    """Returns a section's cell edges for pyvista, without those between two pieces of a cell."""
-    labels, starts = corners_of(section)
-    after = np.roll(labels, -1)
-    after[starts[1:] - 1] = labels[starts[:-1]]
-    owner = np.repeat(section.cell_data["whole"], np.diff(starts))
-    pairs = np.column_stack([np.minimum(labels, after), np.maximum(labels, after), owner])
-    edges, counts = np.unique(pairs, axis=0, return_counts=True)
-    edges = np.unique(edges[counts == 1, :2], axis=0)
-    return pyvista().PolyData(section.points, lines=np.insert(edges, 0, 2, axis=1).ravel())
-
-
-def corners_of(faces: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Returns the corners of pyvista's faces, and where each face begins (one more at the end)."""
-    cells = faces.cast_to_unstructured_grid().GetCells()
-    labels, starts = (pyvista().convert_array(part()) for part in (cells.GetConnectivityArray, cells.GetOffsetsArray))
-    return labels, starts
-
-
-def outside(mesh: jm.Mesh, points: Any, values: Any, patch: str | None) -> Any:
-    """Returns outer faces, or a patch's faces, for pyvista.
-
-    Faces of polyhedra are whole. Faces of curved cells are cut into pieces; `whole` is then the
-    face of each piece. `ValueError` where there are none.
-    """
-    on_patch = None if patch is None else mesh.patch(patch)
-    if mesh.is_curved:
-        faces = _curved_faces(mesh, points, values, on_patch)
-    else:
-        grid = _grid(mesh, points, values)
-        faces = _skin(grid) if mesh.polyhedra is None else _polygons(mesh, grid)
-    if on_patch is not None and not mesh.is_curved:
-        faces = faces.extract_points(np.isin(faces.point_data["node"], on_patch), adjacent_cells=False)
-    if faces.n_cells == 0:
-        owner = "the mesh" if patch is None else f"patch {patch!r}"
-        raise ValueError(f"there is nothing to draw: no face of the outside has all its nodes in {owner}.")
-    return faces
-
-
-def _skin(grid: Any) -> Any:
-    """Returns the outer faces by VTK's own filter: pyvista has called it by several names."""
-    from vtkmodules.vtkFiltersGeometry import vtkGeometryFilter
-
-    boundary = vtkGeometryFilter()
-    boundary.SetInputData(grid)
-    boundary.PassThroughPointIdsOn()
-    boundary.Update()
-    faces = pyvista().wrap(boundary.GetOutput())
-    # a name that the next filter takes again
-    faces.point_data["node"] = np.asarray(faces.point_data["vtkOriginalPointIds"])
-    return faces
-
-
-def _polygons(mesh: jm.Mesh, grid: Any) -> Any:
-    """Returns polyhedra's outer faces as in the file, with the mean of their cell's pieces."""
-    assert mesh.polyhedra is not None
-    whole = mesh.polyhedra.faces
-    outer = np.flatnonzero(np.append(whole.neighbour, np.full(len(whole.owner) - len(whole.neighbour), -1)) < 0)
-    nodes, corners = np.unique(np.concatenate([whole.nodes(k, k + 1) for k in outer.tolist()]), return_inverse=True)
-    sizes = whole.sizes[outer]
-    faces = pyvista().PolyData(
-        np.asarray(grid.points)[nodes], np.insert(corners.ravel(), np.cumsum(sizes) - sizes, sizes)
-    )
-    faces.point_data["node"] = nodes
-    if "values" in grid.cell_data:
-        cells = np.asarray(mesh.cell_ids)
-        faces.cell_data["values"] = (np.bincount(cells, grid.cell_data["values"]) / np.bincount(cells))[
-            whole.owner[outer]
-        ]
-    return faces
-
-
-def _places(mesh: jm.Mesh, points: Any) -> np.ndarray:
-    if mesh.points.shape[1] != 3:
-        raise ValueError(f"this is for 3-D meshes, not {mesh}; see `plot.mesh` and `plot.before_after`.")
-    return finite(mesh.points if points is None else mesh.moved(np.asarray(points)).points)
-
-
-def _curved_faces(mesh: jm.Mesh, points: Any, values: Any, on_patch: np.ndarray | None) -> Any:
-    """Returns the outer faces of curved cells, or those with all nodes on a patch, in pieces."""
-    x, cells = _places(mesh, points), solid(mesh.cells, 3)
-    sides, owner = outer_sides(cells)
-    if on_patch is not None:
-        chosen = {kind: np.isin(ids, on_patch).all(axis=1) for kind, ids in sides.items()}
-        sides = {kind: ids[chosen[kind]] for kind, ids in sides.items()}
-        owner = owner[np.concatenate(list(chosen.values()))]
-    if not len(owner):
-        return pyvista().PolyData()
-    grid, whole = _pieces(sides, x, segments(sides))
-    if values is not None:
-        inside = np.concatenate([np.full(len(ids), kind in cells) for kind, ids in mesh.cells.items()])
-        grid.cell_data["values"] = cell_values(mesh, values)[inside][owner][whole]
-    return _skin(grid)
-
-
-def _near(mesh: jm.Mesh, points: Any, values: Any, normal: np.ndarray, origin: np.ndarray) -> Any:
-    """Returns pieces of the curved cells that a plane may cut."""
-    x, chosen, number, first = _places(mesh, points), {}, [], 0
-    above = (x - origin) @ normal
-    for kind, ids in mesh.cells.items():
-        low, high = above[ids].min(axis=1), above[ids].max(axis=1)
-        room = (high - low) / 2  # a curved cell goes beyond its nodes
-        rows = np.flatnonzero((low - room <= 0) & (high + room >= 0) & (DIMENSION[kind] == 3))
-        chosen[kind] = np.asarray(ids)[rows]
-        number.append(first + rows)
-        first += len(ids)
-    if not sum(map(len, chosen.values())):
-        raise ValueError(NOTHING)
-    grid, whole = _pieces(chosen, x, segments(chosen))
-    if values is not None:
-        grid.cell_data["values"] = cell_values(mesh, values)[np.concatenate(number)][whole]
-    return grid
-
-
-def _pieces(cells: Any, points: np.ndarray, m: int) -> tuple[Any, np.ndarray]:
-    """Cuts curved cells into pieces for pyvista; `whole` is the number of each piece's cell."""
-    places, pieces, whole = refined(cells, points, m)
-    grid = pyvista().UnstructuredGrid({VTK[shape]: ids for shape, ids in pieces.items()}, places)
-    grid.cell_data["whole"] = whole
-    return grid, whole
-
-
-def _grid(mesh: jm.Mesh, points: Any, values: Any) -> Any:
-    """Turns the mesh into pyvista's."""
-    points = _places(mesh, points)
-    pieces = {VTK[kind]: np.asarray(ids) for kind, ids in mesh.cells.items()}
-    grid = pyvista().UnstructuredGrid(pieces, points)
-    if values is not None:
-        grid.cell_data["values"] = cell_values(mesh, values)
-    return grid
 
 
 def _draw(
@@ -336,10 +200,13 @@ def _draw(
 def _add_faces(plotter: Any, faces: Any, show_edges: bool, **style: Any) -> None:
     """Draws faces, with their edges; of pieces of curved faces the edges of the whole faces."""
     in_pieces = "whole" in faces.cell_data
-    plotter.add_mesh(faces, **LINES | {"show_edges": show_edges and not in_pieces}, **style)
     if show_edges and in_pieces:
+        viewer = _viewer(faces)
+        before = 5e-4 * faces.length * viewer / np.linalg.norm(viewer)  # else faces would cover a part of them
         lines = {"color": DARK, "opacity": LINES["edge_opacity"], "line_width": LINES["line_width"]}
-        plotter.add_mesh(_outlines(faces), lighting=False, **lines)
+        plotter.add_mesh(outlines(faces).translate(before), lighting=False, **lines)
+    # last, so that a colour bar is that of the faces
+    plotter.add_mesh(faces, **LINES | {"show_edges": show_edges and not in_pieces}, **style)
 
 
 def _viewer(part: Any) -> np.ndarray:
@@ -354,7 +221,7 @@ def _viewer(part: Any) -> np.ndarray:
     if thin > 1e-3 * size or outward @ normal < 0.05 * np.ptp(part.points @ normal) or viewer @ normal <= 0:
         return viewer
     mirrored = viewer - 2 * (viewer @ normal) * normal
-    faces = _skin(part).compute_normals(point_normals=False, consistent_normals=False)
+    faces = skin(part).compute_normals(point_normals=False, consistent_normals=False)
     areas = faces.compute_cell_sizes(length=False, volume=False).cell_data["Area"]
     directions = [mirrored + np.array([0, 0, lift]) for lift in (0, VIEWER[2], 3 * VIEWER[2])]
     shown = [areas @ np.abs(faces.cell_data["Normals"] @ (way / np.linalg.norm(way))) for way in directions]
