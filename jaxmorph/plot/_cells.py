@@ -47,7 +47,7 @@ SEGMENTS = 4
 
 @dataclasses.dataclass(frozen=True)
 class Cells:
-    """A 2-D mesh's cells as they are drawn: four sides, of which triangles and lines have empty ones.
+    """A 2-D mesh's cells as they are drawn: four sides, some of no length in triangles and lines.
 
     - `sides` (k, 4, m, 2): places along each side, both ends among them: two of a straight one.
     - `ids` (k, 4): corners, repeated in triangles and lines.
