@@ -8,6 +8,7 @@ import numpy as np
 from .._host.package.errors import MeshError, place_of
 from .._mesh.mesh import Mesh
 from .boundary import Boundary
+from .curved_faces import with_own_curves
 from .names import check_named_once, checked_points, nodes_named, planes_named, slides
 from .outer_faces import OuterFaces, outer_faces
 from .pairing import Pairing, check_pairings, merged
@@ -142,7 +143,8 @@ def _walls(
         if any(np.array_equal(nodes, other) for other in patches):
             raise ValueError(f"{slide.name} comes twice in `sliding`. Its nodes slide along one surface. Remove one.")
         patches.append(nodes)
-        walls += walls_of_patch(slide, nodes, points, faces, lists.get("moving", ()))
+        own = walls_of_patch(slide, nodes, points, faces, lists.get("moving", ()))
+        walls += with_own_curves(own, mesh)
     return walls
 
 

@@ -63,7 +63,8 @@ class Slide:
     apex of a cone, and fixed nodes do not move. Moving nodes of the patch stay on it.
 
     On a plane, a cylinder and other given surfaces the motion is smooth. On the patch's own faces
-    the motion has a kink where a node crosses an edge.
+    the motion has a kink where a node crosses an edge. Nodes of curved cells follow the polynomials
+    of their faces, if these are of one type.
 
     **Arguments:**
 

@@ -8,7 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from .._host.cells.first_lines import Lines, areas, first_lines
+from .._host.cells.curved_lines import CurvedLines, curved_lines
+from .._host.cells.first_lines import Lines, first_lines
 from .._host.linear.products import cross
 from .._host.package.arguments import between, checked, rows_of
 from .._kernels.compile import compiled
@@ -76,8 +77,9 @@ def wall_quality(
     Traced over `points`: `jit`, `grad` and `vmap` work. The ids are found on the host at each call,
     from cells and coordinates that may not be traced: close over the mesh.
 
-    Of curved cells all nodes count: the first grid line of a node ends at the next node of its
-    cell.
+    Of curved cells all nodes of the wall count. The normal is that of the sides' own polynomials at
+    the node. The first grid line goes through the whole cell: its angle is that of its tangent at
+    the wall, its height that of its other end.
 
     **Arguments:**
 
@@ -100,8 +102,8 @@ def wall_quality(
     names = (wall,) if isinstance(wall, str) else wall
     has_names = np.ndim(names) == 1 and len(names) > 0 and all(isinstance(name, str) for name in names)
     ids = mesh.patch(*names) if has_names else rows_of("wall", wall, len(mesh.points))
-    cells = {kind: np.asarray(corners) for kind, corners in mesh.linear.cells.items()}
-    lines = first_lines(cells, np.asarray(mesh.points), ids)
+    cells = {kind: np.asarray(corners) for kind, corners in mesh.cells.items()}
+    lines = (curved_lines if mesh.is_curved else first_lines)(cells, np.asarray(mesh.points), ids)
     with jax.ensure_compile_time_eval():
         reference = jnp.asarray(mesh.points, dtype=current.dtype)
     if not on_host(lines, reference, current, softness):
@@ -113,39 +115,41 @@ def wall_quality(
 
 
 def _angle_and_height(
-    lines: Lines, reference: Float[Either, "n d"], points: Float[Either, "n d"], softness: Any
+    lines: Lines | CurvedLines, reference: Float[Either, "n d"], points: Float[Either, "n d"], softness: Any
 ) -> tuple[Float[Either, " w"], Float[Either, " w"]]:
     xp = namespace(points)
-    start, now = (_components(xp, lines, x) for x in (reference, points))
+    (start, high), (now, height) = (_components(xp, lines, x) for x in (reference, points))
     cosine = xp.sum(start * now, axis=1)
     sine = norm(xp.stack(cross(start.T, now.T), axis=1))
     none = sine**2 + cosine**2 == 0
     angle = xp.rad2deg(xp.where(none, 0, xp.arctan2(sine, xp.where(none, 1, cosine))))
     if softness is not None:
         angle = xp.sqrt(angle**2 + softness**2) - softness
-    flat = start[:, 0] == 0
-    return angle, xp.where(flat, 1, now[:, 0] / xp.where(flat, 1, start[:, 0]))
+    flat = high == 0
+    return angle, xp.where(flat, 1, height / xp.where(flat, 1, high))
 
 
 _measured = compiled(_angle_and_height)
 
 
-def _components(xp: Any, lines: Lines, x: Float[Either, "n d"]) -> Float[Either, "w d"]:
-    """Computes the first grid lines' components along the wall's normal and along the wall."""
-    area = areas(x[lines.faces]) * lines.sign[:, None].astype(x.dtype)
+def _components(
+    xp: Any, lines: Lines | CurvedLines, x: Float[Either, "n d"]
+) -> tuple[Float[Either, "w d"], Float[Either, " w"]]:
+    """Computes components of first grid lines along the wall's normal and the wall, and heights."""
     normal = xp.zeros((len(lines.nodes), x.shape[1]), x.dtype)
-    for rows in lines.rows.T:
+    for rows, area in lines.areas(x):
         if xp is np:
             np.add.at(normal, rows[rows < len(normal)], area[rows < len(normal)])
         else:
             normal = normal.at[rows].add(area, mode="drop")
-    normal, line = _unit(normal), x[lines.ends] - x[lines.nodes]
+    normal, line = _unit(normal), lines.directions(x)
+    height = xp.sum(normal * (x[lines.ends] - x[lines.nodes]), axis=1)
     if x.shape[1] == 2:
-        return xp.stack([xp.sum(normal * line, axis=1), *cross(normal.T, line.T)], axis=1)
+        return xp.stack([xp.sum(normal * line, axis=1), *cross(normal.T, line.T)], axis=1), height
     beside = x[lines.beside] - x[lines.nodes]
     tangent = _unit(beside - xp.sum(beside * normal, axis=1)[:, None] * normal)
     frame = xp.stack([normal, tangent, xp.cross(normal, tangent)], axis=1)
-    return xp.sum(frame * line[:, None], axis=2)
+    return xp.sum(frame * line[:, None], axis=2), height
 
 
 def _unit(a: Float[Either, "w d"]) -> Float[Either, "w d"]:

@@ -9,7 +9,9 @@ from jaxtyping import Float, Int
 
 import jaxmorph as jm
 
-from ._style import TALLEST, WIDTH, finite, whole_of
+from .._host.cells.lagrange import lagrange_types
+from .._host.cells.shape_functions import values
+from ._style import TALLEST, WIDTH, finite
 
 try:
     import matplotlib.pyplot as plt
@@ -39,16 +41,23 @@ UNLABELLED = 0.775
 
 FOUR_CORNERS = {"line": [0, 1, 1, 0], "triangle": [0, 1, 2, 2], "quad": [0, 1, 2, 3]}
 
+SEGMENTS = 4
+"""Pieces of a curved edge in a picture, for each order of its polynomial."""
+
 
 @dataclasses.dataclass(frozen=True)
 class Cells:
-    """A 2-D mesh's cells as in `mesh.linear.cells`: four corners, repeated in triangles and lines.
+    """A 2-D mesh's cells as they are drawn: four sides, some of no length in triangles and lines.
 
-    `whole` is the cell of the file that each one is, or is a piece of.
+    - `sides` (k, 4, m, 2): places along each side, both ends among them: two of a straight one.
+    - `ids` (k, 4): corners, repeated in triangles and lines.
+    - `between` (k, 4): the node next to the first corner of a curved side; -1 for a straight one.
+    - `whole` (k,): the cell of the file that each one is, or is a piece of.
     """
 
-    points: Float[np.ndarray, "n 2"]
+    sides: Float[np.ndarray, "k 4 m 2"]
     ids: Int[np.ndarray, "k 4"]
+    between: Int[np.ndarray, "k 4"]
     whole: Int[np.ndarray, " k"]
 
     @classmethod
@@ -60,33 +69,42 @@ class Cells:
         if not sum(map(len, mesh.cells.values())):
             raise ValueError(f"there is nothing to draw: {mesh} has no cells.")
         points = finite(mesh.points if points is None else mesh.moved(np.asarray(points)).points)
-        ids = [np.asarray(cells)[:, FOUR_CORNERS[kind]] for kind, cells in mesh.linear.cells.items()]
-        return cls(points, np.concatenate(ids), whole_of(mesh))
+        cells = {kind: np.asarray(ids) for kind, ids in mesh.cells.items()}
+        order = max(lagrange_types()[kind].order for kind in cells)
+        along = np.linspace(0, 1, 2 if order == 1 else SEGMENTS * order + 1)[:, None]
+        parts = [_sides(kind, nodes, points, along) for kind, nodes in cells.items()]
+        sides, ids, between = (np.concatenate(part) for part in zip(*parts, strict=True))
+        return cls(sides, ids, between, np.arange(len(ids)) if mesh.is_curved else np.asarray(mesh.cell_ids))
 
     @property
-    def corners(self) -> Float[np.ndarray, "k 4 2"]:
-        return self.points[self.ids]
+    def outlines(self) -> Float[np.ndarray, "k c 2"]:
+        """Places once round each cell: the corners of a straight one."""
+        return self.sides[:, :, :-1].reshape(len(self.ids), -1, 2)
 
     @property
     def areas(self) -> Float[np.ndarray, " k"]:
-        (a, b), (c, d) = ((self.corners[:, k + 2] - self.corners[:, k]).T for k in (0, 1))
-        return np.abs(a * d - b * c) / 2
+        x = self.outlines - self.outlines[:, :1]
+        (a, b), (c, d) = (np.moveaxis(part, 2, 0) for part in (x, np.roll(x, -1, axis=1)))
+        return np.abs(np.sum(a * d - b * c, axis=1)) / 2
 
     def inside(self, window: Window) -> Int[np.ndarray, " s"]:
         """Lists the cells that may be seen."""
-        return seen_in(self.corners, window)
+        return seen_in(self.outlines, window)
 
     def edges(self, cells: Int[np.ndarray, " s"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Lists edges (e, 2) of cells, their counts, and the width (e,) of the narrowest cell.
+        """Lists edges (e, m, 2) of cells, their counts, and the width (e,) of the narrowest cell.
 
         Edges between two pieces of one polygon are left out.
         """
         ids = self.ids[cells]
-        pairs = np.sort(np.stack([ids, np.roll(ids, -1, axis=1)], axis=2), axis=2)
-        lengths = np.linalg.norm(np.diff(self.points[pairs], axis=2)[:, :, 0], axis=2).max(axis=1)
+        ends = np.sort(np.stack([ids, np.roll(ids, -1, axis=1)], axis=2), axis=2)
+        keys = np.concatenate([ends, self.between[cells][:, :, None]], axis=2)
+        lengths = np.linalg.norm(np.diff(self.sides[cells], axis=2), axis=3).sum(axis=2).max(axis=1)
         width = self.areas[cells] / np.maximum(lengths, np.finfo(float).tiny)
-        real = pairs[..., 0] != pairs[..., 1]
-        edges, which, counts = np.unique(pairs[real], axis=0, return_inverse=True, return_counts=True)
+        real = keys[..., 0] != keys[..., 1]
+        edges, index, which, counts = np.unique(
+            keys[real], axis=0, return_index=True, return_inverse=True, return_counts=True
+        )
         which, owner = which.ravel(), np.repeat(self.whole[cells], 4)[real.ravel()]
         narrowest, first, last = (
             np.full(len(edges), np.inf),
@@ -97,7 +115,25 @@ class Cells:
         np.minimum.at(first, which, owner)
         np.maximum.at(last, which, owner)
         shown = (counts == 1) | (first < last) | (narrowest == 0)
-        return edges[shown], counts[shown], narrowest[shown]
+        return self.sides[cells][real][index[shown]], counts[shown], narrowest[shown]
+
+
+def _sides(
+    kind: str, nodes: Int[np.ndarray, "k s"], points: Float[np.ndarray, "n 2"], along: Float[np.ndarray, "m 1"]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Computes the sides of cells of one type at places `along` an edge, their corners and keys."""
+    cell = lagrange_types()[kind]
+    corners = FOUR_CORNERS[cell.shape]
+    edges = {frozenset(edge[:2].tolist()): edge for edge in cell.edges}
+    weights = values("line" if cell.order == 1 else f"line{cell.order + 1}", along)
+    sides, between = [], []
+    for first, second in zip(corners, [*corners[1:], corners[0]], strict=True):
+        edge = edges.get(frozenset((first, second)), np.full(cell.order + 1, first))
+        x = np.einsum("mn,knd->kmd", weights, points[nodes[:, edge]])
+        sides.append(x if edge[0] == first else x[:, ::-1])
+        inner = nodes[:, edge[2:]]
+        between.append(inner.min(axis=1) if inner.shape[1] else np.full(len(nodes), -1))
+    return np.stack(sides, axis=1), nodes[:, corners], np.stack(between, axis=1)
 
 
 def seen_in(corners: Float[np.ndarray, "k c 2"], window: Window) -> Int[np.ndarray, " s"]:
@@ -106,8 +142,8 @@ def seen_in(corners: Float[np.ndarray, "k c 2"], window: Window) -> Int[np.ndarr
     return np.flatnonzero((high >= (left, bottom)).all(axis=1) & (low <= (right, top)).all(axis=1))
 
 
-def fill(ax: Axes, corners: Float[np.ndarray, "k 4 2"], **style: Any) -> PolyCollection:
-    faces = PolyCollection(list(corners), linewidths=0.3, edgecolors="face", rasterized=True, **style)
+def fill(ax: Axes, outlines: Float[np.ndarray, "k c 2"], **style: Any) -> PolyCollection:
+    faces = PolyCollection(list(outlines), linewidths=0.3, edgecolors="face", rasterized=True, **style)
     ax.add_collection(faces, autolim=False)
     return faces
 
@@ -120,14 +156,14 @@ def draw_lines(
     to_points = 72 * ax.get_window_extent().width / ax.figure.dpi / (window[0][1] - window[0][0])
     chosen = narrowest * to_points >= least
     widths = np.clip(narrowest[chosen] * to_points / 6, THINNEST, THICKEST)
-    lines = LineCollection(list(cells.points[edges[chosen]]), colors=colour, linewidths=widths, rasterized=True)
+    lines = LineCollection(list(edges[chosen]), colors=colour, linewidths=widths, rasterized=True)
     ax.add_collection(lines, autolim=False)
 
 
 def draw_walls(ax: Axes, cells: Cells, colour: str) -> None:
     """Draws edges with a cell on one side: an odd count, for a line's cell has it twice."""
     edges, counts, _ = cells.edges(np.arange(len(cells.ids)))
-    lines = list(cells.points[edges[counts % 2 == 1]])
+    lines = list(edges[counts % 2 == 1])
     ax.add_collection(LineCollection(lines, colors=colour, linewidths=WALL, capstyle="round"), autolim=False)
 
 

@@ -16,7 +16,7 @@ from jaxmorph._host.package.arguments import checked
 from jaxmorph._host.package.files import complete, output_path
 
 from ._cells import plt
-from ._space import corners_of, outside
+from ._outside import corners_of, outlines, outside
 from ._style import COLOURS, DARK, DISPLACEMENT, Limits, Values, colour_scale
 from ._view import view_axes
 
@@ -125,8 +125,7 @@ class _Surface:
     @staticmethod
     def outside_of(mesh: jm.Mesh, points: Any, values: Any, patch: str | None) -> "_Surface":
         faces = outside(mesh, points, values, patch)
-        ids = np.asarray(faces.point_data["node"])
-        before, after = (np.asarray(places, dtype=float)[ids] for places in (mesh.points, points))
+        before, after = (np.asarray(part.points, dtype=float) for part in (outside(mesh, None, None, patch), faces))
         middle = (after.min(axis=0) + after.max(axis=0)) / 2
         triangles, edges, owners = [], [], []
         labels, starts = corners_of(faces)
@@ -137,6 +136,8 @@ class _Surface:
             triangles.append(corners[:, fan].reshape(-1, 3))
             edges.append(np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2))
             owners.append(np.repeat(rows, size - 2))
+        if "whole" in faces.cell_data:  # of curved faces in pieces, the edges of the faces
+            edges = [np.asarray(outlines(faces).lines).reshape(-1, 3)[:, 1:]]
         return _Surface(
             (before - middle).astype(np.float32),
             (after - middle).astype(np.float32),

@@ -59,7 +59,8 @@ def mesh(
 ) -> Axes:
     """Draws a 2-D mesh's cells, coloured by a value each, and its boundary in a stronger line.
 
-    Cells too narrow for a line show their colour alone. Polygons are drawn whole.
+    Cells too narrow for a line show their colour alone. Polygons are drawn whole, edges of curved
+    cells along their polynomials.
 
     **Arguments:**
 
@@ -92,7 +93,7 @@ def mesh(
     seen = cells.inside(window)
     if every is not None:
         shown = every[seen]
-        faces = fill(ax, cells.corners[seen], cmap=colours)
+        faces = fill(ax, cells.outlines[seen], cmap=colours)
         ax.set_facecolor(BODY)
         faces.set_array(shown)
         faces.set_clim(*(limits or usual_limits(shown, cells.areas[seen])))
@@ -123,7 +124,7 @@ def before_after(
     window = _bodies(mesh, None, points) if window is None else window
     ax = show(given_or_new(ax, window, above=0.35), window)
     ax.set_facecolor(LIGHT)  # where there was no mesh
-    fill(ax, before.corners[before.inside(window)], facecolors="white")
+    fill(ax, before.outlines[before.inside(window)], facecolors="white")
     draw_lines(ax, after, after.inside(window), window, BLUE)
     draw_walls(ax, before, ORANGE)
     draw_walls(ax, after, BLUE)

@@ -7,10 +7,10 @@ import numpy as np
 from jaxtyping import Float
 
 import jaxmorph as jm
-from jaxmorph._host.cells.topology import VTK
 from jaxmorph._host.package.arguments import checked
 
 from ._cells import plt
+from ._outside import NOTHING, grid_of, near_plane, outlines, outside, skin
 from ._plane import ROOM
 from ._style import (
     BLUE,
@@ -22,13 +22,11 @@ from ._style import (
     Values,
     beyond,
     bodies,
-    cell_values,
     colour_scale,
-    finite,
     usual_limits,
     whole_of,
 )
-from ._view import VIEWER, add_bar, add_legend, aim, new_plotter, pyvista, view_axes
+from ._view import VIEWER, add_bar, add_legend, aim, new_plotter, view_axes
 
 LIT = {"ambient": 0.4, "diffuse": 0.7}
 LINES = {"show_edges": True, "edge_color": DARK, "edge_opacity": 0.6, "line_width": 0.5}
@@ -94,7 +92,7 @@ def before_after_3d(mesh: jm.Mesh, points: Float[Any, "n 3"], *, patch: str | No
     )
     parts = [part for part in parts if part[0].n_cells]
     for faces, colour, opacity, _ in parts:
-        plotter.add_mesh(faces, color=colour, opacity=opacity, **LIT, **LINES | {"show_edges": colour != ORANGE})
+        _add_faces(plotter, faces, colour != ORANGE, color=colour, opacity=opacity, **LIT)
     add_legend(plotter, [(name, colour) for _, colour, _, name in parts])
     if new:
         aim(plotter, _viewer(after))
@@ -128,8 +126,9 @@ def cut(
     """
     normal, origin = (np.asarray(vector, dtype=float) for vector in (plane.normal, plane.origin))
     viewer = normal * (-1 if np.dot(normal, VIEWER) < 0 else 1)
-    grid = _grid(mesh, points, values)
-    grid.cell_data["whole"] = whole_of(mesh)
+    grid = near_plane(mesh, points, values, normal, origin) if mesh.is_curved else grid_of(mesh, points, values)
+    if not mesh.is_curved:
+        grid.cell_data["whole"] = whole_of(mesh)
     # through nodes, up to round-off, the plane would cut cells on both sides of it by turns
     origin = origin + 1e-9 * grid.length * normal
     body = np.asarray(grid.points)[bodies(np.asarray(mesh.points), mesh.patches)]
@@ -144,7 +143,7 @@ def cut(
     before = (
         1e-3 * section.length * view_axes(viewer)[0]
     )  # lines in front of the cells, which would cover a part of them
-    for lines, width in ((_outlines(section), 1), (walls, 3.5)):
+    for lines, width in ((outlines(section), 1), (walls, 3.5)):
         if lines.n_cells:
             drawn.add_mesh(lines.translate(before), color=DARK, line_width=width, lighting=False)
     if plotter is None:
@@ -162,86 +161,6 @@ def _cropped(section: Any, body: np.ndarray | None, axes: Sequence[np.ndarray]) 
     return section
 
 
-def _outlines(section: Any) -> Any:
-    """Returns a section's cell edges for pyvista, without those between two pieces of a cell."""
-    labels, starts = corners_of(section)
-    after = np.roll(labels, -1)
-    after[starts[1:] - 1] = labels[starts[:-1]]
-    owner = np.repeat(section.cell_data["whole"], np.diff(starts))
-    pairs = np.column_stack([np.minimum(labels, after), np.maximum(labels, after), owner])
-    edges, counts = np.unique(pairs, axis=0, return_counts=True)
-    edges = np.unique(edges[counts == 1, :2], axis=0)
-    return pyvista().PolyData(section.points, lines=np.insert(edges, 0, 2, axis=1).ravel())
-
-
-def corners_of(faces: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Returns the corners of pyvista's faces, and where each face begins (one more at the end)."""
-    cells = faces.cast_to_unstructured_grid().GetCells()
-    labels, starts = (pyvista().convert_array(part()) for part in (cells.GetConnectivityArray, cells.GetOffsetsArray))
-    return labels, starts
-
-
-def outside(mesh: jm.Mesh, points: Any, values: Any, patch: str | None) -> Any:
-    """Returns outer faces, or a patch's faces, for pyvista; `node` is the id of each point.
-
-    Faces of polyhedra are whole. `ValueError` where there are none.
-    """
-    on_patch = None if patch is None else mesh.patch(patch)
-    grid = _grid(mesh, points, values)
-    faces = _skin(grid) if mesh.polyhedra is None else _polygons(mesh, grid)
-    if on_patch is not None:
-        faces = faces.extract_points(np.isin(faces.point_data["node"], on_patch), adjacent_cells=False)
-    if faces.n_cells == 0:
-        owner = "the mesh" if patch is None else f"patch {patch!r}"
-        raise ValueError(f"there is nothing to draw: no face of the outside has all its nodes in {owner}.")
-    return faces
-
-
-def _skin(grid: Any) -> Any:
-    """Returns the outer faces by VTK's own filter: pyvista has called it by several names."""
-    from vtkmodules.vtkFiltersGeometry import vtkGeometryFilter
-
-    boundary = vtkGeometryFilter()
-    boundary.SetInputData(grid)
-    boundary.PassThroughPointIdsOn()
-    boundary.Update()
-    faces = pyvista().wrap(boundary.GetOutput())
-    # a name that the next filter takes again
-    faces.point_data["node"] = np.asarray(faces.point_data["vtkOriginalPointIds"])
-    return faces
-
-
-def _polygons(mesh: jm.Mesh, grid: Any) -> Any:
-    """Returns polyhedra's outer faces as in the file, with the mean of their cell's pieces."""
-    assert mesh.polyhedra is not None
-    whole = mesh.polyhedra.faces
-    outer = np.flatnonzero(np.append(whole.neighbour, np.full(len(whole.owner) - len(whole.neighbour), -1)) < 0)
-    nodes, corners = np.unique(np.concatenate([whole.nodes(k, k + 1) for k in outer.tolist()]), return_inverse=True)
-    sizes = whole.sizes[outer]
-    faces = pyvista().PolyData(
-        np.asarray(grid.points)[nodes], np.insert(corners.ravel(), np.cumsum(sizes) - sizes, sizes)
-    )
-    faces.point_data["node"] = nodes
-    if "values" in grid.cell_data:
-        cells = np.asarray(mesh.cell_ids)
-        faces.cell_data["values"] = (np.bincount(cells, grid.cell_data["values"]) / np.bincount(cells))[
-            whole.owner[outer]
-        ]
-    return faces
-
-
-def _grid(mesh: jm.Mesh, points: Any, values: Any) -> Any:
-    """Turns the mesh into pyvista's."""
-    if mesh.points.shape[1] != 3:
-        raise ValueError(f"this is for 3-D meshes, not {mesh}; see `plot.mesh` and `plot.before_after`.")
-    points = finite(mesh.points if points is None else mesh.moved(np.asarray(points)).points)
-    pieces = {VTK[kind]: np.asarray(ids) for kind, ids in mesh.linear.cells.items()}
-    grid = pyvista().UnstructuredGrid(pieces, points)
-    if values is not None:
-        grid.cell_data["values"] = cell_values(mesh, values)
-    return grid
-
-
 def _draw(
     part: Any,
     limits: Any,
@@ -254,7 +173,7 @@ def _draw(
 ) -> Any:
     """Draws faces, with colours and a bar where they have values."""
     if part.n_cells == 0:
-        raise ValueError("there is nothing to draw: the plane cuts no cell.")
+        raise ValueError(NOTHING)
     has_values = "values" in part.cell_data
     if label is not None and not has_values:
         raise ValueError(f"there are no `values` that are {label!r}.")
@@ -270,12 +189,24 @@ def _draw(
         style = {"scalars": "values", "cmap": colours, "clim": limits}
         style |= {f"{side}_color": plt.get_cmap(colours)(float(side == "above")) for side, _ in ends}
     light = LIT if lighting and not has_values else {"lighting": False}  # it would change the colours, and the bar not
-    plotter.add_mesh(part, show_scalar_bar=False, **LINES | {"show_edges": show_edges}, **light, **style)
+    _add_faces(plotter, part, show_edges, show_scalar_bar=False, **light, **style)
     if has_values and bar:
         add_bar(plotter, label or "", limits, {f"{side}_label": sign for side, sign in ends})
     if new:
         aim(plotter, _viewer(part))
     return plotter
+
+
+def _add_faces(plotter: Any, faces: Any, show_edges: bool, **style: Any) -> None:
+    """Draws faces, with their edges; of pieces of curved faces the edges of the whole faces."""
+    in_pieces = "whole" in faces.cell_data
+    if show_edges and in_pieces:
+        viewer = _viewer(faces)
+        before = 5e-4 * faces.length * viewer / np.linalg.norm(viewer)  # else faces would cover a part of them
+        lines = {"color": DARK, "opacity": LINES["edge_opacity"], "line_width": LINES["line_width"]}
+        plotter.add_mesh(outlines(faces).translate(before), lighting=False, **lines)
+    # last, so that a colour bar is that of the faces
+    plotter.add_mesh(faces, **LINES | {"show_edges": show_edges and not in_pieces}, **style)
 
 
 def _viewer(part: Any) -> np.ndarray:
@@ -290,7 +221,7 @@ def _viewer(part: Any) -> np.ndarray:
     if thin > 1e-3 * size or outward @ normal < 0.05 * np.ptp(part.points @ normal) or viewer @ normal <= 0:
         return viewer
     mirrored = viewer - 2 * (viewer @ normal) * normal
-    faces = _skin(part).compute_normals(point_normals=False, consistent_normals=False)
+    faces = skin(part).compute_normals(point_normals=False, consistent_normals=False)
     areas = faces.compute_cell_sizes(length=False, volume=False).cell_data["Area"]
     directions = [mirrored + np.array([0, 0, lift]) for lift in (0, VIEWER[2], 3 * VIEWER[2])]
     shown = [areas @ np.abs(faces.cell_data["Normals"] @ (way / np.linalg.norm(way))) for way in directions]

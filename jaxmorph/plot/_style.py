@@ -52,7 +52,7 @@ def whole_of(mesh: jm.Mesh) -> np.ndarray:
 
 
 def cell_values(mesh: jm.Mesh, values: Any) -> np.ndarray:
-    """Returns a value for each cell of `mesh.linear`: pieces have that of their whole cell.
+    """Returns a value for each of `mesh.cells`: pieces of a polyhedron have that of the whole.
 
     Raises `ValueError` for another number of values than of cells, and of whole cells.
     """
@@ -65,7 +65,7 @@ def cell_values(mesh: jm.Mesh, values: Any) -> np.ndarray:
         known = f"{whole} cells, in {cells} pieces"
     if np.shape(values) != (cells,):
         raise ValueError(f"`values` has shape {np.shape(values)}; this mesh has {known}.")
-    return np.asarray(values)[whole_of(mesh)] if mesh.is_curved else np.asarray(values)
+    return np.asarray(values)
 
 
 def colour_scale(limits: Limits | None, colours: str = COLOURS) -> tuple[str, Limits | None]:

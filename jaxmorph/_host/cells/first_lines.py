@@ -26,6 +26,15 @@ class Lines(NamedTuple):
     rows: np.ndarray
     sign: np.ndarray
 
+    def directions(self, x: Any) -> Any:
+        """Computes the first grid lines (w, d). NumPy or JAX."""
+        return x[self.ends] - x[self.nodes]
+
+    def areas(self, x: Any) -> list[tuple[np.ndarray, Any]]:
+        """Lists rows (e,) of wall nodes, with the area vectors (e, d) of the faces there."""
+        area = areas(x[self.faces]) * self.sign[:, None].astype(x.dtype)
+        return [(rows, area) for rows in self.rows.T]
+
 
 def first_lines(cells: Mapping[str, np.ndarray], points: np.ndarray, wall: np.ndarray) -> Lines:
     """Picks, for every wall node, the edge off the wall that is nearest to the wall's normal.

@@ -1,0 +1,201 @@
+"""First grid lines off a wall of cells of high order, from the cells' own polynomials."""
+
+import functools
+import operator
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .lagrange import PLACES, Lagrange, lagrange_types
+from .shape_functions import derivatives_at_nodes
+from .topology import CORNERS, DIMENSION, FACES, SHAPES
+
+
+class Sides(NamedTuple):
+    """Sides of cells of one type on the wall.
+
+    - `ids`, `rows` (f, s): the nodes of each side, and their rows among the wall nodes; one row
+      more stands for a node without a line.
+    - `sign` (f,): 1 or -1, of triangles the half. An area vector times its sign points into the
+      mesh.
+    - `slopes` (s, s, d - 1): derivatives of the shape functions at the nodes of a side.
+    """
+
+    ids: np.ndarray
+    rows: np.ndarray
+    sign: np.ndarray
+    slopes: np.ndarray
+
+
+class CurvedLines(NamedTuple):
+    """First grid lines of w wall nodes, and the sides of the wall.
+
+    - `nodes`, `ends` (w,): ids of the wall nodes, and of the ends of their lines: the cell's nodes
+      at the other end of the reference line through the whole cell.
+    - `near`, `weights` (w, k): the derivative along a line at its wall node is the weighted sum of
+      nodes.
+    - `beside` (w,): ids of neighbours on the wall.
+    - `sides`: the sides on the wall, by type.
+    """
+
+    nodes: np.ndarray
+    ends: np.ndarray
+    near: np.ndarray
+    weights: np.ndarray
+    beside: np.ndarray
+    sides: tuple[Sides, ...]
+
+    def directions(self, x: Any) -> Any:
+        """Computes the derivatives (w, d) along the lines at their wall nodes. NumPy or JAX."""
+        return (x[self.near] * self.weights[:, :, None].astype(x.dtype)).sum(axis=1)
+
+    def areas(self, x: Any) -> list[tuple[np.ndarray, Any]]:
+        """Lists rows (e,) of wall nodes, with the area vectors (e, d) of the sides there."""
+        every = []
+        for side in self.sides:
+            area = node_areas(x[side.ids], side.slopes.astype(x.dtype)) * side.sign[:, None, None].astype(x.dtype)
+            every.append((side.rows.ravel(), area.reshape(-1, x.shape[1])))
+        return every
+
+
+def node_areas(x: Any, slopes: Any) -> Any:
+    """Computes the area vectors (f, s, d) of sides x (f, s, d) at their own nodes."""
+    nodes = range(slopes.shape[1])
+    a, *others = (
+        functools.reduce(operator.add, (slopes[None, :, k, axis, None] * x[:, k, None] for k in nodes))
+        for axis in range(slopes.shape[2])
+    )
+    if not others:
+        return a[..., ::-1] * np.array([[[-1.0, 1.0]]], dtype=x.dtype)
+    (b,), after, before = others, np.array([1, 2, 0]), np.array([2, 0, 1])
+    return a[..., after] * b[..., before] - a[..., before] * b[..., after]
+
+
+def curved_lines(cells: Mapping[str, np.ndarray], points: np.ndarray, wall: np.ndarray) -> CurvedLines:
+    """Picks, for every wall node, the grid line off the wall that is nearest to the wall's normal.
+
+    From a node on an edge or inside of a side, a line goes to the node opposite. It is the apex of
+    a simplex, and the node straight above the side of another cell. Raises `ValueError` if no
+    boundary side of a cell has all nodes among the wall nodes.
+    """
+    on_wall = np.zeros(len(points), dtype=bool)
+    on_wall[wall] = True
+    cells = {kind: np.asarray(ids) for kind, ids in cells.items() if DIMENSION[kind] == points.shape[1]}
+    sides = _sides(cells, points, on_wall)
+    if not sum(len(ids) for ids, _ in sides.values()):
+        raise ValueError(
+            f"no cell has a boundary side whose nodes are all among the {len(wall)} wall nodes: name the nodes of a patch."
+        )
+    normal, beside = np.zeros(points.shape), np.full(len(points), -1)
+    for kind, (ids, sign) in sides.items():
+        area = node_areas(points[ids], derivatives_at_nodes(kind)) * sign[:, None, None]
+        np.add.at(normal, ids, area)
+        for node in range(ids.shape[1]):
+            beside[ids[:, node]] = ids[:, _neighbour(kind, node)]
+    start, end, cell_nodes, weights = _candidates(cells, on_wall & (beside >= 0), on_wall)
+    along = (points[cell_nodes] * weights[:, :, None]).sum(axis=1)
+    size = np.linalg.norm(along, axis=1)
+    steepness = np.round(np.sum(along * normal[start], axis=1) / np.where(size > 0, size, 1), 12)
+    order = np.lexsort((end, -steepness, start))
+    nodes, first = np.unique(start[order], return_index=True)
+    chosen = order[first]
+    place = np.full(len(points), len(nodes))
+    place[nodes] = np.arange(len(nodes))
+    return CurvedLines(
+        nodes,
+        end[chosen],
+        cell_nodes[chosen],
+        weights[chosen],
+        beside[nodes],
+        tuple(Sides(ids, place[ids], sign, derivatives_at_nodes(kind)) for kind, (ids, sign) in sides.items()),
+    )
+
+
+def _neighbour(kind: str, node: int) -> int:
+    """Returns the node of a side that is nearest to another one on the lattice."""
+    lattice = lagrange_types()[kind].lattice
+    distance = np.sum((lattice - lattice[node]) ** 2, axis=1).astype(float)
+    distance[node] = np.inf
+    return int(distance.argmin())
+
+
+def _sides(
+    cells: Mapping[str, np.ndarray], points: np.ndarray, on_wall: np.ndarray
+) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Lists sides of single cells with all nodes on the wall, and their signs, by type."""
+    found: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}
+    for kind, ids in cells.items():
+        for (side, rows), face in zip(lagrange_types()[kind].sides, FACES[SHAPES[kind]], strict=True):
+            is_here = on_wall[ids[:, rows]].all(axis=1)
+            off = ids[is_here][:, sorted(set(range(CORNERS[SHAPES[kind]])) - set(face))]
+            found.setdefault(side, []).append((ids[is_here][:, rows], points[off].mean(axis=1)))
+    result = {}
+    for side, parts in found.items():
+        ids, inside = (np.concatenate(part) for part in zip(*parts, strict=True))
+        _, first, count = np.unique(np.sort(ids, axis=1), axis=0, return_index=True, return_counts=True)
+        single = np.sort(first[count == 1])
+        ids, inside = ids[single], inside[single]
+        area = node_areas(points[ids], derivatives_at_nodes(side)).mean(axis=1)
+        upward = np.sum(area * (inside - points[ids].mean(axis=1)), axis=1)
+        result[side] = ids, np.where(upward < 0, -1, 1) * (0.5 if SHAPES[side] == "triangle" else 1)
+    return result
+
+
+def _candidates(
+    cells: Mapping[str, np.ndarray], starts: np.ndarray, on_wall: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Lists lines from `starts` to nodes off the wall: start, end, nodes and weights (l, k)."""
+    width = max((len(row) for kind in cells for *_, row, _ in _lines(kind)), default=1)
+    parts = []
+    for kind, ids in cells.items():
+        near = ids[starts[ids].any(axis=1)]
+        for first, last, nodes, weights in _lines(kind):
+            chosen = near[starts[near[:, first]] & ~on_wall[near[:, last]]]
+            fill = width - len(nodes)
+            row = np.pad(chosen[:, nodes], ((0, 0), (0, fill)))
+            factor = np.broadcast_to(np.pad(weights, (0, fill)), row.shape)
+            parts.append((chosen[:, first], chosen[:, last], row, factor))
+    start, end, nodes, weights = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return start, end, nodes, weights
+
+
+@functools.cache
+def _lines(kind: str) -> tuple[tuple[int, int, np.ndarray, np.ndarray], ...]:
+    """Lists the lines of a type that may leave a wall: start, end, and weights of some nodes.
+
+    Lines are the edges in both senses, and from nodes of sides to those opposite.
+    """
+    cell, lines = lagrange_types()[kind], []
+    ends = derivatives_at_nodes("line" if cell.order == 1 else f"line{cell.order + 1}")[:2, :, 0]
+    for edge in cell.edges:
+        first, last = edge[:2].tolist()
+        lines += [(first, last, edge, ends[0]), (last, first, edge, -ends[1])]
+    place = {tuple(at): node for node, at in enumerate(cell.lattice.tolist())}
+    slopes = derivatives_at_nodes(kind)
+    for side, (_, nodes) in zip(FACES[cell.shape], cell.sides, strict=True):
+        for node in nodes[nodes >= cell.corners].tolist():
+            last = place[tuple(_opposite(cell, side, cell.lattice[node]))]
+            weights = slopes[node] @ (cell.reference[last] - cell.reference[node])
+            near = np.flatnonzero(np.abs(weights) > 1e-12 * np.abs(weights).max())
+            lines.append((node, last, near, weights[near]))
+    return tuple(lines)
+
+
+def _opposite(cell: Lagrange, side: tuple[int, ...], at: np.ndarray) -> list[int]:
+    """Returns the place on the lattice opposite a place of a side."""
+    corners, p = np.array(PLACES[cell.shape]), cell.order
+    others = [k for k in range(cell.corners) if k not in side]
+    if len(others) == 1:  # the apex of a simplex, or of a pyramid
+        return (p * corners[others[0]]).tolist()
+    if cell.shape == "wedge" and len(side) == 4:  # the other edge, at the height of the place
+        return [*(p * corners[others[0]][:2]).tolist(), int(at[2])]
+    if cell.shape == "pyramid":  # the triangle opposite, at the height of the place
+        axis = int(np.flatnonzero(np.ptp(corners[list(side[:2])], axis=0) == 0)[0])
+        end = at.copy()
+        end[axis] = p - at[2] - at[axis]
+        return end.tolist()
+    axis = int(np.flatnonzero(np.ptp(corners[list(side)], axis=0) == 0)[0])
+    end = at.copy()
+    end[axis] = p - at[axis]
+    return end.tolist()
