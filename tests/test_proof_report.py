@@ -203,6 +203,8 @@ def test_a_step_from_an_unproven_mesh_is_refused():
         ValueError, match=r"\d of 8 cells of the undeformed mesh are not proven valid, first cell \d.*proven=False"
     ):
         jm.largest_step(plan, u, u, folded, proven=True)
+    with pytest.raises(ValueError, match="cells of the undeformed mesh are not proven valid"):
+        jm.ValidSteps(plan, folded, lambda y: y, proven=True)
 
 
 def test_improve_says_what_is_proven():
