@@ -48,6 +48,25 @@ def bent_cylinder(count: int) -> jm.Mesh:
     return jm.Mesh(np.column_stack([x.ravel(), y.ravel(), z.ravel()]), {"hexahedron": cells})
 
 
+def stator(count: int) -> jm.Mesh:
+    """Makes a passage of a stator with thin layers at hub and shroud, its blade leant and twisted.
+
+    The cascade's quads lie on cylinders about the x axis, 2 to 3 chords from it; `count` is that of
+    the cells from hub to shroud.
+    """
+    flat = cases.cascade(around=120, layers=30, periodic=True)
+    x, y = np.asarray(flat.points).T
+    half = 0.5 * np.geomspace(1e-4, 1, count // 2)
+    heights = np.concatenate([[0], half, 1 - half[-2::-1], [1]])
+    stagger, lean = 0.3 * heights[:, None], 0.1 * np.sin(np.pi * heights[:, None])
+    along, turn = x + 0 * stagger, y / 2.5 + stagger * x / 2.5 + lean
+    r = 2 + heights[:, None]
+    quads, n = flat.cells["quad"], len(x)
+    cells = np.concatenate([np.hstack([quads + i * n, quads + (i + 1) * n]) for i in range(len(heights) - 1)])
+    points = np.stack([along, r * np.sin(turn), r * np.cos(turn)], axis=-1).reshape(-1, 3)
+    return jm.Mesh(points, {"hexahedron": cells})
+
+
 def shaken(mesh: jm.Mesh) -> np.ndarray:
     """Moves the nodes by a tenth of the smallest edge of their cells at most."""
     x, cells = np.asarray(mesh.points), mesh.cells["hexahedron"]
@@ -88,6 +107,7 @@ def valid_meshes() -> None:
         "valve": cases.valve(),
         "blade tip": cases.blade_tip(),
         "cascade": cases.cascade(),
+        "stator": stator(24),
     }
     rows = []
     for name, mesh in meshes.items():

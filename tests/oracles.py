@@ -1,5 +1,7 @@
 """Independent oracles: VTK and closed forms for flat meshes, the textbook RBF system, Jacobians by differences."""
 
+import itertools
+
 import jax
 import numpy as np
 import pytest
@@ -131,3 +133,38 @@ def corner_areas(mesh: jm.Mesh, points) -> np.ndarray:
     x = np.asarray(points)[mesh.cells["quad"]]
     after, before = np.roll(x, -1, axis=1) - x, np.roll(x, 1, axis=1) - x
     return after[..., 0] * before[..., 1] - after[..., 1] * before[..., 0]
+
+
+def cells_near_the_limit(cell, count: int, seed: int = 0) -> np.ndarray:
+    """Random cells of one type that are about to fold: nodes (count, nodes, d)."""
+    rng = np.random.default_rng(seed)
+    places, more = samples_inside(cell.shape, 2 * cell.order + 3), 4 * count  # not every direction leads to a fold
+    noise = rng.normal(size=(more, *cell.lattice.shape)) / cell.order
+
+    def is_folded(share):
+        nodes = cell.reference + share[:, None, None] * noise
+        return jacobians_inside(cell.shape, cell.order, cell.lattice, nodes, places).min(axis=1) < 0
+
+    low, high = np.zeros(more), np.full(more, 2.0)
+    noise = noise[is_folded(high)][:count]
+    low, high = low[:count], high[:count]
+    for _ in range(12):
+        middle = (low + high) / 2
+        folded = is_folded(middle)
+        low, high = np.where(folded, low, middle), np.where(folded, middle, high)
+    return cell.reference + (high * (1 + 0.05 * rng.normal(size=count)))[:, None, None] * noise
+
+
+def samples_inside(shape: str, count: int) -> np.ndarray:
+    """Places (s, d) inside a reference cell, on a lattice of its collapsed cube; none at an apex."""
+    line = np.linspace(0, 1, count)
+    d = 2 if shape in ("triangle", "quad") else 3
+    at = np.array(list(itertools.product(line, repeat=d)))
+    if shape in ("triangle", "wedge", "tetra"):
+        at[:, 0] *= 1 - at[:, 1]
+    if shape == "tetra":
+        at[:, :2] *= 1 - at[:, 2:]
+    if shape == "pyramid":
+        at[:, 2] *= 1 - 1e-3
+        at[:, :2] *= 1 - at[:, 2:]
+    return at

@@ -11,7 +11,7 @@ from runs import runs
 
 import jaxmorph as jm
 from jaxmorph import cases
-from jaxmorph._quality.distortion import IDEAL, energy, energy_of_cells, stiffened, target
+from jaxmorph._quality.distortion import IDEAL, Bounds, energy, energy_of_cells, stiffened, target
 from jaxmorph._quality.vector import corners
 
 
@@ -31,10 +31,23 @@ def test_the_stiffened_energy_is_the_papers_but_for_a_constant_and_a_factor(stif
     """f / (1 - t f) with f = e + 1 and t = s / (1 + s): two differences of it are in the ratio of those of e / (1 - s e)."""
     e = np.array([0.0, 0.1, 0.3, 0.9 / stiffness])
     t = stiffness / (1 + stiffness)
-    theirs, ours = (e + 1) / (1 - t * (e + 1)), np.asarray(stiffened(jnp.asarray(e), stiffness))
+    theirs, ours = (e + 1) / (1 - t * (e + 1)), np.asarray(stiffened(jnp.asarray(e), jnp.ones(4), Bounds(stiffness)))
     np.testing.assert_allclose(np.diff(theirs) / np.diff(theirs)[0], np.diff(ours) / np.diff(ours)[0], rtol=1e-10)
-    assert np.isinf(stiffened(jnp.asarray([1 / stiffness, 5 / stiffness]), stiffness)).all()
-    np.testing.assert_allclose(jax.vmap(jax.grad(lambda e: stiffened(e, 0.0)))(jnp.asarray(e)), 1, rtol=0)
+    assert np.isinf(stiffened(jnp.asarray([1 / stiffness, 5 / stiffness]), jnp.ones(2), Bounds(stiffness))).all()
+    slope = jax.vmap(jax.grad(lambda e: stiffened(e, jnp.asarray(-1.0), Bounds(0.0))))
+    np.testing.assert_allclose(slope(jnp.asarray(e)), 1, rtol=0)
+
+
+def test_the_stiffened_energy_is_infinite_at_the_bound_on_size():
+    """Above the bound it is finite and falls with det T, down to 0 at the target; on and below it is infinite."""
+    tau = np.array([0.51, 0.6, 0.9, 1.0])
+    values = np.asarray(stiffened(jnp.asarray((1 - tau) ** 2), jnp.asarray(tau), Bounds(0.1, 0.5)))
+    expected = (1 - tau) ** 2 / (1 - 0.1 * (1 - tau) ** 2) * tau / (tau - 0.5)
+    np.testing.assert_allclose(values, expected, rtol=1e-13)
+    below = stiffened(jnp.full(3, 0.2), jnp.asarray([0.5, 0.0, -1.0]), Bounds(0.1, 0.5))
+    assert np.isinf(below).all()
+    slope = jax.vmap(jax.grad(lambda tau: stiffened(jnp.asarray(0.2), tau, Bounds(0.1, 0.5))))
+    assert np.isfinite(slope(jnp.asarray([-1.0, 0.0, 0.5, 0.6]))).all()
 
 
 @pytest.mark.parametrize("kind", list(IDEAL))
@@ -44,7 +57,7 @@ def test_a_cell_without_stiffness_and_with_none_is_the_same(kind):
         jnp.asarray(ideal + 0.05 * np.cos(np.arange(ideal.size)).reshape(ideal.shape)), np.arange(len(ideal))[None]
     )
     goal = target(kind, corners(jnp.asarray(ideal), np.arange(len(ideal))[None]), False)
-    plain, none, some = (energy_of_cells(kind, x, goal, 1e-3, 0.5, s) for s in (None, 0.0, 3.0))
+    plain, none, some = (energy_of_cells(kind, x, goal, 1e-3, 0.5, s) for s in (None, Bounds(0.0), Bounds(3.0)))
     np.testing.assert_allclose(none, plain, rtol=1e-14)
     assert (np.asarray(some) > np.asarray(plain)).all()
     assert float(energy(jnp.asarray(1.0), jnp.asarray(1.0), 1e-9, 0.5, 2)) == pytest.approx(0, abs=1e-12)

@@ -8,7 +8,7 @@ import jax
 import numpy as np
 import pytest
 from meshes import gmsh_session
-from oracles import jacobians_inside
+from oracles import cells_near_the_limit, jacobians_inside, samples_inside
 from runs import runs
 
 import jaxmorph as jm
@@ -37,47 +37,12 @@ def bounded(kind: str, nodes: np.ndarray, depth: int = 4):
     return found, form.reference(form.inside(found.at)).T
 
 
-def cells_near_the_limit(cell, count: int, seed: int = 0) -> np.ndarray:
-    """Random cells of one type that are about to fold: nodes (count, nodes, d)."""
-    rng = np.random.default_rng(seed)
-    places, more = samples(cell.shape, 2 * cell.order + 3), 4 * count  # not every direction leads to a fold
-    noise = rng.normal(size=(more, *cell.lattice.shape)) / cell.order
-
-    def is_folded(share):
-        nodes = cell.reference + share[:, None, None] * noise
-        return jacobians_inside(cell.shape, cell.order, cell.lattice, nodes, places).min(axis=1) < 0
-
-    low, high = np.zeros(more), np.full(more, 2.0)
-    noise = noise[is_folded(high)][:count]
-    low, high = low[:count], high[:count]
-    for _ in range(12):
-        middle = (low + high) / 2
-        folded = is_folded(middle)
-        low, high = np.where(folded, low, middle), np.where(folded, middle, high)
-    return cell.reference + (high * (1 + 0.05 * rng.normal(size=count)))[:, None, None] * noise
-
-
-def samples(shape: str, count: int) -> np.ndarray:
-    """Places (s, d) inside a reference cell, on a lattice of its collapsed cube; none at an apex."""
-    line = np.linspace(0, 1, count)
-    d = 2 if shape in ("triangle", "quad") else 3
-    at = np.array(list(itertools.product(line, repeat=d)))
-    if shape in ("triangle", "wedge", "tetra"):
-        at[:, 0] *= 1 - at[:, 1]
-    if shape == "tetra":
-        at[:, :2] *= 1 - at[:, 2:]
-    if shape == "pyramid":
-        at[:, 2] *= 1 - 1e-3
-        at[:, :2] *= 1 - at[:, 2:]
-    return at
-
-
 def check_against_samples(cell, count: int, per_side: int, seed: int = 0) -> None:
     """No valid cell has a sample that is not positive, no bound is above a sample, and a witness has the value it claims."""
     nodes = cells_near_the_limit(cell, count, seed)
     found, reference = bounded(cell.name, nodes)
     is_valid, is_invalid = found.lower > 0, found.upper < 0
-    places = samples(cell.shape, per_side)
+    places = samples_inside(cell.shape, per_side)
     chunks = np.array_split(np.arange(count), max(1, count * len(places) // 200_000))
     least = np.concatenate(
         [jacobians_inside(cell.shape, cell.order, cell.lattice, nodes[rows], places).min(axis=1) for rows in chunks]
@@ -299,7 +264,7 @@ def test_quality_finds_the_curved_cells_that_the_bounds_call_invalid(shape, orde
     assert inverted[proof.is_invalid].all()
     assert not inverted[proof.is_valid].any()
     assert np.asarray(jm.quality(mesh.moved(points)).is_inverted)[proof.is_invalid].all()
-    places = samples(shape, 2 * order + 1)  # the lattice of `quality` sees less
+    places = samples_inside(shape, 2 * order + 1)  # the lattice of `quality` sees less
     least = jacobians_inside(shape, order, cell.lattice, nodes, places).min(axis=1)
     hidden = np.flatnonzero(proof.is_invalid & (least > 0))
     assert len(hidden) > 5

@@ -3,11 +3,15 @@
 import itertools
 import re
 
+import equinox as eqx
 import foam
 import jax
+import jax.numpy as jnp
 import numpy as np
+import optimistix as optx
 import pytest
 from meshes import bricks, drum, grid, mixed, ring, square, turn, unit_box, wedges
+from oracles import cells_near_the_limit
 from runs import runs
 
 import jaxmorph as jm
@@ -192,6 +196,27 @@ def test_the_proven_step_is_proven_and_the_largest(make, ratio):
     assert beyond.upper[result.cell] < ratio * undeformed.lower[result.cell]
 
 
+def test_a_line_search_accepts_proven_steps_alone():
+    """A brick's corners may move on although it is folded between them: judged by corners alone the way ends later."""
+    mesh = grid(*[[0.0, 1.0]] * 3)
+    cells = cells_near_the_limit(lagrange_types()["hexahedron"], 400, seed=3)[:, [0, 4, 3, 7, 1, 5, 2, 6]]
+    direction = next(
+        cell - mesh.points
+        for cell in cells
+        if jm.proof(mesh, cell).invalid and not int(jm.quality(mesh, cell).inverted)
+    )
+    plan, folded = jm.prepare(mesh.points, np.arange(8), method=jm.InverseDistance()), []
+    for proven in (False, True):
+        search = jm.ValidSteps(plan, mesh, lambda y: y * direction, proven=proven)
+        solver = eqx.tree_at(lambda it: it.search, optx.GradientDescent(1.0, 1e-9, 1e-9), search)
+        objective = search.guarded(lambda y, args: -y)
+        end = optx.minimise(objective, solver, jnp.asarray(0.0), max_steps=12, throw=False).value
+        assert float(end) > 0
+        report = jm.proof(mesh, jm.deform(plan, end * direction), base=mesh.points)
+        folded.append(report.count - report.valid)
+    assert folded == [1, 0]
+
+
 def test_a_step_from_an_unproven_mesh_is_refused():
     mesh = bricks(2)
     plan = jm.prepare(mesh.points, mesh.patch("floor"), method=jm.InverseDistance())
@@ -201,6 +226,8 @@ def test_a_step_from_an_unproven_mesh_is_refused():
         ValueError, match=r"\d of 8 cells of the undeformed mesh are not proven valid, first cell \d.*proven=False"
     ):
         jm.largest_step(plan, u, u, folded, proven=True)
+    with pytest.raises(ValueError, match="cells of the undeformed mesh are not proven valid"):
+        jm.ValidSteps(plan, folded, lambda y: y, proven=True)
 
 
 def test_improve_says_what_is_proven():

@@ -20,7 +20,7 @@ from .._quality import measures
 from .._quality.quality import places, standards_of
 from .._quality.vector import corners
 from .first_roots import first_roots
-from .proven_step import proven_share
+from .proven_step import least_undeformed, proven_share
 
 
 @dataclasses.dataclass(frozen=True)
@@ -83,11 +83,7 @@ def largest_step(
     u, direction = finite_array("u", u, shape), finite_array("direction", direction, shape)
     start = np.asarray(places(mesh, deform(plan, u)))
     end = np.asarray(deform(plan, jnp.asarray(u) + max_step * jnp.asarray(direction)))
-    share, cell = Corners(mesh, plan.points.dtype, min_jacobian_ratio).share(start, end)
-    if proven:  # never beyond what the corners allow, so that round-off is that of the step itself
-        start, way = start.astype(float), end.astype(float) - start
-        part, ends_it = proven_share(mesh, start, start + share * way, min_jacobian_ratio)
-        share, cell = (share * part, ends_it) if part < 1 else (share, cell)
+    share, cell = Bounds(mesh, plan.points.dtype, min_jacobian_ratio, proven).share(start, end)
     return LargestStep(share * max_step, cell)
 
 
@@ -100,13 +96,14 @@ def _nonlinear(plan: Plan) -> str:
     return f"{type(method).__name__} is not"
 
 
-class Corners:
-    """Corners of a mesh's cells and bounds of their Jacobians.
+class Bounds:
+    """Bounds of the Jacobians at a mesh's corners, and with `proven` of det J of whole cells.
 
     An instance is equal only to itself, so that compiled programs may hold it.
     """
 
-    def __init__(self, mesh: Mesh, dtype: Any, min_jacobian_ratio: float):
+    def __init__(self, mesh: Mesh, dtype: Any, min_jacobian_ratio: float, proven: bool = False):
+        self.mesh, self.of_cells = mesh, min_jacobian_ratio * least_undeformed(mesh) if proven else None
         standards = jax.tree.map(np.asarray, standards_of(mesh, dtype))
         self.parts = [
             (kind, np.asarray(ids), standard.sign, standard.is_judged, min_jacobian_ratio * standard.jacobian)
@@ -118,6 +115,15 @@ class Corners:
 
         The cell is -1 where none does.
         """
+        share, cell = self._of_corners(start, end)
+        if self.of_cells is None:
+            return share, cell
+        # Never beyond what the corners allow, so that round-off is that of the step itself.
+        begin, way = np.asarray(start, float), np.asarray(end, float) - np.asarray(start, float)
+        part, ends_it = proven_share(self.mesh, begin, begin + share * way, self.of_cells)
+        return (share * part, ends_it) if part < 1 else (share, cell)
+
+    def _of_corners(self, start: np.ndarray, end: np.ndarray) -> tuple[float, int]:
         best, worst, offset = 1.0, -1, 0
         for kind, ids, sign, judged, bound in self.parts:
             values = _polynomials(kind, start, end, ids) * sign
@@ -130,7 +136,7 @@ class Corners:
         return best, worst
 
     def hold(self, points: Float[Array, "n d"]) -> Bool[Array, ""]:
-        """Checks whether every cell is above its bound; traced."""
+        """Checks whether every corner is above its bound; traced."""
         is_above = jnp.array(True)
         for kind, ids, sign, judged, bound in self.parts:
             jacobians = sign[None] * corner_jacobians(kind, points, ids)

@@ -14,14 +14,10 @@ from .._quality.proof.search import ROOM
 from .first_roots import first_roots
 
 
-def proven_share(
-    mesh: Mesh, start: Float[np.ndarray, "n d"], end: Float[np.ndarray, "n d"], ratio: float
-) -> tuple[float, int]:
-    """Finds the share of the straight way on which all cells keep their bound, at most 1.
+def least_undeformed(mesh: Mesh) -> Float[np.ndarray, " k"]:
+    """Finds the least det J that is proven of each undeformed cell.
 
-    Also finds the cell that ends it, or -1. The bound is `ratio` times the least det J that is
-    proven of the undeformed cell. At each instant the least coefficient is a lower bound on det J,
-    so the step ends where the first coefficient falls below. Only cells that would end it are cut.
+    **Raises:** `ValueError` for cells that are not proven valid.
     """
     undeformed = proof(mesh, mesh.points)
     if undeformed.valid < undeformed.count:
@@ -30,10 +26,22 @@ def proven_share(
             f"{undeformed.count - undeformed.valid} of {undeformed.count} cells of the undeformed mesh are not proven valid, first "
             f"cell {first}: no step can be. jm.proof(mesh) lists them; proven=False looks at corners alone."
         )
+    return undeformed.lower
+
+
+def proven_share(
+    mesh: Mesh, start: Float[np.ndarray, "n d"], end: Float[np.ndarray, "n d"], bounds: Float[np.ndarray, " k"]
+) -> tuple[float, int]:
+    """Finds the share of the straight way on which all cells keep their bound, at most 1.
+
+    Also finds the cell that ends it, or -1. At each instant the least coefficient is a lower bound
+    on det J, so the step ends where the first coefficient falls below. Only cells that would end it
+    are cut.
+    """
     search, offset = _Search(), 0
     for kind, ids in mesh.cells.items():
         if DIMENSION[kind] == mesh.points.shape[1]:
-            bound = ratio * undeformed.lower[offset : offset + len(ids)]
+            bound = bounds[offset : offset + len(ids)]
             search.through(_Cells(kind, np.asarray(ids).T, np.asarray(mesh.points, float), (start, end), bound), offset)
         offset += len(ids)
     return search.step, search.cell

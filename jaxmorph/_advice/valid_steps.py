@@ -16,7 +16,7 @@ from .._mesh.mesh import Mesh
 from .._plan.deform import deform
 from .._plan.plan import Plan
 from .._quality.quality import places
-from .largest_step import Corners
+from .largest_step import Bounds
 
 
 class ValidSteps(Module, optx.AbstractSearch):
@@ -25,9 +25,10 @@ class ValidSteps(Module, optx.AbstractSearch):
     A step that would invert a cell is shortened.
 
     Corner Jacobians are polynomials in the step. Their first root, as `largest_step` finds it, is
-    the end of the way, and `share` of the way is tried next. Other steps end by Armijo's rule. The
-    search suits descents whose change is a multiple of the step, such as `optimistix.NewtonDescent`
-    and `optimistix.SteepestDescent`.
+    the end of the way, and `share` of the way is tried next. Between its corners a cell may fold:
+    with `proven`, whole cells keep the bound. Other steps end by Armijo's rule. The search suits
+    descents whose change is a multiple of the step, such as `optimistix.NewtonDescent` and
+    `optimistix.SteepestDescent`.
 
         search = jm.ValidSteps(plan, mesh, lambda design: operator(design))
         solver = equinox.tree_at(lambda solver: solver.search, optimistix.BFGS(1e-6, 1e-6), search)
@@ -40,17 +41,19 @@ class ValidSteps(Module, optx.AbstractSearch):
     - `displacement`: takes the optimiser's variables and returns `u` (m, d). Where it, or the plan,
       is not linear, the way's end is that of the chord, and the step is cut again until it fits.
     - `min_jacobian_ratio`: bound on `QualityReport.jacobian_ratio`. Default 0, where cells invert.
+    - `proven`: judge whole cells on the straight way to each step that is accepted, as
+      `largest_step(proven=True)` does. Default False. `holds` and `guarded` look at corners alone.
     - `share`: part of the way to the bound that is tried, above 0 and below 1. Default 0.9.
     - `slope`: part of the linear gain that Armijo's rule asks for. Default 0.1.
     - `decrease`: factor of a step that gains too little. Default 0.5.
 
     **Raises:** `ValueError` for a bound outside of 0 to 1 and other factors that do not lie between
-    0 and 1.
+    0 and 1. With `proven`, also for a mesh with undeformed cells that are not proven valid.
     """
 
     plan: Plan
     displacement: Callable[[Any], Float[Array, "m d"]]
-    corners: Corners = eqx.field(static=True)
+    bounds: Bounds = eqx.field(static=True)
     share: float
     slope: float
     decrease: float
@@ -63,6 +66,7 @@ class ValidSteps(Module, optx.AbstractSearch):
         displacement: Callable[[Any], Any],
         *,
         min_jacobian_ratio: float = 0.0,
+        proven: bool = False,
         share: float = 0.9,
         slope: float = 0.1,
         decrease: float = 0.5,
@@ -72,12 +76,12 @@ class ValidSteps(Module, optx.AbstractSearch):
             between(name, value, 0, 1)
         places(mesh, plan.points)
         self.plan, self.displacement = plan, displacement
-        self.corners = Corners(mesh, plan.points.dtype, min_jacobian_ratio)
+        self.bounds = Bounds(mesh, plan.points.dtype, min_jacobian_ratio, proven)
         self.share, self.slope, self.decrease = share, slope, decrease
 
     def holds(self, y: PyTree) -> Bool[Array, ""]:
-        """Checks whether every cell of the mesh of these variables keeps its bound."""
-        return self.corners.hold(deform(self.plan, self.displacement(y)))
+        """Checks whether every corner of the mesh of these variables keeps its bound."""
+        return self.bounds.hold(deform(self.plan, self.displacement(y)))
 
     def guarded(self, objective: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
         """Makes an objective that is infinite, and runs no flow, where the mesh breaks a bound."""
@@ -98,13 +102,13 @@ class ValidSteps(Module, optx.AbstractSearch):
     ) -> tuple[Any, Any, Any, Any]:
         """Accepts the variables that were tried, or gives a shorter step."""
         before, after = (deform(self.plan, self.displacement(variables)) for variables in (y, y_eval))
-        corners, dtype = self.corners, before.dtype
+        bounds, dtype = self.bounds, before.dtype
 
         def share(before: Any, after: Any) -> Any:
-            return corners.share(before, after)[0]
+            return bounds.share(before, after)[0]
 
         way = host_call(share, jax.ShapeDtypeStruct((), dtype), before, after)
-        fits = (way >= 1) & self.corners.hold(after)
+        fits = (way >= 1) & self.bounds.hold(after)
         gain = f_info.compute_grad_dot(jax.tree.map(jnp.subtract, y_eval, y))
         falls = f_eval_info.as_min() - f_info.as_min() <= self.slope * gain
         accept = first_step | (fits & falls & (gain <= 0))

@@ -107,9 +107,10 @@ def improve(
     SciPy solves the sparse systems on the host.
 
     With `worst`, stages follow that raise the worst cell at the cost of the mean. The energy e of a
-    corner becomes e / (1 - s e): it stays below 1 / s, a bound that falls from stage to stage. The
-    result has the largest of the stages' smallest Jacobians. It is the result without `worst` where
-    no stage has a larger smallest Jacobian ratio, or where one inverts more cells or proves fewer.
+    corner becomes e / ((1 - s e) (1 - r / det T)): it stays below 1 / s, and det T above r. Both
+    bounds close in from stage to stage. The result has the largest of the stages' smallest
+    Jacobians. It is the result without `worst` where no stage has a larger smallest Jacobian ratio,
+    or where one inverts more cells or proves fewer.
 
     Traced in `points`. It is differentiable in both modes with respect to the places of the fixed
     nodes, by the implicit function theorem at the minimum. Derivatives are as accurate as

@@ -16,7 +16,7 @@ from .._host.cells.topology import CORNERS, DIMENSION
 from .._host.linear.hessians import Pattern, solve, solve_exactly
 from .._kernels.callback import host_call
 from .._quality import measures
-from .._quality.distortion import Target, energy, energy_of_cells, samples, stiffened
+from .._quality.distortion import Bounds, Target, energy, energy_of_cells, samples, stiffened
 from .._quality.vector import Vector, corners
 from .hessian import blocks
 from .ways import Ways
@@ -31,8 +31,8 @@ NEAR = 1.0
 class Distortion(eqx.Module):
     """A mesh's energy by the free nodes' motion y (n, d) from their start, in units of `scale`.
 
-    `ways` lead the nodes of walls and periodic pairs; None without walls and pairs. With a
-    `stiffness` the distortion of a sample stays below 1 / stiffness.
+    `ways` lead the nodes of walls and periodic pairs; None without walls and pairs. With `bounds`
+    all samples stay within them.
     """
 
     cells: dict[str, Integer[Array, "_k _c"]]
@@ -42,7 +42,7 @@ class Distortion(eqx.Module):
     softness: Float[Array, ""]
     ways: Ways | None
     size: float = eqx.field(static=True)
-    stiffness: Float[Array, ""] | None = None
+    bounds: Bounds | None = None
 
     def points(self, y: Float[Array, "n d"], base: Float[Array, "n d"]) -> Float[Array, "n d"]:
         """Places the nodes; fixed nodes stay at `base`, bit for bit."""
@@ -58,7 +58,7 @@ class Distortion(eqx.Module):
         total = jnp.zeros((), points.dtype)
         for kind, ids in self.cells.items():
             x, goal = corners(points, ids), self.targets[kind]
-            total += jnp.sum(energy_of_cells(kind, x, goal, self.softness, self.size, self.stiffness))
+            total += jnp.sum(energy_of_cells(kind, x, goal, self.softness, self.size, self.bounds))
         return total
 
     def shift(self) -> Float[Array, " n"]:
@@ -108,7 +108,7 @@ class Distortion(eqx.Module):
 
         def cell_energy(squared, tau):
             value = energy(squared, tau, self.softness, self.size, d)
-            return value if self.stiffness is None else stiffened(value, self.stiffness)
+            return value if self.bounds is None else stiffened(value, tau, self.bounds)
 
         for kind, ids in self.cells.items():
             goal = self.targets[kind]

@@ -14,6 +14,7 @@ from jaxtyping import Array, Float, Int
 
 from .._host.linear.hessians import Pattern
 from .._kernels.compile import compiled
+from .._quality.distortion import Bounds
 from .newton import Distortion, HessianSolver, ProjectedNewton
 from .ways import Ways
 
@@ -27,7 +28,7 @@ SHARPEST, GENTLER, STAGES = 1e-3, 0.3, 5
 """Softness of the barrier in the last stage, its largest factor per stage, and most stages."""
 
 SHARE, RUNG, RUNGS = 0.95, 1.02, 40
-"""Worst distortion over its bound where a stage begins, ratio of two rungs, and most stages."""
+"""Worst sample over its bound where a stage begins, ratio of two rungs, and most stages."""
 
 CLOSE = 0.03
 """Least tolerance between two stages of stiffening: a looser one would end them too early."""
@@ -72,45 +73,46 @@ def softened(distortion: Distortion, base: Float[Array, "n d"], search: Search) 
 
 
 def stiffened(plain: Minimum, base: Float[Array, "n d"], search: Search) -> Minimum:
-    """Finds the minimum below the smallest bound on the distortion that leaves room for it.
+    """Finds the minimum within the closest bounds on distortion and size that leave room for it.
 
-    The bound stands on rungs. Between jumps it does not depend on the points, so the derivative of
-    the last minimum is the derivative of the whole search.
+    Bounds stand on rungs. Between jumps they do not depend on the points, so the derivative of the
+    last minimum is the derivative of the whole search.
     """
     y, held = map(jax.lax.stop_gradient, (plain.y, base))
     distortion, y, steps = _climbed(plain.distortion, y, held, search)
-    y, last = _minimise(distortion, y, base, search, (True, search.enough(last=True)))
+    y, last = _minimise(distortion, y, base, search, (True, jnp.minimum(search.enough(last=True), CLOSE / 10)))
     return Minimum(distortion, y, plain.steps + steps + last)
 
 
 @compiled
 def _climbed(distortion: Distortion, y, base, search: Search):
-    """Raises the stiffness rung by rung until the worst sample leaves no room for the next.
+    """Moves the bounds rung by rung until the worst samples leave no room for the next.
 
-    Returns the rung where the smallest determinant is largest, and the steps of all rungs.
+    Returns the rungs where the smallest determinant is largest, and the steps of all rungs.
     """
     distortion, enough = distortion.movable(), jnp.stack([jnp.maximum(search.tolerance, CLOSE)] * 2)
 
-    def rung(y):
-        share = jnp.log(SHARE / jnp.maximum(distortion.worst(y, base), 1e-6)) / jnp.log(RUNG)
-        return jnp.floor(share).astype(base.dtype)
+    def rungs(y):
+        closest = jnp.stack([1 / jnp.maximum(distortion.worst(y, base), 1e-6), distortion.least(y, base)])
+        highest = jnp.log(SHARE * jnp.maximum(closest, 0)) / jnp.log(RUNG)  # -inf where a cell is inverted: no bound
+        return jnp.floor(highest).astype(base.dtype)
 
-    def stiff(rung):
-        return dataclasses.replace(distortion, stiffness=RUNG**rung)
+    def stiff(rungs):
+        return dataclasses.replace(distortion, bounds=Bounds(*RUNG**rungs))
 
     def goes_on(state):
         y, now, *_, stage = state
-        return (rung(y) > now) & (stage < RUNGS)
+        return jnp.any(rungs(y) > now) & (stage < RUNGS)
 
     def climb(state):
-        y, _, best, count, stage = state
-        now = rung(y)
+        y, now, best, count, stage = state
+        now = jnp.maximum(now, rungs(y))
         y, steps = _minimise(stiff(now), y, base, search, (True, enough))
         here = y, now, distortion.least(y, base)
         best = jax.tree.map(lambda new, old: jnp.where(here[2] > best[2], new, old), here, best)
         return y, now, best, count + steps, stage + 1
 
-    none = jnp.asarray(-jnp.inf, base.dtype)
+    none = jnp.full(2, -jnp.inf, base.dtype)
     start = y, none, (y, none, distortion.least(y, base)), jnp.asarray(0), jnp.asarray(0)
     _, _, (y, now, _), count, _ = jax.lax.while_loop(goes_on, climb, start)
     return stiff(now), y, count

@@ -112,26 +112,37 @@ def energy(
     return (1 - size) * shape + size * (1 + tau**2) / (2 * chi) - 1
 
 
-def stiffened(energy: Float[Array, "*shape"], stiffness: Any) -> Float[Array, "*shape"]:
-    """Computes energy / (1 - stiffness energy): infinite where the energy reaches 1 / stiffness.
+class Bounds(NamedTuple):
+    """Bounds on samples: the distortion stays below 1 / `stiffness`, det T above `least`."""
 
-    It is the energy of Garanzha et al., In the Quest for Scale-optimal Mappings, ACM Trans. Graph.
-    43, 2024, f / (1 - t f) with f = energy + 1, but for a constant and a factor; t is
-    stiffness / (1 + stiffness).
+    stiffness: Any
+    least: Any = 0.0
+
+
+def stiffened(energy: Float[Array, "*shape"], tau: Float[Array, "*shape"], bounds: Bounds) -> Float[Array, "*shape"]:
+    """Computes energy / ((1 - stiffness energy) (1 - least / tau)): infinite at both bounds.
+
+    Without `least` it is the energy of Garanzha et al., In the Quest for Scale-optimal Mappings,
+    ACM Trans. Graph. 43, 2024, f / (1 - t f) with f = energy + 1, but for a constant and a factor;
+    t is stiffness / (1 + stiffness). The second bound keeps the smallest cells, whose distortion
+    may be below that of cells that have lost their shape.
     """
-    room = 1 - stiffness * energy
-    return jnp.where(room > 0, energy / jnp.where(room > 0, room, 1), jnp.inf)
+    first, is_large = 1 - bounds.stiffness * energy, (bounds.least <= 0) | (tau > bounds.least)
+    second = jnp.where(bounds.least > 0, 1 - bounds.least / jnp.where(is_large & (tau != 0), tau, 1), 1)
+    room = first * second
+    has_room = is_large & (first > 0) & (second > 0)
+    return jnp.where(has_room, energy / jnp.where(has_room, room, 1), jnp.inf)
 
 
 def energy_of_cells(
-    kind: str, x: list[Vector], goal: Target, softness: Any, size: float, stiffness: Any = None
+    kind: str, x: list[Vector], goal: Target, softness: Any, size: float, bounds: Bounds | None = None
 ) -> Float[Array, " k"]:
-    """Averages the energy, stiffened if there is a `stiffness`, over the samples of each cell."""
+    """Averages the energy, stiffened if there are `bounds`, over the samples of each cell."""
     squared, tau = samples(kind, x, goal)
     values = energy(squared, tau, softness, size, len(goal.inverse))
-    if stiffness is None:
+    if bounds is None:
         return jnp.mean(goal.counts * values, axis=0)
-    return jnp.mean(jnp.where(goal.counts > 0, stiffened(values, stiffness), 0), axis=0)
+    return jnp.mean(jnp.where(goal.counts > 0, stiffened(values, tau, bounds), 0), axis=0)
 
 
 def node_scales(kinds: dict[str, Any], targets: dict[str, Target], n: int) -> Float[Array, " n"]:

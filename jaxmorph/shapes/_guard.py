@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from .._advice.largest_step import Corners, corner_jacobians
+from .._advice.largest_step import Bounds, corner_jacobians
 from .._host.package.arguments import between, checked, finite_array, whole
 from .._kernels.compile import compiled
 from .._kernels.module import Module
@@ -87,7 +87,7 @@ class MeshGuard(Module):
         between("min_jacobian_ratio", min_jacobian_ratio, 0, 1, "[)")
         between("sharpness", sharpness, 0)
         places(mesh, plan.points)
-        parts = Corners(mesh, plan.points.dtype, 1.0).parts
+        parts = Bounds(mesh, plan.points.dtype, 1.0).parts
         self.plan, self.displacement = plan, displacement
         self.kinds = tuple(kind for kind, *_ in parts)
         self.ids, self.signs = (tuple(jnp.asarray(part[k]) for part in parts) for k in (1, 2))

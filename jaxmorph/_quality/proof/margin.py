@@ -65,32 +65,52 @@ def proven_margin(
     kinds, cells = tuple(mesh.cells), tuple(mesh.cells.values())
     ends = (now,) if start is None else (start, now)
     with jax.ensure_compile_time_eval():
-        reference = jnp.asarray(mesh.points, now.dtype)
-    if on_host(cells, reference, ends, sharpness):
+        sizes = _sizes(kinds, cells, jnp.asarray(mesh.points, now.dtype))
+    if on_host(cells, sizes, ends, sharpness):
         with np.errstate(all="ignore"), jax.ensure_compile_time_eval():
-            cells, reference, ends = jax.tree.map(np.asarray, (cells, reference, ends))
-            return as_jax(_joined(kinds, cells, reference, ends, depth, sharpness))
-    return _measured(kinds, cells, reference, ends, depth, None if sharpness is None else jnp.asarray(sharpness))
+            cells, sizes, ends = jax.tree.map(np.asarray, (cells, sizes, ends))
+            return as_jax(_joined(kinds, cells, sizes, ends, depth, sharpness))
+    return _measured(kinds, cells, sizes, ends, depth, None if sharpness is None else jnp.asarray(sharpness))
+
+
+def _sizes(kinds: tuple[str, ...], cells: tuple[Any, ...], points: Float[Array, "n d"]) -> tuple[Either, ...]:
+    """Computes the mean of det J over each undeformed cell, here and not in the caller's program.
+
+    Else XLA would compute it from constants while it compiles, which takes many seconds.
+    """
+    xp, d, x = np if on_host(cells, points) else jnp, points.shape[1], points
+    if xp is np:
+        cells, x = jax.tree.map(np.asarray, (cells, points))
+
+    def mean(kind: str, ids: Any) -> Either:
+        form = form_of(kind)
+        size = max(64, (ROOM if xp is np else TRACED_ROOM) // bernstein.count(form.space))
+        return in_blocks(xp, lambda ids: form.mean(form.coefficients(nodes_of(x, ids))), ids.T, size=size)
+
+    none = functools.partial(xp.ones, dtype=points.dtype)
+    means = (
+        mean(kind, ids) if DIMENSION[kind] == d else none(len(ids)) for kind, ids in zip(kinds, cells, strict=True)
+    )
+    return tuple(xp.where(size == 0, 1, size) for size in means)
 
 
 def _joined(
     kinds: tuple[str, ...],
     cells: tuple[Any, ...],
-    reference: Either,
+    sizes: tuple[Either, ...],
     ends: tuple[Either, ...],
     depth: int,
     sharpness: Any,
 ) -> Float[Either, " k"]:
-    xp, d, margins = namespace(reference), reference.shape[1], []
-    for kind, ids in zip(kinds, cells, strict=True):
+    xp, (_, d), margins = namespace(ends[0]), ends[0].shape, []
+    for kind, ids, own in zip(kinds, cells, sizes, strict=True):
         if DIMENSION[kind] != d:
-            margins.append(xp.full(len(ids), np.inf, reference.dtype))
+            margins.append(xp.full(len(ids), np.inf, ends[0].dtype))
             continue
         form = form_of(kind, len(ends) == 2)
         parts = bernstein.count(form.space) * 2 ** (depth * sum(m for m, _ in form.space))
         size = max(64, (ROOM if xp is np else TRACED_ROOM) // parts)
-        margin = functools.partial(_margin, kind, reference, ends, depth, sharpness)
-        margins.append(in_blocks(xp, margin, ids.T, size=size))
+        margins.append(in_blocks(xp, functools.partial(_margin, kind, ends, depth, sharpness), ids.T, own, size=size))
     return xp.concatenate(margins)
 
 
@@ -98,12 +118,16 @@ _measured = compiled(_joined)
 
 
 def _margin(
-    kind: str, reference: Either, ends: tuple[Either, ...], depth: int, sharpness: Any, ids: Int[Either, "c k"]
+    kind: str,
+    ends: tuple[Either, ...],
+    depth: int,
+    sharpness: Any,
+    ids: Int[Either, "c k"],
+    size: Float[Either, " k"],
 ) -> Float[Either, " k"]:
-    xp, still, form = namespace(reference), form_of(kind), form_of(kind, len(ends) == 2)
-    mean = still.mean(still.coefficients(nodes_of(reference, ids)))
+    xp, form = namespace(ends[0]), form_of(kind, len(ends) == 2)
     parts = zip(*(nodes_of(end, ids) for end in ends), strict=True)
-    values = form.coefficients([xp.concatenate(part) for part in parts]) / xp.where(mean == 0, 1, mean)[None]
+    values = form.coefficients([xp.concatenate(part) for part in parts]) / size[None]
     for _ in range(depth):
         values = bernstein.halved(form.space, values)
     values = values.reshape(-1, ids.shape[1])
