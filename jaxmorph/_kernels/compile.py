@@ -107,6 +107,15 @@ def quickly_compiled(is_quick: bool = True) -> Iterator[None]:
         _is_quick.reset(token)
 
 
+def float64_mode(is_on: bool = True) -> contextlib.AbstractContextManager[Any]:
+    """Returns a context in which JAX computes in float64, or does not, whatever its mode is."""
+    if hasattr(jax, "enable_x64"):
+        return jax.enable_x64(is_on)
+    from jax.experimental import enable_x64  # pyright: ignore[reportAttributeAccessIssue]  of older versions
+
+    return enable_x64(is_on)
+
+
 @functools.cache
 def _known_options(is_quick: bool) -> dict[str, Any]:
     """Selects the options that this XLA knows: it refuses a program for an unknown option."""

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float, PyTree
 
 from .._host.package.cores import Beside, cores
-from .._kernels.compile import compiled, is_direct
+from .._kernels.compile import compiled, float64_mode, is_direct
 from .._methods.blocks import is_rows
 
 T = TypeVar("T")
@@ -55,10 +55,11 @@ def shares(plan: Any, *arguments: Any) -> int:
 
 def on_all_cores(program: Callable[[Any], T], pieces: list[Any]) -> tuple[T, ...]:
     """Begins a program for each piece, in a thread for each core. The first call compiles."""
-    number, results, wide = min(cores(), len(pieces)), {0: program(pieces[0])}, jax.config.jax_enable_x64
+    number, results = min(cores(), len(pieces)), {0: program(pieces[0])}
+    is_wide = jax.dtypes.canonicalize_dtype(np.float64) == np.float64
 
     def begin(places: range) -> None:
-        with jax.enable_x64(wide):  # a setting of the thread
+        with float64_mode(is_wide):  # a setting of the thread
             results.update((k, program(pieces[k])) for k in places)
 
     threads = [Beside(begin, range(first, len(pieces), number)) for first in range(1, number)]

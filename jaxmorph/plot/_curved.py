@@ -5,8 +5,8 @@ from collections.abc import Mapping
 import numpy as np
 from jaxtyping import Float, Int
 
-from .._host.cells.lagrange import lagrange_types
-from .._host.cells.refined import lattice_of, places_of, steps_of
+from .._host.cells.lagrange import lagrange_types, of_order
+from .._host.cells.refined import places_of, steps_of
 from .._host.cells.topology import CORNERS, SHAPES
 from .._mesh.elevate import node_keys
 from ._cells import SEGMENTS
@@ -33,7 +33,7 @@ def refined(
     **Returns:** the points, the pieces by type in alphabetical order, and the cell of each piece.
     """
     # a point is known by the corners around it and their weights, as in `elevate`
-    kinds = {kind: (np.asarray(ids), lattice_of(SHAPES[kind], m)) for kind, ids in cells.items() if len(ids)}
+    kinds = {kind: (np.asarray(ids), of_order(SHAPES[kind], m)) for kind, ids in cells.items() if len(ids)}
     keys, places = [], []
     for kind, (ids, lattice) in kinds.items():
         corners = ids[:, : CORNERS[SHAPES[kind]]]

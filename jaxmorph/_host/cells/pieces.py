@@ -90,11 +90,11 @@ def pieces_of(kind: str) -> dict[str, np.ndarray]:
     cell = lagrange_types()[kind]
     if cell.order == 1:
         return {cell.shape: np.arange(cell.corners)[None]}
-    pieces = _of_lattice(cell) if cell.is_complete else _of_edges(cell)
+    pieces = of_lattice(cell) if cell.is_complete else _of_edges(cell)
     return {shape: np.array(rows) for shape, rows in pieces.items() if len(rows)}
 
 
-def _of_lattice(cell: Lagrange) -> dict[str, list]:
+def of_lattice(cell: Lagrange) -> dict[str, list]:
     """Cuts a cell with all lattice nodes into cells of its shape; pyramids also into tetrahedra."""
     place, p, shape = cell.place, cell.order, cell.shape
 

@@ -1,22 +1,12 @@
 """A piece of a mesh that follows the points of a surface, whichever process has them."""
 
-import contextlib
 import dataclasses
 from typing import Any
 
-import jax
 import numpy as np
 
+from ..._kernels.compile import float64_mode
 from .. import mpi
-
-
-def doubles() -> contextlib.AbstractContextManager[Any]:
-    """Returns a context in which JAX computes in float64, whatever its mode is."""
-    if hasattr(jax, "enable_x64"):
-        return jax.enable_x64(True)
-    from jax.experimental import enable_x64  # pyright: ignore[reportAttributeAccessIssue]  of older versions
-
-    return enable_x64()
 
 
 class Follower:
@@ -34,16 +24,16 @@ class Follower:
 
     def deform(self, dof: int = 0, step: float = 0.0) -> np.ndarray:
         """Moves the piece, with a step of one coordinate of the points of all processes."""
-        with doubles():
+        with float64_mode():
             return self.piece.deform(self._u(self._displacement(dof, step)))
 
     def pushforward(self, tangent: np.ndarray) -> np.ndarray:
-        with doubles():
+        with float64_mode():
             return self.piece.pushforward(self._u(self._displacement()), self._u(tangent))
 
     def pullback(self, cotangent: np.ndarray) -> np.ndarray:
         """Pulls back a derivative by all processes' nodes: those of a shared node add up."""
-        with doubles():
+        with float64_mode():
             share = self.copies.pullback(self._u(self._displacement()), cotangent)
         moving = np.zeros((self.weights.shape[0], 3))
         for rows, values in self.piece.comm.allgather((self.piece.rows, share)):

@@ -9,11 +9,12 @@ from jaxtyping import Float, Inexact
 
 import jaxmorph as jm
 
+from ..._kernels.compile import float64_mode
 from .. import mpi
 from .._shared import rows_in, together
 from ._arrays import faces, reals
 from ._definition import Definition
-from ._follower import Follower, doubles
+from ._follower import Follower
 from ._grid import Grid, SolverOrder, communicator, solver_order, surface_blocks
 from ._options import FILE, WITHOUT, changed, checked, name_of, warn_of
 from ._walls import walls_of
@@ -266,7 +267,7 @@ class USMesh:
             ids = grid.known.get("nodes", np.arange(len(grid.outside.points)))[moving]
             return half, weights[rows_in(ids, half.moving)]
 
-        with doubles():
+        with float64_mode():
             half, weights = self.comm.bcast(together(self.comm, prepared))
             piece = mpi.attach(self.comm, half, grid.points, grid.nodes)
         self._surface = Follower(piece, weights, points)
