@@ -31,7 +31,7 @@ def wing():
     plan = jm.prepare(mesh, "wing", "farfield", symmetry="symmetry")
     moved = np.asarray(jm.deform(plan, cases.agard445_mode(mesh.points[plan.moving], 1, BENDING)))
 
-    left = np.array([1.0, -1.0, 1.0])  # the left wing: `cut` draws lines on the side that it is seen from
+    left = np.array([1.0, -1.0, 1.0])  # the left wing
 
     def draw(phase):
         points = mesh.points + phase * (moved - mesh.points)  # `deform` is linear

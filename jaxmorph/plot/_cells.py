@@ -18,6 +18,7 @@ try:
     from matplotlib.axes import Axes as Axes
     from matplotlib.collections import LineCollection as LineCollection
     from matplotlib.collections import PolyCollection
+    from matplotlib.colors import to_hex as to_hex
     from matplotlib.font_manager import findfont as findfont
     from matplotlib.patches import Patch as Patch
     from matplotlib.textpath import TextPath as TextPath

@@ -15,26 +15,39 @@ import jaxmorph as jm
 from jaxmorph._host.package.arguments import checked
 from jaxmorph._host.package.files import complete, output_path
 
-from ._cells import plt
+from ._cells import MaxNLocator, plt, to_hex
 from ._outside import corners_of, outlines, outside
+from ._space import viewer_of
 from ._style import COLOURS, DARK, DISPLACEMENT, Limits, Values, colour_scale
 from ._view import view_axes
 
 SLIDER = """
 const panel = document.createElement("form");
 panel.id = "deformation";
-panel.style.cssText = "position:fixed;top:16px;left:20px;font:18px sans-serif;color:#1b1b1b;background:#ffffffd0";
-panel.innerHTML = `<div id="label" style="margin-bottom:8px"></div><label>undeformed
-<input id="time" type="range" min="0" max="1" step="0.01" value="1" style="width:220px;vertical-align:middle"> deformed</label>`;
+panel.style.cssText = "position:fixed;top:16px;left:16px;font:16px sans-serif;color:#1b1b1b;background:#ffffffd0";
+panel.innerHTML = `<label>undeformed
+<input id="time" type="range" min="0" max="1" step="0.01" value="1" style="width:30vw;max-width:220px;vertical-align:middle">
+deformed</label><div id="label" style="margin:12px 0 6px"></div><div id="bar" style="width:240px;height:16px"></div>
+<div id="ticks" style="position:relative;width:240px;height:20px"></div>`;
 document.body.append(panel);
 document.title = TITLE;
 document.getElementById("label").textContent = LABEL;
+document.getElementById("bar").style.background = `linear-gradient(to right, ${COLOURS})`;
+for (const [place, text] of TICKS) {
+  const tick = document.createElement("span");
+  tick.style.cssText = `position:absolute;left:${place}%;transform:translateX(${-place}%)`;
+  tick.textContent = text;
+  document.getElementById("ticks").append(tick);
+}
 document.getElementById("time").addEventListener("input", event => K3DInstance.setTime(Number(event.target.value)));
 """
-"""Script of a page; TITLE and LABEL are replaced by the page's words."""
+"""Script of a page; words in capitals are replaced by the page's texts, colours and numbers."""
 
 FIELD_OF_VIEW = 30
-"""Angle that the camera sees, in degrees."""
+"""Angle that the camera sees upwards, in degrees."""
+
+ROOM = 1.15
+"""Height that the camera sees over the largest side of what it shows."""
 
 
 @checked
@@ -83,6 +96,7 @@ def page(
         snapshot_type="full",
         camera_auto_fit=False,
         camera_fov=FIELD_OF_VIEW,
+        colorbar_object_id=0,  # none: its numbers are rounded to two digits; the script draws another
     )
     scene.camera = surface.camera()
     colours, limits = colour_scale(limits, COLOURS if values is not None else DISPLACEMENT)
@@ -98,15 +112,23 @@ def page(
         places, surface.edges, indices_type="segment", shader="simple", color=int(DARK[1:], 16), name="edges"
     )
     label = label or ("displacement" if values is None else "values of the cells")
-    code = _with_words(SLIDER, {"TITLE": path.stem, "LABEL": label})
+    words = {"TITLE": path.stem, "LABEL": label, "COLOURS": _css(colours), "TICKS": _ticks(low, high)}
+    code = _with_words(SLIDER, words)
     content = scene.get_snapshot(additional_js_code=code).encode()
     with complete(path) as partial:
         partial.write_bytes(content)
     return path
 
 
-def _with_words(code: str, words: dict[str, str]) -> str:
-    """Puts texts into a script as JSON in ASCII without `<`, in one pass over the script."""
+def _ticks(low: float, high: float) -> list[tuple[float, str]]:
+    """Returns places on a bar in percent of its length, and the round numbers there."""
+    values = np.asarray(MaxNLocator(4, steps=(1, 2, 2.5, 5, 10)).tick_values(low, high))
+    shown = values[(low <= values) & (values <= high)]
+    return [(100 * (value - low) / (high - low), f"{value:.6g}") for value in shown.tolist()]
+
+
+def _with_words(code: str, words: dict[str, Any]) -> str:
+    """Puts texts and numbers into a script as JSON in ASCII without `<`, in one pass."""
     data = {name: json.dumps(text).replace("<", "\\u003c") for name, text in words.items()}
     return re.sub("|".join(words), lambda match: data[match[0]], code)
 
@@ -121,6 +143,7 @@ class _Surface:
     edges: UInt32[np.ndarray, "e 2"]
     length: Float[np.ndarray, " p"]
     values: Float[np.ndarray, " t"] | None
+    viewer: Float[np.ndarray, " 3"]
 
     @staticmethod
     def outside_of(mesh: jm.Mesh, points: Any, values: Any, patch: str | None) -> "_Surface":
@@ -145,14 +168,18 @@ class _Surface:
             np.unique(np.sort(np.concatenate(edges), axis=1), axis=0).astype(np.uint32),
             np.linalg.norm(after - before, axis=1).astype(np.float32),
             None if values is None else np.asarray(faces.cell_data["values"], np.float32)[np.concatenate(owners)],
+            viewer_of(faces, np.ptp(after - before, axis=0)),
         )
 
-    def camera(self) -> list[float | int]:
-        """Returns its position, target and upwards: both ends of the motion are in sight."""
-        corners = np.concatenate([self.before, self.after])
-        middle, size = (corners.min(axis=0) + corners.max(axis=0)) / 2, np.linalg.norm(np.ptp(corners, axis=0))
-        distance = size / 2 / np.tan(np.deg2rad(FIELD_OF_VIEW / 2))
-        return [*(middle + distance * view_axes()[0]).tolist(), *middle.tolist(), 0, 0, 1]
+    def camera(self) -> list[float]:
+        """Returns its position, target and upwards: both ends of the motion are in sight in a wide window."""
+        axes = np.stack(view_axes(self.viewer))
+        seen = np.concatenate([self.before, self.after]).astype(float) @ axes.T
+        low, high = seen.min(axis=0), seen.max(axis=0)
+        size = max((high - low)[1:])
+        target = (low + high) / 2 @ axes
+        away = (high - low)[0] / 2 + ROOM * size / 2 / np.tan(np.deg2rad(FIELD_OF_VIEW / 2))
+        return [*(target + away * axes[0]).tolist(), *target.tolist(), 0.0, 0.0, 1.0]
 
     @property
     def range(self) -> Limits:
@@ -160,6 +187,11 @@ class _Surface:
         shown = self.length if self.values is None else self.values[np.isfinite(self.values)]
         low, high = 0.0 if self.values is None else float(shown.min()), float(shown.max())
         return low, high if high > low else low + 1
+
+
+def _css(name: str) -> str:
+    """Returns a colour map as the list of colours of a gradient in CSS."""
+    return ", ".join(to_hex(colour) for colour in plt.get_cmap(name)(np.linspace(0, 1, 9)))
 
 
 def _colour_map(name: str) -> list[float]:

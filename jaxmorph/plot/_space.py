@@ -87,15 +87,15 @@ def before_after_3d(mesh: jm.Mesh, points: Float[Any, "n 3"], *, patch: str | No
     plotter.enable_depth_peeling(number_of_peels=8)
     parts = (
         (after.extract_cells(is_still), GREY, 1.0, "in place"),
-        (before.extract_cells(~is_still), ORANGE, 0.35, "undeformed"),
-        (after.extract_cells(~is_still), BLUE, 0.65, "deformed"),
+        (before.extract_cells(~is_still), ORANGE, 0.5, "undeformed"),
+        (after.extract_cells(~is_still), BLUE, 0.45, "deformed"),
     )
     parts = [part for part in parts if part[0].n_cells]
     for faces, colour, opacity, _ in parts:
         _add_faces(plotter, faces, colour != ORANGE, color=colour, opacity=opacity, **LIT)
     add_legend(plotter, [(name, colour) for _, colour, _, name in parts])
     if new:
-        aim(plotter, _viewer(after))
+        aim(plotter, viewer_of(after, np.ptp(after.points - before.points, axis=0)))
     return plotter
 
 
@@ -140,12 +140,9 @@ def cut(
         for part in (grid, outside(mesh, points, None, None))
     )
     drawn = _draw(section, limits, label, bar, plotter, lighting=False, show_edges=False)
-    before = (
-        1e-3 * section.length * view_axes(viewer)[0]
-    )  # lines in front of the cells, which would cover a part of them
     for lines, width in ((outlines(section), 1), (walls, 3.5)):
         if lines.n_cells:
-            drawn.add_mesh(lines.translate(before), color=DARK, line_width=width, lighting=False)
+            _in_front(drawn.add_mesh(lines, color=DARK, line_width=width, lighting=False))
     if plotter is None:
         aim(drawn, viewer)
     return drawn
@@ -193,7 +190,7 @@ def _draw(
     if has_values and bar:
         add_bar(plotter, label or "", limits, {f"{side}_label": sign for side, sign in ends})
     if new:
-        aim(plotter, _viewer(part))
+        aim(plotter, viewer_of(part))
     return plotter
 
 
@@ -201,16 +198,23 @@ def _add_faces(plotter: Any, faces: Any, show_edges: bool, **style: Any) -> None
     """Draws faces, with their edges; of pieces of curved faces the edges of the whole faces."""
     in_pieces = "whole" in faces.cell_data
     if show_edges and in_pieces:
-        viewer = _viewer(faces)
-        before = 5e-4 * faces.length * viewer / np.linalg.norm(viewer)  # else faces would cover a part of them
         lines = {"color": DARK, "opacity": LINES["edge_opacity"], "line_width": LINES["line_width"]}
-        plotter.add_mesh(outlines(faces).translate(before), lighting=False, **lines)
+        _in_front(plotter.add_mesh(outlines(faces), lighting=False, **lines))
     # last, so that a colour bar is that of the faces
     plotter.add_mesh(faces, **LINES | {"show_edges": show_edges and not in_pieces}, **style)
 
 
-def _viewer(part: Any) -> np.ndarray:
-    """Chooses the viewer's direction: not into a surface open at a side, as a half wing's root."""
+def _in_front(actor: Any) -> None:
+    """Draws lines in front of the faces that they lie on, from either side."""
+    actor.mapper.SetResolveCoincidentTopologyToPolygonOffset()
+    actor.mapper.SetRelativeCoincidentTopologyLineOffsetParameters(0, -200)
+
+
+def viewer_of(part: Any, motion: np.ndarray | None = None) -> np.ndarray:
+    """Chooses the viewer's direction: not into a surface open at a side, as a half wing's root.
+
+    A motion (3,) should be seen too, across the view.
+    """
     only_rim = dict.fromkeys(("feature_edges", "manifold_edges", "non_manifold_edges"), False)
     viewer, rim = np.array(VIEWER), np.asarray(part.extract_feature_edges(**only_rim).points, dtype=float)
     if not len(rim):
@@ -224,5 +228,8 @@ def _viewer(part: Any) -> np.ndarray:
     faces = skin(part).compute_normals(point_normals=False, consistent_normals=False)
     areas = faces.compute_cell_sizes(length=False, volume=False).cell_data["Area"]
     directions = [mirrored + np.array([0, 0, lift]) for lift in (0, VIEWER[2], 3 * VIEWER[2])]
-    shown = [areas @ np.abs(faces.cell_data["Normals"] @ (way / np.linalg.norm(way))) for way in directions]
-    return directions[int(np.argmax(np.array(shown) > 0.85 * max(shown)))]
+    ways = np.array(directions) / np.linalg.norm(directions, axis=1)[:, None]
+    shown = np.abs(ways @ np.asarray(faces.cell_data["Normals"]).T) @ areas
+    if motion is not None:
+        shown *= np.linalg.norm(np.cross(ways, motion), axis=1)
+    return directions[int(np.argmax(shown > 0.85 * shown.max()))]

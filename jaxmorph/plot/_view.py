@@ -22,6 +22,9 @@ WINDOW = 1200, 900
 TEXT = 30
 """Height of letters in pixels."""
 
+ALONG = 0.97
+"""Cosine between an axis and the view from which the axis is a point, and has no name."""
+
 EDGE, BELOW, LEGEND, BAR = 0.025, 0.13, 0.06, 0.25
 """Margins relative to width: sides; below for axes, scale; above a legend; right a colour bar."""
 
@@ -72,6 +75,9 @@ def _add_axes(plotter: Any) -> None:
     captions = [getattr(axes, f"Get{name}AxisCaptionActor2D")() for name in "XYZ"]
     for caption in captions:
         caption.GetTextActor().SetTextScaleModeToNone()
+        caption.GetCaptionTextProperty().SetJustificationToCentered()
+        caption.GetCaptionTextProperty().SetVerticalJustificationToCentered()
+    axes.SetNormalizedLabelPosition(1.4, 1.4, 1.4)  # off the arrows
     scale = vtkAxisActor2D()
     scale.SetNumberOfLabels(2)
     scale.AdjustLabelsOff()
@@ -102,6 +108,8 @@ def _add_axes(plotter: Any) -> None:
         plotter.renderer.axes_widget.SetViewport(-0.035, -0.045 * width / height, 0.145, 0.135 * width / height)
         for text in texts:
             text.SetFontSize(round(TEXT * width / WINDOW[0]))
+        for name, along in zip("xyz", plotter.camera.direction, strict=True):
+            getattr(axes, f"Set{name.upper()}AxisLabelText")(name if abs(along) < ALONG else "")
 
     plotter.renderer.AddObserver("StartEvent", fit)
 
