@@ -172,7 +172,7 @@ class _Surface:
         )
 
     def camera(self) -> list[float]:
-        """Returns its position, target and upwards: both ends of the motion are in sight in a wide window."""
+        """Returns position, target, upwards: in a wide window both ends of the motion show."""
         axes = np.stack(view_axes(self.viewer))
         seen = np.concatenate([self.before, self.after]).astype(float) @ axes.T
         low, high = seen.min(axis=0), seen.max(axis=0)
