@@ -24,12 +24,12 @@ class CurvedFaces(Faceted):
     """The curved faces of one type between nodes: lines in 2-D. They follow the base points.
 
     - `nodes`, `vertices`, `faces`, `around`: those of `Faceted`, for linear pieces of the faces.
-    - `sides` (e, s): the nodes of each face, as rows of `vertices`; their type is `kind`.
-    - `near` (v, w): curved faces near every vertex; the last face fills up a row.
+    - `sides` (q, s): the nodes of each face, as rows of `vertices`; their type is `kind`.
+    - `near` (v, c): curved faces near every vertex; the last face fills up a row.
     """
 
-    sides: Int[Array | np.ndarray, "e s"]
-    near: Int[Array | np.ndarray, "v w"]
+    sides: Int[Array | np.ndarray, "q s"]
+    near: Int[Array | np.ndarray, "v c"]
     kind: str = eqx.field(static=True)
 
     def at(self, points):

@@ -50,7 +50,7 @@ class CurvedLines(NamedTuple):
         """Computes the derivatives (w, d) along the lines at their wall nodes. NumPy or JAX."""
         return (x[self.near] * self.weights[:, :, None].astype(x.dtype)).sum(axis=1)
 
-    def areas(self, x: Any) -> list[tuple[np.ndarray, Any]]:
+    def areas(self, x: Any) -> list[tuple[Any, Any]]:
         """Lists rows (e,) of wall nodes, with the area vectors (e, d) of the sides there."""
         every = []
         for side in self.sides:

@@ -40,7 +40,7 @@ def warn(message: str) -> None:
     warnings.warn(message, stacklevel=level)
 
 
-def worst_first(off: np.ndarray, allowed: np.ndarray | float) -> np.ndarray:
+def worst_first(off: np.ndarray, allowed: Any) -> np.ndarray:
     """Lists the rows where `off` (k,) exceeds what is `allowed`, the largest first."""
     wrong = np.flatnonzero(off > allowed)
     return wrong[np.argsort(-off[wrong], kind="stable")]
