@@ -2,6 +2,7 @@
 
 import sys
 import warnings
+from typing import Any
 from collections.abc import Sequence
 
 import numpy as np
