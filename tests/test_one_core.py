@@ -13,7 +13,7 @@ from meshes import bricks, mixed
 from runs import runs
 
 from jaxmorph import cases
-from jaxmorph._advice.largest_step import Corners
+from jaxmorph._advice.largest_step import Bounds
 from jaxmorph._kernels.callback import host_call
 
 LIMIT = 300
@@ -98,11 +98,11 @@ def test_it_ends_each_time(name):
 )
 def test_the_largest_step_is_found_without_jax(mesh):
     """On the host any array that JAX makes would be waited for; the guard refuses them."""
-    corners, points = Corners(mesh, float, 0.1), np.asarray(mesh.points)
+    bounds, points = Bounds(mesh, float, 0.1), np.asarray(mesh.points)
     turned = points.copy()
     turned[0] = 3 * points.mean(axis=0) - 2 * points[0]
     with jax.transfer_guard("disallow_explicit"):
-        share, cell = corners.share(points, turned)
+        share, cell = bounds.share(points, turned)
     assert 0 < share < 1
     assert cell >= 0
 

@@ -2,8 +2,8 @@
 
 import sys
 import warnings
-from typing import Any
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
