@@ -101,6 +101,41 @@ def test_derivatives_of_the_stiffened_minimum():
     np.testing.assert_allclose(np.vdot(both(points)[1], tangent), difference, rtol=1e-4)
 
 
+def mixed_cube():
+    """Makes eight bricks of the unit cube, four of them as wedges and pyramids that share whole faces: two inner nodes."""
+    mesh = unit_grid(2, 3)
+    cells = np.asarray(mesh.cells["hexahedron"])
+    centres = mesh.points[cells].mean(axis=1)
+    column, last = (centres[:, :2] < 0.5).all(axis=1), (centres > 0.5).all(axis=1)
+    wedges = np.concatenate([cells[column][:, rows] for rows in ([0, 1, 2, 4, 5, 6], [0, 2, 3, 4, 6, 7])])
+    faces = [[0, 1, 2, 3], [7, 6, 5, 4], [0, 4, 5, 1], [1, 5, 6, 2], [2, 6, 7, 3], [3, 7, 4, 0]]
+    pyramids = np.column_stack([cells[last][0][faces], np.full(6, len(mesh.points))])
+    kinds = {"hexahedron": cells[~column & ~last], "wedge": wedges, "pyramid": pyramids}
+    return jm.Mesh(np.vstack([mesh.points, centres[last]]), kinds)
+
+
+@pytest.mark.nightly
+def test_derivatives_of_the_stiffened_minimum_of_mixed_cells_in_3d():
+    """Against central differences of the whole search: a side is pushed in until the bounds move the inner nodes."""
+    mesh = mixed_cube()
+    assert np.ptp(jm.quality(mesh).volume[:4]) == pytest.approx(0, abs=1e-15)
+    assert float(jm.quality(mesh).volume.sum()) == pytest.approx(1)
+    points = np.array(mesh.points)
+    points[np.all(points == [0.5, 0.5, 1], axis=1)] -= [0.05, 0.1, 0.3]
+    plain, worst = (jm.improve(mesh, points, tolerance=1e-10, worst=each) for each in (False, True))
+    assert int(worst.after) == int(worst.unproven) == 0
+    assert np.abs(worst.points - plain.points).max() > 1e-3
+    rng = np.random.default_rng(4)
+    weights, tangent = rng.normal(size=points.shape), 0.01 * rng.normal(size=points.shape)
+
+    def objective(points):
+        return jnp.sum(jnp.sin(3 * jm.improve(mesh, points, tolerance=1e-10, worst=True).points) * weights)
+
+    both, step = jax.jit(jax.value_and_grad(objective)), 5e-5
+    difference = (both(points + step * tangent)[0] - both(points - step * tangent)[0]) / (2 * step)
+    np.testing.assert_allclose(np.vdot(both(points)[1], tangent), difference, rtol=1e-4)
+
+
 @pytest.mark.parametrize("height", runs(slow=[0.3], nightly=[0.5]))
 def test_it_is_never_worse_than_without(height):
     """A bulge whose worst cell is slanted, not small: a lower bound on its distortion would make others smaller."""
@@ -112,6 +147,20 @@ def test_it_is_never_worse_than_without(height):
     assert int(worst.after) <= int(plain.after)
     batch = jax.vmap(lambda points: jm.improve(mesh, points, worst=True, tolerance=1e-8).points)
     np.testing.assert_allclose(batch(jnp.stack([points] * 2))[1], worst.points, rtol=0, atol=1e-6)
+
+
+@pytest.mark.slow
+def test_skewness_is_not_the_price_of_nothing():
+    """A layer from 1e-7 on, whose upper cells bulge: no stage raises the ratio by 0.5 %, and all stages skew the cells."""
+    mesh = unit_grid(4)
+    points = np.array(mesh.points)
+    points[:, 1] = np.append(0, np.geomspace(1e-7, 1, 4))[np.rint(4 * points[:, 1]).astype(int)]
+    x, y = points.T
+    mesh, moved = mesh.moved(points), points + np.stack([0 * x, 0.2 * np.sin(np.pi * x) * (1 - y)], axis=1)
+    plain, worst = (jm.improve(mesh, moved, worst=each) for each in (False, True))
+    assert smallest_ratio(mesh, plain.points) > 0.7
+    np.testing.assert_array_equal(worst.points, plain.points)
+    assert int(worst.steps) > int(plain.steps)  # stages have run
 
 
 @pytest.mark.nightly

@@ -22,11 +22,15 @@ from .._mesh.mesh import Mesh
 from .._plan.plan import Plan
 from .._quality.proof.margin import proven_margin
 from .._quality.quality import quality
+from .._quality.report import QualityReport
 from .constraints import Constraints, constraints_of_mesh, constraints_of_plan, prepared
 from .stages import Minimum, Search, judged, softened, stiffened
 
 SAME = 1e-6
 """Difference of two margins that is round-off."""
+
+GAIN = 5e-3
+"""Gain in the smallest Jacobian ratio, relative, up to which a larger skewness is too high a price."""
 
 
 class Improvement(Module):
@@ -110,7 +114,8 @@ def improve(
     corner becomes e / ((1 - s e) (1 - r / det T)): it stays below 1 / s, and det T above r. Both
     bounds close in from stage to stage. The result has the largest of the stages' smallest
     Jacobians. It is the result without `worst` where no stage has a larger smallest Jacobian ratio,
-    or where one inverts more cells or proves fewer.
+    where that ratio gains 0.5 % or less and the largest skewness grows, or where a stage inverts
+    more cells or proves fewer.
 
     Traced in `points`. It is differentiable in both modes with respect to the places of the fixed
     nodes, by the implicit function theorem at the minimum. Derivatives are as accurate as
@@ -175,17 +180,20 @@ def _improved(mesh: Mesh, start: Array, constraints: Constraints, options: Optio
         distortion, blocks = prepared(mesh, base.dtype, constraints, options.ideal, options.size_weight)
     search = Search(blocks, jnp.asarray(options.tolerance, base.dtype), options.max_steps, options.progress)
     plain = softened(distortion, base, search)
-    found, ratio = _ended(mesh, start, plain, plain)
+    found, report = _ended(mesh, start, plain, plain)
     if not options.worst:
         return found
-    stiff, stiff_ratio = _ended(mesh, start, plain, stiffened(plain, base, search))
-    is_better = (stiff_ratio >= ratio) & (stiff.after <= found.after) & (stiff.unproven <= found.unproven)
+    stiff, stiff_report = _ended(mesh, start, plain, stiffened(plain, base, search))
+    gain = stiff_report.min_jacobian_ratio - report.min_jacobian_ratio
+    is_round = stiff_report.max_skewness <= report.max_skewness
+    is_better = jnp.where(is_round, gain >= 0, gain > GAIN * jnp.abs(report.min_jacobian_ratio))
+    is_better &= (stiff.after <= found.after) & (stiff.unproven <= found.unproven)
     chosen = jax.tree.map(lambda new, old: jnp.where(is_better, new, old), stiff, found)
     return eqx.tree_at(lambda it: it.steps, chosen, stiff.steps)
 
 
-def _ended(mesh: Mesh, start: Array, plain: Minimum, minimum: Minimum) -> tuple[Improvement, Array]:
-    """Judges a minimum; also returns its smallest Jacobian ratio."""
+def _ended(mesh: Mesh, start: Array, plain: Minimum, minimum: Minimum) -> tuple[Improvement, QualityReport]:
+    """Judges a minimum; also returns the report of its quality."""
     distortion = plain.distortion
     energy, slope, improved = judged(distortion, minimum, start.astype(minimum.y.dtype))
     cells = sum(len(ids) for ids in distortion.cells.values())
@@ -198,7 +206,7 @@ def _ended(mesh: Mesh, start: Array, plain: Minimum, minimum: Minimum) -> tuple[
     unproven, as_before = ~(margin > 0), (own <= 0) & (margin >= own - SAME)
     steps, residual = jnp.asarray(minimum.steps), jnp.max(jnp.abs(slope))
     counts = before.inverted, after.inverted, jnp.sum(unproven), jnp.sum(unproven & as_before)
-    return Improvement(moved, *counts, energy / cells, residual, steps, cells), after.min_jacobian_ratio
+    return Improvement(moved, *counts, energy / cells, residual, steps, cells), after
 
 
 def _check(mesh: Mesh, points, fixed, options: Options) -> None:
