@@ -114,8 +114,8 @@ def improve(
     corner becomes e / ((1 - s e) (1 - r / det T)): it stays below 1 / s, and det T above r. Both
     bounds close in from stage to stage. The result has the largest of the stages' smallest
     Jacobians. It is the result without `worst` where no stage has a larger smallest Jacobian ratio,
-    where that ratio gains 0.5 % or less and the largest skewness grows, or where a stage inverts
-    more cells or proves fewer.
+    or where one inverts more cells or proves fewer. So it is where the ratio gains 0.5 % or less
+    and the largest skewness grows.
 
     Traced in `points`. It is differentiable in both modes with respect to the places of the fixed
     nodes, by the implicit function theorem at the minimum. Derivatives are as accurate as
