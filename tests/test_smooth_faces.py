@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from meshes import blocks, lattice, ring
+from runs import runs
 from scipy.spatial import ConvexHull
 
 import jaxmorph as jm
@@ -111,8 +112,7 @@ def slid(order):
     return mesh, radius, np.stack([np.cos(moved), np.sin(moved)], axis=1) * radius[:, None]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("order", runs(slow=[2], nightly=[1]))
 def test_improve_follows_a_circle_given_by_faces_alone(order):
     """Of 12 chords of half angle a, or of as many quadratic arcs: off the circle by the surface's own error, at a minimum.
 

@@ -30,7 +30,7 @@ SAME = 1e-6
 """Difference of two margins that is round-off."""
 
 GAIN = 5e-3
-"""Gain in the smallest Jacobian ratio, relative, up to which a larger skewness is too high a price."""
+"""Relative gain in the smallest Jacobian ratio that pays for a larger skewness."""
 
 
 class Improvement(Module):
