@@ -15,9 +15,9 @@ EMPTIED = [0.5e9]
 """Memory of this process after compiled code was dropped last, bytes."""
 
 
-def drop_compiled(always: bool = True) -> None:
-    """Drops compiled code, or drops it only where it fills memory."""
-    if always or _resident() > EMPTIED[0] + MORE:
+def drop_compiled() -> None:
+    """Drops compiled code where it fills memory."""
+    if _resident() > EMPTIED[0] + MORE:
         eqx.clear_caches()
         jax.clear_caches()
         gc.collect()

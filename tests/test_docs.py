@@ -38,7 +38,7 @@ def test_code_runs_and_prints_what_the_page_says(page, tmp_path, monkeypatch, ca
                 pytest.importorskip(package)
         with jax.numpy_rank_promotion("allow"):  # as users have it
             exec(code, names)
-        drop_compiled(always=False)
+        drop_compiled()
         said = capsys.readouterr().out
         if output is not None:
             assert re.sub(NUMBER, "#", said).split() == re.sub(NUMBER, "#", output).split()
