@@ -1,4 +1,4 @@
-"""What each process of an MPI run has of a mesh, and the surface of the whole mesh."""
+"""A process's share of a mesh in an MPI run, and the surface of the whole mesh."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ from jaxmorph._boundary.symmetry import check_dimension, on_facing
 
 @dataclasses.dataclass(frozen=True)
 class Share:
-    """What one process has of a mesh: points (n, d), ids (n,), rows that move and are fixed."""
+    """A process's share of a mesh: points (n, d), ids (n,), rows that move and are fixed."""
 
     points: np.ndarray
     nodes: np.ndarray
