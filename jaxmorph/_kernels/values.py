@@ -55,7 +55,7 @@ def taken(values: Any, rows: Any) -> Any:
     """Returns some rows of an array; those of an array in the host's memory without a program."""
     if not _is_plain(values, rows):
         return values[rows]
-    return jax.device_put(np.asarray(values)[rows], values.sharding)
+    return _beside(np.asarray(values)[rows], values)
 
 
 def replaced(values: Any, rows: Any, new: Any) -> Any:
@@ -64,7 +64,12 @@ def replaced(values: Any, rows: Any, new: Any) -> Any:
         return values.at[rows].set(new)
     result = np.array(values)
     result[rows] = np.asarray(new)
-    return jax.device_put(result, values.sharding)
+    return _beside(result, values)
+
+
+def _beside(new: np.ndarray, values: Any) -> Any:
+    """Puts an array where `values` are, committed to the device only if they are."""
+    return jax.device_put(new, values.sharding if values.committed else None)
 
 
 def _is_plain(values: Any, *others: Any) -> bool:
