@@ -92,6 +92,15 @@ class Distortion(eqx.Module):
             targets[kind] = self.targets[kind]._replace(counts=self.targets[kind].counts * moves)
         return dataclasses.replace(self, targets=targets)
 
+    def lost(self, points: Float[Array, "n d"]) -> dict[str, Bool[Array, " _k"]]:
+        """Marks the cells with an inverted sample whose nodes are all held, by type."""
+        movable, lost = self.movable().targets, {}
+        for kind, ids in self.cells.items():
+            goal = self.targets[kind]
+            is_held = (goal.counts > 0) & (movable[kind].counts == 0)
+            lost[kind] = jnp.any(is_held & (samples(kind, corners(points, ids), goal)[1] <= 0), axis=0)
+        return lost
+
     def blocks(self, y: Float[Array, "n d"], base: Float[Array, "n d"], floor: Any = 0.0) -> Float[Array, "d d pairs"]:
         """Computes second derivatives for pairs of a cell's corners; with `ways`, of single nodes.
 
