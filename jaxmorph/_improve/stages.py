@@ -15,7 +15,8 @@ from jaxtyping import Array, Float, Int
 from .._host.linear.hessians import Pattern
 from .._kernels.compile import compiled
 from .._quality.distortion import Bounds
-from .newton import Distortion, HessianSolver, ProjectedNewton
+from .motion import Distortion
+from .newton import HessianSolver, ProjectedNewton
 from .ways import Ways
 
 QUARTER = 0.05
