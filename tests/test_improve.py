@@ -338,7 +338,7 @@ def test_what_held_nodes_invert_is_told(order):
     assert (int(result.lost), result.cells) == (1, 9)
     assert "1 stay inverted at a corner with held nodes alone" in str(result)
     points[0] = mesh.points[0]
-    points[~np.any((points < 0.01) | (points > 0.99), axis=1)] = [0.9, 0.1]
+    points[np.all((points > 0.01) & (points < 0.99), axis=1)] += [0.4, 0]
     mended = jm.improve(mesh, points)
     assert int(mended.before) > 0 == int(mended.after) == int(mended.lost)
 
