@@ -218,7 +218,7 @@ def _ended(mesh: Mesh, start: Array, plain: Minimum, minimum: Minimum) -> tuple[
         lost = lost.at[owner[kind]].max(is_fixed)
     unproven, as_before = ~(margin > 0), (own <= 0) & (margin >= own - SAME)
     steps, residual = jnp.asarray(minimum.steps), jnp.max(jnp.abs(slope))
-    counts = (jnp.sum(each) for each in (unproven, unproven & as_before, lost & after.is_inverted))
+    counts = jnp.sum(unproven), jnp.sum(unproven & as_before), jnp.sum(lost & after.is_inverted)
     energy = energy / sum(map(len, distortion.cells.values()))
     return Improvement(moved, before.inverted, after.inverted, *counts, energy, residual, steps, after.count), after
 

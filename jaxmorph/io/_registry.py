@@ -107,9 +107,9 @@ def check_nodes(path: pathlib.Path, mesh: Mesh) -> None:
                 f"{path}: {len(twice)} cells of type {kind} have the nodes of another one, first cell {twice[0]} "
                 f"between nodes {corners[twice[0]].tolist()}: remove the copies."
             )
-        folded = (
-            np.flatnonzero((np.diff(np.sort(corners, axis=1), axis=1) == 0).any(axis=1)) if kind in HIGH_ORDER else ()
-        )
+        if kind not in HIGH_ORDER:
+            continue
+        folded = np.flatnonzero((np.diff(np.sort(corners, axis=1), axis=1) == 0).any(axis=1))
         if len(folded):
             centre = place_of(np.asarray(mesh.points)[corners[folded[0]]].mean(axis=0))
             warn(
