@@ -144,7 +144,10 @@ class Distortion(eqx.Module):
         every = blocks(energy, [Vector(column) for column in joined[0]], joined[1], floor)[..., 0, :]
         ends = np.cumsum([count.size for count in counts])[:-1]
         pairs = zip(jnp.split(every, ends, axis=-1), counts, strict=True)
-        return [part.reshape(*part.shape[:4], *count.shape) * (count / len(count)) for part, count in pairs]
+        return [
+            part.reshape(*part.shape[:4], *count.shape) * (count / len(count))[None, None, None, None]
+            for part, count in pairs
+        ]
 
     def _alone(self, y: Float[Array, "n d"], base: Float[Array, "n d"], floor: Any) -> Float[Array, "n d d"]:
         """Computes second derivatives of single nodes: one along normals, and walls' curvature."""
