@@ -1,6 +1,7 @@
 """Curved cells in files of CGNS and VTK, against gmsh's CGNS writer and VTK's own evaluation; and what is refused."""
 
 import re
+import warnings
 
 import numpy as np
 import pytest
@@ -114,10 +115,28 @@ def test_bad_files_are_refused_in_a_sentence(tmp_path):
             io.read(tmp_path / "b.msh")
     with pytest.raises(ValueError, match="SU2's files hold linear cells, not triangle6"):
         io.write(tmp_path / "a.su2", jm.elevate(square(), 2))
+    with pytest.raises(ValueError, match=r"can be written to one; write \.vtu or \.msh"):
+        io.write(tmp_path / "a.cgns", jm.elevate(square(), 2))
     with pytest.raises(ValueError, match=re.escape("VTK has no cells of type pyramid14")):
         io.write(tmp_path / "a.vtu", bent("pyramid14"))
     with pytest.raises(ValueError, match=r"cells of type 'triangle6' have shape \(1, 5\); expected \(k, 6\)"):
         jm.Mesh(np.zeros((6, 2)), {"triangle6": np.arange(5)[None]})
+
+
+@pytest.mark.parametrize(("name", "ending"), [("quad9", "msh"), ("hexahedron20", "vtu")])
+def test_a_cell_that_names_a_node_twice_is_told_when_it_is_read(tmp_path, name, ending):
+    """Where an edge's middle is its first corner, both derivatives along the edge cannot agree: det J changes its sign."""
+    mesh = bent(name)
+    ids = np.array(mesh.cells[name])
+    ids[0, TYPES[name].corners] = ids[0, 0]
+    io.write(tmp_path / f"a.{ending}", jm.Mesh(mesh.points, {name: ids}))
+    with pytest.warns(UserWarning, match=rf"1 of 1 cells of type {name} name a node twice, first cell 0 near \("):
+        read = io.read(tmp_path / f"a.{ending}")
+    assert jm.proof(read).invalid == 1
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        io.write(tmp_path / f"b.{ending}", mesh)
+        io.read(tmp_path / f"b.{ending}")
 
 
 def square() -> jm.Mesh:

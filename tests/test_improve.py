@@ -327,6 +327,23 @@ def test_the_undeformed_mesh_is_left_alone_and_keeps_its_boundary_layer():
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("order", [1, 2])
+def test_what_held_nodes_invert_is_told(order):
+    """A corner of the square lies beyond its neighbours on the sides, which are held too: its cell stays inverted."""
+    mesh = unit_grid(3) if order == 1 else jm.elevate(unit_grid(3), order)
+    points = np.array(mesh.points)
+    points[0] = [0.5, 0.5]
+    result = jm.improve(mesh, points)
+    assert bool(jm.quality(mesh, result.points).is_inverted[0])
+    assert (int(result.lost), result.cells) == (1, 9)
+    assert "1 stay inverted at a corner with held nodes alone" in str(result)
+    points[0] = mesh.points[0]
+    points[np.all((points > 0.01) & (points < 0.99), axis=1)] += [0.4, 0]
+    mended = jm.improve(mesh, points)
+    assert int(mended.before) > 0 == int(mended.after) == int(mended.lost)
+
+
+@pytest.mark.slow
 def test_ideal_targets_make_a_lattice_regular_again():
     """Their minimum is known: the regular grid, whatever the inner nodes of the undeformed mesh were."""
     regular = unit_grid(3)

@@ -23,7 +23,7 @@ from .._plan.plan import Plan
 from .._plan.prepare import boundary_of
 from .._quality.distortion import node_scales, target
 from .._quality.vector import corners
-from .newton import Distortion
+from .motion import Distortion
 from .ways import Ways
 
 

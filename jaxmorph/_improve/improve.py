@@ -14,6 +14,7 @@ from .._boundary.names import check_finite, node_ids
 from .._boundary.periodic import Periodic
 from .._boundary.slide import Slide
 from .._boundary.symmetry import Plane
+from .._host.cells.pieces import owners
 from .._host.cells.topology import solid
 from .._host.package.arguments import between, checked, whole
 from .._kernels.module import Module
@@ -25,6 +26,9 @@ from .._quality.quality import quality
 from .._quality.report import QualityReport
 from .constraints import Constraints, constraints_of_mesh, constraints_of_plan, prepared
 from .stages import Minimum, Search, judged, softened, stiffened
+
+MINIMUM = 1e-2
+"""Residual below which a minimum is reached."""
 
 SAME = 1e-6
 """Difference of two margins that is round-off."""
@@ -41,12 +45,13 @@ class Improvement(Module):
     - `unproven`: number of cells that may fold inside: `proven_margin` at depth 1 is not positive.
     - `from_start`: number of unproven cells that are not proven on the undeformed mesh either, and
       whose margin there was no larger: the motion has not harmed them.
+    - `lost`: number of cells inverted after that held nodes alone invert: no free node mends them.
     - `energy`: mean distortion of a cell, 0 if all cells have the shape and size of their targets.
     - `residual`: largest derivative of the summed distortion, with `worst` the stiffened sum, with
       respect to a node's place, in units of the node's smallest cell. It is far below 1 at a
       minimum.
     - `steps`: steps of Newton's method, also rejected steps.
-    - `cells`: number of cells.
+    - `cells`: number of cells, as `quality` counts them.
     """
 
     points: Float[Array, "n d"]
@@ -54,14 +59,19 @@ class Improvement(Module):
     after: Int[Array, ""]
     unproven: Int[Array, ""]
     from_start: Int[Array, ""]
+    lost: Int[Array, ""]
     energy: Float[Array, ""]
     residual: Float[Array, ""]
     steps: Int[Array, ""]
     cells: int = eqx.field(static=True)
 
     def __str__(self) -> str:
-        how = "at a minimum" if float(self.residual) < 1e-2 else f"stopped early, residual {float(self.residual):.1g}"
-        unproven = int(self.unproven)
+        residual, unproven = float(self.residual), int(self.unproven)
+        how = "at a minimum" if residual < MINIMUM else f"stopped early, residual {residual:.1g}"
+        if MINIMUM <= residual < 1:
+            how = f"near a minimum, residual {residual:.1g}: a smaller `tolerance` and more `max_steps` go on"
+        if int(self.lost):
+            how += f"; {int(self.lost)} stay inverted at a corner with held nodes alone, which no free node can mend"
         proven = "proven to fold nowhere inside" if unproven == 0 else f"proven to fold nowhere but for {unproven}"
         if int(self.from_start):
             proven += f" ({int(self.from_start)} of them as on the undeformed mesh or better)"
@@ -195,18 +205,22 @@ def _improved(mesh: Mesh, start: Array, constraints: Constraints, options: Optio
 def _ended(mesh: Mesh, start: Array, plain: Minimum, minimum: Minimum) -> tuple[Improvement, QualityReport]:
     """Judges a minimum; also returns the report of its quality."""
     distortion = plain.distortion
-    energy, slope, improved = judged(distortion, minimum, start.astype(minimum.y.dtype))
-    cells = sum(len(ids) for ids in distortion.cells.values())
+    energy, slope, improved, fixed = judged(distortion, minimum, start.astype(minimum.y.dtype))
     moved = jnp.where(distortion.free[:, None], improved.astype(start.dtype), start)
     moved = moved if distortion.ways is None else distortion.ways.matched(start, moved)
     before, after = (quality(mesh, at) for at in (start, moved))
     margin = proven_margin(mesh, moved, depth=1)
     with jax.ensure_compile_time_eval():
         own = proven_margin(mesh, mesh.points, depth=1)
+        owner = owners({kind: np.asarray(ids) for kind, ids in mesh.cells.items()})
+    lost = jnp.zeros_like(after.is_inverted)
+    for kind, is_fixed in fixed.items():
+        lost = lost.at[owner[kind]].max(is_fixed)
     unproven, as_before = ~(margin > 0), (own <= 0) & (margin >= own - SAME)
     steps, residual = jnp.asarray(minimum.steps), jnp.max(jnp.abs(slope))
-    counts = before.inverted, after.inverted, jnp.sum(unproven), jnp.sum(unproven & as_before)
-    return Improvement(moved, *counts, energy / cells, residual, steps, cells), after
+    counts = jnp.sum(unproven), jnp.sum(unproven & as_before), jnp.sum(lost & after.is_inverted)
+    energy = energy / sum(map(len, distortion.cells.values()))
+    return Improvement(moved, before.inverted, after.inverted, *counts, energy, residual, steps, after.count), after
 
 
 def _check(mesh: Mesh, points, fixed, options: Options) -> None:

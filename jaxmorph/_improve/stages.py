@@ -15,7 +15,8 @@ from jaxtyping import Array, Float, Int
 from .._host.linear.hessians import Pattern
 from .._kernels.compile import compiled
 from .._quality.distortion import Bounds
-from .newton import Distortion, HessianSolver, ProjectedNewton
+from .motion import Distortion
+from .newton import HessianSolver, ProjectedNewton
 from .ways import Ways
 
 QUARTER = 0.05
@@ -164,7 +165,7 @@ def _least(distortion: Distortion, y, base):
 
 @compiled
 def judged(plain: Distortion, minimum: Minimum, base: Float[Array, "n d"]):
-    """Computes the distortion without stiffness, the slope with it, and the points."""
+    """Computes the distortion without stiffness, the slope with it, the points, and lost pieces."""
     distortion, y, _ = minimum
     value, slope = plain(y, base), jax.grad(distortion)(y, base)
     points, ways = distortion.points(y, base), distortion.ways
@@ -174,4 +175,4 @@ def judged(plain: Distortion, minimum: Minimum, base: Float[Array, "n d"]):
         along = jnp.where(jnp.sum(ways.normals**2, axis=2) > 0, along, 1)
         least = jnp.min(along, where=distortion.free[:, None], initial=1.0)
         slope = jnp.where(least > QUARTER, slope, jnp.inf)
-    return value, slope, points
+    return value, slope, points, plain.lost(points)

@@ -111,9 +111,10 @@ def own_source(path: pathlib.Path, mesh: Mesh, format_name: str) -> Source:
     source = source_of(mesh, format_name)
     if source is None:
         article = "an" if format_name in ("Exodus", "MFEM") else "a"
+        other = ".msh" if mesh.is_curved else ".su2"
         raise ValueError(
             f"{path}: only a mesh that was read from {article} {format_name} file can be written to one; "
-            "write .vtu or .su2."
+            f"write .vtu or {other}."
         )
     if hasattr(source.content, "stamp") and stamp_of(source.path) != source.content.stamp:
         raise ValueError(f"{source.path} has changed since the mesh was read from it; read it again.")

@@ -7,9 +7,10 @@ import numpy as np
 from jaxtyping import Shaped
 
 from jaxmorph import Mesh
-from jaxmorph._host.cells.topology import repeated_cells
+from jaxmorph._host.cells.topology import HIGH_ORDER, repeated_cells
 from jaxmorph._host.package import files
 from jaxmorph._host.package.arguments import checked
+from jaxmorph._host.package.errors import place_of, warn
 
 from ._format import Checking, Format, Source, own_source
 
@@ -86,12 +87,15 @@ def read(path: str | os.PathLike[str]) -> Mesh:
     """
     path = files.input_path(path)
     mesh = format_of(path).codec().read(path)
-    check_copies(path, mesh)
+    check_nodes(path, mesh)
     return mesh
 
 
-def check_copies(path: pathlib.Path, mesh: Mesh) -> None:
-    """Raises `ValueError` for two cells with equal nodes. Pieces of polyhedra may coincide."""
+def check_nodes(path: pathlib.Path, mesh: Mesh) -> None:
+    """Raises `ValueError` for two cells with equal nodes; warns of curved cells with a node twice.
+
+    Pieces of polyhedra may coincide.
+    """
     cut, first = None if mesh.polyhedra is None else np.isin(mesh.cell_ids, mesh.polyhedra.cut), 0
     for kind, corners in mesh.cells.items():
         corners = np.asarray(corners)
@@ -102,6 +106,15 @@ def check_copies(path: pathlib.Path, mesh: Mesh) -> None:
             raise ValueError(
                 f"{path}: {len(twice)} cells of type {kind} have the nodes of another one, first cell {twice[0]} "
                 f"between nodes {corners[twice[0]].tolist()}: remove the copies."
+            )
+        if kind not in HIGH_ORDER:
+            continue
+        folded = np.flatnonzero((np.diff(np.sort(corners, axis=1), axis=1) == 0).any(axis=1))
+        if len(folded):
+            centre = place_of(np.asarray(mesh.points)[corners[folded[0]]].mean(axis=0))
+            warn(
+                f"{path}: {len(folded)} of {len(corners)} cells of type {kind} name a node twice, first cell {folded[0]} "
+                f"near ({centre}): they fold there, or are flat."
             )
 
 

@@ -11,7 +11,7 @@ from jaxmorph._host.package.arguments import checked
 from jaxmorph._host.package.files import complete, input_path
 
 from ._format import source_of
-from ._registry import check_copies, check_output
+from ._registry import check_nodes, check_output
 from ._su2 import NAME, by_zones, mesh_of, with_points
 
 
@@ -40,7 +40,7 @@ def read_zones(path: str | os.PathLike[str]) -> tuple[Mesh, ...]:
     text = path.read_bytes()
     meshes = tuple(mesh_of(path, text, zone) for zone in by_zones(path, text))
     for mesh in meshes:
-        check_copies(path, mesh)
+        check_nodes(path, mesh)
     return meshes
 
 

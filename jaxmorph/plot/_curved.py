@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from .._host.cells.lagrange import lagrange_types, of_order
-from .._host.cells.refined import places_of, steps_of
+from .._host.cells.pieces import places_of, steps_of
 from .._host.cells.topology import CORNERS, SHAPES
 from .._mesh.elevate import node_keys
 from ._cells import SEGMENTS
@@ -53,21 +53,3 @@ def refined(
     joined = {shape: [np.concatenate(part) for part in zip(*found[shape], strict=True)] for shape in sorted(found)}
     pieces = {shape: ids for shape, (ids, _) in joined.items()}
     return np.concatenate(places)[first], pieces, np.concatenate([owner for _, owner in joined.values()])
-
-
-def outer_sides(cells: Mapping[str, np.ndarray]) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """Lists sides of one cell only, with all nodes, by type; and the number of each side's cell."""
-    found: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}
-    first = 0
-    for kind, ids in cells.items():
-        for side, rows in lagrange_types()[kind].sides:
-            found.setdefault(side, []).append((np.asarray(ids)[:, rows], first + np.arange(len(ids))))
-        first += len(ids)
-    sides, owners = {}, []
-    for side, parts in found.items():
-        ids, owner = (np.concatenate(part) for part in zip(*parts, strict=True))
-        _, index, count = np.unique(np.sort(ids, axis=1), axis=0, return_index=True, return_counts=True)
-        single = np.sort(index[count == 1])
-        sides[side] = ids[single]
-        owners.append(owner[single])
-    return sides, np.concatenate(owners)

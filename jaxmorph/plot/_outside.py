@@ -6,8 +6,9 @@ import numpy as np
 
 import jaxmorph as jm
 
+from .._host.cells.pieces import owned_sides
 from .._host.cells.topology import DIMENSION, VTK, solid
-from ._curved import outer_sides, refined, segments
+from ._curved import refined, segments
 from ._style import cell_values, finite
 from ._view import pyvista
 
@@ -95,11 +96,9 @@ def _places(mesh: jm.Mesh, points: Any) -> np.ndarray:
 def _curved_faces(mesh: jm.Mesh, points: Any, values: Any, on_patch: np.ndarray | None) -> Any:
     """Returns the outer faces of curved cells, or those with all nodes on a patch, in pieces."""
     x, cells = _places(mesh, points), solid(mesh.cells, 3)
-    sides, owner = outer_sides(cells)
-    if on_patch is not None:
-        chosen = {kind: np.isin(ids, on_patch).all(axis=1) for kind, ids in sides.items()}
-        sides = {kind: ids[chosen[kind]] for kind, ids in sides.items()}
-        owner = owner[np.concatenate(list(chosen.values()))]
+    found = owned_sides({kind: np.asarray(ids) for kind, ids in cells.items()}, len(x), on_patch)
+    sides = {kind: ids for kind, (ids, _) in found.items()}
+    owner = np.concatenate([owner for _, owner in found.values()])
     if not len(owner):
         return pyvista().PolyData()
     grid, whole = _pieces(sides, x, segments(sides))

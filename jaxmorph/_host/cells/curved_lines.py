@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .lagrange import PLACES, Lagrange, lagrange_types
+from .pieces import owned_sides
 from .shape_functions import derivatives_at_nodes
 from .topology import CORNERS, DIMENSION, FACES, SHAPES
 
@@ -82,7 +83,7 @@ def curved_lines(cells: Mapping[str, np.ndarray], points: np.ndarray, wall: np.n
     on_wall = np.zeros(len(points), dtype=bool)
     on_wall[wall] = True
     cells = {kind: np.asarray(ids) for kind, ids in cells.items() if DIMENSION[kind] == points.shape[1]}
-    sides = _sides(cells, points, on_wall)
+    sides = _sides(cells, points, wall)
     if not sum(len(ids) for ids, _ in sides.values()):
         raise ValueError(
             f"no cell has a boundary side whose nodes are all among the {len(wall)} wall nodes: name the nodes of a patch."
@@ -121,23 +122,15 @@ def _neighbour(kind: str, node: int) -> int:
 
 
 def _sides(
-    cells: Mapping[str, np.ndarray], points: np.ndarray, on_wall: np.ndarray
+    cells: Mapping[str, np.ndarray], points: np.ndarray, wall: np.ndarray
 ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Lists sides of single cells with all nodes on the wall, and their signs, by type."""
-    found: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}
-    for kind, ids in cells.items():
-        for (side, rows), face in zip(lagrange_types()[kind].sides, FACES[SHAPES[kind]], strict=True):
-            is_here = on_wall[ids[:, rows]].all(axis=1)
-            off = ids[is_here][:, sorted(set(range(CORNERS[SHAPES[kind]])) - set(face))]
-            found.setdefault(side, []).append((ids[is_here][:, rows], points[off].mean(axis=1)))
-    result = {}
-    for side, parts in found.items():
-        ids, inside = (np.concatenate(part) for part in zip(*parts, strict=True))
-        _, first, count = np.unique(np.sort(ids, axis=1), axis=0, return_index=True, return_counts=True)
-        single = np.sort(first[count == 1])
-        ids, inside = ids[single], inside[single]
+    corners = [points[ids[:, : CORNERS[SHAPES[kind]]]].mean(axis=1) for kind, ids in cells.items()]
+    centre, result = np.concatenate(corners or [points[:0]]), {}
+    for side, (ids, owner) in owned_sides(cells, len(points), wall).items():
         area = node_areas(points[ids], derivatives_at_nodes(side)).mean(axis=1)
-        upward = np.sum(area * (inside - points[ids].mean(axis=1)), axis=1)
+        inward = centre[owner] - points[ids[:, : CORNERS[SHAPES[side]]]].mean(axis=1)
+        upward = np.sum(area * inward, axis=1)
         result[side] = ids, np.where(upward < 0, -1, 1) * (0.5 if SHAPES[side] == "triangle" else 1)
     return result
 

@@ -79,11 +79,11 @@ def is_single(columns: Sequence[np.ndarray]) -> np.ndarray:
     return _scatter(order, ~repeated)
 
 
-def unpaired(parts: Sequence[Sequence[np.ndarray]], n: int) -> list[list[np.ndarray]]:
-    """Drops faces that surely come twice: faces whose first node has only pairs of equal faces.
+def unpaired(parts: Sequence[Sequence[np.ndarray]], n: int) -> list[np.ndarray]:
+    """Lists the rows of each part but for faces that surely come twice.
 
-    A mesh has few other faces, so that exact work on them is fast. A part has the nodes of its
-    faces by column; there are n nodes.
+    The first node of such a face has only pairs of equal faces. A mesh has few other faces, so that
+    exact work on them is fast. A part has the nodes of its faces by column; there are n nodes.
     """
     # A face has a random number, made of its nodes in any order. The numbers of two equal faces
     # cancel each other in an "exclusive or" over all faces of their first node.
@@ -97,8 +97,7 @@ def unpaired(parts: Sequence[Sequence[np.ndarray]], n: int) -> list[list[np.ndar
     for first, number in in_order(numbered, parts):
         np.bitwise_xor.at(left, first, number)
         firsts.append(first)
-    rows = in_order(lambda first: np.flatnonzero(left[first]), firsts)
-    return [[column[row] for column in columns] for columns, row in zip(parts, rows, strict=True)]
+    return list(in_order(lambda first: np.flatnonzero(left[first]), firsts))
 
 
 def is_among(faces: np.ndarray, others: np.ndarray) -> np.ndarray:

@@ -13,8 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from .lagrange import PLACES, Lagrange, depth, lagrange_types
+from .lagrange import PLACES, Lagrange, depth, lagrange_types, of_order
 from .pairs import columns_of, is_single, sorted_columns, unpaired
+from .shape_functions import collapsed, values
 from .topology import CORNERS, EDGES, FACES, FRAMES, NODES, SHAPES
 
 
@@ -56,27 +57,47 @@ def boundary_sides(cells: Mapping[str, np.ndarray], n: int, among: np.ndarray | 
 
     Node ids (f, nodes) of the faces by type, each seen counterclockwise from outside.
     """
+    return {side: ids for side, (ids, _) in owned_sides(cells, n, among).items()}
+
+
+def owned_sides(
+    cells: Mapping[str, np.ndarray], n: int, among: np.ndarray | None = None
+) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Finds the `boundary_sides`, and the cell (f,) of each; cells are numbered as in `cells`."""
     is_candidate = None
     if among is not None:
         is_candidate = np.zeros(n, bool)
         is_candidate[among] = True
-    found: dict[str, list[list[np.ndarray]]] = {}
+    found: dict[str, list[tuple[list[np.ndarray], int, np.ndarray | None]]] = {}
+    first = 0
     for kind, ids in cells.items():
         nodes = columns_of(ids)
         for side, rows in sides_of(kind):
-            columns = [nodes[row] for row in rows]
+            columns, here = [nodes[row] for row in rows], None
             if is_candidate is not None:
                 # both copies of an inner face pass or fail together, so that counting candidates is
                 # counting all
-                passes = np.logical_and.reduce([is_candidate[column] for column in columns])
-                columns = [column[passes] for column in columns]
-            found.setdefault(side, []).append(columns)
-    outer = {}
-    for side in sorted(found, key=lambda side: (CORNERS[SHAPES[side]], NODES[side])):
-        columns = [np.concatenate(column) for column in zip(*unpaired(found[side], n), strict=True)]
-        single = is_single(sorted_columns(columns, len(columns)))
-        outer[side] = np.stack([column[single] for column in columns], axis=1).astype(np.int64)
-    return outer
+                here = np.flatnonzero(np.logical_and.reduce([is_candidate[column] for column in columns]))
+                columns = [column[here] for column in columns]
+            found.setdefault(side, []).append((columns, first, here))
+        first += len(ids)
+    return {
+        side: _single(found[side], n) for side in sorted(found, key=lambda side: (CORNERS[SHAPES[side]], NODES[side]))
+    }
+
+
+def _single(parts: list[tuple[list[np.ndarray], int, np.ndarray | None]], n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Finds the faces without an equal, and their cells.
+
+    A part has faces by column, the number of the first cell, and the rows of the cells (None: all).
+    """
+    columns, owner = [], []
+    for (part, first, here), rows in zip(parts, unpaired([part for part, *_ in parts], n), strict=True):
+        columns.append([column[rows] for column in part])
+        owner.append(first + (rows if here is None else here[rows]))
+    joined = [np.concatenate(column) for column in zip(*columns, strict=True)]
+    single = is_single(sorted_columns(joined, len(joined)))
+    return np.stack([column[single] for column in joined], axis=1).astype(np.int64), np.concatenate(owner)[single]
 
 
 def sides_of(kind: str) -> list[tuple[str, np.ndarray]]:
@@ -90,11 +111,23 @@ def pieces_of(kind: str) -> dict[str, np.ndarray]:
     cell = lagrange_types()[kind]
     if cell.order == 1:
         return {cell.shape: np.arange(cell.corners)[None]}
-    pieces = of_lattice(cell) if cell.is_complete else _of_edges(cell)
+    pieces = _of_lattice(cell) if cell.is_complete else _of_edges(cell)
     return {shape: np.array(rows) for shape, rows in pieces.items() if len(rows)}
 
 
-def of_lattice(cell: Lagrange) -> dict[str, list]:
+@functools.cache
+def places_of(kind: str, m: int) -> np.ndarray:
+    """Returns the shape functions (s, nodes) of a type at a lattice of m steps."""
+    return values(kind, collapsed(kind, of_order(SHAPES[kind], m).reference))
+
+
+@functools.cache
+def steps_of(shape: str, m: int) -> dict[str, np.ndarray]:
+    """Returns the linear pieces of a lattice of m steps, as rows of it, by type."""
+    return {piece: np.array(rows) for piece, rows in _of_lattice(of_order(shape, m)).items() if len(rows)}
+
+
+def _of_lattice(cell: Lagrange) -> dict[str, list]:
     """Cuts a cell with all lattice nodes into cells of its shape; pyramids also into tetrahedra."""
     place, p, shape = cell.place, cell.order, cell.shape
 
