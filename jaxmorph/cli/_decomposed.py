@@ -64,7 +64,7 @@ def deform_parts(request: Deform, out: Output) -> int:
                 raise _Bad
     except _Bad:
         _complain(request, bad, out)  # pyright: ignore[reportPossiblyUnboundVariable]
-        out.complain(f"{request.output} is not written; --allow-inverted writes it all the same.")
+        out.complain(f"{request.output} is not written; --allow-inverted writes it anyway.")
         return 1
     _complain(request, bad, out)
     out.say(f"wrote {request.output} ({out.seconds:.1f} s)", output=str(request.output))

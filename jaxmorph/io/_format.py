@@ -23,7 +23,7 @@ class Source:
     It is compared by identity, so that it can be a static field of a pytree however large `content`
     is.
 
-    - `polyhedra`, `cell_ids`, `groups`, `between`, `file_nodes`: those of `Mesh`.
+    - `polyhedra`, `cell_ids`, `groups`, `between`, `file_nodes`: as in `Mesh`.
     - `periodic`: the periodic pairs of patches that the file names; `symmetry`: its patches in
       symmetry planes; `kinds`: the type of each patch in the file.
     - `node_ids` (n,): numbers of the nodes in other files, None for 0, 1, 2, ...

@@ -15,7 +15,7 @@ NOTHING = "there is nothing to draw: the plane cuts no cell."
 
 
 def outlines(section: Any) -> Any:
-    """Returns a section's cell edges for pyvista, without those between two pieces of a cell."""
+    """Returns a section's cell edges for pyvista, without edges between two pieces of a cell."""
     labels, starts = corners_of(section)
     after = np.roll(labels, -1)
     after[starts[1:] - 1] = labels[starts[:-1]]
@@ -93,7 +93,7 @@ def _places(mesh: jm.Mesh, points: Any) -> np.ndarray:
 
 
 def _curved_faces(mesh: jm.Mesh, points: Any, values: Any, on_patch: np.ndarray | None) -> Any:
-    """Returns the outer faces of curved cells, or those with all nodes on a patch, in pieces."""
+    """Returns outer faces of curved cells in pieces, all or the faces with all nodes on a patch."""
     x, cells = _places(mesh, points), solid(mesh.cells, 3)
     sides, owner = outer_sides(cells)
     if on_patch is not None:

@@ -30,7 +30,7 @@ class MultiUSMesh:
 
     - `CGNSFile`: the file.
     - `optionsDict`: options of `USMesh` by the name of a grid; `gridFile` in them is not looked at.
-    - `comm`, `debug`: those of `USMesh`.
+    - `comm`, `debug`: as `USMesh` takes them.
     - `dtype`: IDWarp's, "d"; `MultiUSMesh_C` is for complex steps.
 
     **Raises:** `ValueError`, in every process, for names of no grid, and as `USMesh` does.

@@ -63,7 +63,7 @@ class _CaseContent:
 def read(path: pathlib.Path) -> Mesh:
     """Reads the mesh of a case, a time folder, or a folder polyMesh; nodes in file order.
 
-    `patches` are those of `boundary`, `groups` of their `inGroups`. Cells with more or other faces
+    `patches` come from `boundary`, `groups` from their `inGroups`. Cells with more or other faces
     than the standard types are cut into tetrahedra between their own nodes. Of a case with `empty`
     patches the plane in front is the mesh, in two coordinates. So it is with `wedge` patches, at
     places along the axis and distances from it; nodes on the axis are the patch `axis`.
