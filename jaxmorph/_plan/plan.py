@@ -207,7 +207,7 @@ class Plan(Module):
 
     @checked
     def of_surface(self, u: Real[ArrayLike, "m d"] | Sequence[Any]) -> Float[Array, "o d"]:
-        """Computes all surface nodes' displacements from the moving nodes' displacements. Traced."""
+        """Extends `u`, of the moving nodes, to displacements of all surface nodes. Traced."""
         return kept(self, extended(self, u))
 
     def __repr__(self) -> str:

@@ -124,7 +124,7 @@ def _ranks() -> Ranks:
         return Alone()
     try:
         from mpi4py import MPI
-    except (ImportError, RuntimeError) as error:  # the latter where mpi4py is there and no MPI library
+    except (ImportError, RuntimeError) as error:  # RuntimeError: mpi4py is there, and no MPI library
         raise ImportError(
             "mpiexec or srun started this process, but mpi4py or its MPI library is missing: "
             "pip install 'jaxmorph[mpi]' mpich, or start one process."

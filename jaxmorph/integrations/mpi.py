@@ -2,7 +2,7 @@
 
 try:
     from mpi4py import MPI
-except (ImportError, RuntimeError) as error:  # the latter where mpi4py is there and no MPI library
+except (ImportError, RuntimeError) as error:  # RuntimeError: mpi4py is there, and no MPI library
     raise ImportError(
         "pieces over MPI need mpi4py and an MPI library: pip install 'jaxmorph[mpi]' mpich, or the machine's own MPI"
     ) from error

@@ -103,7 +103,7 @@ def source_of(mesh: Mesh, format_name: str) -> Source | None:
 
 
 def own_source(path: pathlib.Path, mesh: Mesh, format_name: str) -> Source:
-    """Returns the source of a mesh, for a format whose files are copies of the one that was read.
+    """Returns the source of a mesh, for a format whose files are copies of the file that was read.
 
     It raises `ValueError` for other meshes, and where the file has changed since, if the source's
     content has its `stamp`.

@@ -192,7 +192,7 @@ class _Zones:
         return found
 
     def grid_of_nodes(self) -> Int[np.ndarray, " N"]:
-        """The grid of each node of the file."""
+        """Finds the grid of each node of the file."""
         return np.repeat(self.grid, self.counts)
 
     def own(self, indices: Int[np.ndarray, " k"]) -> tuple[Int[np.ndarray, " k"], Int[np.ndarray, " k"]]:

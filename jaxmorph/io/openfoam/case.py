@@ -128,7 +128,7 @@ def check(path: pathlib.Path, mesh: Mesh) -> None:
     elif path.exists() and (not path.is_dir() or any(path.iterdir())):
         raise ValueError(f"{path}: exists; name a new folder, or a time folder of the case such as {case / '1'}.")
     elif case.resolve() in path.resolve().parents:
-        raise ValueError(f"{path}: a new case cannot be inside of the one that the mesh was read from.")
+        raise ValueError(f"{path}: a new case cannot be inside of the case that the mesh was read from.")
     if _is_time(path) and any(_is_file(path / "polyMesh" / name, source.path) for name in ("points", "points.gz")):
         raise ValueError(f"{path}: the mesh was read from this folder; write to another one.")
 

@@ -200,7 +200,7 @@ class Decomposed:
         if target.exists() and (not target.is_dir() or any(target.iterdir())):
             raise ValueError(f"{target}: exists; name a new folder for the moved case.")
         if self.path.resolve() in target.resolve().parents:
-            raise ValueError(f"{target}: a new case cannot be inside of the one that the mesh was read from.")
+            raise ValueError(f"{target}: a new case cannot be inside of the case that the mesh was read from.")
 
     @checked
     @contextlib.contextmanager
