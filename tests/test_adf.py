@@ -115,7 +115,7 @@ def test_hostile_files_are_refused(tmp_path):
     good = made.finish(root)
     refused(good, "no CGNS base with zones")
     refused(good[:150], "a place 0 beyond the 150 bytes")
-    refused(good[:100] + b"N" + good[101:], "numbers of format 'N'; those of IEEE are read")
+    refused(good[:100] + b"N" + good[101:], "numbers of format 'N'; IEEE's formats are read")
     refused(good[:110] + b"08" + good[112:], "sizes of numbers")
     refused(good[:134] + made.pointer(10**9) + good[146:], "beyond the")
     refused(good[:134] + b"0000000x0000" + good[146:], "where hexadecimal digits should stand")

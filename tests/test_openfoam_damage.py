@@ -207,5 +207,5 @@ def test_a_packed_file_that_grows_without_end(case, monkeypatch):
 def test_a_list_of_equal_points_costs_nothing(case):
     file = case / "constant" / "polyMesh" / "points"
     file.write_text(file.read_text().split("}", 1)[0] + "}\n60000000{(0 0 0)}\n")
-    with pytest.raises(ValueError, match="60000000 elements that are all the same"):
+    with pytest.raises(ValueError, match="60000000 elements that are all equal"):
         io.read(case)

@@ -76,7 +76,7 @@ def test_splines_and_boxes_in_3d(tmp_path):
         ("2.5	1.5\n", "", "as many rows"),
         ("FFD_DEGREE_I= 2\n", "", "no FFD_DEGREE_I"),
         ("lower	0	", "lower	9	", "a node and three coordinates"),
-        ("0	0	1	", "0	0	0	", "not those of a lattice"),
+        ("0	0	1	", "0	0	0	", "do not make a lattice"),
         ("2.5	1.5", "2.5	-0.5", "flat or turned"),
     ],
 )

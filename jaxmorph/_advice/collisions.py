@@ -47,7 +47,7 @@ class Crossings:
         count = f"{len(self)} {'pair' if len(self) == 1 else 'pairs'}"
         return (
             f"{count} of boundary faces cross each other after the motion ({between}), first near ({place}). No mesh can follow: "
-            "move the wall less, or the other one with it."
+            "move the wall less, or both walls together."
         )
 
 

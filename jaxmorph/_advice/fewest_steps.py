@@ -56,8 +56,8 @@ def fewest_steps(
 
     With `improve`, the mesh that `max_steps` steps tangle is given to `jm.improve`, whose targets
     are the cells of `mesh`. Nodes slide and repeat there as the plan has them. If that is not good
-    either, the largest fraction is sought beyond the one that steps alone reach, to 1/100. Each
-    trial then costs a march and an improvement: seconds for 10,000 cells.
+    either, the largest fraction is sought beyond the fraction that steps alone reach, to 1/100.
+    Each trial then costs a march and an improvement: seconds for 10,000 cells.
 
     **Arguments:**
 

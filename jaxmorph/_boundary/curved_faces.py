@@ -23,7 +23,7 @@ SEARCH, POLISH = 8, 2
 class CurvedFaces(Faceted):
     """The curved faces of one type between nodes: lines in 2-D. They follow the base points.
 
-    - `nodes`, `vertices`, `faces`, `around`: those of `Faceted`, for linear pieces of the faces.
+    - `nodes`, `vertices`, `faces`, `around`: as in `Faceted`, for linear pieces of the faces.
     - `sides` (q, s): the nodes of each face, as rows of `vertices`; their type is `kind`.
     - `near` (v, c): curved faces near every vertex; the last face fills up a row.
     """

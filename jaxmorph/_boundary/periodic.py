@@ -102,7 +102,7 @@ def paired(
 
 
 def across_one_layer(planes: Sequence[Plane], points: Float[np.ndarray, "n d"]) -> tuple[Pairing, ...]:
-    """Pairs the nodes of two parallel planes that hold all nodes: those of one layer of cells.
+    """Pairs the nodes of two parallel planes that hold all nodes, around one layer of cells.
 
     The pairs move alike, and make no images. There are none where the planes' nodes do not match.
     """

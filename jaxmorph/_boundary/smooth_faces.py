@@ -54,8 +54,8 @@ class SmoothFaces(Faceted):
     def _beyond(self, unit: Float[Array, "v d"], is_rim: Bool[Array, " v"]) -> Float[Array, "v d"]:
         """Continues the normals of inner vertices along edges, exact on a sphere.
 
-        A short edge counts most: those of quads, not their diagonals. Without inner neighbours a
-        vertex keeps its normal.
+        A short edge counts most: sides of quads count more than diagonals. Without inner neighbours
+        a vertex keeps its normal.
         """
         vertices, faces = jnp.asarray(self.vertices, unit.dtype), jnp.asarray(self.faces)
         total, weights, size = jnp.zeros_like(unit), jnp.zeros(len(unit), unit.dtype), faces.shape[1]

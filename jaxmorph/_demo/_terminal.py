@@ -1,4 +1,4 @@
-"""Parts of both demos: methods to compare, progress on a terminal, tables and meshes."""
+"""Common parts of both demos: methods to compare, progress on a terminal, tables and meshes."""
 
 import contextlib
 import dataclasses

@@ -29,7 +29,7 @@ SHOWN = (1, 0.5)
 class Outcome:
     """Result of one method in metres and seconds: a report for each of MOTIONS.
 
-    `points` are those of the motion that is shown.
+    `points` are the mesh's points after the motion that is shown.
     """
 
     study: Study

@@ -111,7 +111,7 @@ def _cells(mesh: Mesh) -> dict[str, np.ndarray]:
 
 
 def _boundary(mesh: Mesh, ways: Sequence[np.ndarray]) -> np.ndarray:
-    """Lists nodes of patches and outer faces, but of those that lie in one of the `ways`."""
+    """Lists nodes of patches and outer faces, except where one lies wholly in one of the `ways`."""
     sides = [np.asarray(nodes)[None] for nodes in mesh.patches.values()]
     sides += boundary_faces(solid(mesh.cells, mesh.points.shape[1]), len(mesh.points)).values()
     for nodes in ways:

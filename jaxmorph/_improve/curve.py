@@ -48,7 +48,7 @@ def curve(
       finer than the wall has it as its cells of dimension d - 1, else as its whole boundary; nodes
       go to the nearest place on its linear faces.
     - `moving`: the patches of the wall, or node ids (m,).
-    - `fixed`, `method`, `symmetry`: those of `prepare`.
+    - `fixed`, `method`, `symmetry`: as `prepare` takes them.
 
     **Returns:** the mesh with other points.
 

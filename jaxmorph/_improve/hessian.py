@@ -2,9 +2,9 @@
 
 T = U Sigma V^T, with U and V rotations and the last singular value signed. The derivatives then
 couple diagonal entries with diagonal entries, and an entry off the diagonal with its mirror image.
-Some eigenvalues are closed forms, the others belong to one matrix (d, d). Source: twists and flips
-in Smith, De Goes and Kim, Analytic eigensystems for isotropic distortion energies, ACM Trans.
-Graph. 38, 2019.
+Some eigenvalues are closed forms, the other eigenvalues belong to one matrix (d, d). Source: twists
+and flips in Smith, De Goes and Kim, Analytic eigensystems for isotropic distortion energies, ACM
+Trans. Graph. 38, 2019.
 """
 
 import functools

@@ -140,7 +140,7 @@ def improve(
     turns by less than 90 degrees from its start; near 90 degrees, `residual` is infinite.
 
     Nothing is promised for a boundary that crosses itself: see `after`, or `str` of the result.
-    Between the corners cells are checked at the end: `unproven` counts those that may fold there.
+    Between the corners cells are checked at the end: `unproven` counts cells that may fold there.
 
     Sources: Garanzha et al., Foldover-free maps in 50 lines of code, ACM Trans. Graph. 40, 2021;
     Teran et al., Robust quasistatic finite elements and flesh simulation, SCA 2005; Garanzha et

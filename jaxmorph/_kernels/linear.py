@@ -42,8 +42,8 @@ def _program(primitive: Primitive, compute: Callable) -> Callable:
 def linear_primitive(name: str, compute: Callable, rows: Callable, turned: Callable) -> Primitive:
     """Makes a primitive of `compute(values, *others, **options)`, linear in `values` (b, c).
 
-    Its transpose is the primitive with other arguments. Derivatives by `others` are those of
-    `compute`. Under `vmap` of `values` alone the primitive gets more columns; if `others` vary,
+    Its transpose is the primitive with other arguments. Derivatives by `others` are the derivatives
+    of `compute`. Under `vmap` of `values` alone the primitive gets more columns; if `others` vary,
     `compute` is mapped.
 
     **Arguments:**
@@ -51,7 +51,7 @@ def linear_primitive(name: str, compute: Callable, rows: Callable, turned: Calla
     - `name`: the name in a jaxpr.
     - `compute`: traced; its options are keywords without defaults, and are static.
     - `rows`: counts the rows of the result, `rows(*others, **options)`.
-    - `turned`: returns the others and the options of the transpose, `turned(*others, **options)`.
+    - `turned`: returns `others` and `options` of the transpose, `turned(*others, **options)`.
 
     **Returns:** the primitive, to which a lowering for one platform may be added.
     """

@@ -52,7 +52,7 @@ def on_host(*values: Any) -> bool:
 
 
 def taken(values: Any, rows: Any) -> Any:
-    """Returns some rows of an array; those of an array in the host's memory without a program."""
+    """Returns some rows of an array; without a program where the array is in the host's memory."""
     if not _is_plain(values, rows):
         return values[rows]
     return _beside(np.asarray(values)[rows], values)

@@ -14,9 +14,9 @@ from .mesh import Mesh
 def elevate(mesh: Mesh, order: int) -> Mesh:
     """Makes a mesh of order 2 to 4 of a linear one.
 
-    Cells are the same and straight, with nodes on their edges, faces and inside. The nodes of the
-    linear mesh come first, as they were. New nodes of boundary faces belong to the patches that
-    have all corners of the face. `curve` then puts the wall's nodes onto a curved surface.
+    The cells stay straight, with nodes on their edges, faces and inside. The nodes of the linear
+    mesh come first, as they were. New nodes of boundary faces belong to the patches that have all
+    corners of the face. `curve` then puts the wall's nodes onto a curved surface.
 
     **Arguments:**
 

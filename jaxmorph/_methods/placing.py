@@ -10,7 +10,7 @@ from .base import AbstractMethod
 class AbstractPlacing(AbstractMethod):
     """A method that computes something for each point once per base mesh: its place.
 
-    Arguments are those of `AbstractMethod`. In `place` and `carry_place`, `ids` is what `connect`
+    Arguments are as in `AbstractMethod`. In `place` and `carry_place`, `ids` is what `connect`
     returned for the point. The field gets the point's place as its `ids`. `carry` and `carry_place`
     say what changes on the mesh after a step of `march`. By default the solve is new and points
     keep their places, for a graph stands on the undeformed mesh.
@@ -21,7 +21,7 @@ class AbstractPlacing(AbstractMethod):
         """Computes the place of a point: its ids, and numbers that do not depend on `u`. Traced."""
 
     def carry(self, ids: PyTree, factors: PyTree, surface: Float[Array, "b d"], points: Float[Array, "n d"]) -> PyTree:
-        """Computes factors on the mesh after a step of `march`; by default those of `fit`. Traced.
+        """Computes factors on the mesh after a step of `march`, by default with `fit`. Traced.
 
         Factors that belong to the places of points stay as they are.
         """

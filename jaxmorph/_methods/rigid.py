@@ -23,9 +23,9 @@ class RigidBlend(AbstractMethod):
     """Moves points near the moving surface rigidly with it, and less the farther they are.
 
     The rigid motion is the nearest one to the displacements, about the middle of the moving nodes.
-    Its angle and translation are those of the body up to `inner` from the nearest moving node, and
-    zero from `outer` on. Between them they fade with the logarithm of the distance, which spreads
-    the shear evenly over cells that grow with it.
+    Its angle and translation are the body's up to `inner` from the nearest moving node, and zero
+    from `outer` on. Between these distances they fade with the logarithm of the distance, which
+    spreads the shear evenly over cells that grow with it.
 
     It is a coarse field, `SurfaceReconstruction(RigidBlend(0.25, 19.5), NearWall())`, for rotations
     by up to 180 degrees in one step. OpenFOAM's `sixDoFRigidBodyMotion` also moves meshes so, but

@@ -47,7 +47,7 @@ class Interpolation(eqx.Module):
     def with_table(self, count: int, parts: int) -> "Interpolation":
         """Adds a table for `count` surface nodes; the rows lie in `parts` equal shares. Host.
 
-        A share's table has positions within the share. All tables have the same number of rows.
+        A share's table has positions within the share. All tables have equally many rows.
         """
         if self.table is not None:
             return self

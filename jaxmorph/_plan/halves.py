@@ -91,8 +91,8 @@ class SurfaceHalf:
         the half. Also for points outside of the hull, and for points that are not finite.
         """
         # A method connects to one list of points: the n points of the piece, then the half's points
-        # that the piece lacks. So tolerances are those of the whole mesh. Then the rows from n on
-        # are cut off; their numbers stay in the plan, for surface nodes that other pieces have.
+        # that the piece lacks. So tolerances come from the whole mesh. Then the rows from n on are
+        # cut off; their numbers stay in the plan, for surface nodes that other pieces have.
         plan, points = self.plan, checked_points(points)
         if points.shape[1] != plan.points.shape[1]:
             raise ValueError(f"`points` has shape {points.shape}; the surface has {plan.points.shape[1]} dimensions.")

@@ -14,7 +14,7 @@ ROOTS = (eqx.Module, AbstractReduction, AbstractSearchPoints)
 
 
 def known_classes(added: Sequence[type] = ()) -> dict[str, type]:
-    """Lists by name the classes that a plan's file may name: the package's own and those added.
+    """Lists by name the classes that a plan's file may name: the package's own classes and `added`.
 
     The package's own classes are subclasses of `ROOTS` in the loaded modules. Raises `ValueError`
     for an added class that is no dataclass or enum, or has the name of another class.

@@ -37,7 +37,7 @@ class SurfacePart(eqx.Module):
     guide: "Guide | None" = None
 
     def with_images(self, vectors: Float[Array, "o d"]) -> Float[Array, "b d"]:
-        """Extends displacements of the own rows by those of the images."""
+        """Appends the images' displacements to the displacements of the own rows."""
         return vectors if self.images is None else self.images.vectors(vectors)
 
 
@@ -62,7 +62,7 @@ class Guide(Module):
     rows: Int[Array, " r"]
 
     def __call__(self, vectors: Float[Array, "o d"]) -> Float[Array, "o d"]:
-        """Computes the displacements of all own rows from those of the moving and fixed rows."""
+        """Computes displacements of all own rows from the moving and the fixed rows."""
         plan, known = self.plan, len(self.plan.surface.nodes)
         displacement = vectors[:known] if plan.images is None else plan.images.kept(vectors[:known])
         u = self._on_walls(jnp.concatenate([displacement, jnp.zeros_like(vectors[known:])]))
@@ -207,7 +207,7 @@ class Plan(Module):
 
     @checked
     def of_surface(self, u: Real[ArrayLike, "m d"] | Sequence[Any]) -> Float[Array, "o d"]:
-        """Computes displacements of all surface nodes from those that move. Traced."""
+        """Extends `u`, of the moving nodes, to displacements of all surface nodes. Traced."""
         return kept(self, extended(self, u))
 
     def __repr__(self) -> str:

@@ -50,7 +50,7 @@ def prepare(
 
     - `mesh`: a `Mesh`, or points (n, d) alone, d = 2 or 3, in any unit. With a mesh, methods see
       the boundary faces, patches may be named, and boundary faces in no list cause a warning.
-      Precision and device are those of the points: float64 needs JAX's x64 mode.
+      Precision and device come from the points: float64 needs JAX's x64 mode.
     - `moving`, `fixed`: node ids, (m,) and (f,), or names of patches. A node in both lists moves.
       Nodes in no list follow. If nothing but moving patches is named, the `kinds` of the other
       patches decide: symmetry planes slide, all others are fixed. A warning names them.
@@ -101,7 +101,7 @@ def between_planes(boundary: Boundary, method: AbstractMethod | None) -> Boundar
     Two parallel mirrors have endless images. A field with some of the images has a step beside the
     plane, by which cells invert. So parallel planes make no images. A field without images guides
     the nodes of the planes, which then are data of the mesh's field. Where planes hold all nodes,
-    as those of one layer of cells, guided nodes that face each other move alike.
+    as around one layer of cells, guided nodes that face each other move alike.
     """
     if boundary.planes:
         check_planes(boundary.planes, boundary.points)

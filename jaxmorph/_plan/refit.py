@@ -74,7 +74,7 @@ def refit(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Plan:
 
 
 def with_boundary_of(plan: Plan, other: Plan) -> Plan:
-    """Replaces walls and transforms of a plan by those of another plan of its mesh and boundary."""
+    """Gives a plan the walls and transforms of another plan of its mesh and boundary."""
     guide = other.surface.guide
     return plan if guide is None else _with(plan, guide.tracks, guide.pairings)
 

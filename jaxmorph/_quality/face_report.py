@@ -16,7 +16,7 @@ MEASURES = ("skewness", "aspect_ratio", "non_orthogonality", "volume", "pyramid"
 class FaceQuality:
     """Measures (k,) of each cell by its faces; faces are edges in 2-D.
 
-    The cells are those of the file, polyhedra and polygons whole, in the file's order: see
+    The cells are the file's cells, polyhedra and polygons whole, in the file's order: see
     `Mesh.cell_ids`.
 
     - `volume`: the sum of the pyramids between the faces and a point inside; in 2-D the area.
@@ -40,7 +40,7 @@ class FaceQuality:
 
     `mean_non_orthogonality` is checkMesh's average, one number: the angle whose cosine is the mean
     of the inner faces' cosines. `min`, `mean`, `max` of a measure, `worst` and `raise_if_inverted`
-    are those of `QualityReport`, over the cells that count. Other means are weighted by volume.
+    are as in `QualityReport`, over the cells that count. Other means are weighted by volume.
     `str(measured)` is a table.
     """
 
@@ -89,7 +89,7 @@ class FaceQuality:
         **Arguments:**
 
         - `k`: how many cells, default 5.
-        - `by`: the measure to rank by. By default inverted cells come first, then those of the
+        - `by`: the measure to rank by. By default inverted cells come first, then cells of the
           smallest pyramid.
 
         **Raises:** `ValueError` for a measure that is not known.

@@ -5,7 +5,7 @@ numbered as VTK numbers them. Corners are relative to the first one. For the mea
 they are divided by the cell's size, so that products of lengths stay within float32. The formulas
 read as for one cell.
 
-The definitions are those of Verdict, the library behind VTK's cell quality (Stimpson et al., The
+The definitions come from Verdict, the library behind VTK's cell quality (Stimpson et al., The
 Verdict geometric quality library, SAND2007-1751). They are written so that every derivative is
 finite, on cells of no size too.
 """
@@ -137,7 +137,7 @@ def jacobians(kind: str, x: Sequence[Vector]) -> tuple[Float[Either, "s k"], Flo
     """Computes Jacobians at corners, and a hexahedron's at its centre, as Verdict does.
 
     Each comes with the bound that turns an error of the coordinates into one of the Jacobian: the
-    sum over the edges of the product of the others' lengths.
+    sum over the edges of the product of the other edges' lengths.
     """
     edges = frames(kind, x)
     lengths = [norm(edge) for edge in edges]

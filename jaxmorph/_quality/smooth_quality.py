@@ -46,7 +46,7 @@ def smooth_quality(
 
     `volume`, `volume_ratio` and `distortion` have no kinks. Where `quality` takes the largest of m
     terms of a cell, a soft maximum takes its place (for the smallest a soft minimum). The
-    derivative is then spread over the terms near the largest. The values approach those of
+    derivative is then spread over the terms near the largest. The values approach the values of
     `quality` as `sharpness` grows:
 
     - `skewness` is less by log(m) / `sharpness` at most, m up to 36; a quad has m = 2.

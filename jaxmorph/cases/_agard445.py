@@ -67,8 +67,8 @@ def agard445(*, points: int = 64_943, cache_directory: str | os.PathLike | None 
 
     **Returns:** a `Mesh`.
 
-    **Raises:** `ValueError` for other `points`, and `ImportError` when gmsh, platformdirs or a
-    library of theirs is missing.
+    **Raises:** `ValueError` for other `points`, and `ImportError` when gmsh, platformdirs or one of
+    their libraries is missing.
     """
     if points not in RESOLUTIONS:
         known = ", ".join(f"{n:,}".replace(",", "_") for n in RESOLUTIONS)

@@ -124,7 +124,7 @@ def _half(section: Section, end: float, cells: int) -> np.ndarray:
 def _two_sided(samples: int, cells: int, first: float, last: float) -> np.ndarray:
     """Divides [0, 1] with given relative spacings at both ends.
 
-    The spacings are those of `cells` cells; the result is sampled by `samples` cells.
+    The spacings belong to `cells` cells; the result is sampled by `samples` cells.
 
     Vinokur, "On one-dimensional stretching functions for finite-difference calculations", J.
     Comput. Phys. 50 (1983).

@@ -96,7 +96,7 @@ def bodies(
 
     - `boxes`: each body's sides, (x least, x largest, y least, y largest), by its name. They are
       moved to the nearest grid line.
-    - `box`: sides of the box, in the same order. Default: 16 wide and 8 high about the origin.
+    - `box`: sides of the box, as in `boxes`. Default: 16 wide and 8 high about the origin.
     - `spacing`: side of a cell, about; a whole number of them fills the box. Default 0.25.
 
     **Returns:** a `Mesh`.

@@ -64,7 +64,7 @@ def deform_parts(request: Deform, out: Output) -> int:
                 raise _Bad
     except _Bad:
         _complain(request, bad, out)  # pyright: ignore[reportPossiblyUnboundVariable]
-        out.complain(f"{request.output} is not written; --allow-inverted writes it all the same.")
+        out.complain(f"{request.output} is not written; --allow-inverted writes it anyway.")
         return 1
     _complain(request, bad, out)
     out.say(f"wrote {request.output} ({out.seconds:.1f} s)", output=str(request.output))
@@ -124,7 +124,7 @@ def _ranks() -> Ranks:
         return Alone()
     try:
         from mpi4py import MPI
-    except (ImportError, RuntimeError) as error:  # the latter where mpi4py is there and no MPI library
+    except (ImportError, RuntimeError) as error:  # RuntimeError: mpi4py is there, and no MPI library
         raise ImportError(
             "mpiexec or srun started this process, but mpi4py or its MPI library is missing: "
             "pip install 'jaxmorph[mpi]' mpich, or start one process."

@@ -65,7 +65,7 @@ def _deform(request: Deform, mesh: Mesh, out: Output) -> int:
         if bad:
             explain(attempt, choice, bad, out)
         if bad and not request.allow_inverted:
-            out.complain(f"{request.output} is not written; --allow-inverted writes it all the same.")
+            out.complain(f"{request.output} is not written; --allow-inverted writes it anyway.")
             return 1
         with out.progress(f"writing {request.output.name}"):
             writing.finish()

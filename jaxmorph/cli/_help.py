@@ -156,7 +156,7 @@ exit status: 0; 1 when a motion inverts cells or a gate fails; 2 for bad input""
 
 _SENSITIVITY_EXAMPLES = """\
 examples:
-  SU2's volume sensitivities to those of the wall's nodes:
+  SU2's volume sensitivities to sensitivities of the wall's nodes:
     jaxmorph sensitivity airfoil.su2 volume_sens.csv wall_sens.csv \\
         --moving airfoil --fixed farfield
   derivatives by twist, box and all other design variables of a job:
@@ -188,7 +188,7 @@ jaxmorph sensitivity --help-all
 )
 
 SU2 = """\
-Design variables, markers, steps and file names are those of the config file:
+The config file gives design variables, markers, steps and file names:
 DV_KIND, DV_PARAM, DV_VALUE, DV_MARKER, MARKER_SYM, DEFORM_NONLINEAR_ITER,
 FFD_*, MESH_FILENAME, MESH_OUT_FILENAME. Markers that neither DV_MARKER nor
 MARKER_SYM names stay. Options of flow solvers are not read. A DV_KIND that

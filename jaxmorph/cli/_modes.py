@@ -135,5 +135,5 @@ def _end(request: Modes, good: list[Case], bad: int, total: int, out: Output) ->
         out.say(f"wrote {request.output}", output=str(request.output))
     if len(good) < total:
         missing = f"{total - len(good)} of {count(total, 'case')}"
-        out.complain(f"{missing} not written; --allow-inverted writes all the same.")
+        out.complain(f"{missing} not written; --allow-inverted writes them anyway.")
     return 1 if bad else 0

@@ -83,7 +83,7 @@ def _judge(request: SU2, mesh: jm.Mesh, points: np.ndarray, output: Path, out: O
     if bad:
         out.complain(bad[0])
         if not request.allow_inverted:
-            out.complain(f"{output} is not written; --allow-inverted writes it all the same.")
+            out.complain(f"{output} is not written; --allow-inverted writes it anyway.")
     return 1 if bad else 0
 
 

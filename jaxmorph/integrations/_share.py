@@ -1,4 +1,4 @@
-"""A process's share of a mesh in an MPI run, and the surface of the whole mesh."""
+"""The share of a mesh that each process of an MPI run has, and the surface of the whole mesh."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ from jaxmorph._boundary.symmetry import check_dimension, on_facing
 
 @dataclasses.dataclass(frozen=True)
 class Share:
-    """A process's share of a mesh: points (n, d), ids (n,), rows that move and are fixed."""
+    """One process' share of a mesh: points (n, d), ids (n,), rows that move and are fixed."""
 
     points: np.ndarray
     nodes: np.ndarray
@@ -23,7 +23,7 @@ class Share:
 
     @classmethod
     def checked(cls, points: Any, nodes: Any, moving: Any, fixed: Any, symmetry: Any) -> "Share":
-        """Makes it of the arguments of `prepare`. Raises `ValueError` as that does."""
+        """Makes the share of the arguments of `prepare`. Raises `ValueError` as `prepare` does."""
         mesh = points if isinstance(points, jm.Mesh) else None
         x, ids = np.asarray(points if mesh is None else mesh.points), np.asarray(nodes)
         if x.ndim != 2 or ids.shape != (len(x),) or ids.dtype.kind not in "iu" or len(np.unique(ids)) < len(ids):
@@ -40,9 +40,9 @@ def surface_of(
 ) -> tuple[np.ndarray, np.ndarray, int, int, int]:
     """Gathers the points that the surface's half needs, and their ids.
 
-    The first m move, those up to `count` are fixed, those up to `total` are on parallel planes or
-    on the boundary's `faces`. The outermost points, whose id is -1, are the last. All processes see
-    the same, and raise together.
+    The first m points move, the next points up to `count` are fixed. Points from there to `total`
+    are on parallel planes or on the boundary's `faces`. The outermost points, whose id is -1, are
+    the last. All processes get equal results, and raise together.
     """
     x, ids = share.points, share.nodes
     ends = np.unique([x.argmin(axis=0), x.argmax(axis=0)])

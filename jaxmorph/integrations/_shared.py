@@ -43,7 +43,7 @@ def faces_of(comm: Any, mesh: Mesh | None, nodes: np.ndarray, is_shared: np.ndar
         return {} if faces is None else faces.corners
 
     if len(set(comm.allgather(mesh is None))) > 1:
-        raise ValueError("some processes give a Mesh and some points alone: give the same in all.")
+        raise ValueError("some processes give a Mesh and some points alone: give a Mesh in all, or points in all.")
     if mesh is None:
         return None
     # a ghost cell counts in the first piece that has it; a face that two pieces then have lies
@@ -66,9 +66,9 @@ def _filtered(
     is_shared: np.ndarray,
     chosen: Callable[[np.ndarray, np.ndarray], np.ndarray],
 ) -> dict[str, np.ndarray]:
-    """Marks the cells or faces that this piece has first, and those that others have too.
+    """Chooses cells or faces by two marks: this piece has them first, other pieces have them too.
 
-    Other processes are asked only for those whose nodes are all shared.
+    Other processes are asked only for cells or faces whose nodes are all shared.
     """
     chosen_of_kind = {}
     for kind in sorted(set().union(*comm.allgather(list(cells)))):
@@ -87,7 +87,7 @@ def joined(shares: Sequence[Any], names: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def owned(comm: Any, keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Marks keys, ids (k,) or rows (k, c), that this process has first, and those others have too.
+    """Marks keys, ids (k,) or rows (k, c), that this process has first, and keys that others have.
 
     Each id has a process that keeps its list, so that no process sees the nodes of all.
     """

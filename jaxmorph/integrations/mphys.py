@@ -34,7 +34,7 @@ class ShapeBuilder(Builder):
     **Arguments:**
 
     - `shape`: a shape of `jaxmorph.shapes` in 3-D, or a function of positions and parameters.
-    - `parameters`: those at the start; only a plain function needs them. Default: neutral ones.
+    - `parameters`: values at the start; only a plain function needs them. Default: neutral values.
 
     Inputs are named as `ShapeDisplacement` names them.
     """
@@ -74,7 +74,7 @@ class VolumeBuilder(Builder):
         self.plan, self.mesh, self.raise_if_inverted = plan, mesh, raise_if_inverted
 
     def initialize(self, comm) -> None:
-        """Checks that one process has it all."""
+        """Checks that the run has a single process."""
         if comm.size > 1:
             raise ValueError(f"a plan is whole on one process; there are {comm.size}.")
 
@@ -103,7 +103,7 @@ class Geometry(TracedComponent):
 
     def initialize(self) -> None:
         self.options.declare("shape", types=object, recordable=False, desc="positions and parameters to positions")
-        self.options.declare("parameters", recordable=False, desc="those at the start")
+        self.options.declare("parameters", recordable=False, desc="parameters at the start")
 
     def setup(self) -> None:
         tags = ["mphys_coordinates"]

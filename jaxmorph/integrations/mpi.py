@@ -2,7 +2,7 @@
 
 try:
     from mpi4py import MPI
-except (ImportError, RuntimeError) as error:  # the latter where mpi4py is there and no MPI library
+except (ImportError, RuntimeError) as error:  # RuntimeError: mpi4py is there, and no MPI library
     raise ImportError(
         "pieces over MPI need mpi4py and an MPI library: pip install 'jaxmorph[mpi]' mpich, or the machine's own MPI"
     ) from error
@@ -33,7 +33,7 @@ class Piece:
     `prepare` makes it; every process calls its functions together.
 
     - `comm`: the communicator.
-    - `plan`: the plan of this piece's n points; its displacements are those of all moving nodes.
+    - `plan`: the plan of this piece's n points; it takes displacements of all moving nodes.
     - `nodes` (n,): the whole mesh's ids of the points.
     - `moving` (k,): the points that move, as `prepare` was given them.
     - `rows` (k,): the row of each in the displacement of all moving nodes.
@@ -68,7 +68,7 @@ class Piece:
         """Pulls dJ/d(points) of the whole mesh back to this piece's moving nodes (k, d).
 
         `cotangent` (n, d) is the derivative by each node as a whole: processes that share a node
-        give the same, and it counts once. It raises `ValueError` as `deform` does.
+        give equal derivatives, which count once. It raises `ValueError` as `deform` does.
         """
         u = self.gathered(u)
 
@@ -132,13 +132,13 @@ def prepare(
 ) -> Piece:
     """Prepares the piece of a mesh that this process has; every process calls it together.
 
-    The moving and fixed nodes of all pieces are gathered, and those on parallel symmetry planes.
+    The moving and fixed nodes of all pieces are gathered, and nodes on parallel symmetry planes.
     The first process prepares them, and all attach their points to equal bits: nodes that pieces
     share move alike.
 
-    Pieces with cells, as a `Mesh`, give the boundary's faces: those that one cell of all pieces
-    has. The points are then those of `jaxmorph.prepare(mesh, ...)` to round-off, however many
-    processes there are. Without cells they are those of points alone.
+    Pieces with cells, as a `Mesh`, give the boundary's faces, which a single cell of all pieces
+    has. The piece then moves as with a plan of `jaxmorph.prepare(mesh, ...)`, to round-off, however
+    many processes there are. Without cells it moves as with a plan of points alone.
 
     **Arguments:**
 

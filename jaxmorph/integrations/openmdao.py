@@ -20,8 +20,8 @@ class MeshDeformation(MovedMesh):
 
     The input `displacements` (m, d) is zero at first; its row i moves node `plan.moving[i]`. The
     output `points` (n, d) are all nodes in the mesh's own order. In reverse mode it takes
-    sensitivities of all points to those of the moving ones, which is `jaxmorph.pullback`. OpenMDAO
-    works in float64, so make the plan with JAX's x64 mode on.
+    sensitivities of all points to sensitivities of the moving nodes, as `jaxmorph.pullback` does.
+    OpenMDAO works in float64, so make the plan with JAX's x64 mode on.
 
     **Arguments:** (options)
 
@@ -29,11 +29,11 @@ class MeshDeformation(MovedMesh):
     - `mesh`: the mesh that the plan is of, whose cells are judged. Default None: no cells are seen,
       which is warned of.
     - `raise_if_inverted`: whether inverted cells raise `openmdao.api.AnalysisError`, by which
-      optimisers shorten a step. Cells are judged relative to `mesh`: those that were inverted from
+      optimisers shorten a step. Cells are judged relative to `mesh`: cells that were inverted from
       the start do not count. Default True.
     - `flat`: True flattens both variables to (m d,) and (n d,), as the solvers of MPhys have them.
       Default False.
-    - `units`: those of both variables, such as "m". Default None: none.
+    - `units`: of both variables, such as "m". Default None: none.
 
         problem = om.Problem()
         problem.model.add_subsystem("mesh", MeshDeformation(plan=plan, mesh=mesh), promotes=["*"])
@@ -76,7 +76,7 @@ class ShapeDisplacement(TracedComponent):
 
     - `shape`: a shape of `jaxmorph.shapes`, or a function of positions and parameters.
     - `plan`: what `jaxmorph.prepare` returned.
-    - `parameters`: those at the start; only a plain function needs them. Default None:
+    - `parameters`: values at the start; only a plain function needs them. Default None:
       `shape.neutral()`.
     - `positions`: True makes the output `positions` (m, d) of the moving nodes instead. Default
       False.
@@ -86,7 +86,7 @@ class ShapeDisplacement(TracedComponent):
     def initialize(self) -> None:
         self.options.declare("shape", types=object, recordable=False, desc="positions and parameters to positions")
         self.options.declare("plan", types=jm.Plan, recordable=False, desc="what jaxmorph.prepare returned")
-        self.options.declare("parameters", default=None, recordable=False, desc="those at the start")
+        self.options.declare("parameters", default=None, recordable=False, desc="parameters at the start")
         self.options.declare("positions", types=bool, default=False, desc="positions instead of displacements")
         self.options.declare("flat", types=bool, default=False, desc="an output of one dimension")
         self.options.declare("units", types=str, default=None, allow_none=True, desc="of the output")

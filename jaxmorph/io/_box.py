@@ -30,7 +30,7 @@ def read_box(
     The table has `low` and `high` (two corners of a box along the axes), or `corners` (eight, in
     2-D four, as `Hexahedron` takes them). It has `points` (numbers of control points), and a list
     `moved`. Each of `moved` is a table of `at` (a control point's numbers, from 0) and `by` (its
-    displacement). `degree` and `continuity` are those of `FreeForm`.
+    displacement). `degree` and `continuity` are as in `FreeForm`.
 
     **Arguments:**
 

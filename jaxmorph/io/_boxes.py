@@ -184,7 +184,7 @@ def _control(rows: Float[np.ndarray, "k 6"], shape: Hexahedron, at: Section) -> 
         or (ids >= counts).any()
         or len(np.unique(ids, axis=0)) < len(ids)
     ):
-        raise at.error(f"{len(rows)} control points are not those of a lattice of {' x '.join(map(str, counts))}.")
+        raise at.error(f"{len(rows)} control points do not make a lattice of {' x '.join(map(str, counts))}.")
     control = np.empty((*counts, 3))
     control[tuple(ids.T)] = rows[:, 3:]
     return control if d == 3 else control.mean(axis=2)[..., :2]

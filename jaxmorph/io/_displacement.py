@@ -106,6 +106,6 @@ def _between(before: pathlib.Path, after: pathlib.Path, x: np.ndarray) -> np.nda
         place = ", ".join(f"{value:.4g}" for value in x[distance.argmax()])
         raise ValueError(
             f"{before}: {off.size} of {len(x)} moving nodes are off this surface by more than {limit:.3g}, at most by "
-            f"{distance.max():.3g} near ({place}). Are the units and the origin those of the mesh?"
+            f"{distance.max():.3g} near ({place}). Does the surface have the mesh's units and origin?"
         )
     return values

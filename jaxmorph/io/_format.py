@@ -23,7 +23,7 @@ class Source:
     It is compared by identity, so that it can be a static field of a pytree however large `content`
     is.
 
-    - `polyhedra`, `cell_ids`, `groups`, `between`, `file_nodes`: those of `Mesh`.
+    - `polyhedra`, `cell_ids`, `groups`, `between`, `file_nodes`: as in `Mesh`.
     - `periodic`: the periodic pairs of patches that the file names; `symmetry`: its patches in
       symmetry planes; `kinds`: the type of each patch in the file.
     - `node_ids` (n,): numbers of the nodes in other files, None for 0, 1, 2, ...
@@ -103,7 +103,7 @@ def source_of(mesh: Mesh, format_name: str) -> Source | None:
 
 
 def own_source(path: pathlib.Path, mesh: Mesh, format_name: str) -> Source:
-    """Returns the source of a mesh, for a format whose files are copies of the one that was read.
+    """Returns the source of a mesh, for a format whose files are copies of the file that was read.
 
     It raises `ValueError` for other meshes, and where the file has changed since, if the source's
     content has its `stamp`.

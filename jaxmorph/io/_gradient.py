@@ -21,7 +21,7 @@ ENDINGS = (".csv", ".json")
 def write_gradient(path: str | os.PathLike[str], parameters: PyTree, gradient: PyTree) -> None:
     """Writes design variables by name, each with its value and its derivative.
 
-    Names are those of `shapes.names`. A table (.csv) has the columns `variable`, `value` and
+    Names come from `shapes.names`. A table (.csv) has the columns `variable`, `value` and
     `dJ_dvalue`; JSON has an object for each name, with `value` and `dJ_dvalue`. Numbers that are
     not finite are `null` in JSON.
 

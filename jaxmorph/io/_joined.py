@@ -16,8 +16,8 @@ from ._structured import open_faces, shared_nodes
 class Zones:
     """All nodes of a file, zone after zone, cells and patches of their ids, and outer faces.
 
-    `names` are those of the patches that the faces become where no other zone meets them; without,
-    they are `unnamed`.
+    `names` are names of the patches that the faces become where no other zone meets them; without
+    names such a patch is `unnamed`.
     """
 
     points: np.ndarray

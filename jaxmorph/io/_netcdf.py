@@ -55,7 +55,7 @@ class _Header:
         self.count, self.place = (8 if version == 5 else 4), (4 if version == 1 else 8)
 
     def taken(self, count: int) -> bytes:
-        """Reads some bytes, and those that fill them up to a multiple of four."""
+        """Reads some bytes, and the bytes that fill them up to a multiple of four."""
         data = self.file.read(-(-count // 4) * 4) if count <= self.size else b""
         if len(data) < count:
             raise ValueError("the header goes beyond the end of the file")

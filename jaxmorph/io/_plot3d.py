@@ -1,7 +1,7 @@
 """PLOT3D grids: one or many blocks, 2-D or 3-D, text, Fortran records or binary, single or double.
 
-A file does not say which of these it is; the one whose sizes fit the file to the byte is taken. It
-may have IBLANK, whose values are kept and not looked at. The file is written back in the same form.
+A file does not say which of these it is; the form whose sizes fit the file to the byte is taken. It
+may have IBLANK, whose values are kept and not looked at. The file is written back in its form.
 """
 
 import dataclasses
@@ -54,7 +54,7 @@ class _Content:
 def read(path: pathlib.Path) -> Mesh:
     """Reads all blocks; nodes where blocks meet are one.
 
-    Patches are those of the file beside it that is called as it is, with the ending `.patches`. It
+    Patches come from a file beside the grid, called as the grid with the ending `.patches`. It
     holds lines `NAME BLOCK SIDE` (`imin` to `kmax`) or `NAME BLOCK I1 I2 J1 J2 [K1 K2]`, nodes
     counted from 1. Without it each outer side of a block is a patch, as `block2_jmin`, or `jmin` in
     a file of one block.

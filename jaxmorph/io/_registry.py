@@ -69,9 +69,9 @@ def read(path: str | os.PathLike[str]) -> Mesh:
     - MFEM's attributes of boundary elements, `boundary_3` for attribute 3; named sets are groups;
     - Exodus's side sets and node sets, and its blocks of shells, beams or points beside larger
       cells;
-    - the sides of PLOT3D's blocks, or those that a file beside it names. It is called as the grid
-      with the ending `.patches`, and holds lines `NAME BLOCK SIDE` or `NAME BLOCK I1 I2 J1 J2 [K1
-      K2]`;
+    - the sides of PLOT3D's blocks, or patches that a file beside the grid names. The file is called
+      as the grid with the ending `.patches`, and holds lines `NAME BLOCK SIDE` or `NAME BLOCK I1 I2
+      J1 J2 [K1 K2]`;
     - in VTK files the point arrays called `patch:NAME`;
     - the one patch `boundary` for a file that names none.
 

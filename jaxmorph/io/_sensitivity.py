@@ -28,7 +28,7 @@ def read_sensitivity(
 ) -> Float[np.ndarray, "k d"]:
     """Reads dJ/d(points) for every node of the mesh: what `pullback` takes.
 
-    Or for those of a wall, for `shapes.project`. The file is one of
+    Or for every node of a wall, for `shapes.project`. The file is one of
 
     - a table with a header that names `Sensitivity_x`, `Sensitivity_y`[, `Sensitivity_z`]: SU2's
       volume sensitivities and adjoint restarts, .csv or .dat, in text or binary;
@@ -46,8 +46,8 @@ def read_sensitivity(
       if it has these: it is then the sensitivity of the surface itself, such as SU2's
       `surface_sens.csv`.
 
-    **Returns:** sensitivities (n, d), in the unit of J over that of the points; those (m, d) of
-    `moving` from a surface's file.
+    **Returns:** sensitivities (n, d), in the unit of J over the unit of the points; from a
+    surface's file (m, d), for `moving` alone.
 
     **Raises:** `ValueError` for nodes that are missing, foreign or there twice, and for values that
     are not finite.

@@ -59,7 +59,7 @@ class SU2Content:
 
 
 def read(path: pathlib.Path) -> Mesh:
-    """Reads points in the order of the file; `patches` are the markers, those of one name together.
+    """Reads points in the order of the file; `patches` are the markers, joined by name.
 
     With `NMARK= 0` the patch is `boundary`.
 
@@ -72,7 +72,7 @@ def read(path: pathlib.Path) -> Mesh:
     if len(zones) > 1:
         raise ValueError(
             f"{path}: the file holds {len(zones)} zones, each a mesh of its own: io.read_zones reads them, and io.write_zones "
-            "writes some of them, the others as they are. On the command line --zone 1 is the first."
+            "writes some of them, other zones as they are. On the command line --zone 1 is the first."
         )
     return mesh_of(path, text, zones[0])
 
@@ -144,7 +144,7 @@ def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays)
 
 
 def with_points(text: bytes, start: int, stop: int, points: np.ndarray) -> Iterator[bytes | memoryview]:
-    """Yields the text with `points` (n, d) in place of those that stand from `start` to `stop`."""
+    """Yields the text with `points` (n, d) in place of the points from `start` to `stop`."""
     d = points.shape[1]
     return replace(text, slice(start, stop), points, lambda counts: counts >= d)
 

@@ -12,7 +12,7 @@ from .._host.package.files import input_path
 from .text.sections import Section
 
 FACT = re.compile(rb"^[ \t]*[A-Za-z_]+[ \t]*=.*$", re.MULTILINE)
-"""A line `NAME= value`, such as those behind the rows of SU2's older restarts."""
+"""A line `NAME= value`, as SU2's older restarts have behind their rows."""
 IDS = (b"pointid", b"point_id", b"id", b"node", b"globalindex", b"global_index")
 """Names that headers give to the column of node ids, which is the first one otherwise."""
 MAGIC = 535532

@@ -35,7 +35,7 @@ def read_zones(path: str | os.PathLike[str]) -> tuple[Mesh, ...]:
     path = input_path(path)
     if path.suffix.lower() != ".su2":
         raise ValueError(
-            f"{path}: SU2 files (.su2) have zones that are meshes of their own; io.read joins those of others."
+            f"{path}: SU2 files (.su2) have zones that are meshes of their own; io.read joins the zones of other formats."
         )
     text = path.read_bytes()
     meshes = tuple(mesh_of(path, text, zone) for zone in by_zones(path, text))
@@ -78,7 +78,7 @@ def write_zones(path: str | os.PathLike[str], meshes: Sequence[Mesh]) -> None:
     if len({content.start for content in contents}) < len(contents):
         raise ValueError(f"{path}: one zone is twice in `meshes`.")
     text = contents[0].text
-    # from the last zone to the first, so that places of those before it stay
+    # from the last zone to the first, so that places of earlier zones stay
     for content, mesh in sorted(zip(contents, meshes, strict=True), key=lambda pair: -pair[0].start):
         text = b"".join(with_points(text, content.start, content.stop, np.asarray(mesh.points)))
     with complete(pathlib.Path(path)) as partial:

@@ -26,7 +26,7 @@ def segments(cells: Mapping[str, np.ndarray]) -> int:
 def refined(
     cells: Mapping[str, Int[np.ndarray, "_k _s"]], points: Float[np.ndarray, "n 3"], m: int
 ) -> tuple[Float[np.ndarray, "p 3"], dict[str, np.ndarray], np.ndarray]:
-    """Cuts curved cells into pieces with edges of 1 / m of theirs.
+    """Cuts curved cells into pieces with edges of 1 / m of the cells' edges.
 
     Neighbours share the points of their common sides, as their corners say.
 

@@ -120,8 +120,7 @@ def convergence(errors: Mapping[str, SurfaceErrors] | History, *, ax: Axes | Non
     """Draws how an optimisation went on, or the error on the surface against the number of sources.
 
     Of a `History` the objective over its first value is drawn against the iterations, with its
-    constraints and measures. Errors are those of families of reductions by name: `{"k-d tree":
-    ...}`.
+    constraints and measures. Errors belong to families of reductions, by name: `{"k-d tree": ...}`.
 
     The largest error is a line, the mean is dashed, both on logarithmic scales.
 

@@ -53,10 +53,10 @@ def animate(
     """Makes a film of a mesh that moves, one picture for each frame.
 
     An example is `animate("mode.gif", lambda points: plot.surface(mesh, points, patch="wing"),
-    plot.swing(mesh.points, extreme))`. All frames are seen as the first one is; in 3-D with room
-    for the others unless `draw` places the camera. The size is that of the figure or of the
-    plotter's window. A `.gif` repeats for ever and needs nothing more; a `.mp4` needs ffmpeg, the
-    system's or imageio-ffmpeg's.
+    plot.swing(mesh.points, extreme))`. All frames are seen as the first frame is; in 3-D with room
+    for the other frames unless `draw` places the camera. The figure or the plotter's window gives
+    the size. A `.gif` repeats for ever and needs nothing more; a `.mp4` needs ffmpeg, the system's
+    or imageio-ffmpeg's.
 
     **Arguments:**
 

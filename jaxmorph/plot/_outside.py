@@ -16,7 +16,7 @@ NOTHING = "there is nothing to draw: the plane cuts no cell."
 
 
 def outlines(section: Any) -> Any:
-    """Returns a section's cell edges for pyvista, without those between two pieces of a cell."""
+    """Returns a section's cell edges for pyvista, without edges between two pieces of a cell."""
     labels, starts = corners_of(section)
     after = np.roll(labels, -1)
     after[starts[1:] - 1] = labels[starts[:-1]]
@@ -94,7 +94,7 @@ def _places(mesh: jm.Mesh, points: Any) -> np.ndarray:
 
 
 def _curved_faces(mesh: jm.Mesh, points: Any, values: Any, on_patch: np.ndarray | None) -> Any:
-    """Returns the outer faces of curved cells, or those with all nodes on a patch, in pieces."""
+    """Returns outer faces of curved cells in pieces, all or the faces with all nodes on a patch."""
     x, cells = _places(mesh, points), solid(mesh.cells, 3)
     found = owned_sides({kind: np.asarray(ids) for kind, ids in cells.items()}, len(x), on_patch)
     sides = {kind: ids for kind, (ids, _) in found.items()}

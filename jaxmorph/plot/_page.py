@@ -1,4 +1,4 @@
-"""Makes a page with a surface in 3-D that one can turn, zoom and deform, by k3d."""
+"""Makes a page with a surface in 3-D to turn, zoom and deform, by k3d."""
 
 import dataclasses
 import importlib

@@ -69,7 +69,7 @@ def mesh(
     - `values`: one for each cell, as `quality` gives. Where the file has polyhedra or polygons, one
       for each whole cell will do, as `face_quality` gives. Without values only the lines are drawn.
     - `limits`: the values at the light and at the dark end of the colours; (1, 0) for a measure
-      that is small where cells are bad. Default: those of all values in the window, without
+      that is small where cells are bad. Default: the limits of all values in the window, without
       outliers on 1 % of the area, for which the bar has an arrow.
     - `label`: what the values are, beside the colour bar.
     - `bar`: False leaves out the colour bar. For several axes that share one:
@@ -114,7 +114,7 @@ def before_after(
 
     **Arguments:**
 
-    - `mesh`, `points`, `window`, `ax`: those of `mesh`.
+    - `mesh`, `points`, `window`, `ax`: as `plot.mesh` takes them.
 
     **Returns:** the axes.
 

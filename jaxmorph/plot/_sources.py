@@ -80,7 +80,7 @@ def sources_3d(
 
     **Arguments:**
 
-    - `surface`, `reduction`, `fixed`, `search_points`: those of `sources`, in 3-D.
+    - `surface`, `reduction`, `fixed`, `search_points`: as `sources` takes them, in 3-D.
     - `plotter`: pyvista's; a new one by default. A plotter from `plot.surface` shows the sources on
       the body.
 

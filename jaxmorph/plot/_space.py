@@ -46,12 +46,11 @@ def surface(
 ) -> Any:
     """Draws a 3-D mesh's outside, or one patch, each face coloured by its cell's value.
 
-    A surface without values is lit. With values it is not, so that its colours are those of the
-    bar.
+    A surface without values is lit. With values it is not lit, so that its colours match the bar.
 
     **Arguments:**
 
-    - `mesh`, `points`, `values`, `limits`, `label`, `bar`: those of `plot.mesh`, in 3-D.
+    - `mesh`, `points`, `values`, `limits`, `label`, `bar`: as `plot.mesh` takes them, in 3-D.
     - `patch`: the patch to draw. Default: the whole outside.
     - `plotter`: pyvista's; a new one, off screen, by default.
 
@@ -73,7 +72,7 @@ def before_after_3d(mesh: jm.Mesh, points: Float[Any, "n 3"], *, patch: str | No
 
     **Arguments:**
 
-    - `mesh`, `points`, `patch`, `plotter`: those of `surface`.
+    - `mesh`, `points`, `patch`, `plotter`: as `surface` takes them.
 
     **Returns:** the plotter, or a new one, off screen.
 
@@ -117,8 +116,8 @@ def cut(
 
     - `plane`: a `Plane`. Where it meets a body the picture is of the body and some room round it,
       else of all that is cut.
-    - `mesh`, `points`, `values`, `limits`, `label`, `bar`, `plotter`: those of `surface`. A plotter
-      that is given shows all.
+    - `mesh`, `points`, `values`, `limits`, `label`, `bar`, `plotter`: as `surface` takes them. A
+      plotter that is given shows all.
 
     **Returns:** the plotter, or a new one, off screen.
 

@@ -56,7 +56,7 @@ def _in_font(text: Any) -> None:
 
 
 def new_plotter() -> Any:
-    with pyvista().vtk_verbosity("off"):  # it complains where there is no display, and draws all the same
+    with pyvista().vtk_verbosity("off"):  # VTK complains where there is no display, and draws anyway
         plotter = pyvista().Plotter(off_screen=True, window_size=WINDOW)
     plotter.set_background("white")
     plotter.enable_anti_aliasing("ssaa")  # with samples for each pixel, VTK draws nothing of what it peels

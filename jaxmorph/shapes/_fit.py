@@ -64,7 +64,7 @@ def fit(
     - `shape`: a shape, or a function of positions and parameters.
     - `points`: (m, d) before.
     - `targets`: (m, d) after, row by row.
-    - `start`: parameters to begin with; those of `shape.neutral()` by default.
+    - `start`: parameters to begin with; `shape.neutral()` by default.
     - `max_steps`: of the iteration.
 
     **Returns:** a `Fit`.
@@ -121,8 +121,8 @@ def fit_cst(
       in the residual there.
     - `wall`: rows of all points in the order of the wall, by which `upper_side` finds the sides.
 
-    **Returns:** the shape, whose parameters are (upper, lower), and the `Fit`, whose parameters are
-    those of this airfoil. Changes to them move the airfoil: `shape(points, (d_upper, d_lower))`.
+    **Returns:** the shape, whose parameters are (upper, lower), and the `Fit`, whose parameters
+    describe this airfoil. Changes to them move the airfoil: `shape(points, (d_upper, d_lower))`.
 
     **Raises:** `ValueError` for fewer nodes than unknowns, and where two sides are not to be seen.
     """

@@ -1,4 +1,4 @@
-"""The operator of a lattice: displacements of points from those of control points."""
+"""The operator of a lattice: displacements of points from displacements of control points."""
 
 import itertools
 from typing import Any
@@ -35,7 +35,7 @@ class Rows(eqx.Module):
         return total
 
     def _dense(self, control: Float[Array, "n c"]) -> Float[Array, "m c"]:
-        # one matrix product along the first direction, then weighted sums along the others
+        # a matrix product along the first direction, then weighted sums along other directions
         first, *others = self.weights
         values = (first @ control.reshape(self.counts[0], -1)).reshape(len(first), *self.counts[1:], control.shape[1])
         for w in others:

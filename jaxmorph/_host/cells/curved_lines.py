@@ -157,7 +157,7 @@ def _candidates(
 def _lines(kind: str) -> tuple[tuple[int, int, np.ndarray, np.ndarray], ...]:
     """Lists the lines of a type that may leave a wall: start, end, and weights of some nodes.
 
-    Lines are the edges in both senses, and from nodes of sides to those opposite.
+    Lines are the edges in both senses, and lead from nodes of sides to the opposite nodes.
     """
     cell, lines = lagrange_types()[kind], []
     ends = derivatives_at_nodes("line" if cell.order == 1 else f"line{cell.order + 1}")[:2, :, 0]

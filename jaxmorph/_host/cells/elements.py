@@ -12,7 +12,7 @@ _COLLAPSED = {
     "wedge": (0, 1, 2, 2, 3, 4, 5, 5),
     "pyramid": (0, 1, 2, 3, 4, 4, 4, 4),
 }
-"""Corners of the cell by those of a square or cube: pairs make a wedge, four make a pyramid."""
+"""Corner of the cell at each corner of a square or cube: pairs make a wedge, four a pyramid."""
 
 
 @functools.cache

@@ -103,8 +103,7 @@ class Lagrange:
     def completion(self) -> tuple[str, np.ndarray]:
         """Returns the type with all lattice nodes, and the matrix (nodes, k) that makes them.
 
-        The completed cell is the same curved cell: a missing node is where the serendipity
-        functions put it.
+        The cell keeps its curved shape: a missing node is where the serendipity functions put it.
         """
         complete, place, missing = of_order(self.shape, self.order), self.place, []
         matrix = np.zeros((len(complete.lattice), len(self.lattice)))
@@ -115,7 +114,7 @@ class Lagrange:
                 missing.append(row)
         middles = iter(missing)
         for side, nodes in self.sides if self.dimension == 3 else [(self.name, np.arange(len(self.lattice)))]:
-            if side == "quad8":  # the functions of corners are -1/4 in its middle, those of edges 1/2
+            if side == "quad8":  # in its middle functions of corners are -1/4, functions of edges 1/2
                 matrix[next(middles), nodes] = np.repeat([-0.25, 0.5], 4)
         for row in middles:  # of a hexahedron
             matrix[row] = np.repeat([-0.25, 0.25], [8, 12])

@@ -39,7 +39,7 @@ def owners(cells: Mapping[str, Any]) -> dict[str, np.ndarray]:
 def boundary_faces(cells: Mapping[str, np.ndarray], n: int, among: np.ndarray | None = None) -> dict[str, np.ndarray]:
     """Finds the linear faces that belong to one cell only (edges of 2-D cells), by type.
 
-    A face of a cell of high order is cut into pieces. The arguments are those of `boundary_sides`.
+    A face of a cell of high order is cut into pieces. The arguments are as in `boundary_sides`.
     """
     return linear_cells(boundary_sides(cells, n, among))
 

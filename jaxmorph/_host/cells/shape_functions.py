@@ -96,7 +96,7 @@ def _pyramid(
 
 
 def collapsed(kind: str, places: np.ndarray) -> np.ndarray:
-    """Maps reference places to those of the basis; a pyramid's apex is seen from the middle."""
+    """Maps reference places to arguments of the basis; a pyramid's apex is seen from the middle."""
     if lagrange_types()[kind].shape != "pyramid":
         return places
     c = 1 - places[:, 2:]

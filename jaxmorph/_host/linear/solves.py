@@ -1,9 +1,9 @@
 """The two solvers of a sparse symmetric system: by factors, and by conjugate gradients.
 
-SciPy's conjugate gradients stop at the residual alone. Its sums of products are those of a BLAS,
-whose threads wait in a loop for the next sum, at the cost of a second core. Sums of products are
-NumPy's own here. `benchmarks/README.md` compares these solvers with SciPy's conjugate gradients and
-pyamg's cycle.
+SciPy's conjugate gradients stop at the residual alone. Their sums of products are computed by a
+BLAS. Its threads wait in a loop for the next sum, at the cost of a second core. Here NumPy computes
+the sums. `benchmarks/README.md` compares these solvers with SciPy's conjugate gradients and pyamg's
+cycle.
 """
 
 from collections.abc import Callable

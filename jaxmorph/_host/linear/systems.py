@@ -37,8 +37,8 @@ def solve(pairs, values, diagonal, masses, free, right, *, multigrid: bool = Tru
     **Arguments:**
 
     - `pairs` (e, 2): nodes i and j of each pair, no pair twice.
-    - `values` (e,) or (e, d, d): the matrix's entries in row i and column j; those in row j are
-      their transposes.
+    - `values` (e,) or (e, d, d): the matrix's entries in row i and column j; the entries in row j
+      and column i are their transposes.
     - `diagonal` (n,) or (n, d, d): entries of a node with itself.
     - `masses` (n,) or (0,): with masses M, the matrix is K M^-1 K, where K is the matrix described
       above.

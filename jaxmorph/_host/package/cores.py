@@ -26,7 +26,7 @@ AHEAD = 2
 
 
 def cores() -> int:
-    """Counts the cores to use: those of the process' affinity mask, or what `JAXMORPH_CPUS` says.
+    """Counts the cores to use: what `JAXMORPH_CPUS` says, else all of the process' affinity mask.
 
     **Raises:** `ValueError` where the variable is no whole number of 1 or more.
     """

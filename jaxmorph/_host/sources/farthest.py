@@ -113,7 +113,7 @@ def farthest(
 
 
 def _lower(distance: np.ndarray, columns: np.ndarray, node: int, weight: np.ndarray | float, work: np.ndarray) -> None:
-    """Lowers squared distances to those from `node`, in place: all data stay in the cache."""
+    """Lowers squared distances where `node` is closer, in place: all data stay in the cache."""
     total, term = work
     np.subtract(columns[0], columns[0, node], out=total)
     np.multiply(total, total, out=total)

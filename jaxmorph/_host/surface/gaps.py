@@ -6,7 +6,7 @@ from ..package.cores import Tree
 from .neighbours import searched_together
 
 CLOSEST = 12
-"""Faces of other walls to which a node's distance is measured: those with the nearest middles."""
+"""Faces of other walls to which a node's distance is measured: the faces of nearest middles."""
 
 
 def share_left(

@@ -1,7 +1,7 @@
-"""Bases of compact support: those of Wendland (1995), and compact thin plate splines of Wu (1995).
+"""Bases of compact support: of Wendland (1995), and compact thin plate splines of Wu (1995).
 
-De Boer, van der Schoot and Bijl (Computers and Structures 85, 2007) compared them, with the global
-ones, on moving meshes.
+De Boer, van der Schoot and Bijl (Computers and Structures 85, 2007) compared them with global bases
+on moving meshes.
 """
 
 import abc

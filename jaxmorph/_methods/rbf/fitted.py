@@ -64,8 +64,8 @@ class FittedRBF(AbstractMethod):
 
     **Arguments:**
 
-    - `rbf`: basis and sources. The default moving sources are those of 16 leaves of a k-d tree,
-      32 if another boundary is near, and then the nodes farthest from them: 84 in 2-D, 400 in 3-D.
+    - `rbf`: basis and sources. The default takes moving sources from 16 leaves of a k-d tree, 32 if
+      another boundary is near, and then the nodes farthest from them: 84 in 2-D, 400 in 3-D.
     - `ell`: the length that weighs strain, in the mesh's units. A large length keeps the wall's
       lines at right angles, a small length follows the skin. It is nowhere more than 0.05 of the
       distance to the nearest node that is held or of another wall. Default 0.17 of each wall's mean

@@ -6,8 +6,8 @@ polynomial lies between its least and its largest coefficient, and the coefficie
 its values there.
 
 A space is a tuple with (dimension, degree) of each factor. Coefficients of a product are in C order
-of its factors' indices. Scaled coefficients are b_alpha multinomial(alpha): their products are
-those of ordinary polynomials.
+of its factors' indices. Scaled coefficients are b_alpha multinomial(alpha): they multiply as
+coefficients of ordinary polynomials do.
 """
 
 import functools

@@ -2,7 +2,7 @@
 
 A cell is the image of a reference cell, a product of simplices. The columns of J are derivatives of
 that map, with Bernstein coefficients that are differences of control points. Coefficients of det J
-are mixed determinants of those, with positive weights.
+are mixed determinants of these differences, with positive weights.
 
 A pyramid is taken as the image of a cube whose top face shrinks to the apex: (r, s, t) to (r (1 -
 t), s (1 - t), t). There its functions are polynomials (Bergot, Cohen, Durufle, J. Sci. Comput. 42,
@@ -43,14 +43,13 @@ TIME = (1, 1)
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Form:
-    """Tables of one type of cells; with a time, those of cells whose nodes move straight.
+    """Tables of one type of cells; with a time, tables of cells whose nodes move straight.
 
     - `shape`: the type of the linear cell.
     - `spaces`: the space of each column of J; `matrices` make its scaled coefficients of the nodes.
-    - `map_space`, `control`: those of the cell's map.
+    - `map_space`: the space of the cell's map; `control` makes its control points of the nodes.
     - `space`: the space of det J.
-    - `has_time`: whether time is the first factor; the nodes are then those at the start and those
-      at the end.
+    - `has_time`: whether time is the first factor; nodes are then given at start and end.
     """
 
     shape: str

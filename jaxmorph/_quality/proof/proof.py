@@ -38,8 +38,7 @@ def proof(
     round-off, so that `valid` is a proof for the coordinates as they are.
 
     A cell counts in the handedness that it has on the undeformed mesh, `mesh.points`. Without
-    `points` and `base` that mesh is judged by itself, and the handedness is the one that `quality`
-    takes.
+    `points` and `base` that mesh is judged by itself, with the handedness that `quality` takes.
 
     It runs on the host, in double precision. `proven_margin` is traced.
 

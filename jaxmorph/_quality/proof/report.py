@@ -28,7 +28,7 @@ class Proof:
     - `is_valid`: `lower` is positive, so the cell folds nowhere.
     - `is_invalid`: `upper` is negative, and so is det J, evaluated at `reference`. Coordinates that
       are NaN count as well.
-    - `is_unknown`: neither. `is_flat`: those of them whose det J touches zero to round-off, which
+    - `is_unknown`: neither. `is_flat`: unknown cells whose det J touches zero to round-off, which
       no depth decides.
     - `reference`, `near`: where det J is `upper`, in the reference cell and in space (k, d).
     - `time`: when, from 0 at `base` to 1 at `points`; None without `base`. Bounds then hold for the

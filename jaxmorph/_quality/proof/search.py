@@ -94,7 +94,7 @@ class _Search:
     at: np.ndarray
 
     def look(self, parts: _Parts, level: int) -> None:
-        """Looks at coefficients of parts, and cuts those of open sign; negative cells are done."""
+        """Looks at coefficients of parts, and cuts parts of open sign; negative cells are done."""
         cell, least = parts.cell, parts.coefficients.min(axis=0)
         lowest, slack = self._compare(parts), self.round_off[cell]
         # where a corner is zero to round-off, closer bounds cannot be positive: only what may be

@@ -13,8 +13,8 @@ from ._multi import MultiUSMesh
 class USMesh_C(USMesh):
     """`USMesh` with complex coordinates, called as `idwarp.USMesh_C`.
 
-    The real parts move the mesh as `USMesh` does. The imaginary parts are those of
-    `warpDerivFwd`, so a step may be as small as 1e-200.
+    The real parts move the mesh as `USMesh` does. The imaginary parts come from the derivative, as
+    in `warpDerivFwd`, so a step may be as small as 1e-200.
     """
 
     _step: np.ndarray | None = None

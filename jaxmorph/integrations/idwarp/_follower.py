@@ -10,7 +10,7 @@ from .. import mpi
 
 
 class Follower:
-    """Moves the mesh with the surface's points: those of this process are `coordinates` (k, 3).
+    """Moves the mesh with the surface's points; this process has the points `coordinates` (k, 3).
 
     `weights` (m, s) lead from the points of all processes to the moving nodes of the whole mesh.
     """
@@ -32,7 +32,7 @@ class Follower:
             return self.piece.pushforward(self._u(self._displacement()), self._u(tangent))
 
     def pullback(self, cotangent: np.ndarray) -> np.ndarray:
-        """Pulls back a derivative by all processes' nodes: those of a shared node add up."""
+        """Pulls back a derivative by all processes' nodes: derivatives by a shared node add up."""
         with float64_mode():
             share = self.copies.pullback(self._u(self._displacement()), cotangent)
         moving = np.zeros((self.weights.shape[0], 3))

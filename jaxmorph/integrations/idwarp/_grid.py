@@ -110,8 +110,8 @@ class SolverOrder:
     """Takes coordinates from the list of all processes to the solver's list of each, and back.
 
     - `count`: the numbers that this process has of the list of all.
-    - `sent`: places of them that go to each process, in its order.
-    - `places`: where those that come from each process stand in this process' solver.
+    - `sent`: places of the numbers that go to each process, in that process' order.
+    - `places`: where the numbers that come from each process stand in this process' solver.
     """
 
     comm: Any

@@ -170,9 +170,9 @@ class USMesh:
 
         **Arguments:**
 
-        - `dXv`, `solverVec`: those of `warpDeriv`. Default: random numbers.
-        - `dofStart`, `dofEnd`: the first coordinate and that after the last, counted over the
-          points of all processes.
+        - `dXv`, `solverVec`: as `warpDeriv` takes them. Default: random numbers.
+        - `dofStart`, `dofEnd`: the first coordinate, and the coordinate after the last, counted
+          over the points of all processes.
         - `h`: the step, in the mesh's unit.
         - `randomSeed`: of the random numbers.
 
@@ -248,7 +248,7 @@ class USMesh:
         walls = walls_of(mesh, self._options).walls
         if not walls:
             raise ValueError(
-                "no patch is a wall: name those that move in the option `specifiedSurfaces`, or call setSurfaceDefinition. "
+                "no patch is a wall: name the moving patches in the option `specifiedSurfaces`, or call setSurfaceDefinition. "
                 f"There are {', '.join(mesh.patches)}."
             )
         return walls

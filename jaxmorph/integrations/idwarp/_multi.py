@@ -30,7 +30,7 @@ class MultiUSMesh:
 
     - `CGNSFile`: the file.
     - `optionsDict`: options of `USMesh` by the name of a grid; `gridFile` in them is not looked at.
-    - `comm`, `debug`: those of `USMesh`.
+    - `comm`, `debug`: as `USMesh` takes them.
     - `dtype`: IDWarp's, "d"; `MultiUSMesh_C` is for complex steps.
 
     **Raises:** `ValueError`, in every process, for names of no grid, and as `USMesh` does.
@@ -192,7 +192,7 @@ class _Zones:
         return found
 
     def grid_of_nodes(self) -> Int[np.ndarray, " N"]:
-        """The grid of each node of the file."""
+        """Finds the grid of each node of the file."""
         return np.repeat(self.grid, self.counts)
 
     def own(self, indices: Int[np.ndarray, " k"]) -> tuple[Int[np.ndarray, " k"], Int[np.ndarray, " k"]]:

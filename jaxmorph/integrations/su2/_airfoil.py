@@ -123,8 +123,8 @@ def airfoil_parts(
 ) -> list[AbstractPart]:
     """Makes the parts of the variables that look at x.
 
-    `first` is the place of each variable's first value. `normals` are those of the wall's nodes,
-    out of the body, where `SIDED` kinds need them.
+    `first` is the place of each variable's first value. `normals` stand on the wall's nodes, out of
+    the body, where `SIDED` kinds need them.
     """
     d, up = wall.shape[1], normals[:, 1]
     chord = shapes.Chord() if d == 2 else shapes.Chord([0.0, 0, 0], [1.0, 0, 0], [0.0, 1, 0])

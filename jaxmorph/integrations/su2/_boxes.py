@@ -23,7 +23,7 @@ MOST = 10**6
 
 
 def boxes_of(options: Options, mesh: Mesh, moving: Sequence[str], is_setting: bool) -> tuple[io.Box, ...]:
-    """Lists the mesh's boxes; those of `FFD_DEFINITION` without any, or if `is_setting`.
+    """Lists the mesh's boxes; if it has none, or with `is_setting`, boxes of `FFD_DEFINITION`.
 
     Raises `ValueError` for nested boxes, and for numbers that do not fit.
     """

@@ -98,7 +98,7 @@ def read_config(path: str | os.PathLike[str], *, definition: bool = False) -> Co
 
     - `path`: the config file; names of files in it are relative to its folder.
     - `definition`: True takes the design variables of `DEFINITION_DV`, with its scales, at the
-      values of `DV_VALUE_NEW` (else all at rest). Default: those of `DV_KIND`.
+      values of `DV_VALUE_NEW` (else all at rest). Default: the variables of `DV_KIND`.
 
     **Returns:** a `Config`.
 

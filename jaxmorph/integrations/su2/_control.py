@@ -21,7 +21,7 @@ class BoxPart(AbstractPart):
     """Moves nodes in a box by its control points.
 
     The control points go through the variables in the order of the file, so that a rotation turns
-    what those before it moved.
+    what the variables before it moved.
     """
 
     rows: tuple[int, ...] = eqx.field(static=True)
@@ -52,7 +52,7 @@ def box_part(
 ) -> BoxPart:
     """Makes the part of one box.
 
-    `places` are coordinates of the wall's nodes in it, NaN for those outside of it. Raises
+    `places` are coordinates of the wall's nodes in the box, NaN for nodes outside of it. Raises
     `ValueError` for numbers of control points that the box does not have.
     """
     for variable in variables:
@@ -66,7 +66,7 @@ def box_part(
 def _check(variable: Variable, box: io.Box) -> None:
     kind, counts = variable.kind, box.shape.counts
     if kind.endswith("_2D") != (len(counts) == 2) and kind not in TURNS:
-        raise ValueError(f"{kind} in a mesh in {len(counts)}-D: kinds that end in _2D are for 2-D, the others for 3-D.")
+        raise ValueError(f"{kind} in a mesh in {len(counts)}-D: kinds ending in _2D are for 2-D, other kinds for 3-D.")
     if kind in TURNS and len(counts) == 2 and np.any(_axis(variable)[:2]):
         raise ValueError(f"{kind} in 2-D about an axis that is not along z: both ends have the same x and y.")
     if kind in TURNS and not np.any(_axis(variable)):
@@ -177,7 +177,7 @@ def _chosen(index: Sequence[float], counts: tuple[int, ...], fixed: Fixed) -> Bo
 
 
 def _both_sides(index: Sequence[float], counts: tuple[int, ...], fixed: Fixed) -> Float[np.ndarray, "..."]:
-    """Counts how often control points of a nacelle move: those at the opposite angle do too."""
+    """Counts how often control points of a nacelle move: points at the opposite angle do too."""
     i, j, k = (int(value) for value in index)
     times = np.zeros(counts)
     for opposite in [j] if j == counts[1] - 1 - j else [j, counts[1] - 1 - j if j >= 0 else 0]:

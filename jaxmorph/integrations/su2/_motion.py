@@ -28,8 +28,8 @@ class DesignVariables(shapes.AbstractShape):
     """A config file's shape: moves the nodes of `DV_MARKER` by the design variables' values.
 
     The parameters (n,) are the values in the order of the file; a control point without a direction
-    has one for each coordinate. `names` are those of the variables, as messages have them. Nodes in
-    symmetry planes stay in them: their coordinates that are not `free` stay.
+    has a value for each coordinate. `names` are the variables' names, as messages have them. Nodes
+    in symmetry planes stay in them: their coordinates that are not `free` stay.
     """
 
     names: tuple[str, ...] = eqx.field(static=True)

@@ -56,9 +56,9 @@ def read_sensitivity(config: Config, path: str | os.PathLike[str] | None = None)
 
         sensitivity = su2.read_sensitivity(su2.read_config("config.cfg"))
 
-    A discrete adjoint's are those of all nodes, or of the surface where SU2_DOT has been. With
-    `MATH_PROBLEM= CONTINUOUS_ADJOINT` the column `Surface_Sensitivity` is a derivative along the
-    wall's normals.
+    A discrete adjoint gives sensitivities of all nodes, or of the surface's nodes after SU2_DOT.
+    With `MATH_PROBLEM= CONTINUOUS_ADJOINT` the column `Surface_Sensitivity` is a derivative along
+    the wall's normals.
 
     **Arguments:**
 

@@ -66,8 +66,8 @@ class Variable:
 def variables(options: Options, definition: bool) -> tuple[list[Variable], list[str]]:
     """Lists the design variables, and the markers that they move.
 
-    `definition` is for those of `DEFINITION_DV`. Raises `ValueError` for kinds that are not taken,
-    each by its name, and for wrong numbers of parameters.
+    `definition` takes the variables of `DEFINITION_DV`. Raises `ValueError` for kinds that are not
+    taken, each by its name, and for wrong numbers of parameters.
     """
     if definition:
         return _definition(options)

@@ -101,8 +101,8 @@ class _Reader:
         self.is_old = head[25:26] != b"B"
         if head[100:101] not in _ORDERS:
             raise ValueError(
-                f"{path}: an ADF file with numbers of format {head[100:101].decode(errors='replace')!r}; those of IEEE "
-                "are read: `cgnsconvert`, where it was written, makes one."
+                f"{path}: an ADF file with numbers of format {head[100:101].decode(errors='replace')!r}; IEEE's "
+                "formats are read: `cgnsconvert`, where the file was written, converts it."
             )
         self.order = _ORDERS[head[100:101]]
         sizes = {name: self.hexadecimal(head[at : at + 2]) for name, (at, _) in _SIZES.items()}

@@ -77,9 +77,9 @@ def conditions(zone: Zone) -> Iterator[tuple[str, str, Any]]:
 def patches(zone: Zone, content: Content) -> Iterator[tuple[str, np.ndarray]]:
     """Yields the patch and the nodes of each boundary condition.
 
-    Conditions on cells, which gmsh writes for volumes, are left out, and those that lie where the
-    zone goes on in another one. A zone without any condition or interface has its sections of faces
-    as patches, as SU2 reads them.
+    Conditions on cells, which gmsh writes for volumes, are left out, and conditions where the zone
+    goes on in another zone. A zone without any condition or interface has its sections of faces as
+    patches, as SU2 reads them.
     """
     joined = {nodes.tobytes() for nodes in joints(zone, content)}
     several = list(conditions(zone))

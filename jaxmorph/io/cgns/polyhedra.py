@@ -44,8 +44,8 @@ def polyhedra(
     The whole cells come last.
 
     `polygons` are faces by the number of the first, vertices from 0. `first` is the id of vertex 0,
-    `points` those of the zone. It raises `ValueError` for cells with faces that are not there, or
-    that more than two cells have.
+    `points` are the zone's points. It raises `ValueError` for cells with faces that are not there,
+    or that more than two cells have.
     """
     faces = _faces(polygons, cells)
     ajar = open_cells(faces)

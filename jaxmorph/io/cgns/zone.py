@@ -97,7 +97,7 @@ class Zone:
     def coordinates(self) -> list[Any]:
         """Returns the data sets of x, y[, z].
 
-        It raises `ValueError` for other coordinates, rind planes, and those of another file.
+        It raises `ValueError` for other coordinates, rind planes, and coordinates in another file.
         """
         grids = dict(children(self.group, "GridCoordinates_t"))
         if not grids:

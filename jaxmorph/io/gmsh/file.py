@@ -20,7 +20,7 @@ from .sections import Form, Stream, form_of, physical_names, runs, sections
 
 NAME = "gmsh"
 NODES, ELEMENTS = ("Nodes", "ParametricNodes", "NOD"), ("Elements", "ELM")
-"""Sections of nodes and elements, last those of version 1."""
+"""Sections of nodes and of elements; the last name of each is from version 1."""
 SPARSE = 10
 """Range of the tags of nodes, in numbers of nodes, up to which a table of them is made."""
 

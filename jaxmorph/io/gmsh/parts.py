@@ -154,7 +154,7 @@ def _kind(number: int) -> str:
     if kind != "vertex" and kind not in NODES:
         name = f"type {number}, {kind}" if kind else f"type {number}"
         raise ValueError(
-            f"elements of {name}; read are those of order 1 to 4, from order 3 on with all inner nodes: "
+            f"elements of {name}; elements of order 1 to 4 are read, from order 3 on with all inner nodes: "
             "Mesh.SecondOrderIncomplete=0 makes them"
         )
     return kind

@@ -1,7 +1,7 @@
 """MFEM's .mesh, versions 1.0 to 1.3, straight or of order 1 to 4 (mfem.org/mesh-formats).
 
 Nodes are the coordinates of a finite element space: H1, continuous, or L2_T1, whose cells have
-nodes of their own. From order 3 on MFEM's nodes are at Gauss-Lobatto places, and the mesh has those
+nodes of their own. From order 3 on MFEM's nodes are at Gauss-Lobatto places, and the mesh has nodes
 at equal steps: the coordinates of the file are computed anew where cells have changed.
 """
 
@@ -43,7 +43,7 @@ class _Space:
     skipped: int = 0
 
     def coordinates(self, node: np.ndarray, total: int) -> tuple[np.ndarray, np.ndarray]:
-        """Reads the coordinates (m, d), and those of the nodes (total, d) that they belong to."""
+        """Reads the file's coordinates (m, d), and from them the nodes' coordinates (total, d)."""
         numbers = self.section.rows(np.float64).values[self.skipped :]
         if self.d not in (2, 3) or len(numbers) != len(node) * self.d:
             raise self.section.error(

@@ -41,8 +41,8 @@ def numbered(
 ) -> tuple[dict[str, np.ndarray], list[np.ndarray], int]:
     """Numbers the nodes as H1 does: vertices, edges, faces, inside of cells, in the file's order.
 
-    `order` is that of the cells, `count` the number of vertices. Returns the nodes of the cells by
-    type, those of the sides, and the number of all nodes.
+    `order` is the order of the cells, `count` the number of vertices. Returns the nodes of the
+    cells by type, the nodes of the sides, and the number of all nodes.
     """
     edges, faces = np.sort(_sides(cells, EDGES)[:, :2], axis=1), _sides(cells, FACES)
     is_triangle = faces[:, 3:].ravel() < 0
@@ -55,7 +55,7 @@ def numbered(
         [(element.kind, element.corners, element.rows) for element in cells],
     ]
     keys = [np.zeros((0, 16), np.int64)]
-    for group in groups:  # those of one entity are consecutive, and entities of several types take turns
+    for group in groups:  # an entity's nodes are consecutive, and entities of several types take turns
         inner = [_inner(corners, of_order(kind, order)) for kind, corners, _ in group]
         places = [np.repeat(rows, part.shape[1]) for (_, _, rows), part in zip(group, inner, strict=True)]
         joined = np.concatenate([part.reshape(-1, 16) for part in inner])
@@ -121,7 +121,7 @@ def at_places(cells: dict[str, np.ndarray], points: np.ndarray, matrix: Callable
 
 @functools.cache
 def to_lobatto(kind: str) -> np.ndarray:
-    """Returns the matrix from nodes at equal steps to those at Gauss-Lobatto places."""
+    """Returns the matrix from nodes at equal steps to nodes at Gauss-Lobatto places."""
     cell = lagrange_types()[kind]
     p, at = cell.order, cell.lattice
     inner = legendre.legroots(legendre.legder(np.eye(p + 1)[p]))

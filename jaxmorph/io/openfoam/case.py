@@ -63,7 +63,7 @@ class _CaseContent:
 def read(path: pathlib.Path) -> Mesh:
     """Reads the mesh of a case, a time folder, or a folder polyMesh; nodes in file order.
 
-    `patches` are those of `boundary`, `groups` of their `inGroups`. Cells with more or other faces
+    `patches` come from `boundary`, `groups` from their `inGroups`. Cells with more or other faces
     than the standard types are cut into tetrahedra between their own nodes. Of a case with `empty`
     patches the plane in front is the mesh, in two coordinates. So it is with `wedge` patches, at
     places along the axis and distances from it; nodes on the axis are the patch `axis`.
@@ -128,7 +128,7 @@ def check(path: pathlib.Path, mesh: Mesh) -> None:
     elif path.exists() and (not path.is_dir() or any(path.iterdir())):
         raise ValueError(f"{path}: exists; name a new folder, or a time folder of the case such as {case / '1'}.")
     elif case.resolve() in path.resolve().parents:
-        raise ValueError(f"{path}: a new case cannot be inside of the one that the mesh was read from.")
+        raise ValueError(f"{path}: a new case cannot be inside of the case that the mesh was read from.")
     if _is_time(path) and any(_is_file(path / "polyMesh" / name, source.path) for name in ("points", "points.gz")):
         raise ValueError(f"{path}: the mesh was read from this folder; write to another one.")
 

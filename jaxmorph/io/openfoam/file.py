@@ -78,7 +78,7 @@ class FoamFile:
         items = self.list_at(self.end)
         kind = np.dtype(np.int64 if what == "label" else np.float64)
         if items.uniform and items.count * width * 8 > UNIFORM + 10 * len(self.raw):
-            raise self.error(f"{items.count} elements that are all the same; a mesh has no such list")
+            raise self.error(f"{items.count} elements that are all equal; a mesh has no such list")
         if self.is_binary:
             values = self.binary(items, what, width)[0].reshape(-1, width)
             return values.astype(kind if what == "scalar" else _narrow(values))

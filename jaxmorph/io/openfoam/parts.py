@@ -200,7 +200,7 @@ class Decomposed:
         if target.exists() and (not target.is_dir() or any(target.iterdir())):
             raise ValueError(f"{target}: exists; name a new folder for the moved case.")
         if self.path.resolve() in target.resolve().parents:
-            raise ValueError(f"{target}: a new case cannot be inside of the one that the mesh was read from.")
+            raise ValueError(f"{target}: a new case cannot be inside of the case that the mesh was read from.")
 
     @checked
     @contextlib.contextmanager
@@ -277,7 +277,7 @@ class Writer:
         an MPI run call it together, as often as each other: with None where one has no part left.
 
         **Raises:** `ValueError` where cyclic patches do not match any more, for a mesh that is not
-        part `k`, and one that does not fit to the others.
+        part `k`, or does not fit to the other parts.
         """
 
         def shared() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -337,9 +337,7 @@ def global_nodes(mesh: Mesh) -> Int[np.ndarray, " n"]:
         return np.asarray(mesh.source.node_ids)  # the surface of a case, which nothing can be written from
     source = source_of(mesh, NAME)
     if source is None:
-        raise ValueError(
-            "the mesh was not read from an OpenFOAM case; global numbers are those of a case's processors."
-        )
+        raise ValueError("the mesh was not read from an OpenFOAM case; only a case's processors have global numbers.")
     if source.node_ids is not None:
         return np.asarray(source.node_ids)
     content = source.content

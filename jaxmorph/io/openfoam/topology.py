@@ -17,10 +17,10 @@ from .file import Patch, load
 class Topology:
     """Cells and their ids by type, as `standard_cells` has them, and each patch's nodes.
 
-    Faces of a `processorCyclic` patch are those of the cyclic patch that it refers to. `between`
-    (k, corners) are the faces to other parts of a decomposed case, -1 behind the last corner.
-    `lowest` and `highest` are the ends of the nodes' numbers. `faces` is None where cells and
-    patches say it all: not in 2-D, and not with polyhedra.
+    Faces of a `processorCyclic` patch belong to the cyclic patch that it refers to. `between` (k,
+    corners) are the faces to other parts of a decomposed case, -1 behind the last corner. `lowest`
+    and `highest` are the ends of the nodes' numbers. `faces` is None where cells and patches say it
+    all: not in 2-D, and not with polyhedra.
     """
 
     cells: dict[str, np.ndarray]

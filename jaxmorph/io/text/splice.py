@@ -25,7 +25,7 @@ def spliced(text: bytes, starts: np.ndarray, ends: np.ndarray, lines: bytes) -> 
 
 
 def _rows(text: bytes, starts: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Gathers bytes from each of `starts`, as wide as the longest; with a mask of those inside."""
+    """Gathers bytes from each of `starts`, as wide as the longest; a mask marks own bytes."""
     width = max(int(sizes.max()), 1)
     windows = np.ndarray(len(text) + 1, f"V{width}", text + bytes(width), strides=(1,))
     return windows[starts].view(np.uint8).reshape(-1, width), np.arange(width) < sizes[:, None]

@@ -84,9 +84,7 @@ def check(path: pathlib.Path, mesh: Mesh) -> None:
     """
     unknown = [kind for kind in mesh.cells if SHAPES[kind] == "pyramid" and kind not in VTK | VTK_QUADRATIC]
     if unknown:
-        raise ValueError(
-            f"{path}: VTK has no cells of type {', '.join(unknown)}; of pyramids those with 5 and 13 nodes."
-        )
+        raise ValueError(f"{path}: VTK has no cells of type {', '.join(unknown)}; it has pyramids of 5 and 13 nodes.")
 
 
 def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:
@@ -100,7 +98,7 @@ def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays)
     out.point_data = {name_of(name): _storable(values, is_legacy) for name, values in out.point_data.items()}
     joined = {name_of(name): _storable(np.concatenate(parts), is_legacy) for name, parts in out.cell_data.items()}
     out.cell_data = {name: np.split(values, ends) for name, values in joined.items()}
-    if is_legacy:  # the names of types in 4.2 both VTK and meshio know; those of meshio's 5.1 VTK does not
+    if is_legacy:  # VTK and meshio know the names of types in 4.2; VTK does not know meshio's names in 5.1
         meshio.vtk.write(str(path), out, fmt_version="4.2")
     else:
         meshio.vtu.write(str(path), out)

@@ -40,7 +40,7 @@ HEAD = re.compile(
 
 
 def read(path: pathlib.Path) -> meshio.Mesh:
-    """Reads a grid with its arrays, as meshio has it; meshio reads those that are not unstructured.
+    """Reads a grid with its arrays, as meshio has it; meshio reads grids that are not unstructured.
 
     It raises `ValueError` for a damaged file, with its last section.
     """

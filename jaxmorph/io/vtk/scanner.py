@@ -74,7 +74,7 @@ class Scanner:
         with np.errstate(over="ignore"):
             result = values.astype(kind)
         if kind[0] != "f" and not np.array_equal(result, values):
-            raise ValueError(f"a number beyond those of its type, {np.dtype(kind).name}")
+            raise ValueError(f"a number beyond the range of its type, {np.dtype(kind).name}")
         return result
 
     def _binary(self, count: int, kind: str, is_bit: bool) -> np.ndarray:
