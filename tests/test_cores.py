@@ -60,7 +60,8 @@ def few_points(monkeypatch):
 @pytest.mark.parametrize(
     ("name", "sides"),
     runs(
-        [("default", "a plane"), *((name, "fixed") for name in METHODS if name != "published")],
+        [(name, "fixed") for name in METHODS if name != "published"],
+        slow=[("default", "a plane")],
         nightly=[("published", "fixed"), *((name, "a plane") for name in METHODS if name != "default")],
     ),
 )

@@ -61,7 +61,7 @@ def test_neighbours_of_all_types_share_the_nodes_of_their_faces():
     assert sum(map(len, jm.boundary_faces(high).values())) == 9 * sum(map(len, jm.boundary_faces(mesh).values()))
 
 
-@pytest.mark.parametrize("order", runs([2], slow=[3]))
+@pytest.mark.parametrize("order", runs(slow=[3], nightly=[2]))
 def test_curved_ring_converges_to_the_circle(order):
     errors = []
     for n in (8, 16):
@@ -106,7 +106,7 @@ def test_inverted_sees_a_fold_between_corners():
 
 @pytest.mark.parametrize(
     "method",
-    runs([None], slow=[jm.LinearElasticity()], nightly=[jm.TorsionalSprings(), jm.RBF.classic(jm.WendlandC2(4.0))]),
+    runs(slow=[None, jm.LinearElasticity()], nightly=[jm.TorsionalSprings(), jm.RBF.classic(jm.WendlandC2(4.0))]),
 )
 def test_methods_move_all_nodes_and_pass_derivatives(method):
     high = jm.curve(jm.elevate(ring(), 3), unit, "wall", "far")

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from meshes import gmsh_session
+from runs import runs
 
 import jaxmorph as jm
 from jaxmorph import io
@@ -118,7 +119,7 @@ def test_cells_are_the_curved_cells_that_gmsh_evaluates(tmp_path, kind, order):
 
 
 @pytest.mark.parametrize(("version", "binary"), [(2.2, 0), (2.2, 1), (4.1, 0), (4.1, 1)])
-@pytest.mark.parametrize(("kind", "order"), [("triangle", 3), ("hexahedron", 2)])
+@pytest.mark.parametrize(("kind", "order"), runs([("triangle", 3)], slow=[("hexahedron", 2)]))
 def test_gmsh_files_move_and_come_back(tmp_path, kind, order, version, binary):
     disc(order, kind)
     save(tmp_path / "a.msh", version, binary)

@@ -102,6 +102,7 @@ def test_a_wall_without_the_nodes_between_corners_is_told():
         jm.wall_quality(mesh, np.flatnonzero(np.arange(len(mesh.points)) < 8))
 
 
+@pytest.mark.slow
 def test_nodes_slide_on_the_polynomials_of_curved_faces():
     """Of order 3 they miss the circle by the fourth power of a face's length; the linear pieces by the second."""
     errors = []
@@ -123,6 +124,7 @@ def test_nodes_slide_on_the_polynomials_of_curved_faces():
     assert errors[1] < 2 * (np.pi / 12) ** 4 / 10
 
 
+@pytest.mark.slow
 def test_the_slide_of_a_node_has_the_derivative_of_the_tangent():
     mesh = circles(8, 2)
     ((wall, nodes),), _ = walls_of(mesh, (), "far", ())

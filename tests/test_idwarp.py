@@ -163,6 +163,7 @@ def test_options_are_those_of_baseclasses(grids, capsys):
         mesh.getOption("nonsense")
 
 
+@pytest.mark.slow
 def test_planes_that_face_each_other_as_dafoam_gives_them(grids):
     """Normals of whatever length; of an airfoil both sides of one layer of cells are symmetry planes."""
     nodes = grids["openfoam"][1]

@@ -196,6 +196,7 @@ def test_the_proven_step_is_proven_and_the_largest(make, ratio):
     assert beyond.upper[result.cell] < ratio * undeformed.lower[result.cell]
 
 
+@pytest.mark.slow
 def test_a_line_search_accepts_proven_steps_alone():
     """A brick's corners may move on although it is folded between them: judged by corners alone the way ends later."""
     mesh = grid(*[[0.0, 1.0]] * 3)

@@ -31,6 +31,7 @@ def reached(surface, x):
     return map(np.asarray, eqx.filter_jit(surface.nearest)(jnp.asarray(x)))
 
 
+@pytest.mark.slow
 def test_an_arc_is_met_to_the_fourth_order():
     """The chords miss it by the second power of their length; also at the ends, where faces lie on one side."""
     errors = []
