@@ -52,7 +52,7 @@ def save(path: str | os.PathLike[str], plan: Plans) -> None:
     """
     path = output_path(path)
     if not _is_plans(plan):
-        raise ValueError(f"a {type(plan).__name__} is not a plan, nor the plans of several steps.")
+        raise ValueError(f"{type(plan).__name__} is no plan, and no list of the plans of several steps.")
     writer = _Writer()
     header = {"format": FORMAT, "version": VERSION, "tree": writer.node(plan, "plan")}
     members: dict[str, Any] = {_HEADER: np.frombuffer(json.dumps(header, allow_nan=False).encode(), np.uint8)}
