@@ -69,7 +69,7 @@ class Improvement(Module):
         residual, unproven = float(self.residual), int(self.unproven)
         how = "at a minimum" if residual < MINIMUM else f"stopped early, residual {residual:.1g}"
         if MINIMUM <= residual < 1:
-            how = f"near a minimum, residual {residual:.1g}: a smaller `tolerance` and more `max_steps` go on"
+            how = f"near a minimum, residual {residual:.1g} (a smaller `tolerance` comes nearer)"
         if int(self.lost):
             how += f"; {int(self.lost)} stay inverted at a corner with held nodes alone, which no free node can mend"
         proven = "proven to fold nowhere inside" if unproven == 0 else f"proven to fold nowhere but for {unproven}"
