@@ -18,6 +18,7 @@ import pytest
 from meshes import bricks, mixed
 from PIL import Image
 
+import jaxmorph as jm
 from jaxmorph import plot
 
 WINDOW = ((-0.5, 2.5), (-0.5, 1.5))
@@ -262,6 +263,27 @@ def test_a_page_draws_in_a_browser_without_a_network(tmp_path, browser):
     assert tab.locator("#label").inner_text() == "displacement, m"
     assert not problems
     assert [url for url in requests if not url.startswith("blob:")] == [path.as_uri()]
+
+
+@pytest.mark.slow
+def test_a_page_shows_both_ends_in_a_narrow_window(tmp_path, browser):
+    """Also after the window has changed its shape."""
+    cube = bricks(2)
+    bar = jm.Mesh(cube.points * np.array([6, 1, 1]), cube.cells)
+    path = plot.page(tmp_path / "bar.html", bar, bar.points + np.array([0, 0, 0.5]))
+    tab = browser.new_page(viewport={"width": 640, "height": 360})
+    tab.goto(path.as_uri())
+    tab.wait_for_selector("#deformation", timeout=30_000)
+    tab.set_viewport_size({"width": 360, "height": 640})
+    for _ in range(40):
+        tab.wait_for_timeout(500)
+        picture = np.asarray(Image.open(io.BytesIO(tab.screenshot())))[..., :3]
+        ends = np.flatnonzero((picture[200:480] < 240).any(axis=(0, 2)))  # without slider and directions
+        if len(ends) and ends[0] > 0 and ends[-1] < 359:
+            break
+    assert ends[0] > 0
+    assert ends[-1] < 359
+    assert np.ptp(ends) > 220
 
 
 HOSTILE = ['LABEL";alert(1);"', "</script><script>alert(1)", "TITLE \\\\", "a\u2028b ${alert(1)} `'\""]
