@@ -55,8 +55,8 @@ def animate(
     An example is `animate("mode.gif", lambda points: plot.surface(mesh, points, patch="wing"),
     plot.swing(mesh.points, extreme))`. All frames are seen as the first one is, with room for the
     others unless `draw` is given a window or places the camera. The size is that of the first
-    figure or of the first plotter's window. A `.gif` repeats for ever and needs nothing more; a `.mp4` needs ffmpeg, the
-    system's or imageio-ffmpeg's.
+    figure or of the first plotter's window. A `.gif` repeats for ever and needs nothing more; a
+    `.mp4` needs ffmpeg, the system's or imageio-ffmpeg's.
 
     **Arguments:**
 
