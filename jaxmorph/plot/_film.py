@@ -94,7 +94,7 @@ def _view(first: Any, draw: Callable, frames: list[np.ndarray]) -> Any:
         ends = [_ends(first), *(_ends(axes) for axes in _farthest(draw, frames))]
         way = np.sign(ends[0][:, 1] - ends[0][:, 0])[:, None]  # an axis may be turned round
         low, high = (way * choose([way * each for each in ends], axis=0) for choose in (np.min, np.max))
-        figure = first.get_figure(root=True)
+        figure: Any = first.get_figure(root=True)
         return np.column_stack([low[:, 0], high[:, 1]]), figure.get_size_inches(), figure.dpi
     if not hasattr(first, "screenshot"):
         raise ValueError(f"`draw` should return the axes or the plotter that it drew on, not {type(first).__name__}.")
@@ -135,10 +135,10 @@ def _picture(drawn: Any, view: Any) -> Picture:
     if isinstance(drawn, Axes):
         (xlim, ylim), size, dpi = view
         drawn.set(xlim=xlim, ylim=ylim)
-        figure = drawn.get_figure(root=True)
+        figure: Any = drawn.get_figure(root=True)
         figure.set(dpi=dpi, size_inches=size)
         figure.canvas.draw()
-        pixels = np.asarray(figure.canvas.buffer_rgba())  # pyright: ignore[reportAttributeAccessIssue]
+        pixels = np.asarray(figure.canvas.buffer_rgba())
     else:
         *camera, drawn.window_size = view
         set_view(drawn, *camera)
