@@ -18,7 +18,8 @@ import pytest
 from meshes import bricks, mixed
 from PIL import Image
 
-from jaxmorph import plot
+import jaxmorph as jm
+from jaxmorph import cases, plot
 
 WINDOW = ((-0.5, 2.5), (-0.5, 1.5))
 
@@ -66,6 +67,39 @@ def test_a_film_in_2d_shows_each_frame(tmp_path):
         still = np.asarray(axis.figure.canvas.buffer_rgba())[..., :3]
         assert np.abs(picture - still).mean() < 2  # of 255: what 256 colours lose
     assert not any(np.array_equal(a, b) for (a, _), (b, _) in itertools.pairwise(film))
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_film_in_2d_holds_all_frames(tmp_path, turned):
+    """In the size of the first figure: the figures of `before_after` have the shape of what moves."""
+    mesh = mixed()
+    frames = [mesh.points, raised(mesh, 2), raised(mesh, -0.5)]
+
+    def draw(points):
+        axis = plot.before_after(mesh, points)
+        if turned:
+            axis.invert_yaxis()
+        return axis
+
+    film = [picture for picture, _ in frames_of(plot.animate(tmp_path / "m.gif", draw, frames))]
+    wide, tall = draw(mesh.points).figure.bbox.size.astype(int)
+    assert [picture.shape for picture in film] == [(tall, wide, 3)] * 3
+    assert draw(frames[1]).figure.bbox.height > tall + 1
+    # below the legend
+    blue = [(picture[30:, :, 2] > picture[30:, :, 0] + 60).any(axis=1).nonzero()[0][[0, -1]] for picture in film]
+    first, up, down = (rows[::-1] if turned else rows for rows in blue)
+    assert abs(up[0] - first[0]) > 20  # the upper end, within the axes
+    assert abs(down[0] - first[0]) > 5
+    assert up[1] == first[1] == down[1]
+
+
+def test_cells_outside_of_the_usual_window_are_drawn_too():
+    """A reader moves the view; a window that was asked for is drawn alone."""
+    mesh = cases.naca0015(points=2000)
+    count = len(mesh.cells["quad"])
+    assert len(plot.mesh(mesh, values=np.zeros(count)).collections[0].get_paths()) == count
+    near = plot.mesh(mesh, values=np.zeros(count), window=((0.0, 1.0), (-0.2, 0.2)))
+    assert len(near.collections[0].get_paths()) < count
 
 
 def test_a_film_in_3d_keeps_its_camera_and_holds_all_frames(tmp_path):
@@ -262,6 +296,27 @@ def test_a_page_draws_in_a_browser_without_a_network(tmp_path, browser):
     assert tab.locator("#label").inner_text() == "displacement, m"
     assert not problems
     assert [url for url in requests if not url.startswith("blob:")] == [path.as_uri()]
+
+
+@pytest.mark.slow
+def test_a_page_shows_both_ends_in_a_narrow_window(tmp_path, browser):
+    """Also after the window has changed its shape."""
+    cube = bricks(2)
+    bar = jm.Mesh(cube.points * np.array([6, 1, 1]), cube.cells)
+    path = plot.page(tmp_path / "bar.html", bar, bar.points + np.array([0, 0, 0.5]))
+    tab = browser.new_page(viewport={"width": 640, "height": 360})
+    tab.goto(path.as_uri())
+    tab.wait_for_selector("#deformation", timeout=30_000)
+    tab.set_viewport_size({"width": 360, "height": 640})
+    for _ in range(40):
+        tab.wait_for_timeout(500)
+        picture = np.asarray(Image.open(io.BytesIO(tab.screenshot())))[..., :3]
+        ends = np.flatnonzero((picture[200:480] < 240).any(axis=(0, 2)))  # without slider and directions
+        if len(ends) and ends[0] > 0 and ends[-1] < 359:
+            break
+    assert ends[0] > 0
+    assert ends[-1] < 359
+    assert np.ptp(ends) > 220
 
 
 HOSTILE = ['LABEL";alert(1);"', "</script><script>alert(1)", "TITLE \\\\", "a\u2028b ${alert(1)} `'\""]

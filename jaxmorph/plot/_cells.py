@@ -92,6 +92,10 @@ class Cells:
         """Lists the cells that may be seen."""
         return seen_in(self.outlines, window)
 
+    def drawn(self, window: Window | None) -> Int[np.ndarray, " s"]:
+        """Lists the cells in a given window; else all, for films and readers who move the view."""
+        return np.arange(len(self.ids)) if window is None else self.inside(window)
+
     def edges(self, cells: Int[np.ndarray, " s"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Lists edges (e, m, 2) of cells, their counts, and the width (e,) of the narrowest cell.
 

@@ -4,7 +4,7 @@ import os
 import pathlib
 import shutil
 import subprocess
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -53,10 +53,10 @@ def animate(
     """Makes a film of a mesh that moves, one picture for each frame.
 
     An example is `animate("mode.gif", lambda points: plot.surface(mesh, points, patch="wing"),
-    plot.swing(mesh.points, extreme))`. All frames are seen as the first frame is; in 3-D with room
-    for the other frames unless `draw` places the camera. The figure or the plotter's window gives
-    the size. A `.gif` repeats for ever and needs nothing more; a `.mp4` needs ffmpeg, the system's
-    or imageio-ffmpeg's.
+    plot.swing(mesh.points, extreme))`. All frames are seen as the first frame is, with room for the
+    other frames unless `draw` is given a window or places the camera. The size is that of the first
+    figure or of the first plotter's window. A `.gif` repeats for ever and needs nothing more; a
+    `.mp4` needs ffmpeg, the system's or imageio-ffmpeg's.
 
     **Arguments:**
 
@@ -83,17 +83,19 @@ def animate(
     drawn = draw(frames[0])
     view = _view(drawn, draw, frames)
     pictures = [_picture(drawn, view), *(_picture(draw(points), view) for points in frames[1:])]
-    if len({picture.shape for picture in pictures}) > 1:
-        raise ValueError("the pictures that `draw` makes differ in size. Give all figures one size.")
     with complete(path) as partial:
         write(partial, pictures, rate)
     return path
 
 
 def _view(first: Any, draw: Callable, frames: list[np.ndarray]) -> Any:
-    """Chooses the view of all frames: the first one's; in 3-D with room for the farthest nodes."""
+    """Chooses the view of all frames: the first one's, with room for the farthest nodes."""
     if isinstance(first, Axes):
-        return first.get_xlim(), first.get_ylim()
+        ends = [_ends(first), *(_ends(axes) for axes in _farthest(draw, frames))]
+        way = np.sign(ends[0][:, 1] - ends[0][:, 0])[:, None]  # an axis may be turned round
+        low, high = (way * choose([way * each for each in ends], axis=0) for choose in (np.min, np.max))
+        figure: Any = first.get_figure(root=True)
+        return np.column_stack([low[:, 0], high[:, 1]]), figure.get_size_inches(), figure.dpi
     if not hasattr(first, "screenshot"):
         raise ValueError(f"`draw` should return the axes or the plotter that it drew on, not {type(first).__name__}.")
     view, window = view_of(first), first.window_size
@@ -102,30 +104,47 @@ def _view(first: Any, draw: Callable, frames: list[np.ndarray]) -> Any:
         np.allclose(view, whole_view(content(first), size, viewer, margins(first))) for size in (fitted, window)
     ):
         return view, first.camera.parallel_projection, window  # `draw` placed the camera
-    away = np.stack([points - frames[0] for points in frames])
-    farthest = {*away.max(axis=1).argmax(axis=0).tolist(), *away.min(axis=1).argmin(axis=0).tolist()} - {0}
-    shown = [content(first)]
-    for k in farthest:
-        other = draw(frames[k])
-        shown.append(content(other))
-        other.close()
-    every = np.concatenate(shown)
+    every = np.concatenate([content(first), *(content(other) for other in _farthest(draw, frames))])
     window = fitted_window(first, every, viewer) if tuple(window) == fitted else window
     return whole_view(every, window, viewer, margins(first)), True, window
+
+
+def _ends(axes: Axes) -> np.ndarray:
+    """Returns where the axes of x and y begin and end (2, 2)."""
+    return np.array([axes.get_xlim(), axes.get_ylim()])
+
+
+def _farthest(draw: Callable, frames: list[np.ndarray]) -> Iterator[Any]:
+    """Draws the frames whose nodes are the farthest from those of the first, and closes each."""
+    away = np.stack([points - frames[0] for points in frames])
+    for k in sorted({*away.max(axis=1).argmax(axis=0).tolist(), *away.min(axis=1).argmin(axis=0).tolist()} - {0}):
+        drawn = draw(frames[k])
+        yield drawn
+        _close(drawn)
+
+
+def _close(drawn: Any) -> None:
+    if isinstance(drawn, Axes):
+        plt.close(drawn.get_figure(root=True))
+    else:
+        drawn.close()
 
 
 def _picture(drawn: Any, view: Any) -> Picture:
     """Returns the pixels of what was drawn, and closes it."""
     if isinstance(drawn, Axes):
-        drawn.set(xlim=view[0], ylim=view[1])
-        drawn.figure.canvas.draw()
-        pixels = np.asarray(drawn.figure.canvas.buffer_rgba())[..., :3].copy()  # pyright: ignore[reportAttributeAccessIssue]
-        plt.close(drawn.get_figure(root=True))
-        return pixels
-    *camera, drawn.window_size = view
-    set_view(drawn, *camera)
-    pixels = np.asarray(drawn.screenshot(return_img=True))[..., :3].copy()
-    drawn.close()
+        (xlim, ylim), size, dpi = view
+        drawn.set(xlim=xlim, ylim=ylim)
+        figure: Any = drawn.get_figure(root=True)
+        figure.set(dpi=dpi, size_inches=size)
+        figure.canvas.draw()
+        pixels = np.asarray(figure.canvas.buffer_rgba())
+    else:
+        *camera, drawn.window_size = view
+        set_view(drawn, *camera)
+        pixels = np.asarray(drawn.screenshot(return_img=True))
+    pixels = pixels[..., :3].copy()
+    _close(drawn)
     return pixels
 
 

@@ -40,14 +40,20 @@ for (const [place, text] of TICKS) {
   document.getElementById("ticks").append(tick);
 }
 document.getElementById("time").addEventListener("input", event => K3DInstance.setTime(Number(event.target.value)));
+function look() {
+  const upwards = HALF_VIEW / Math.min(1, window.innerWidth / window.innerHeight);
+  K3DInstance.setCameraFOV(360 / Math.PI * Math.atan(upwards));
+}
+look();
+window.addEventListener("resize", look);
 """
 """Script of a page; words in capitals are replaced by the page's texts, colours and numbers."""
 
-FIELD_OF_VIEW = 30
-"""Angle that the camera sees upwards, in degrees."""
+HALF_VIEW = np.tan(np.deg2rad(15))
+"""Half of what the camera sees across the smaller side of its window, over its distance."""
 
 ROOM = 1.15
-"""Height that the camera sees over the largest side of what it shows."""
+"""What the camera sees over the largest side of what it shows."""
 
 
 @checked
@@ -95,25 +101,16 @@ def page(
         time=1.0,
         snapshot_type="full",
         camera_auto_fit=False,
-        camera_fov=FIELD_OF_VIEW,
         colorbar_object_id=0,  # none: its numbers are rounded to two digits; the script draws another
     )
     scene.camera = surface.camera()
     colours, limits = colour_scale(limits, COLOURS if values is not None else DISPLACEMENT)
     low, high = surface.range if limits is None else limits
-    scale = {"color_map": _colour_map(colours), "color_range": [low, high]}
-    if surface.values is None:
-        shade = {"attribute": {"0": np.zeros(len(surface.length), np.float32), "1": surface.length}}
-    else:
-        shade = {"triangles_attribute": np.clip(surface.values, low, high)}
-    places = {"0": surface.before, "1": surface.after}
-    scene += k3d.mesh(places, surface.triangles, side="double", name="surface", **shade, **scale)
-    scene += k3d.lines(
-        places, surface.edges, indices_type="segment", shader="simple", color=int(DARK[1:], 16), name="edges"
-    )
+    for part in surface.drawn(k3d, colours, low, high):
+        scene += part
     label = label or ("displacement" if values is None else "values of the cells")
     words = {"TITLE": path.stem, "LABEL": label, "COLOURS": _css(colours), "TICKS": _ticks(low, high)}
-    code = _with_words(SLIDER, words)
+    code = _with_words(SLIDER, words | {"HALF_VIEW": HALF_VIEW})
     content = scene.get_snapshot(additional_js_code=code).encode()
     with complete(path) as partial:
         partial.write_bytes(content)
@@ -171,14 +168,28 @@ class _Surface:
             viewer_of(faces, np.ptp(after - before, axis=0)),
         )
 
+    def drawn(self, k3d: Any, colours: str, low: float, high: float) -> list[Any]:
+        """Returns k3d's objects: the coloured faces, and their edges."""
+        if self.values is None:
+            shade = {"attribute": {"0": np.zeros(len(self.length), np.float32), "1": self.length}}
+        else:
+            shade = {"triangles_attribute": np.clip(self.values, low, high)}
+        shade |= {"color_map": _colour_map(colours), "color_range": [low, high]}
+        places = {"0": self.before, "1": self.after}
+        line = {"indices_type": "segment", "shader": "simple", "color": int(DARK[1:], 16)}
+        return [
+            k3d.mesh(places, self.triangles, side="double", name="surface", **shade),
+            k3d.lines(places, self.edges, name="edges", **line),
+        ]
+
     def camera(self) -> list[float]:
-        """Returns position, target, upwards: in a wide window both ends of the motion show."""
+        """Returns position, target, upwards: both ends of the motion show."""
         axes = np.stack(view_axes(self.viewer))
         seen = np.concatenate([self.before, self.after]).astype(float) @ axes.T
         low, high = seen.min(axis=0), seen.max(axis=0)
         size = max((high - low)[1:])
         target = (low + high) / 2 @ axes
-        away = (high - low)[0] / 2 + ROOM * size / 2 / np.tan(np.deg2rad(FIELD_OF_VIEW / 2))
+        away = (high - low)[0] / 2 + ROOM * size / 2 / HALF_VIEW
         return [*(target + away * axes[0]).tolist(), *target.tolist(), 0.0, 0.0, 1.0]
 
     @property

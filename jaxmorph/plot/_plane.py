@@ -88,20 +88,21 @@ def mesh(
         raise ValueError(f"there are no `values` that are {label!r}.")
     every = None if values is None else cell_values(mesh, values)
     colours, limits = colour_scale(limits)
+    drawn = cells.drawn(window)
     window = _bodies(mesh, points) if window is None else window
     ax = show(given_or_new(ax, window, bar=bar and values is not None), window)
-    seen = cells.inside(window)
     if every is not None:
+        seen = cells.inside(window)
         shown = every[seen]
-        faces = fill(ax, cells.outlines[seen], cmap=colours)
+        faces = fill(ax, cells.outlines[drawn], cmap=colours)
         ax.set_facecolor(BODY)
-        faces.set_array(shown)
+        faces.set_array(every[drawn])
         faces.set_clim(*(limits or usual_limits(shown, cells.areas[seen])))
         if bar:
             below, above = beyond(shown, faces.get_clim())
             extend = ("neither", "min", "max", "both")[below + 2 * above]
             ax.figure.colorbar(faces, cax=ax.inset_axes((1.02, 0, 0.03, 1)), label=label or "", extend=extend)
-    draw_lines(ax, cells, seen, window, DARK, least=0 if every is None else NARROW)
+    draw_lines(ax, cells, drawn, window, DARK, least=0 if every is None else NARROW)
     draw_walls(ax, cells, DARK)
     return ax
 
@@ -121,11 +122,12 @@ def before_after(
     **Raises:** `ValueError` for a mesh in 3-D, and for points of another shape than the mesh's.
     """
     before, after = Cells.of(mesh, None), Cells.of(mesh, points)
+    old, new = before.drawn(window), after.drawn(window)
     window = _bodies(mesh, None, points) if window is None else window
     ax = show(given_or_new(ax, window, above=0.35), window)
     ax.set_facecolor(LIGHT)  # where there was no mesh
-    fill(ax, before.outlines[before.inside(window)], facecolors="white")
-    draw_lines(ax, after, after.inside(window), window, BLUE)
+    fill(ax, before.outlines[old], facecolors="white")
+    draw_lines(ax, after, new, window, BLUE)
     draw_walls(ax, before, ORANGE)
     draw_walls(ax, after, BLUE)
     colours = (LIGHT, ORANGE, "undeformed"), ("white", BLUE, "deformed")

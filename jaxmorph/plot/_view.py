@@ -105,7 +105,7 @@ def _add_axes(plotter: Any) -> None:
             bar.SetHeight(min(0.93 - low, 0.6 * WINDOW[1] / height))
         scale.SetTitle(f"{length:g}")
         scale.SetVisibility(bool(plotter.camera.parallel_projection))
-        plotter.renderer.axes_widget.SetViewport(-0.035, -0.045 * width / height, 0.145, 0.135 * width / height)
+        plotter.renderer.axes_widget.SetViewport(-0.075, -0.105 * width / height, 0.163, 0.133 * width / height)
         for text in texts:
             text.SetFontSize(round(TEXT * width / WINDOW[0]))
         for name, along in zip("xyz", plotter.camera.direction, strict=True):
