@@ -12,6 +12,7 @@ import foam
 import numpy as np
 import pytest
 from meshes import grid
+from runs import runs
 from scipy.spatial import KDTree
 
 import jaxmorph as jm
@@ -290,9 +291,8 @@ def test_parts_move_as_their_union(divided, tmp_path, capsys, flags):
         np.testing.assert_array_equal(part.points[floor], base[floor] + np.array(LIFT[1:], float))
 
 
-@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.*the case is decomposed")
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", runs(slow=[name for name in CASES if name != "symmetry"], nightly=["symmetry"]))
 def test_parts_move_as_the_whole_case(tmp_path, monkeypatch, capsys, name):
     foam.need_openfoam()
     case, whole, parts = (tmp_path / each for each in ("case", "whole", "parts"))

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from meshes import bricks, mixed
 from PIL import Image
+from runs import runs
 
 import jaxmorph as jm
 from jaxmorph import cases, plot
@@ -319,11 +320,10 @@ def test_a_page_shows_both_ends_in_a_narrow_window(tmp_path, browser):
     assert np.ptp(ends) > 220
 
 
-HOSTILE = ['LABEL";alert(1);"', "</script><script>alert(1)", "TITLE \\\\", "a\u2028b ${alert(1)} `'\""]
+HOSTILE = ["</script><script>alert(1)", 'LABEL";alert(1);"', "TITLE \\\\", "a\u2028b ${alert(1)} `'\""]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("text", HOSTILE)
+@pytest.mark.parametrize("text", runs(slow=HOSTILE[:1], nightly=HOSTILE[1:]))
 def test_names_on_a_page_are_data(tmp_path, browser, text):
     """Whatever a file or a label is called, it is shown and not run."""
     mesh = bricks(1)

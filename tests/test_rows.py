@@ -55,7 +55,7 @@ FLAT = (
     ),
 )
 SOLID = ("extruded circle, 3 over 1", "wing", "box, tetra", "sphere", "rod on a held floor")
-OFTEN = ("C-grid 0015", "O-grid, sharp", "wing", "sphere")
+OFTEN = ("C-grid 0015", "O-grid, sharp", "sphere")
 """`.ci/run` has these, `.ci/nightly` all of them."""
 
 

@@ -113,7 +113,7 @@ def slid(order):
     return mesh, radius, np.stack([np.cos(moved), np.sin(moved)], axis=1) * radius[:, None]
 
 
-@pytest.mark.parametrize("order", runs(slow=[2], nightly=[1]))
+@pytest.mark.parametrize("order", runs(nightly=[1, 2]))
 def test_improve_follows_a_circle_given_by_faces_alone(order):
     """Of 12 chords of half angle a, or of as many quadratic arcs: off the circle by the surface's own error, at a minimum.
 
