@@ -147,6 +147,13 @@ def test_directives_and_variables_are_refused_by_name(case, pattern, text):
         io.read(case)
 
 
+@pytest.mark.parametrize("key", ["type", "nFaces", "startFace"])
+def test_a_patch_without_a_value_is_told(case, key):
+    changed(case, "boundary", key + r"\s+\w+", key + " ")
+    with pytest.raises(ValueError, match="has no good type, nFaces and startFace"):
+        io.read(case)
+
+
 @pytest.mark.parametrize("text", ["a" * 100_000, "/*" * 50_000, "{" * 50_000, "a{" * 50_000, '"' * 50_000])
 def test_long_words_take_no_longer_than_others(case, text):
     """A pattern that is tried from each letter to the end would take minutes."""

@@ -100,6 +100,8 @@ def read(path: pathlib.Path) -> Mesh:
         for element in group:
             if element.corners.min() < 0 or element.corners.max() >= space.vertices:
                 raise parts[name].error(f"a {element.kind} has a vertex that is none of 0 to {space.vertices - 1}.")
+    if space.vertices > len(text):
+        raise parts["vertices"].error(f"{space.vertices:.6g} vertices do not fit into a file of {len(text)} bytes.")
     nodes, of_sides, total = numbered(cells, sides, space.order, space.vertices)
     node = lexicographic(cells, nodes) if space.is_torn else np.arange(total)
     values, lobatto = space.coordinates(node, total)
@@ -138,6 +140,8 @@ def _sections(path: pathlib.Path, text: bytes) -> dict[str, Section]:
     missing = [name for name in ("elements", "boundary", "vertices") if name not in parts]
     if missing:
         raise ValueError(f"{path}: no {', '.join(missing)} in this file; it is cut short.")
+    if head[-1] in "23" and words[-1][1] in (b"vertices", b"nodes"):
+        raise ValueError(f"{path}: no line mfem_mesh_end at the end of this file; it is cut short.")
     return parts
 
 

@@ -332,7 +332,8 @@ def _entries(body: list[str]) -> dict[str, list[str]]:
 
 def _patch(file: FoamFile, name: str, body: list[str]) -> Patch:
     entries = _entries(body)
-    _refuse_directives(file, [*entries, *(entries.get(key, [""])[0] for key in ("type", "nFaces", "startFace"))])
+    values = [word for key in ("type", "nFaces", "startFace") for word in entries.get(key, [])[:1]]
+    _refuse_directives(file, [*entries, *values])
     try:
         # List<word> 2(wall wing), or (wall wing)
         groups = entries.get("inGroups", [])
