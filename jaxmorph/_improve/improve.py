@@ -67,9 +67,12 @@ class Improvement(Module):
 
     def __str__(self) -> str:
         residual, unproven = float(self.residual), int(self.unproven)
-        how = "at a minimum" if residual < MINIMUM else f"stopped early, residual {residual:.1g}"
-        if MINIMUM <= residual < 1:
+        if residual < MINIMUM:
+            how = "at a minimum"
+        elif residual < 1:
             how = f"near a minimum, residual {residual:.1g} (a smaller `tolerance` comes nearer)"
+        else:
+            how = f"stopped early, residual {residual:.1g}"
         if int(self.lost):
             how += f"; {int(self.lost)} stay inverted at a corner with held nodes alone, which no free node can mend"
         proven = "proven to fold nowhere inside" if unproven == 0 else f"proven to fold nowhere but for {unproven}"

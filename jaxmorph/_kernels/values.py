@@ -55,7 +55,7 @@ def taken(values: Any, rows: Any) -> Any:
     """Returns some rows of an array; without a program where the array is in the host's memory."""
     if not _is_plain(values, rows):
         return values[rows]
-    return _beside(np.asarray(values)[rows], values)
+    return _put_like(np.asarray(values)[rows], values)
 
 
 def replaced(values: Any, rows: Any, new: Any) -> Any:
@@ -64,11 +64,11 @@ def replaced(values: Any, rows: Any, new: Any) -> Any:
         return values.at[rows].set(new)
     result = np.array(values)
     result[rows] = np.asarray(new)
-    return _beside(result, values)
+    return _put_like(result, values)
 
 
-def _beside(new: np.ndarray, values: Any) -> Any:
-    """Puts an array where `values` are, committed to the device only if they are."""
+def _put_like(new: np.ndarray, values: Any) -> Any:
+    """Puts an array where `values` are; commits it to the device only if they are committed."""
     return jax.device_put(new, values.sharding if values.committed else None)
 
 

@@ -32,7 +32,7 @@ class Number:
 
     @property
     def badness(self) -> float:
-        """How bad the value is, the larger the worse; infinite for NaN."""
+        """Ranks the value, the larger the worse; infinite for NaN."""
         return np.inf if np.isnan(self.value) else self.value if self.kind == "max" else -self.value
 
     @property

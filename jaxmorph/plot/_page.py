@@ -53,7 +53,7 @@ HALF_VIEW = np.tan(np.deg2rad(15))
 """Half of what the camera sees across the smaller side of its window, over its distance."""
 
 ROOM = 1.15
-"""What the camera sees over the largest side of what it shows."""
+"""Width that the camera sees, over the largest side of the scene."""
 
 
 @checked
