@@ -42,7 +42,7 @@ ALL = [
 ]
 SMOOTH = ("WendlandC2", "WendlandC4", "WendlandC6", *(kind.__name__ for kind in GLOBAL))
 """Bases whose formula has a second derivative at 0, which is that of a source; a cubic's is 0."""
-FAST = ("WendlandC2", "WendlandC4", "CompactC1", "CubicSpline", "ThinPlateSpline", "Gaussian", "Multiquadric")
+FAST = ("WendlandC2", "CompactC1", "ThinPlateSpline", "Gaussian")
 NAMES = [type(row[0]).__name__ for row in ALL]
 MARKED = [
     pytest.param(*row, marks=() if name in FAST else pytest.mark.nightly) for name, row in zip(NAMES, ALL, strict=True)
@@ -72,7 +72,11 @@ def test_values_and_derivatives_in_r(basis, form, radius):
     assert (off < 1e-8 * np.abs(curvature) + 1e-9 + 1e-14 * rounding).all()
 
 
-@pytest.mark.parametrize("kind", TABLE, ids=lambda kind: kind.__name__)
+@pytest.mark.parametrize(
+    "kind",
+    runs([jm.WendlandC2, jm.CompactC1], nightly=[kind for kind in TABLE if kind.__name__ not in FAST]),
+    ids=lambda kind: kind.__name__,
+)
 def test_the_two_formulas_of_a_compact_function_agree(kind):
     """The value, and the slope over twice the argument that derivatives are made of."""
     mpmath.mp.dps = 40
@@ -133,7 +137,7 @@ def test_dtype_and_shape_follow_the_distances(basis, form, radius):
     np.testing.assert_allclose(found, basis(r2), rtol=1e-5, atol=1e-5)  # terms of 80 cancel at the edge
 
 
-@pytest.mark.parametrize("make", [jm.WendlandC2, jm.Gaussian, jm.Multiquadric])
+@pytest.mark.parametrize("make", runs([jm.WendlandC2], nightly=[jm.Gaussian, jm.Multiquadric]))
 def test_derivative_in_the_radius(make):
     r2 = np.array([0.0, 1e-6, 0.1, 0.5, 0.9])
     (name,) = vars(make(R))
@@ -146,7 +150,7 @@ def test_derivative_in_the_radius(make):
     np.testing.assert_allclose(jax.jacfwd(of_radius)(jnp.asarray(R)), difference, rtol=1e-7, atol=1e-9)
 
 
-@pytest.mark.parametrize("make", [jm.WendlandC2, jm.Gaussian, jm.Multiquadric])
+@pytest.mark.parametrize("make", runs([jm.WendlandC2], nightly=[jm.Gaussian, jm.Multiquadric]))
 def test_what_a_radius_may_be(make):
     for radius in (0, -1.5, np.nan, np.inf):
         with pytest.raises(ValueError, match="radius` must be a real number above 0 and finite, not"):
@@ -161,6 +165,7 @@ def test_what_a_radius_may_be(make):
     assert jax.tree.leaves(jax.eval_shape(make, 2.0))[0].shape == ()
 
 
+@pytest.mark.nightly
 def test_wendland_ends_smoothly():
     r = np.array([R, R * 1.5, 1e3 * R, 1e150])
     basis = jm.WendlandC2(R)
@@ -219,7 +224,7 @@ def slit(gap):
     return points, lower, len(grid) + np.arange(len(lower)), border
 
 
-@pytest.mark.parametrize("gap", [0.0, 1e-9])
+@pytest.mark.parametrize("gap", runs([0.0], nightly=[1e-9]))
 def test_coincident_nodes_have_one_compact_function(gap):
     """It takes their mean, so the field is that of a plate of single nodes; each node goes where it is sent."""
     points, lower, upper, border = slit(gap)
@@ -248,7 +253,7 @@ def test_fixed_nodes_do_not_count_where_a_moving_one_is():
     np.testing.assert_array_equal(moved[upper], points[upper])
 
 
-@pytest.mark.parametrize("method", [jm.CompactRBF(0.5), jm.RBF.classic()], ids=["compact", "classic"])
+@pytest.mark.parametrize("method", runs([jm.RBF.classic()], nightly=[jm.CompactRBF(0.5)]), ids=["classic", "compact"])
 def test_nodes_that_nearly_coincide_are_told(method):
     """A difference between them comes out large: told at 1e-6, not at 1e-2, where it does not exceed the motion by much."""
     points, lower, upper, border = slit(1e-6)
@@ -277,7 +282,7 @@ SQUEEZED = {
 }
 
 
-@pytest.mark.parametrize("name", runs(["compact", "layered"], slow=["local", "corrected"]))
+@pytest.mark.parametrize("name", runs(["compact"], nightly=["layered", "local", "corrected"]))
 def test_a_base_on_which_nodes_come_nearer_is_refused_or_nan(name):
     """What `refit` gives is what `prepare` gives on the new base, or an error; traced, NaN."""
     method, factor = SQUEEZED[name]
@@ -312,7 +317,7 @@ def test_a_base_that_differs_much_but_brings_no_nodes_nearer_is_served():
     np.testing.assert_allclose(jm.deform(again, u), expected, rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize(("dimension", "count"), [(2, 250), (3, 90)])
+@pytest.mark.parametrize(("dimension", "count"), runs([(2, 250)], nightly=[(3, 90)]))
 def test_the_automatic_radius_reaches_200_nodes_from_half_of_the_moving_ones(dimension, count):
     """Each counts itself. A surface of fewer nodes is reached whole."""
     points = np.random.default_rng(4).uniform(size=(count, dimension)) ** 2
@@ -324,6 +329,7 @@ def test_the_automatic_radius_reaches_200_nodes_from_half_of_the_moving_ones(dim
     assert (shorter.sum(axis=1) >= min(200, count)).sum() == 20
 
 
+@pytest.mark.slow
 def test_steps_of_compact_functions_carry_the_first_fit():
     """The answer is linear in `u`, so steps on carried factors add up to the whole."""
     rng = np.random.default_rng(5)

@@ -7,6 +7,7 @@ import h5py
 import numpy as np
 import pytest
 from cgns import joined_polyhedra, two_blocks, unstructured
+from runs import runs
 
 import jaxmorph as jm
 from jaxmorph import io
@@ -191,7 +192,7 @@ def test_groups_that_hold_each_other_end(tmp_path):
     assert len(io.read(tmp_path / "a.cgns").points)
 
 
-@pytest.mark.parametrize("is_turned", [False, True])
+@pytest.mark.parametrize("is_turned", runs([True], nightly=[False]))
 def test_periodic_interfaces_are_pairs(is_turned, tmp_path):
     """Two zones one above the other, whose sides repeat each other, told by both sides or by one."""
     x, y, z = np.meshgrid(np.linspace(0, 0.5, 3), [1, 1.5, 2], [0, 1, 2], indexing="ij")
@@ -237,7 +238,7 @@ def same(mesh, other):
     np.testing.assert_allclose(*volumes, rtol=1e-12)
 
 
-@pytest.mark.parametrize("form", ["version 3", "parents", "parents of version 3"])
+@pytest.mark.parametrize("form", runs(["parents of version 3"], nightly=["version 3", "parents"]))
 def test_polyhedra_in_the_forms_of_other_writers(tmp_path, form):
     """Rows that begin with their count (before version 4 of CGNS), and faces that name their cells, without NFACE_n."""
     joined_polyhedra(tmp_path / "a.cgns")

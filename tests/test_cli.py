@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from foam import PATCHES, mixed
 from meshes import bricks, lattice, sides, tetrahedra, write_ring
+from runs import runs
 
 import jaxmorph as jm
 from jaxmorph import io
@@ -59,6 +60,7 @@ def test_rotation_about_a_point_and_what_is_said(here, capsys):
     assert text[text.index("NMARK") :] == original[original.index("NMARK") :]
 
 
+@pytest.mark.slow
 def test_the_wall_and_the_overshoot_stand_in_the_table(here, capsys):
     """A camber shears the first grid lines; what Python measures of the written mesh is what was printed."""
     assert deform("wall.su2", "--displacement", "wall.dat", "--json") == 0
@@ -102,9 +104,7 @@ BY_NAME = {
 """Methods for the ring, whose wall has the radius 1 and the far field 5."""
 
 
-@pytest.mark.parametrize(
-    "name", [name if name == "rigid" else pytest.param(name, marks=pytest.mark.slow) for name in BY_NAME]
-)
+@pytest.mark.parametrize("name", runs(slow=BY_NAME))
 def test_methods_by_name(here, name):
     assert deform("by_name.su2", "--rotate", "20", "--method", name) == 0
     before, after = io.read("ring.su2"), io.read("by_name.su2")
@@ -140,6 +140,7 @@ def test_new_positions_from_a_file_in_any_order_and_arrays_for_paraview(here):
     np.testing.assert_allclose(arrays.cell_data["volume_ratio"][0], expected.volume_ratio, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_inverted_cells_end_with_1_and_no_file_unless_allowed(here, capsys):
     motion = ("--translate", "4.5", "0", "--method", "graph")
     assert deform("inverted.su2", *motion) == 1
@@ -268,7 +269,7 @@ def test_info(here, capsys):
         assert expected in said
 
 
-@pytest.mark.parametrize("name", [".", "../case"])
+@pytest.mark.parametrize("name", runs(["."], nightly=["../case"]))
 def test_a_case_is_called_by_the_name_of_its_folder(tmp_path, monkeypatch, capsys, name):
     foam.write_case(tmp_path / "case", *mixed(), PATCHES)
     monkeypatch.chdir(tmp_path / "case")

@@ -31,6 +31,7 @@ def kept(tmp_path, **variables):
     return done.stdout.split(), [file.name for file in tmp_path.rglob("*-cache")]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems have another cache folder")
 def test_it_is_in_the_users_cache_folder_with_a_limit_and_a_lock(tmp_path):
     (folder, limit), files = kept(tmp_path)

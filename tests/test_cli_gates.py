@@ -9,6 +9,7 @@ import foam
 import numpy as np
 import pytest
 from meshes import write_ring
+from runs import runs
 
 import jaxmorph as jm
 from jaxmorph import io
@@ -79,6 +80,7 @@ def test_no_advice_where_none_works(here, capsys):
     assert "Try more --sources or --steps, or --method elasticity or torsional." in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_mesh_that_was_bad_before_is_told_and_gets_no_advice(here, capsys):
     assert deform("was.su2", "--translate", "0.1", "0", "--max-aspect-ratio", "1.1") == 1
     said = capsys.readouterr().err
@@ -155,7 +157,7 @@ boundary (low {type wall; faces ((0 3 2 1));}
 """
 
 
-@pytest.mark.parametrize("kind", ["plane", "space"])
+@pytest.mark.parametrize("kind", runs(["space"], nightly=["plane"]))
 def test_the_preset_measures_what_checkmesh_does(tmp_path, capsys, kind):
     foam.need_openfoam()
     case = tmp_path / "case"

@@ -87,6 +87,7 @@ def test_flags_beside_a_job_win(here):
     np.testing.assert_allclose(a - b, weight * [[0.2, 0]], atol=1e-13)
 
 
+@pytest.mark.slow
 def test_paths_in_a_job_are_relative_to_its_folder(here, monkeypatch):
     """From another folder the job reads and writes the same; one saved elsewhere names the files from there."""
     (here / "jobs").mkdir()
@@ -248,6 +249,7 @@ def test_json_is_one_object_and_says_what_the_text_says(here, capsys):
     assert said.err.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_verbose_tells_the_time_of_each_stage(here, capsys):
     assert main(["deform", "ring.su2", "out.su2", *MOVE, "--verbose"]) == 0
     said = capsys.readouterr().out
@@ -264,6 +266,7 @@ def test_verbose_tells_the_time_of_each_stage(here, capsys):
     assert max(map(len, said.split("\n"))) <= 80
 
 
+@pytest.mark.slow
 def test_what_may_not_fit_into_memory_is_told_before_the_work(here, capsys, monkeypatch):
     from jaxmorph._advice import estimate as _estimate
     from jaxmorph.cli import _deform

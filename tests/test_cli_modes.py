@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import pyvista
 from meshes import write_ring
+from runs import runs
 
 from jaxmorph import io
 from jaxmorph.cli import main
@@ -78,8 +79,13 @@ def test_bad_cases_are_left_out_and_told(here, capsys):
     assert (here / "bad_0002.vtu").exists()
 
 
-@pytest.mark.parametrize("ending", ["csv", "npz"])
-@pytest.mark.parametrize("form", ["su2", "table", "npz"])
+@pytest.mark.parametrize(
+    ("form", "ending"),
+    runs(
+        [("su2", "csv"), ("table", "npz")],
+        nightly=[("su2", "npz"), ("table", "csv"), ("npz", "csv"), ("npz", "npz")],
+    ),
+)
 def test_sensitivity_is_the_slope_of_what_deform_does(here, form, ending):
     """J = sum of g . x over all points, whose gradient is g, against differences of J by two runs of deform."""
     points = np.asarray(io.read("ring.su2").points)

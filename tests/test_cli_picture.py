@@ -12,6 +12,7 @@ import pytest
 from meshes import bricks, write_ring
 from meshes import ring as ring_mesh
 from PIL import Image
+from runs import runs
 
 import jaxmorph as jm
 from jaxmorph import io, plot
@@ -66,7 +67,7 @@ def test_in_3d_a_page_or_a_picture(here):
     assert min(blue, orange) > 10_000
 
 
-@pytest.mark.parametrize("lift", [0.0, 0.1])
+@pytest.mark.parametrize("lift", runs([0.0], nightly=[0.1]))
 def test_a_mesh_one_cell_wide_is_drawn_in_2d(tmp_path, lift):
     """Unless it moves out of its plane. Its numbers are those of the 2-D mesh that it was made of."""
     flat = ring_mesh()

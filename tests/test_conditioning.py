@@ -14,8 +14,8 @@ import jaxmorph as jm
 from jaxmorph import cases
 
 WIDE = runs(
-    [(jm.Gaussian(10.0), 1, 2), (jm.Multiquadric(100.0), 0, 2)],
-    slow=[(jm.Gaussian(100.0), None, 3), (jm.Multiquadric(10.0), 0, 3)],
+    [(jm.Multiquadric(100.0), 0, 2)],
+    nightly=[(jm.Gaussian(10.0), 1, 2), (jm.Gaussian(100.0), None, 3), (jm.Multiquadric(10.0), 0, 3)],
 )
 
 
@@ -74,10 +74,7 @@ def dense_matrix(sources):
 
 @pytest.mark.parametrize(
     ("solver", "more"),
-    [
-        (None, ""),
-        pytest.param(jm.Iterative(neighbours=12, dense=12), ", or a larger `tolerance`", marks=pytest.mark.slow),
-    ],
+    runs(slow=[(None, ""), (jm.Iterative(neighbours=12, dense=12), ", or a larger `tolerance`")]),
 )
 def test_what_is_told_of_two_nodes_that_nearly_coincide_helps(solver, more):
     """A fixed node 1e-9 beside a moving one, which no field follows: each hint is one that the method can follow."""
@@ -102,7 +99,7 @@ def test_what_is_told_of_two_nodes_that_nearly_coincide_helps(solver, more):
         prepared(jm.RBF(jm.Multiquadric(1.0), close, close, solver=solver))
 
 
-@pytest.mark.parametrize("degree", [None, 0])
+@pytest.mark.parametrize("degree", runs([0], nightly=[None]))
 def test_one_source(degree):
     """Its value spreads as the basis does; with a constant, everything moves alike."""
     points = np.array([[3.0, 1.0], [3.5, 1.0], [3.0, 2.0]])

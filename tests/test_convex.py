@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from runs import runs
 
 from jaxmorph._improve.hessian import blocks, rotations, symmetric_eigen
 from jaxmorph._quality.distortion import energy
@@ -33,7 +34,7 @@ def together(vectors):
     return np.stack([np.stack([np.asarray(c)[0] for c in vector.components], axis=1) for vector in vectors], axis=2)
 
 
-@pytest.mark.parametrize("d", [2, 3])
+@pytest.mark.parametrize("d", runs([2], nightly=[3]))
 def test_rotations_and_singular_values(d):
     stack = matrices(d)
     u, sigma, v = rotations(columns(stack))
@@ -48,8 +49,7 @@ def test_rotations_and_singular_values(d):
     )
 
 
-@pytest.mark.parametrize("d", [2, pytest.param(3, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("floor", [0.0, -np.inf], ids=["positive", "whole"])
+@pytest.mark.parametrize(("d", "floor"), runs([(2, 0.0)], slow=[(3, 0.0)], nightly=[(2, -np.inf), (3, -np.inf)]))
 def test_blocks_are_the_second_derivatives(d, floor):
     stack, rng = matrices(d), np.random.default_rng(10)
     inverse = rng.normal(size=(d, d, len(stack)))

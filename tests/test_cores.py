@@ -60,9 +60,12 @@ def few_points(monkeypatch):
 @pytest.mark.parametrize(
     ("name", "sides"),
     runs(
-        [(name, "fixed") for name in METHODS if name != "published"],
+        [("radial functions", "fixed")],
         slow=[("default", "a plane")],
-        nightly=[("published", "fixed"), *((name, "a plane") for name in METHODS if name != "default")],
+        nightly=[
+            *((name, "fixed") for name in METHODS if name != "radial functions"),
+            *((name, "a plane") for name in METHODS if name != "default"),
+        ],
     ),
 )
 def test_any_number_of_cores_gives_equal_bits(fine, few_points, monkeypatch, name, sides):
@@ -167,6 +170,7 @@ def test_tables_of_the_transpose_are_made_for_derivatives_alone(monkeypatch):
     np.testing.assert_allclose(jnp.vdot(w, jm.deform(plan, u) - plan.points), jnp.vdot(expected, u), rtol=1e-9)
 
 
+@pytest.mark.nightly
 def test_tables_made_while_jax_traces_serve_later():
     mesh = body(2)
     plan = jm.prepare(mesh.points, mesh.moving, mesh.fixed)
@@ -187,7 +191,7 @@ def test_more_points_than_a_thread_searches_alone_get_equal_neighbours(few_point
         np.testing.assert_array_equal(first, other)
 
 
-@pytest.mark.parametrize("wall", ["airfoil", "wing"])
+@pytest.mark.parametrize("wall", runs(["airfoil"], nightly=["wing"]))
 def test_quality_has_equal_bits_on_any_number_of_cores(few_points, monkeypatch, wall):
     mesh = naca4("2412", points=3000) if wall == "airfoil" else wing(points=300, stations=5)
     random, base = np.random.default_rng(0), np.asarray(mesh.points)

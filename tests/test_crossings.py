@@ -188,6 +188,7 @@ def test_a_part_names_nodes_of_the_whole(squares):
     assert part.offset_node in squares.patch("left", "right", "outer")
 
 
+@pytest.mark.slow
 def test_a_wall_stays_in_its_symmetry_plane():
     """A bump of the floor that is to go down along a plane of symmetry does not cross it; its neighbour is crossed."""
     mesh = grid((8, 8), {"left": ((2, 0), (4, 3)), "right": ((5, 0), (7, 3))})

@@ -7,6 +7,7 @@ from exodus import CELLS, FORMS, of_vtk, solid
 from foam import mixed
 from plot3d import box
 from plot3d import write as write_plot3d
+from runs import runs
 
 import jaxmorph as jm
 from jaxmorph import io
@@ -18,7 +19,7 @@ def rows(places):
 
 
 @pytest.mark.parametrize("form", FORMS)
-@pytest.mark.parametrize("is_joined", [False, True])
+@pytest.mark.parametrize("is_joined", runs([True], nightly=[False]))
 def test_blocks_and_sets_are_those_of_vtk(tmp_path, form, is_joined):
     solid(tmp_path / "a.e", form=form, is_joined=is_joined)
     mesh = io.read(tmp_path / "a.e")

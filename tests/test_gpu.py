@@ -31,6 +31,7 @@ def test_rounds_of_loops_are_counted():
     assert gpu.steps(outer, (jnp.ones(3),)) == 5 + 5 * 7 + 7
 
 
+@pytest.mark.slow
 def test_ten_million_points_take_few_steps():
     """Shapes alone."""
     (_, deform, arguments, *_), (_, pullback, more, *_) = itertools.islice(gpu.programs(600, 300), 2)

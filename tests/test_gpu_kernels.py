@@ -10,6 +10,7 @@ import pytest
 import scipy.spatial
 from jax import export
 from jax.experimental import pallas
+from runs import runs
 
 import jaxmorph as jm
 from jaxmorph._kernels import contraction, gpu, log
@@ -48,13 +49,11 @@ SIZES = {"points": (6, 700), "sources": (45, 70), "few": (3, 5)}
 
 @pytest.mark.parametrize(
     ("basis", "phi", "count", "n"),
-    [
-        (*BASES[0], *SIZES["points"]),
-        (*BASES[0], *SIZES["few"]),
-        (*BASES[1], *SIZES["sources"]),
-        (*BASES[2], *SIZES["few"]),
-    ],
-    ids=["spline, points", "spline, few", "compact, sources", "gaussian, few"],
+    runs(
+        [(*BASES[0], *SIZES["points"]), (*BASES[1], *SIZES["sources"]), (*BASES[2], *SIZES["few"])],
+        nightly=[(*BASES[0], *SIZES["few"])],
+    ),
+    ids=["spline, points", "compact, sources", "gaussian, few", "spline, few"],
 )
 def test_the_sum_is_that_of_scipys_distances(interpreted, monkeypatch, basis, phi, count, n):
     """Of more points than blocks hold, of sources in several parts, and of fewer points than a block."""

@@ -62,7 +62,7 @@ def test_equals_scipys_linear_interpolation(dimension):
 
 
 @pytest.mark.parametrize(("length", "shift", "allowed"), [(1, 1e6, 2e-7), (1e-6, 0, 1e-13), (1e6, -3e6, 1e-13)])
-@pytest.mark.parametrize("dimension", [2, 3])
+@pytest.mark.parametrize("dimension", runs([3], nightly=[2]))
 def test_units_and_distance_from_the_origin(dimension, length, shift, allowed):
     """Equal up to what float64 leaves of the coordinates: 1e-10 of a chord at 1e6 chords from the origin, over 4e-3 of height."""
     mesh = body(dimension)

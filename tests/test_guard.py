@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import scipy.optimize
 from meshes import bricks
+from runs import runs
 
 import jaxmorph as jm
 from jaxmorph import cases, plot, shapes
@@ -44,7 +45,7 @@ def test_the_constraint_is_below_the_smallest_ratio_and_its_derivatives_are_diff
     np.testing.assert_allclose(guard.value(p), float(jax.jit(guard)(p)), rtol=1e-9)
 
 
-@pytest.mark.parametrize("count", [7, 30])
+@pytest.mark.parametrize("count", runs([7], nightly=[30]))
 def test_rows_are_the_smallest_corners_and_their_slopes(airfoil, count):
     mesh, plan, motion, _ = airfoil
     guard = shapes.MeshGuard(plan, mesh, motion)
@@ -63,6 +64,7 @@ def test_rows_are_the_smallest_corners_and_their_slopes(airfoil, count):
         np.testing.assert_allclose((first.values - other.values) / (2 * h), rows.matrix[:, k], rtol=1e-3, atol=1e-3)
 
 
+@pytest.mark.slow
 def test_cells_in_3d_count_by_their_corners():
     mesh = bricks(2)
     far = np.flatnonzero(np.asarray(mesh.points)[:, 2] == 1)
@@ -76,7 +78,7 @@ def test_cells_in_3d_count_by_their_corners():
         guard.quality_rows([0.3], 73)
 
 
-@pytest.mark.parametrize("count", [None, 20])
+@pytest.mark.parametrize("count", runs([20], nightly=[None]))
 def test_an_optimiser_thins_an_airfoil_and_no_flow_sees_a_broken_mesh(airfoil, count):
     mesh, plan, motion, area = airfoil
     guard, designs = shapes.MeshGuard(plan, mesh, motion), []

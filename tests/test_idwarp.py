@@ -12,6 +12,7 @@ import idwarp_meshes as meshes
 import jax
 import numpy as np
 import pytest
+from runs import runs
 
 import jaxmorph as jm
 from jaxmorph import cases, io
@@ -55,7 +56,12 @@ def dot_is_equal(mesh, seed=0):
         assert abs(np.vdot(change, cotangent) - np.vdot(tangent, mesh.getdXs())) < 1e-12 * scale
 
 
-@pytest.mark.parametrize(("kind", "count"), [*((kind, 1) for kind in meshes.FILES), ("unstructured", 2)])
+@pytest.mark.parametrize(
+    ("kind", "count"),
+    runs(
+        [("structured", 1), ("unstructured", 2)], nightly=[(kind, 1) for kind in meshes.FILES if kind != "structured"]
+    ),
+)
 def test_walls_planes_and_derivatives(grids, kind, count, capsys):
     nodes = grids[kind][1]
     mesh = opened(grids, kind, symmetryPlanes=PLANES[count])
@@ -90,6 +96,7 @@ def test_walls_planes_and_derivatives(grids, kind, count, capsys):
     assert capsys.readouterr().out.count("surface coordinate") == 5
 
 
+@pytest.mark.slow
 def test_a_cube_inflates(grids):
     """IDWarp's case: each coordinate of a closed surface times a number of its own."""
     mesh = opened(grids, "structured", specifiedSurfaces=list(meshes.SIDES), symmetryPlanes=[], useRotations=None)
@@ -99,7 +106,7 @@ def test_a_cube_inflates(grids):
     np.testing.assert_allclose(mesh.getCommonGrid(), (grids["structured"][1] * [1.1, 1.2, 1.3]).ravel(), atol=1e-9)
 
 
-@pytest.mark.parametrize("kind", ["structured", "plot3d", "openfoam"])
+@pytest.mark.parametrize("kind", runs(["structured"], nightly=["plot3d", "openfoam"]))
 def test_the_calls_of_idwarps_own_test(grids, kind, capsys):
     """Its options, in the spelling of its versions, then a shear along the span: to the letter what its test calls."""
     file, name, _ = (str(grids[kind][0]), meshes.FILES[kind][1], None)
@@ -231,8 +238,7 @@ def test_a_solvers_own_points_move_the_wall(grids):
     np.testing.assert_allclose(total, own.getdXs(), atol=1e-12)
 
 
-@pytest.mark.parametrize("count", [3, 8], ids=["coarser", "finer"])
-@pytest.mark.parametrize("has_faces", [True, False])
+@pytest.mark.parametrize(("count", "has_faces"), runs([(3, True), (8, False)], nightly=[(8, True), (3, False)]))
 def test_points_that_are_no_nodes_move_the_wall_by_a_linear_map(grids, count, has_faces):
     """A motion that is affine on the surface reaches the wall exactly by faces; a shift does by points alone."""
     nodes = grids["unstructured"][1]
@@ -354,7 +360,7 @@ def test_several_grids_of_one_file_move_each_by_itself(tmp_path):
     assert np.array_equal(older.getWarpGrid()[0][0], nodes[first[2] : first[3]].ravel())
 
 
-@pytest.mark.parametrize("step", [1e-40, 1e-200])
+@pytest.mark.parametrize("step", runs([1e-200], nightly=[1e-40]))
 def test_complex_steps_are_the_forward_product(grids, step, tmp_path):
     """As IDWarp's own tests take them: a step of all coordinates at once, and the derivative as the imaginary part over it."""
     settled = {"gridFile": str(grids["structured"][0]), "specifiedSurfaces": ["Floor"], "useRotations": False}
@@ -379,6 +385,7 @@ def test_complex_steps_are_the_forward_product(grids, step, tmp_path):
         real.setSurfaceCoordinates(points + 1j)
 
 
+@pytest.mark.slow
 def test_several_grids_take_complex_steps(tmp_path):
     path, step = str(tmp_path / "overset.cgns"), 1e-200
     nodes, (points, zones) = meshes.write_overset(path), meshes.overset_floors()
@@ -422,7 +429,7 @@ def test_several_grids_refuse_nonsense(tmp_path):
             call()
 
 
-@pytest.mark.parametrize("kind", ["openfoam", "structured"])
+@pytest.mark.parametrize("kind", runs(["structured"], nightly=["openfoam"]))
 def test_walls_and_planes_of_the_file_are_the_default(grids, kind):
     """Types of OpenFOAM's patches, and of CGNS's families, say what they are."""
     mesh = opened(grids, kind, specifiedSurfaces=None)
@@ -472,7 +479,7 @@ def test_planes_hold_nodes_within_symmtol(grids):
     assert len(mesh.getSurfaceCoordinates()) == (meshes.CELLS + 1) ** 2
 
 
-@pytest.mark.parametrize("kind", meshes.FILES)
+@pytest.mark.parametrize("kind", runs(["unstructured", "openfoam"], nightly=["structured", "plot3d"]))
 def test_grids_are_written(grids, kind, tmp_path):
     path, nodes = grids[kind]
     mesh = opened(grids, kind, symmetryPlanes=PLANES[2])
@@ -579,6 +586,7 @@ def test_the_adapter_stands_on_public_names():
                 )
 
 
+@pytest.mark.nightly
 def test_the_extra_says_what_else_it_needs():
     """mpi4py without an MPI library is no ImportError of its own."""
     environment = os.environ | {"PYTHONPATH": str(ROOT), "MPI4PY_LIBMPI": "/nowhere/libmpi.so"}

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from cases import body
+from runs import runs
 from scipy.spatial.transform import Rotation
 
 import jaxmorph as jm
@@ -44,7 +45,7 @@ def test_one_point_moves_as_among_all():
     np.testing.assert_allclose(field(plan.points[node], ids), moved, rtol=0, atol=1e-13)
 
 
-@pytest.mark.parametrize("dimension", [2, 3])
+@pytest.mark.parametrize("dimension", runs([3], nightly=[2]))
 def test_a_turning_body_turns_the_points_near_it(dimension):
     """Each of a body's nodes says the same rigid motion, so the mean is that motion; without rotations it is not.
 
@@ -125,7 +126,7 @@ def test_wrong_arguments_are_told():
 
 
 @pytest.mark.parametrize("angle", [0.5, np.pi])
-@pytest.mark.parametrize("shape", ["flat", "cube"])
+@pytest.mark.parametrize("shape", runs(["cube"], nightly=["flat"]))
 def test_rigid_blend_finds_the_rotation_of_flat_and_even_bodies(shape, angle):
     corners = np.array(np.meshgrid([-1, 1.0], [-1, 1.0], [0.0] if shape == "flat" else [-1, 1.0])).reshape(3, -1).T
     points = np.concatenate([corners, [[1.2, 1.0, 0.3]]])

@@ -93,6 +93,7 @@ def test_other_patches_are_taken_from_their_kinds(tmp_path):
     np.testing.assert_array_equal(jm.deform(plan, u), jm.deform(same, u))
 
 
+@pytest.mark.slow
 def test_what_is_named_is_not_added_to(tmp_path):
     tunnel(tmp_path / "a.cgns")
     mesh = io.read(tmp_path / "a.cgns")

@@ -44,6 +44,7 @@ def test_the_bound_is_met_exactly_in_the_cell_that_is_told(tmp_path, bound):
         assert jm.quality(mesh, jm.deform(plan, u + share * result.step * direction)).jacobian_ratio.min() > bound
 
 
+@pytest.mark.slow
 def test_a_plan_that_is_not_linear_is_refused_and_judged_step_by_step(tmp_path):
     """Its cells invert elsewhere than on straight lines: `largest_step` would promise what the mesh does not keep."""
     mesh = write_ring(tmp_path / "ring.su2")

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from cases import body, few, motion
+from runs import runs
 
 import jaxmorph as jm
 from jaxmorph import shapes
@@ -19,7 +20,7 @@ def by_hand(mesh, values, radius):
     return ((1 - x) ** 4 * (4 * x + 1))[:, None] * values[nearest]
 
 
-@pytest.mark.parametrize("dimension", [2, 3])
+@pytest.mark.parametrize("dimension", runs([2], nightly=[3]))
 def test_alone_it_is_its_formula(dimension):
     mesh = body(dimension)
     u = motion(mesh.points[mesh.moving])
@@ -49,6 +50,7 @@ def test_it_carries_what_a_reduced_field_misses_as_far_as_the_sources_are_apart(
     np.testing.assert_allclose(jm.deform(plan, u), expected, rtol=0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_nothing_is_corrected_where_every_node_is_a_source():
     """The radius is zero there: so are weights and derivatives, on the node and off it."""
     nodes = Reach(jnp.zeros(1, int), jnp.ones(1, bool))
@@ -62,6 +64,7 @@ def test_nothing_is_corrected_where_every_node_is_a_source():
         assert all((slope == 0).all() for slope in slopes)
 
 
+@pytest.mark.slow
 def test_beyond_the_layer_of_near_wall_it_is_what_moves():
     mesh, alone = body(2), jm.LocalCorrection(2.0)
     u = motion(mesh.points[mesh.moving])

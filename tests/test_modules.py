@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from meshes import mixed
+from runs import runs
 
 import jaxmorph as jm
 from jaxmorph import shapes
@@ -38,7 +39,11 @@ CALLS = {
 }
 
 
-@pytest.mark.parametrize("name", CALLS)
+BREADTH = ("naca", "together", "child", "chain", "axis")
+"""Shapes of which each takes seconds to compile; the fast tests hold what they are made of."""
+
+
+@pytest.mark.parametrize("name", runs([name for name in CALLS if name not in BREADTH], nightly=BREADTH))
 def test_jit_takes_modules_and_their_methods(name):
     function, *arguments = CALLS[name]()
     expected = function(*arguments)

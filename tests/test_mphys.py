@@ -36,6 +36,7 @@ def plan():
     return jm.prepare(points, wall, hull, method=jm.RBF.classic())
 
 
+@pytest.mark.slow
 def test_builders_pass_openmdaos_check(plan):
     from jaxmorph.integrations.mphys import ShapeBuilder, VolumeBuilder
 

@@ -4,6 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from cases import body, few, motion, whole_and_part
+from runs import runs
 
 import jaxmorph as jm
 from jaxmorph._host.sources.hierarchy import farthest_first
@@ -103,7 +104,7 @@ class Every(jm.AbstractMethod):
 
 @pytest.mark.parametrize(
     "method",
-    [jm.Multiscale(), pytest.param(jm.Multiscale.whole(1.0, 0.2), marks=pytest.mark.slow)],
+    runs(slow=[jm.Multiscale()], nightly=[jm.Multiscale.whole(1.0, 0.2)]),
     ids=["alone", "whole"],
 )
 def test_mirror_images_move_alike(method):
@@ -137,6 +138,7 @@ def test_nodes_that_coincide():
     assert np.abs(moved - points).max() < 0.2
 
 
+@pytest.mark.slow
 def test_steps_along_a_path_keep_the_field():
     """A turn in steps: the correction goes on standing on the undeformed mesh, with coefficients that fit it."""
     mesh = body(2)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from meshes import cusped
 from oracles import check_geometry
+from runs import runs
 from scipy.spatial import cKDTree
 
 from jaxmorph import cases
@@ -71,7 +72,7 @@ def test_without_camber_it_is_the_papers():
 @pytest.mark.parametrize(
     "code", ["0006", "1408", "2412", "4412", "4424", "6409", "6612", "9312", "9412", "9912", "0040"]
 )
-@pytest.mark.parametrize("points", [2_000, 12_000])
+@pytest.mark.parametrize("points", runs([2_000], nightly=[12_000]))
 def test_geometry(code, points):
     check_geometry(cases.naca4(code, points=points))
 

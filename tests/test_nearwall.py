@@ -53,10 +53,10 @@ def turned(base, centre, degrees):
 
 SMALL, WHOLE = 12_000, 39_666
 INVERTED = runs(
-    [("cusped", SMALL, True, turn), ("6409", SMALL, True, flap_up)],
+    [("6409", SMALL, True, flap_up)],
     slow=[("cusped", SMALL, True, flap_up)],
     nightly=[
-        *(("cusped", SMALL, True, camber), ("6612", SMALL, True, flap_up)),
+        *(("cusped", SMALL, True, turn), ("cusped", SMALL, True, camber), ("6612", SMALL, True, flap_up)),
         *(("9412", SMALL, False, turn), ("4412", WHOLE, False, less_camber)),
     ],
 )
@@ -151,8 +151,7 @@ def passage(gap, columns=60, rows=40, first_cell=1e-5):
     return jm.Mesh(points, {"quad": quads}, {"lower": ids[0], "upper": ids[-1]})
 
 
-@pytest.mark.parametrize("width", [None, 1.0], ids=["default", "far too wide"])
-@pytest.mark.parametrize("gap", [0.08, 0.3])
+@pytest.mark.parametrize(("gap", "width"), runs([(0.08, None)], nightly=[(0.08, 1.0), (0.3, None), (0.3, 1.0)]))
 def test_layers_of_close_walls_end_between_them(gap, width):
     """A bump on each wall closes the passage by 60 %, though the layers of both would reach across it."""
     mesh = passage(gap)

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from meshes import blocks, bricks, lattice
+from runs import runs
 
 import jaxmorph as jm
 from jaxmorph import cases
@@ -121,9 +122,7 @@ def change(name, method, alone, seeds=(0, 1)):
 
 
 @pytest.mark.parametrize("alone", [False, pytest.param(True, marks=pytest.mark.nightly)], ids=["mesh", "points"])
-@pytest.mark.parametrize(
-    "name", [name if name in ("airfoil", "body") else pytest.param(name, marks=pytest.mark.slow) for name in MESHES]
-)
+@pytest.mark.parametrize("name", runs(["body"], slow=[name for name in MESHES if name != "body"]))
 def test_the_default(name, alone):
     assert change(name, "default", alone) < LEAST
 

@@ -274,7 +274,10 @@ LIFT = ("--translate", "0.02", "-0.05", "0.1")
 @pytest.mark.filterwarnings("ignore:.*the case is decomposed")
 @pytest.mark.parametrize(
     "flags",
-    [(), *(pytest.param(each, marks=pytest.mark.slow) for each in [("--steps", "3"), ("--dtype", "float32")])],
+    [
+        pytest.param((), marks=pytest.mark.slow),
+        *(pytest.param(each, marks=pytest.mark.nightly) for each in [("--steps", "3"), ("--dtype", "float32")]),
+    ],
     ids=str,
 )
 def test_parts_move_as_their_union(divided, tmp_path, capsys, flags):

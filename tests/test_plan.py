@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from cases import body, few, motion, whole_and_part
 from meshes import lattice
+from runs import runs
 
 import jaxmorph as jm
 from jaxmorph._host.surface.locate import locate
@@ -154,7 +155,7 @@ class Counting(jm.AbstractMethod):
         return self.method.field(ids, factors, surface, u)
 
 
-@pytest.mark.parametrize("planes", [0, 1])
+@pytest.mark.parametrize("planes", runs([0], nightly=[1]))
 def test_a_coarse_method_is_connected_once(planes):
     """Its mesh points and the surface's mirror images together: one search, one reduction."""
     part, role, *_ = whole_and_part(2, planes) if planes else (body(2).points, np.zeros(310))

@@ -15,6 +15,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from meshes import bricks, grid, mixed
+from runs import runs
 from scipy.spatial import ConvexHull
 
 import jaxmorph as jm
@@ -50,7 +51,7 @@ def test_a_value_that_all_cells_have_is_the_light_end():
     assert faces.get_clim()[1] > 1
 
 
-@pytest.mark.parametrize("size", [1e-3, 0.2, 40.0])
+@pytest.mark.parametrize("size", runs([0.2], nightly=[1e-3, 40.0]))
 def test_numbers_and_names_are_within_the_figure(airfoil, size):
     """As first drawn, for windows whose numbers have many digits."""
     window = ((1 - size, 1 + size), (-size, size))
@@ -208,6 +209,7 @@ def test_a_bar_in_3d_stands_beside_the_cells():
     assert len(filled[1:][np.diff(filled) > 20]) >= 1
 
 
+@pytest.mark.slow
 def test_colours_in_3d_are_those_of_the_bar():
     """One value everywhere gives one colour, whichever way a face looks."""
     plotter = plot.surface(bricks(), values=np.full(27, 0.5), limits=(0, 1), bar=False)
@@ -278,6 +280,7 @@ def test_graph_has_the_edges_of_a_triangulation():
     np.testing.assert_allclose(moving.get_xdata(), points[np.asarray(plan.moving), 0] + 1e-3)
 
 
+@pytest.mark.slow
 def test_legends_hide_nothing_at_the_width_of_a_column(airfoil):
     """Each stands above its axes, within the figure, and the axes stay larger than the legend."""
     plan = jm.prepare(airfoil, "airfoil", "farfield", method=jm.RBF(reduction=jm.KDTree(4)))

@@ -70,7 +70,7 @@ def test_a_film_in_2d_shows_each_frame(tmp_path):
     assert not any(np.array_equal(a, b) for (a, _), (b, _) in itertools.pairwise(film))
 
 
-@pytest.mark.parametrize("turned", [False, True])
+@pytest.mark.parametrize("turned", runs([True], nightly=[False]))
 def test_a_film_in_2d_holds_all_frames(tmp_path, turned):
     """In the size of the first figure: the figures of `before_after` have the shape of what moves."""
     mesh = mixed()
@@ -103,6 +103,7 @@ def test_cells_outside_of_the_usual_window_are_drawn_too():
     assert len(near.collections[0].get_paths()) < count
 
 
+@pytest.mark.slow
 def test_a_film_in_3d_keeps_its_camera_and_holds_all_frames(tmp_path):
     mesh = bricks(2)
     cameras = []

@@ -65,6 +65,7 @@ def test_a_plan_shows_its_own_sources():
     assert len(of_wall) <= 16
 
 
+@pytest.mark.nightly
 def test_sources_of_a_plan_with_a_symmetry_plane_are_its_own_nodes():
     plan = planned(half=True)
     shown = drawn(plot.sources(plan, fixed=True), "sources")
@@ -149,6 +150,7 @@ def test_errors_on_the_surface_are_those_of_scipy():
     assert ((ticks >= bottom) & (ticks <= top)).sum() >= 2
 
 
+@pytest.mark.nightly
 def test_errors_with_a_symmetry_plane():
     plan = planned(half=True)
     u = 0.1 * np.asarray(plan.points[:40]) * [1, 0]

@@ -36,7 +36,8 @@ def surface_of(mesh, moving, fixed, symmetry=()):
 
 def test_names_and_ids_are_one_plan():
     mesh = rings()
-    plan, other = jm.prepare(mesh, "body", ["far"]), jm.prepare(mesh, mesh.patch("body"), mesh.patch("far"))
+    plan = jm.prepare(mesh, "body", ["far"], method=jm.InverseDistance())
+    other = jm.prepare(mesh, mesh.patch("body"), mesh.patch("far"), method=jm.InverseDistance())
     u = np.random.default_rng(0).normal(size=(24, 2)) * 1e-2
     assert (np.asarray(plan.moving) == other.moving).all()
     np.testing.assert_allclose(jm.deform(plan, u), jm.deform(other, u), rtol=0, atol=1e-12)
@@ -44,7 +45,7 @@ def test_names_and_ids_are_one_plan():
 
 def test_a_node_in_both_moves():
     mesh = rings()
-    plan = jm.prepare(mesh, ("body", "half"), "far")
+    plan = jm.prepare(mesh, ("body", "half"), "far", method=jm.InverseDistance())
     assert plan.n_moving == 24 + len(mesh.patch("half"))
     assert len(plan.fixed) == 24 - len(mesh.patch("half"))
 
@@ -80,7 +81,8 @@ def test_mirror_images_have_faces_too():
 def test_planes_by_name_each_once():
     mesh = unit_box()
     both = jm.Mesh(mesh.points, mesh.cells, {**mesh.patches, "again": mesh.patch("y0")})
-    plan = jm.prepare(both, "z1", ("z0", "x1", "y1", "x0"), symmetry=("y0", "again"))
+    method = jm.InverseDistance()
+    plan = jm.prepare(both, "z1", ("z0", "x1", "y1", "x0"), symmetry=("y0", "again"), method=method)
     assert plan.images.normals.shape == (1, 3)
 
 

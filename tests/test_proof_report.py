@@ -124,8 +124,9 @@ def test_a_thin_tilted_layer_is_proven():
 @pytest.mark.parametrize(
     ("make", "options"),
     runs(
-        [(lambda: bricks(2), {}), (mixed, {"base": True}), (mixed, {"sharpness": 40.0})],
-        slow=[(lambda: bricks(1), {"depth": 1}), (wedges, {"sharpness": 40.0})],
+        [(mixed, {"base": True}), (mixed, {"sharpness": 40.0})],
+        slow=[(lambda: bricks(1), {"depth": 1})],
+        nightly=[(lambda: bricks(2), {}), (wedges, {"sharpness": 40.0})],
     ),
 )
 def test_the_margin_is_traced_and_has_derivatives(make, options):
@@ -347,8 +348,8 @@ HALF_TURN = ["--rotate", "180", "--axis", "0", "0", "1", "--about", "0.5", "0.5"
 @pytest.mark.parametrize(
     ("flags", "valid", "when"),
     runs(
-        [([], 0, "at every instant of the motion.")],
-        slow=[
+        slow=[([], 0, "at every instant of the motion.")],
+        nightly=[
             (["--steps", "4"], 8, "at every instant of the motion, step by step in 4 steps."),
             (
                 ["--method", "turning"],

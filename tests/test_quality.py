@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import pyvista
 from meshes import grid
+from runs import runs
 from scipy.spatial import ConvexHull, Delaunay
 from vtkmodules.vtkFiltersVerdict import vtkMeshQuality
 
@@ -530,11 +531,7 @@ def test_jit_vmap_and_meshes_as_arguments():
 
 @pytest.mark.parametrize(
     "kind",
-    [
-        "triangle",
-        "quad",
-        *(pytest.param(kind, marks=pytest.mark.nightly) for kind in KINDS if kind not in ("triangle", "quad")),
-    ],
+    runs(["quad"], nightly=[kind for kind in KINDS if kind != "quad"]),
 )
 def test_what_the_host_measures_is_what_a_trace_does(kind):
     mesh = scattered(kind)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from cases import body, full, surface_values
 from oracles import dense, wendland
+from runs import runs
 from scipy.interpolate import RBFInterpolator
 
 import jaxmorph as jm
@@ -22,7 +23,9 @@ SCIPY = [  # SciPy writes phi(epsilon r), with epsilon = 1 / R, and its multiqua
 ]
 
 
-@pytest.mark.parametrize(("basis", "degree", "options", "dimension"), SCIPY)
+@pytest.mark.parametrize(
+    ("basis", "degree", "options", "dimension"), runs([SCIPY[0], SCIPY[2], SCIPY[6]], nightly=[SCIPY[1], *SCIPY[3:6]])
+)
 def test_full_interpolation_equals_scipys(basis, degree, options, dimension):
     mesh = body(dimension)
     u, values = surface_values(mesh)
@@ -31,7 +34,7 @@ def test_full_interpolation_equals_scipys(basis, degree, options, dimension):
     np.testing.assert_allclose(moved - mesh.points, expected, rtol=0, atol=1e-11)
 
 
-@pytest.mark.parametrize("degree", [None, 0, 1])
+@pytest.mark.parametrize("degree", runs([0], nightly=[None, 1]))
 def test_wendland_equals_a_dense_solve(degree):
     mesh = body(2)
     u, values = surface_values(mesh)
@@ -40,7 +43,7 @@ def test_wendland_equals_a_dense_solve(degree):
     np.testing.assert_allclose(moved - mesh.points, expected, rtol=0, atol=1e-11)
 
 
-@pytest.mark.parametrize("steps", [1, 20])
+@pytest.mark.parametrize("steps", runs([1], nightly=[20]))
 def test_refitted_steps_equal_dense_solves_on_the_moved_mesh(steps):
     """Wendland C2 without polynomial, each step fitted anew on the points that the last one left."""
     mesh = body(2)
@@ -130,7 +133,7 @@ def test_jitted_gradients_in_3d():
         np.testing.assert_allclose(np.vdot(gradient, step), difference / 2, rtol=2e-6)
 
 
-@pytest.mark.parametrize("dimension", [2, 3])
+@pytest.mark.parametrize("dimension", runs([3], nightly=[2]))
 def test_sources_that_do_not_span_space(dimension):
     """All in one plane (a line, in 2-D), rotated so that no coordinate is constant."""
     rng = np.random.default_rng(3)

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from cases import body, extension, few, motion
+from runs import runs
 
 import jaxmorph as jm
 
@@ -63,7 +64,7 @@ def method(name):
     return METHODS[name]
 
 
-@pytest.mark.parametrize("name", ["default", "greedy", "own basis", "own method"])
+@pytest.mark.parametrize("name", runs(["default", "own basis", "own method"], nightly=["greedy"]))
 def test_a_loaded_plan_is_the_same_to_the_last_bit(tmp_path, name):
     make, classes = method(name)
     plan = planned(make())

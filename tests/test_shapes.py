@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from meshes import write_ring
+from runs import runs
 from scipy.spatial.transform import Rotation
 
 import jaxmorph as jm
@@ -21,7 +22,10 @@ ONE_PARAMETER = {
     "bend": (lambda x, a: shapes.bend(x, a, ABOUT[x.shape[1]], ALONG[x.shape[1]], 1.3, AXIS[x.shape[1]]), 0.0, 0.9),
     "twist": (lambda x, a: shapes.twist(x, a, ABOUT[3], AXIS[3], 1.3), 0.0, 0.9),
 }
-CASES = [(name, d) for name in ONE_PARAMETER for d in (2, 3) if (name, d) != ("twist", 2)]
+CASES = runs(
+    [("rotate", 2), ("scale", 2), ("bend", 2), ("twist", 3)],
+    nightly=[("rotate", 3), ("scale", 3), ("bend", 3), ("translate", 2), ("translate", 3)],
+)
 
 
 def cloud(d, count=40):
@@ -36,7 +40,11 @@ def test_neutral_parameters_give_the_positions_bit_for_bit(name, d):
 
 @pytest.mark.parametrize(
     ("name", "d"),
-    [pytest.param(*each, marks=pytest.mark.slow) if each[0] in ("bend", "twist") else each for each in CASES],
+    runs(
+        [("rotate", 3), ("scale", 2)],
+        slow=[("bend", 2), ("twist", 3)],
+        nightly=[("bend", 3), ("rotate", 2), ("scale", 3), ("translate", 2), ("translate", 3)],
+    ),
 )
 def test_derivatives_equal_differences(name, d):
     shape, neutral, value = ONE_PARAMETER[name]
@@ -92,7 +100,7 @@ def test_twist_turns_sections_in_proportion():
     np.testing.assert_allclose(turned, [[1, 0, -1], [1, 0, 0], [0, 1, 0.5], [-1, 0, 1], [-1, 0, 4]], atol=1e-15)
 
 
-@pytest.mark.parametrize("d", [2, 3])
+@pytest.mark.parametrize("d", runs([2], nightly=[3]))
 def test_bending_makes_an_arc_of_the_same_length(d):
     s = np.linspace(-1, 3, 9)
     x = np.zeros((9, d))
@@ -107,7 +115,7 @@ def test_bending_makes_an_arc_of_the_same_length(d):
 
 def test_displacement_is_what_deform_takes(tmp_path):
     mesh = write_ring(tmp_path / "ring.su2")
-    plan = jm.prepare(mesh.points, mesh.patch("wall"), mesh.patch("far"))
+    plan = jm.prepare(mesh.points, mesh.patch("wall"), mesh.patch("far"), method=jm.InverseDistance())
 
     def turned(x, a):
         return shapes.rotate(x, a, [0.0, 0.0])

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from meshes import naca
+from runs import runs
 from scipy.interpolate import BSpline, CubicSpline
 from scipy.spatial.transform import Rotation
 
@@ -22,13 +23,15 @@ LINEAR = {
     "box": shapes.FreeForm([-0.1, -0.2], np.diag([1.2, 0.4]), (3, 3)).linked(mirror=0),
 }
 
+BREADTH = ("hicks-henne", "curve", "box")
+
 
 def random_like(parameters, seed=1):
     rng = np.random.default_rng(seed)
     return jax.tree.map(lambda leaf: jnp.asarray(rng.normal(size=leaf.shape)), parameters)
 
 
-@pytest.mark.parametrize("name", LINEAR)
+@pytest.mark.parametrize("name", runs([name for name in LINEAR if name not in BREADTH], nightly=BREADTH))
 def test_linear_shapes_and_their_transposes(name):
     shape = LINEAR[name]
     np.testing.assert_array_equal(shape(AIRFOIL, shape.neutral()), AIRFOIL)
@@ -148,7 +151,7 @@ def wing():
     return rng.uniform([0, -0.1, -0.1], [1, 2.1, 0.2], (50, 3))
 
 
-@pytest.mark.parametrize("cubic", [False, True])
+@pytest.mark.parametrize("cubic", runs([False], nightly=[True]))
 def test_stations_are_interpolated(cubic):
     shape = shapes.ReferenceAxis(PLANFORM.points, cubic=cubic)
     x, values = wing(), np.array([0.3, -0.2, 0.5])

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from meshes import naca
+from runs import runs
 
 from jaxmorph import shapes
 from jaxmorph._kernels.values import clipped
@@ -36,7 +37,7 @@ def check_border(function, x, inward):
 BOXES = {"bernstein": ((3, 4, 3), None), "bspline": ((5, 6, 4), 2)}
 
 
-@pytest.mark.parametrize("name", BOXES)
+@pytest.mark.parametrize("name", runs(["bspline"], nightly=["bernstein"]))
 def test_the_border_of_a_box_has_the_derivative_of_its_inside(name):
     counts, degree = BOXES[name]
     box = shapes.FreeForm([0.0, 0.0, 0.0], np.eye(3), counts, degree=degree)
@@ -93,6 +94,7 @@ def test_clipped_is_clip_but_at_its_ends():
     np.testing.assert_array_equal(slope, [0, 1, 1, 1, 0])
 
 
+@pytest.mark.nightly
 def test_the_whole_naca_family_is_exact_at_its_nodes():
     """567 sections with camber, each with a blunt and a sharp trailing edge: on 14 lower sides a node has several feet."""
     codes = itertools.product(range(1, 10), range(1, 10), (6, 9, 12, 15, 18, 21, 24))

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from meshes import bricks, naca, sphere, write_ring
+from runs import runs
 from scipy.spatial import ConvexHull
 
 import jaxmorph as jm
@@ -44,7 +45,10 @@ MEASURES = {
 }
 
 
-@pytest.mark.parametrize("name", MEASURES)
+@pytest.mark.parametrize(
+    "name",
+    runs([name for name in MEASURES if name not in ("radius", "thickness-3")], nightly=["radius", "thickness-3"]),
+)
 def test_derivatives_equal_differences(name):
     measure, x = MEASURES[name]
     direction = 0.1 * np.column_stack([np.sin(3 * x[:, k] + k) for k in range(x.shape[1])])
@@ -69,6 +73,7 @@ def test_closed_forms_of_an_ellipse():
     )
 
 
+@pytest.mark.nightly
 def test_closed_forms_of_a_naca_airfoil():
 
     x = naca(0.0, 0.4, 0.12, count=401, last=0.1036)
@@ -111,6 +116,7 @@ def test_thickness_follows_a_moved_wall():
     np.testing.assert_allclose(shapes.thickness(moved, LINES), 1.5 * shapes.thickness(ELLIPSE, LINES), rtol=1e-12)
 
 
+@pytest.mark.nightly
 def test_a_constrained_optimisation_keeps_the_thickness():
     """Least area with bumps, thickness held at two stations: SLSQP with traced derivatives."""
     from scipy.optimize import minimize

@@ -5,6 +5,7 @@ import pathlib
 import numpy as np
 import pytest
 from meshes import naca
+from runs import runs
 
 from jaxmorph import cases, io, shapes
 
@@ -146,7 +147,7 @@ SHARED = pathlib.Path(__file__).parents[2] / "shared" / "cases"
 
 
 @pytest.mark.skipif(not SHARED.is_dir(), reason="needs the shared cases")
-@pytest.mark.parametrize("name", ["naca0012-euler/naca0012_inv.su2", "naca0012-cgrid/n0012_225-65.su2"])
+@pytest.mark.parametrize("name", runs(["naca0012-euler/naca0012_inv.su2"], nightly=["naca0012-cgrid/n0012_225-65.su2"]))
 def test_sides_of_meshes_that_others_made(name):
     mesh = io.read(SHARED / name)
     nodes, points = mesh.patch("airfoil"), np.asarray(mesh.points)

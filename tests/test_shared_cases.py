@@ -5,6 +5,7 @@ import pathlib
 
 import numpy as np
 import pytest
+from runs import runs
 
 import jaxmorph as jm
 from jaxmorph import io
@@ -82,7 +83,8 @@ def edges_at_corners(kind, x):
 
 @pytest.mark.parametrize("method", ["default", pytest.param("paper", marks=pytest.mark.nightly)])
 @pytest.mark.parametrize(
-    ("name", "motion"), [*RUNS[:1], *(pytest.param(*run, marks=pytest.mark.nightly) for run in RUNS[1:])]
+    ("name", "motion"),
+    runs(slow=RUNS[:1], nightly=RUNS[1:]),
 )
 def test_no_cell_inverts(name, motion, method):
     mesh = mesh_of(name)

@@ -5,15 +5,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from meshes import pair
+from runs import runs
 
 import jaxmorph as jm
 
-KINDS = [
-    "triangle",
-    "quad",
-    "tetra",
-    *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("pyramid", "wedge", "hexahedron")),
-]
+KINDS = runs(["quad"], slow=["tetra"], nightly=["triangle", "pyramid", "wedge", "hexahedron"])
 """Those in 3-D take seconds to compile."""
 MEASURES = ("skewness", "aspect_ratio", "non_orthogonality", "jacobian_ratio")
 TERMS = 36
@@ -41,8 +37,9 @@ def test_they_are_near_the_exact_ones_by_the_bounds_stated(kind):
     assert np.all((above >= -slack) & (above <= terms / sharpness))
 
 
-@pytest.mark.parametrize("kind", ["triangle", "quad"])
-@pytest.mark.parametrize("size", [pytest.param(0.0, marks=pytest.mark.slow), 0.1], ids=["ideal", "shaken"])
+@pytest.mark.parametrize(
+    ("kind", "size"), runs([("triangle", 0.1)], slow=[("triangle", 0.0)], nightly=[("quad", 0.1), ("quad", 0.0)])
+)
 def test_derivatives_are_those_of_differences(kind, size):
     """At the ideal cell, where every term is as large as the others and the exact measures have their kinks, too.
 
@@ -53,6 +50,7 @@ def test_derivatives_are_those_of_differences(kind, size):
     weights = np.random.default_rng(2).normal(size=(4, 2))
     tangent, step = np.random.default_rng(3).normal(size=points.shape), 1e-5
 
+    @jax.jit
     def objective(points):
         found = jm.smooth_quality(mesh, points)
         return sum(jnp.vdot(w, getattr(found, name)) for w, name in zip(weights, MEASURES, strict=True))
@@ -61,23 +59,24 @@ def test_derivatives_are_those_of_differences(kind, size):
     np.testing.assert_allclose(np.vdot(jax.grad(objective)(points), tangent), difference, rtol=1e-5, atol=1e-6)
 
 
-@pytest.mark.parametrize("kind", ["triangle", "quad", pytest.param("tetra", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("kind", runs(["triangle"], nightly=["quad", "tetra"]))
 def test_inverted_and_flat_cells_are_bad_by_a_finite_number_that_falls_as_they_turn_round(kind):
     mesh = pair(kind)
     axis = mesh.points.shape[1] - 1
     apex = np.flatnonzero(mesh.points[:, axis] > 0.1)
 
+    @jax.jit
+    @jax.value_and_grad
     def aspect(height):
         points = jnp.asarray(mesh.points).at[apex, axis].set(height * mesh.points[apex, axis])
         return jm.smooth_quality(mesh, points, softness=1e-3).aspect_ratio[0]
 
     heights = [1.0, 0.1, 0.0, -0.1, -0.5]
-    values = [float(aspect(height)) for height in heights]
+    values, slopes = np.array([aspect(height) for height in heights]).T
     assert np.all(np.isfinite(values))
     assert np.all(np.diff(values) > 0)
     np.testing.assert_allclose(values[2], 2 / 1e-3, rtol=1e-6)
-    for height in heights[1:]:
-        assert float(jax.grad(aspect)(height)) < 0
+    assert np.all(slopes[1:] < 0)
 
 
 def test_it_is_a_penalty_under_jit_vmap_and_in_float32():

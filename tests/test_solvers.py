@@ -122,6 +122,7 @@ def test_what_does_not_converge_is_told():
     assert np.isnan(moved[mesh.inner]).all()
 
 
+@pytest.mark.slow
 def test_steps_go_on_until_residual_and_error_are_within_the_tolerance():
     """On a diagonal system, whose error in the norm of the basis is at most twice the one that the steps know."""
     diagonal, right = jnp.linspace(0.5, 2, 30)[:, None], jnp.sin(jnp.arange(30.0))[:, None]

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from cases import body, few, full, motion
+from runs import runs
 
 import jaxmorph as jm
 from jaxmorph import cases
@@ -52,7 +53,7 @@ CASES = [
     ("full", False),
     ("reduced", False),
 ]
-BREADTH = {"near-wall", "full"}
+BREADTH = {"near-wall", "full", "few"}
 every_march = pytest.mark.parametrize(
     ("name", "rebuild"),
     [pytest.param(*case, marks=[pytest.mark.nightly] if case[0] in BREADTH else []) for case in CASES],
@@ -79,7 +80,7 @@ def test_the_surface_arrives_and_the_far_field_stays(name, rebuild):
     assert (np.asarray(points[mesh.fixed]) == mesh.points[mesh.fixed]).all()
 
 
-@pytest.mark.parametrize("dimension", [2, 3])
+@pytest.mark.parametrize("dimension", runs([2], nightly=[3]))
 def test_delaunay_steps_with_kept_ids_equal_one(dimension):
     """The graph stands on the undeformed mesh: the path does not matter, nor the number of steps."""
     mesh = body(dimension)

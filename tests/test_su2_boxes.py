@@ -54,6 +54,7 @@ def test_a_box_ahead_of_the_points_leaves_them_in_their_place(tmp_path):
     assert [each.name for each in io.boxes(again)] == ["MAIN_BOX", "B"]
 
 
+@pytest.mark.slow
 def test_splines_and_boxes_in_3d(tmp_path):
     corners = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1.2, 1], [0, 1, 1.0]])
     cube = "NDIME= 3\nNELEM= 1\n12 0 1 2 3 4 5 6 7\nNPOIN= 8\n" + "".join(

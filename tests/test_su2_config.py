@@ -592,6 +592,7 @@ def test_dot_takes_the_volume_through_the_mesh(folder, tmp_path, capsys):
     np.testing.assert_allclose([float(line) for line in lines], differences, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_def_does_not_write_a_broken_mesh(folder, tmp_path, capsys):
     io.write(tmp_path / "airfoil.su2", io.read(folder / "airfoil.su2"))
     text = "MESH_FILENAME= airfoil.su2\nDV_KIND= SCALE\nDV_PARAM= (1)\nDV_VALUE= -1\nDV_MARKER= airfoil\nMARKER_SYM= NONE\n"
@@ -602,6 +603,7 @@ def test_def_does_not_write_a_broken_mesh(folder, tmp_path, capsys):
     assert not (tmp_path / "mesh_out.su2").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(
     not (pathlib.Path(__file__).parents[2] / "shared" / "cases" / "naca0012-euler").is_dir(), reason="no shared cases"
 )

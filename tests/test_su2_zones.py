@@ -120,6 +120,7 @@ def test_a_file_of_one_zone_is_read_either_way(tmp_path):
         np.testing.assert_array_equal(mesh.points, io.read(tmp_path / f"{name}.su2").points)
 
 
+@pytest.mark.slow
 def test_zones_on_the_command_line(path, capsys):
     """`info` shows each zone; `deform --zone 2` moves the second alone, as io.write does, and `quality` judges it."""
     out = path.with_name("b.su2")

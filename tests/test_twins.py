@@ -221,7 +221,7 @@ def test_coordinates_change_and_nothing_else(tmp_path, kind):
         assert_coordinates_alone_differ(path.read_bytes(), moved.read_bytes(), old, new)
 
 
-@pytest.mark.parametrize("is_adf", runs([False], nightly=[True]))
+@pytest.mark.parametrize("is_adf", runs(slow=[False], nightly=[True]))
 def test_one_layer_of_cells_stays_one(tmp_path, is_adf):
     """The kinds of the file say what is fixed and what are planes; planes stay planes, and move alike bit for bit."""
     (in_adf(one_layer) if is_adf else one_layer)(tmp_path / "a.cgns")

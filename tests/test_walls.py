@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from runs import runs
 
 import jaxmorph as jm
 from jaxmorph import cases
@@ -35,7 +36,9 @@ def mirrored(mesh):
 
 
 @pytest.mark.parametrize("with_faces", [True, False])
-@pytest.mark.parametrize(("points", "stations", "span"), [(2000, 13, 2.0), (4000, 40, 6.0), (1000, 9, 2.0)])
+@pytest.mark.parametrize(
+    ("points", "stations", "span"), runs([(2000, 13, 2.0), (1000, 9, 2.0)], nightly=[(4000, 40, 6.0)])
+)
 def test_a_structured_wing_is_one_wall(with_faces, points, stations, span):
     mesh = cases.wing(points=points, stations=stations, span=span)
     found, _ = parts(mesh, ["wing"], ["farfield"], with_faces)
