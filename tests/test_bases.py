@@ -306,6 +306,7 @@ def test_a_base_on_which_nodes_come_nearer_is_refused_or_nan(name):
         jm.refit(plan, squeezed)
 
 
+@pytest.mark.slow
 def test_a_base_that_differs_much_but_brings_no_nodes_nearer_is_served():
     """Beyond the slack of the search all pairs are looked at: a stretched mesh has fewer."""
     points, lower, upper, border = slit(0.0)

@@ -73,11 +73,14 @@ def slab(columns):
     return points.reshape(-1, 2), quads, ids
 
 
-@pytest.mark.parametrize("turn", [pytest.param(0.0, marks=pytest.mark.slow), 0.6])
 @pytest.mark.parametrize(
-    "method",
-    [jm.LinearElasticity(), pytest.param(jm.Laplacian(), marks=pytest.mark.slow)],
-    ids=["elasticity", "laplacian"],
+    ("method", "turn"),
+    runs(
+        [(jm.Laplacian(), 0.6)],
+        slow=[(jm.LinearElasticity(), 0.0)],
+        nightly=[(jm.LinearElasticity(), 0.6), (jm.Laplacian(), 0.0)],
+    ),
+    ids=["laplacian-turned", "elasticity", "elasticity-turned", "laplacian"],
 )
 def test_nodes_slide_in_symmetry_planes(method, turn):
     """A half, with a plane in any direction, moves like the half of the whole."""
@@ -268,6 +271,7 @@ def test_a_right_side_that_is_not_finite_changes_no_later_solve(monkeypatch):
     linear._kept.clear()
 
 
+@pytest.mark.slow
 def test_a_dense_system_is_solved_without_multigrid(monkeypatch):
     """Where a row has hundreds of entries, unknowns are far smaller than right sides: the residual alone tells the end.
 
@@ -347,6 +351,7 @@ def test_a_quad_is_the_mean_of_both_ways_to_cut_it(make, stiffness):
     np.testing.assert_allclose(found, of_triangles(method, corners, distance, CUTS), rtol=0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_quad_with_two_corners_in_one_place_is_a_triangle():
     corners = jnp.array([[0.0, 0], [1, 0], [0.4, 1], [0.4, 1]])
     method = jm.LinearElasticity()

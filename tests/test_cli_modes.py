@@ -64,6 +64,7 @@ def test_a_series_opens_in_paraview_at_its_amplitudes(here):
         assert "skewness" in mesh.cell_data
 
 
+@pytest.mark.slow
 def test_bad_cases_are_left_out_and_told(here, capsys):
     flags = ("bump.csv", "--amplitude", "0", "9", "0.1", "--method", "graph")
     assert modes("bad.pvd", *flags, "--json") == 1

@@ -62,7 +62,7 @@ def test_the_command_line_prepares_the_mesh_as_python_does(here):
 
 
 def test_a_patch_that_is_not_named_is_an_error_unless_it_is_free(here, capsys):
-    flags = ("--moving", "inner", "--fixed", "outer")
+    flags = ("--moving", "inner", "--fixed", "outer", "--method", "inverse-distance")
     assert deform("channel.su2", *flags) == 2
     error = capsys.readouterr().err
     assert "16 of 40 boundary faces are neither moving" in error
@@ -76,7 +76,7 @@ def test_a_patch_that_is_not_named_is_an_error_unless_it_is_free(here, capsys):
     assert deform("channel.su2", *flags, "--free", "inlet", "--free", "out.*", "--save-job", "job.toml") == 0
     assert capsys.readouterr().err == ""
     mesh, first = io.read("channel.su2"), np.asarray(io.read("out.su2").points)
-    plan = jm.prepare(mesh, "inner", "outer", free=["inlet", "outlet"])
+    plan = jm.prepare(mesh, "inner", "outer", free=["inlet", "outlet"], method=jm.InverseDistance())
     np.testing.assert_allclose(first, jm.deform(plan, bump(mesh)), rtol=0, atol=1e-15)
     assert 'free = ["inlet", "out.*"]' in (here / "job.toml").read_text()
     assert main(["deform", "--job", "job.toml"]) == 0
@@ -100,7 +100,7 @@ def test_modes_and_sensitivity_refuse_it_too(here, capsys):
 @pytest.mark.filterwarnings("default:.*boundary faces")
 def test_faces_that_have_no_name_are_warned_of(here, capsys):
     """Nobody can name them on the command line."""
-    flags = ["--moving", "inner", "--fixed", "outer", "inlet"]
+    flags = ["--moving", "inner", "--fixed", "outer", "inlet", "--method", "inverse-distance"]
     assert deform("nameless.vtu", *flags, "--json") == 0
     (warning,) = json.loads(capsys.readouterr().out)["warnings"]
     assert "8 of 40 boundary faces are neither moving" in warning

@@ -59,7 +59,9 @@ def dot_is_equal(mesh, seed=0):
 @pytest.mark.parametrize(
     ("kind", "count"),
     runs(
-        [("structured", 1), ("unstructured", 2)], nightly=[(kind, 1) for kind in meshes.FILES if kind != "structured"]
+        [("structured", 1)],
+        slow=[("unstructured", 2)],
+        nightly=[(kind, 1) for kind in meshes.FILES if kind != "structured"],
     ),
 )
 def test_walls_planes_and_derivatives(grids, kind, count, capsys):

@@ -88,11 +88,12 @@ def test_sliding_is_advised_only_where_a_fixed_boundary_touches_the_moving_one()
 
 
 def test_shape_is_checked(mesh):
-    plan = jm.prepare(mesh.points, mesh.patch("airfoil"), mesh.patch("farfield"))
+    plan = jm.prepare(mesh.points, mesh.patch("airfoil"), mesh.patch("farfield"), method=jm.DelaunayGraph())
     with pytest.raises(ValueError, match=r"`u` has shape \(3, 2\)"):
         jm.inspect(plan, np.zeros((3, 2)))
 
 
+@pytest.mark.slow
 def test_fewest_steps_are_fewest(mesh):
     method = jm.SurfaceReconstruction.published(4, 4)
     plan = jm.prepare(mesh.points, mesh.patch("airfoil"), mesh.patch("farfield"), method=method)

@@ -153,7 +153,7 @@ def test_any_number_of_points(n):
     np.testing.assert_allclose(found, pulled, rtol=0, atol=1e-10 * np.abs(pulled).max())
 
 
-@pytest.mark.parametrize("name", ["thin-plate", pytest.param("wendland", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", runs(slow=["thin-plate"], nightly=["wendland"]))
 def test_derivatives_at_a_source_are_finite(name):
     """First and second derivatives with respect to the points, some of which are sources."""
     plan, u, w = case(name, n=BLOCK + 3, s=25)

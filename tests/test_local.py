@@ -77,6 +77,7 @@ def test_beyond_the_layer_of_near_wall_it_is_what_moves():
     assert np.abs(moved - expected).max() > 1e-4
 
 
+@pytest.mark.slow
 def test_points_beyond_the_hull_of_the_boundary_are_moved():
     """A graph would refuse them."""
     points = np.random.default_rng(0).uniform(-1, 1, (60, 2))

@@ -124,6 +124,7 @@ def test_mirror_images_move_alike(method):
     np.testing.assert_allclose(displacement[on, 0], 0, atol=1e-14)
 
 
+@pytest.mark.slow
 def test_nodes_that_coincide():
     """A cut of two nodes at each place, which stays closed or opens a little: each goes where it is told."""
     mesh = body(2)

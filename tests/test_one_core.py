@@ -80,7 +80,7 @@ ONE = pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="nothing h
 
 
 @ONE
-@pytest.mark.parametrize("name", runs(["cells"], slow=[name for name in PROGRAMS if name != "cells"]))
+@pytest.mark.parametrize("name", runs(slow=["cells"], nightly=[name for name in PROGRAMS if name != "cells"]))
 def test_it_ends_on_one_core(name):
     run(PROGRAMS[name])
 

@@ -145,6 +145,7 @@ def test_every_choice_beside_a_cube(method):
     assert change("cube", method, True, seeds=(0,)) < LEAST
 
 
+@pytest.mark.slow
 def test_a_graph_with_mirror_images():
     """Nodes and their images are on one sphere, many times over: Qhull gave other simplices, or gave up."""
     assert change("wing", "DelaunayGraph", False, seeds=range(3)) < LEAST

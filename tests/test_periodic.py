@@ -131,7 +131,7 @@ def test_what_is_not_periodic():
         jm.prepare(points, moving, fixed, method=TPS, periodic="lower")
 
 
-@pytest.mark.parametrize("method", runs([jm.RBF.classic(jm.WendlandC2(1.0))], slow=[jm.CompactRBF(1.0)]))
+@pytest.mark.parametrize("method", runs(slow=[jm.RBF.classic(jm.WendlandC2(1.0))], nightly=[jm.CompactRBF(1.0)]))
 def test_where_an_image_stands_on_a_node_the_node_counts(method):
     """A wall's image falls on another wall, but for the digits of a file: the field is that of places that coincide."""
 

@@ -389,6 +389,7 @@ def test_before_and_after_in_3d():
     plotter.close()
 
 
+@pytest.mark.slow
 def test_one_state_is_seen_through_the_other():
     """A body that grows hides what it was, and one that shrinks what became of it, unless both let light through."""
     mesh = bricks()
@@ -436,6 +437,7 @@ def test_the_camera_does_not_look_into_an_open_body(side):
     plotter.close()
 
 
+@pytest.mark.slow
 def test_pictures_in_3d_have_axes_and_a_scale_of_a_round_length():
     plotter = plot.surface(bricks())
     plotter.screenshot(return_img=True)

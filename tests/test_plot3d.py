@@ -5,6 +5,7 @@ import itertools
 import numpy as np
 import pytest
 from plot3d import box, write
+from runs import runs
 
 import jaxmorph as jm
 from jaxmorph import io
@@ -16,8 +17,10 @@ FORMS = [
 
 
 @pytest.mark.parametrize(("form", "order", "width", "blank"), FORMS)
-@pytest.mark.parametrize("counts", [(4, 3, 5), (4, 3)])
-@pytest.mark.parametrize("is_multiple", [True, False])
+@pytest.mark.parametrize(
+    ("is_multiple", "counts"),
+    runs([(True, (4, 3, 5))], slow=[(False, (4, 3))], nightly=[(True, (4, 3)), (False, (4, 3, 5))]),
+)
 def test_every_form_comes_back_as_it_was(tmp_path, form, order, width, blank, counts, is_multiple):
     blocks = box(*counts) if is_multiple else box(*counts)[:1]
     write(tmp_path / "a.xyz", blocks, form, order, width, is_multiple, blank)

@@ -98,6 +98,7 @@ def test_coincident_nodes_do_not_make_the_system_singular():
     np.testing.assert_allclose(moved[len(plain) :], plain[mesh.moving[:4]], rtol=0, atol=1e-12)
 
 
+@pytest.mark.nightly
 def test_derivative_in_the_support_radius():
     mesh = body(2)
     u, _ = surface_values(mesh)

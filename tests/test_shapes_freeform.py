@@ -133,6 +133,7 @@ def test_bad_input_is_refused(call, message):
         call()
 
 
+@pytest.mark.slow
 def test_paraview_reads_the_lattice(tmp_path):
     pyvista = pytest.importorskip("pyvista")
     for d in (2, 3):

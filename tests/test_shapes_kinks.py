@@ -49,12 +49,14 @@ def test_the_border_of_a_box_has_the_derivative_of_its_inside(name):
         check_border(move, x, inward)
 
 
+@pytest.mark.slow
 def test_what_is_far_from_a_box_has_finite_derivatives():
     box = shapes.FreeForm([0.0, 0.0], np.eye(2), (13, 3))
     slope = jax.jacfwd(lambda x: box(x, np.ones((13, 3, 2))))(jnp.array([[1e40, 0.5], [-1e40, 1e40]]))
     np.testing.assert_array_equal(slope, np.eye(4).reshape(2, 2, 2, 2))
 
 
+@pytest.mark.slow
 def test_a_child_has_the_derivative_of_its_inside_on_its_border():
     parent = shapes.FreeForm([0.0, 0.0], np.eye(2), (3, 3))
     child = shapes.Child(shapes.FreeForm([0.0, 0.25], np.eye(2) / 2, (3, 3)), parent)
@@ -71,17 +73,21 @@ PLANFORM = {"twist": np.array([0.3, -0.2, 0.4]), "chord": np.array([1.2, 0.8, 0.
 
 @pytest.mark.parametrize(
     ("move", "x", "inward"),
-    [
-        (lambda x: AXIS(x, PLANFORM), [[0.7, 0, 0.1]], [[0, 1, 0]]),
-        (lambda x: AXIS(x, PLANFORM), [[0.7, 2, 0.1]], [[0, -1, 0]]),
-        (lambda x: CUBIC(x, PLANFORM), [[0.7, 0, 0.1]], [[0, 1, 0]]),
-        (lambda x: shapes.twist(x, 0.5, [0, 0, 0], [0, 1, 0], 2.0), [[0.7, 0, 0.1]], [[0, 1, 0]]),
-        (lambda x: shapes.twist(x, 0.5, [0, 0, 0], [0, 1, 0], 2.0), [[0.7, 2, 0.1]], [[0, -1, 0]]),
-        (lambda x: shapes.bend(x, 0.5, [0, 0], [1, 0], 2.0), [[0.0, 0.3]], [[1, 0]]),
-        (lambda x: shapes.bend(x, 0.5, [0, 0], [1, 0], 2.0), [[2.0, 0.3]], [[-1, 0]]),
-        (lambda x: shapes.CST(2)(x, [0.1, 0.2, -0.1, 0.05]), [[1.0, 0.01]], [[-1, 0]]),
-        (lambda x: shapes.CST(2, (1.0, 1.5))(x, [0.1, 0.2, -0.1, 0.05]), [[0.0, 0.01]], [[1, 0]]),
-    ],
+    runs(
+        [
+            (lambda x: AXIS(x, PLANFORM), [[0.7, 0, 0.1]], [[0, 1, 0]]),
+            (lambda x: shapes.twist(x, 0.5, [0, 0, 0], [0, 1, 0], 2.0), [[0.7, 0, 0.1]], [[0, 1, 0]]),
+            (lambda x: shapes.bend(x, 0.5, [0, 0], [1, 0], 2.0), [[2.0, 0.3]], [[-1, 0]]),
+            (lambda x: shapes.CST(2)(x, [0.1, 0.2, -0.1, 0.05]), [[1.0, 0.01]], [[-1, 0]]),
+        ],
+        nightly=[
+            (lambda x: AXIS(x, PLANFORM), [[0.7, 2, 0.1]], [[0, -1, 0]]),
+            (lambda x: CUBIC(x, PLANFORM), [[0.7, 0, 0.1]], [[0, 1, 0]]),
+            (lambda x: shapes.twist(x, 0.5, [0, 0, 0], [0, 1, 0], 2.0), [[0.7, 2, 0.1]], [[0, -1, 0]]),
+            (lambda x: shapes.bend(x, 0.5, [0, 0], [1, 0], 2.0), [[0.0, 0.3]], [[1, 0]]),
+            (lambda x: shapes.CST(2, (1.0, 1.5))(x, [0.1, 0.2, -0.1, 0.05]), [[0.0, 0.01]], [[1, 0]]),
+        ],
+    ),
 )
 def test_ends_of_lines_have_the_derivative_of_their_inside(move, x, inward):
     check_border(jax.jit(move), x, inward)
@@ -149,6 +155,7 @@ def test_lattices_in_3d_are_linked():
             box.linked(groups=groups)
 
 
+@pytest.mark.nightly
 def test_round_off_changes_neither_stations_nor_the_nose():
     x = naca(0.0, 0.4, 0.12, count=9, last=0.1036)[:-1]
     section = x[1:]  # two nodes are as far from the tail

@@ -257,6 +257,7 @@ def test_a_symmetry_plane_bounds_the_mesh():
         jm.prepare(points, whole.moving, whole.fixed, method=GRAPH, symmetry=jm.Plane([1, 0], [0, 0]))
 
 
+@pytest.mark.slow
 def test_a_symmetry_plane_of_a_float32_mesh():
     """Turned and moved away from the origin, its nodes lie on no plane to better than 1e-7 of their coordinates."""
     part, role, *_ = whole_and_part(2, 1)
