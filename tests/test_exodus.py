@@ -37,7 +37,7 @@ def test_blocks_and_sets_are_those_of_vtk(tmp_path, form, is_joined):
 
 
 @pytest.mark.parametrize("form", FORMS)
-@pytest.mark.parametrize(("real", "is_joined"), [("f8", True), ("f4", False)])
+@pytest.mark.parametrize(("real", "is_joined"), runs([("f8", True)], nightly=[("f4", False)]))
 def test_coordinates_alone_change(tmp_path, form, real, is_joined):
     solid(tmp_path / "a.exo", form=form, real=real, is_joined=is_joined)
     mesh = io.read(tmp_path / "a.exo")

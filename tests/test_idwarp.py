@@ -447,6 +447,7 @@ def test_walls_and_planes_of_the_file_are_the_default(grids, kind):
         assert np.abs(moved[rows] - nodes[rows]).max() > 0.01
 
 
+@pytest.mark.slow
 def test_nodes_between_overset_grids_are_free(tmp_path):
     nodes = meshes.write_unstructured(tmp_path / "mesh.cgns", {"xmax": "Overset_outer", "floor": "wing_wall"})
     mesh = USMesh({"gridFile": str(tmp_path / "mesh.cgns"), "useRotations": False}, MPI.COMM_SELF)
