@@ -61,7 +61,7 @@ def test_horns_of_ice_grow_on_an_airfoil():
 
 
 @pytest.mark.parametrize(
-    ("degrees", "centre", "blend"), runs(slow=[(180.0, 0.25, None)], nightly=[(90.0, 0.7, 0.4)]), ids=["pitch", "flap"]
+    ("degrees", "centre", "blend"), runs(nightly=[(180.0, 0.25, None), (90.0, 0.7, 0.4)]), ids=["pitch", "flap"]
 )
 def test_a_wide_flap_and_a_half_turn_in_steps(degrees, centre, blend):
     """The flap's angle grows over 0.4 chord around its hinge; the whole airfoil turns on its head."""

@@ -300,7 +300,7 @@ def test_a_base_on_which_nodes_come_nearer_is_refused_or_nan(name):
         jm.refit(plan, squeezed)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_base_that_differs_much_but_brings_no_nodes_nearer_is_served():
     """Beyond the slack of the search all pairs are looked at: a stretched mesh has fewer."""
     points, lower, upper, border = slit(0.0)
@@ -324,7 +324,7 @@ def test_the_automatic_radius_reaches_200_nodes_from_half_of_the_moving_ones(dim
     assert (shorter.sum(axis=1) >= min(200, count)).sum() == 20
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_steps_of_compact_functions_carry_the_first_fit():
     """The answer is linear in `u`, so steps on carried factors add up to the whole."""
     rng = np.random.default_rng(5)

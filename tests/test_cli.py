@@ -104,7 +104,7 @@ BY_NAME = {
 """Methods for the ring, whose wall has the radius 1 and the far field 5."""
 
 
-@pytest.mark.parametrize("name", runs(slow=BY_NAME))
+@pytest.mark.parametrize("name", runs(slow=[name for name in BY_NAME if name != "rigid"], nightly=["rigid"]))
 def test_methods_by_name(here, name):
     assert deform("by_name.su2", "--rotate", "20", "--method", name) == 0
     before, after = io.read("ring.su2"), io.read("by_name.su2")

@@ -53,7 +53,7 @@ def test_each_patch_has_its_own_motion(brick):
     np.testing.assert_array_equal(y[mesh.patch("rest")], x[mesh.patch("rest")])
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_patch_named_again_goes_on_from_there(brick):
     about = ("--axis", "0", "0", "1", "--about", "2", "0", "0")
     x, y, mesh = moved(
@@ -90,7 +90,7 @@ def test_bend_makes_an_arc_of_the_same_length(brick):
         np.testing.assert_allclose(y[node], expected, atol=1e-8)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_modes_and_displacements_add(brick):
     mesh = io.read(brick)
     high, rng = mesh.patch("high"), np.random.default_rng(0)

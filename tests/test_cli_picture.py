@@ -83,7 +83,7 @@ def test_a_mesh_one_cell_wide_is_drawn_in_2d(tmp_path, lift):
     assert np.array_equal(*pictures) == (lift == 0)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_bad_mesh_is_drawn_though_not_written(here, capsys):
     assert ring("--scale", "7", "7", "--picture", "bad.png", "--no-dry-run") == 1
     assert (here / "bad.png").exists()

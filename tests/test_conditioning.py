@@ -74,7 +74,7 @@ def dense_matrix(sources):
 
 @pytest.mark.parametrize(
     ("solver", "more"),
-    runs(slow=[(None, ""), (jm.Iterative(neighbours=12, dense=12), ", or a larger `tolerance`")]),
+    runs(slow=[(None, "")], nightly=[(jm.Iterative(neighbours=12, dense=12), ", or a larger `tolerance`")]),
 )
 def test_what_is_told_of_two_nodes_that_nearly_coincide_helps(solver, more):
     """A fixed node 1e-9 beside a moving one, which no field follows: each hint is one that the method can follow."""

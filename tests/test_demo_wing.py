@@ -46,7 +46,7 @@ def test_sources_are_counted():
     assert counts["reduced RBF"][1] == len(far)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_camera_has_the_wing_in_sight_whole():
     """White all round, and not much of it."""
     mesh = cases.agard445(points=6_500)

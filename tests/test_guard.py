@@ -64,7 +64,7 @@ def test_rows_are_the_smallest_corners_and_their_slopes(airfoil, count):
         np.testing.assert_allclose((first.values - other.values) / (2 * h), rows.matrix[:, k], rtol=1e-3, atol=1e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_cells_in_3d_count_by_their_corners():
     mesh = bricks(2)
     far = np.flatnonzero(np.asarray(mesh.points)[:, 2] == 1)

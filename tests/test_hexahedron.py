@@ -41,7 +41,7 @@ def test_nodes_follow_bernstein_polynomials_of_their_place(corners):
     np.testing.assert_array_equal(box.given_corners, corners)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_box_with_parallel_edges_is_free_form():
     rng = np.random.default_rng(2)
     x, control = rng.uniform(-1, 5, (60, 3)), rng.normal(size=(3, 4, 2, 3))

@@ -57,12 +57,7 @@ def dot_is_equal(mesh, seed=0):
 
 
 @pytest.mark.parametrize(
-    ("kind", "count"),
-    runs(
-        [("structured", 1)],
-        slow=[("unstructured", 2)],
-        nightly=[(kind, 1) for kind in meshes.FILES if kind != "structured"],
-    ),
+    ("kind", "count"), runs([("structured", 1)], nightly=[("unstructured", 2), ("plot3d", 1), ("openfoam", 1)])
 )
 def test_walls_planes_and_derivatives(grids, kind, count, capsys):
     nodes = grids[kind][1]
@@ -240,7 +235,7 @@ def test_a_solvers_own_points_move_the_wall(grids):
     np.testing.assert_allclose(total, own.getdXs(), atol=1e-12)
 
 
-@pytest.mark.parametrize(("count", "has_faces"), runs([(3, True), (8, False)], nightly=[(8, True), (3, False)]))
+@pytest.mark.parametrize(("count", "has_faces"), [(3, True), (8, False)], ids=["faces", "points"])
 def test_points_that_are_no_nodes_move_the_wall_by_a_linear_map(grids, count, has_faces):
     """A motion that is affine on the surface reaches the wall exactly by faces; a shift does by points alone."""
     nodes = grids["unstructured"][1]
@@ -387,7 +382,7 @@ def test_complex_steps_are_the_forward_product(grids, step, tmp_path):
         real.setSurfaceCoordinates(points + 1j)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_several_grids_take_complex_steps(tmp_path):
     path, step = str(tmp_path / "overset.cgns"), 1e-200
     nodes, (points, zones) = meshes.write_overset(path), meshes.overset_floors()

@@ -106,7 +106,7 @@ def test_what_is_named_is_not_added_to(tmp_path):
     assert not any("kinds" in str(each.message) for each in told)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_bent_symmetry_patch_is_left_to_the_caller(tmp_path):
     tunnel(tmp_path / "a.cgns")
     mesh = io.read(tmp_path / "a.cgns")

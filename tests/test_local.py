@@ -64,7 +64,7 @@ def test_nothing_is_corrected_where_every_node_is_a_source():
         assert all((slope == 0).all() for slope in slopes)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_beyond_the_layer_of_near_wall_it_is_what_moves():
     mesh, alone = body(2), jm.LocalCorrection(2.0)
     u = motion(mesh.points[mesh.moving])
@@ -77,7 +77,7 @@ def test_beyond_the_layer_of_near_wall_it_is_what_moves():
     assert np.abs(moved - expected).max() > 1e-4
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_points_beyond_the_hull_of_the_boundary_are_moved():
     """A graph would refuse them."""
     points = np.random.default_rng(0).uniform(-1, 1, (60, 2))

@@ -139,7 +139,7 @@ def test_nodes_that_coincide():
     assert np.abs(moved - points).max() < 0.2
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_steps_along_a_path_keep_the_field():
     """A turn in steps: the correction goes on standing on the undeformed mesh, with coefficients that fit it."""
     mesh = body(2)

@@ -121,7 +121,7 @@ def change(name, method, alone, seeds=(0, 1)):
     return max(np.abs(moved(noisy(points, seed)) - still).max() for seed in seeds) / np.abs(u).max()
 
 
-@pytest.mark.parametrize("alone", [False, pytest.param(True, marks=pytest.mark.nightly)], ids=["mesh", "points"])
+@pytest.mark.parametrize("alone", runs([False], nightly=[True]), ids=["mesh", "points"])
 @pytest.mark.parametrize("name", runs(["body"], slow=[name for name in MESHES if name != "body"]))
 def test_the_default(name, alone):
     assert change(name, "default", alone) < LEAST

@@ -209,7 +209,7 @@ def test_a_bar_in_3d_stands_beside_the_cells():
     assert len(filled[1:][np.diff(filled) > 20]) >= 1
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_colours_in_3d_are_those_of_the_bar():
     """One value everywhere gives one colour, whichever way a face looks."""
     plotter = plot.surface(bricks(), values=np.full(27, 0.5), limits=(0, 1), bar=False)
@@ -280,7 +280,7 @@ def test_graph_has_the_edges_of_a_triangulation():
     np.testing.assert_allclose(moving.get_xdata(), points[np.asarray(plan.moving), 0] + 1e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_legends_hide_nothing_at_the_width_of_a_column(airfoil):
     """Each stands above its axes, within the figure, and the axes stay larger than the legend."""
     plan = jm.prepare(airfoil, "airfoil", "farfield", method=jm.RBF(reduction=jm.KDTree(4)))
@@ -389,7 +389,7 @@ def test_before_and_after_in_3d():
     plotter.close()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_one_state_is_seen_through_the_other():
     """A body that grows hides what it was, and one that shrinks what became of it, unless both let light through."""
     mesh = bricks()
@@ -437,7 +437,7 @@ def test_the_camera_does_not_look_into_an_open_body(side):
     plotter.close()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_pictures_in_3d_have_axes_and_a_scale_of_a_round_length():
     plotter = plot.surface(bricks())
     plotter.screenshot(return_img=True)

@@ -17,10 +17,7 @@ FORMS = [
 
 
 @pytest.mark.parametrize(("form", "order", "width", "blank"), FORMS)
-@pytest.mark.parametrize(
-    ("is_multiple", "counts"),
-    runs([(True, (4, 3, 5))], slow=[(False, (4, 3))], nightly=[(True, (4, 3)), (False, (4, 3, 5))]),
-)
+@pytest.mark.parametrize(("is_multiple", "counts"), runs([(True, (4, 3, 5))], nightly=[(False, (4, 3))]))
 def test_every_form_comes_back_as_it_was(tmp_path, form, order, width, blank, counts, is_multiple):
     blocks = box(*counts) if is_multiple else box(*counts)[:1]
     write(tmp_path / "a.xyz", blocks, form, order, width, is_multiple, blank)

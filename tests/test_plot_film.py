@@ -103,7 +103,7 @@ def test_cells_outside_of_the_usual_window_are_drawn_too():
     assert len(near.collections[0].get_paths()) < count
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_film_in_3d_keeps_its_camera_and_holds_all_frames(tmp_path):
     mesh = bricks(2)
     cameras = []

@@ -49,14 +49,14 @@ def test_the_border_of_a_box_has_the_derivative_of_its_inside(name):
         check_border(move, x, inward)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_what_is_far_from_a_box_has_finite_derivatives():
     box = shapes.FreeForm([0.0, 0.0], np.eye(2), (13, 3))
     slope = jax.jacfwd(lambda x: box(x, np.ones((13, 3, 2))))(jnp.array([[1e40, 0.5], [-1e40, 1e40]]))
     np.testing.assert_array_equal(slope, np.eye(4).reshape(2, 2, 2, 2))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_child_has_the_derivative_of_its_inside_on_its_border():
     parent = shapes.FreeForm([0.0, 0.0], np.eye(2), (3, 3))
     child = shapes.Child(shapes.FreeForm([0.0, 0.25], np.eye(2) / 2, (3, 3)), parent)

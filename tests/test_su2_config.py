@@ -603,7 +603,7 @@ def test_def_does_not_write_a_broken_mesh(folder, tmp_path, capsys):
     assert not (tmp_path / "mesh_out.su2").exists()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.skipif(
     not (pathlib.Path(__file__).parents[2] / "shared" / "cases" / "naca0012-euler").is_dir(), reason="no shared cases"
 )

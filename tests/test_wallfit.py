@@ -131,7 +131,7 @@ def test_grid_lines_stay_at_right_angles_to_a_cambered_wall():
     assert float(jm.wall_quality(mesh, "airfoil", classic).mean_angle) > 9
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_bump_stays_on_its_side():
     mesh, plan, base, upper = airfoil("8306")
     u = up(base, np.where(upper, 0.1 * np.sin(np.pi * base[:, 0]) ** 3, 0))
@@ -148,7 +148,7 @@ def test_a_bump_stays_on_its_side():
     assert judged(mesh, points)[0] == 0
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_channel_whose_walls_touch():
     """One wall's bump takes half of the gap."""
     mesh = cases.channel(columns=40, rows=20)
