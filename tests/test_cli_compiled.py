@@ -24,7 +24,7 @@ jax.numpy.negative(jax.numpy.ones(3)).block_until_ready()
 
 def kept(tmp_path, **variables):
     """What a process says of its cache, and the files in the user's cache folder afterwards."""
-    environment = {name: value for name, value in os.environ.items() if not name.startswith("JAX_")}
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("JAX")}
     environment |= {"XDG_CACHE_HOME": str(tmp_path)} | variables
     command = [sys.executable, "-c", CODE]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)

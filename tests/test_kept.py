@@ -1,6 +1,6 @@
 """Programs that a command keeps: found again by what they depend on, never where that may have changed."""
 
-import contextlib
+import collections
 import os
 import pathlib
 import subprocess
@@ -20,7 +20,7 @@ from jaxmorph._kernels import kept
 
 pytest.importorskip("filelock")
 
-COMMAND = """
+LISTENER = """
 import sys, jax, jaxmorph
 from jax._src import monitoring
 traced = []
@@ -28,10 +28,19 @@ def heard(event, seconds, **facts):
     if event.endswith("jaxpr_trace_duration"):
         traced.append(str(facts.get("fun_name")))
 monitoring.register_event_duration_secs_listener(heard)
+"""
+COMMAND = """
 from jaxmorph.cli import main
 status = main()
 print("traced", *sorted(traced))
 sys.exit(status)
+"""
+SCRIPT = """
+from jaxmorph import cases
+jax.config.update("jax_enable_x64", True)
+plan = jaxmorph.prepare(cases.sharp_o_grid(around=24, layers=8), "airfoil", "farfield")
+print(jax.tree.map(lambda leaf: leaf.tobytes().hex(), jax.device_get(jax.tree.leaves(plan.surface.factors))))
+print("traced", *sorted(traced))
 """
 
 
@@ -41,6 +50,17 @@ class Pair(eqx.Module):
     rows: Array
     name: str
     count: int
+
+
+class Settings:
+    """JAX's settings, some of them other ones."""
+
+    def __init__(self, **changed):
+        self.values = jax.config.values | changed
+        self.update, self.config = jax.config.update, jax.config
+
+    def __getattr__(self, name):
+        return getattr(self.config, name)
 
 
 def halves(pair: Pair, factor):
@@ -56,11 +76,10 @@ def packaged(function):
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     """A folder of programs for this process, in which `Pair` is the package's."""
-    monkeypatch.setattr(kept, "_programs", {})
+    anew(monkeypatch)
     monkeypatch.setattr(kept, "_folder", None)
-    monkeypatch.setattr(kept, "_aside", contextlib.nullcontext)
     monkeypatch.setattr(kept, "KNOWN", (*kept.KNOWN, __name__))
-    kept.keep(str(tmp_path), 2**20, contextlib.nullcontext)
+    kept.keep(str(tmp_path), 2**20)
     return tmp_path
 
 
@@ -75,7 +94,7 @@ def files(folder: pathlib.Path) -> list[pathlib.Path]:
 
 def anew(monkeypatch):
     """As a new process finds the folder."""
-    monkeypatch.setattr(kept, "_programs", {})
+    monkeypatch.setattr(kept, "_programs", collections.OrderedDict())
 
 
 def never(*_):
@@ -123,6 +142,21 @@ def test_changed_files_of_the_package_are_another_program(folder, monkeypatch):
     assert len(files(folder)) == 2
 
 
+def test_prepare_keeps_programs_in_jaxs_folder_if_there_is_one(folder, monkeypatch):
+    x = Pair(jnp.ones((3, 2)), "x", 3)
+    monkeypatch.setattr(kept, "_folder", None)
+    monkeypatch.delenv(kept.SWITCH, raising=False)
+    monkeypatch.setattr(kept.jax, "config", Settings(jax_compilation_cache_dir=str(folder)))
+    assert result(halves, x, 0.1) is None
+    with kept.kept_in_jaxs_folder():
+        assert result(halves, x, 0.1) is not None
+        with jax.default_matmul_precision("float32"):
+            assert result(halves, x, 0.1) is not None
+        assert len(files(folder)) == 2
+        monkeypatch.setenv(kept.SWITCH, "off")
+        assert result(halves, x, 0.1) is None
+
+
 def test_functions_and_classes_of_the_user_are_not_kept(folder, monkeypatch):
     x, local = jnp.ones(3), packaged(lambda x: x + 1)
     assert result(local, x) is None
@@ -157,11 +191,11 @@ def test_a_command_traces_nothing_again_and_writes_the_same_file(tmp_path):
     mesh = cases.sharp_o_grid(around=24, layers=8)
     io.write(tmp_path / "mesh.su2", mesh)
     words = ["deform", "mesh.su2", "OUT", "--moving", "airfoil", "--fixed", "farfield", "--rotate", "5"]
-    environment = {name: value for name, value in os.environ.items() if not name.startswith("JAX_")}
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("JAX")}
     environment |= {"XDG_CACHE_HOME": str(tmp_path / "cache"), "PYTHONPATH": str(pathlib.Path(jm.__file__).parents[1])}
 
     def run(name, **variables):
-        command = [sys.executable, "-c", COMMAND, *(name if word == "OUT" else word for word in words)]
+        command = [sys.executable, "-c", LISTENER + COMMAND, *(name if word == "OUT" else word for word in words)]
         done = subprocess.run(
             command, cwd=tmp_path, env=environment | variables, capture_output=True, text=True, check=True
         )
@@ -173,3 +207,19 @@ def test_a_command_traces_nothing_again_and_writes_the_same_file(tmp_path):
     again, traced = run("again.su2")
     assert first == again == plain
     assert not any("refitted" in name or "_deform" in name or "_offset" in name for name in traced)
+
+
+@pytest.mark.slow
+def test_a_script_prepares_again_without_tracing(tmp_path):
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("JAX")}
+    environment |= {"JAX_COMPILATION_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(pathlib.Path(jm.__file__).parents[1])}
+
+    def run():
+        command = [sys.executable, "-c", LISTENER + SCRIPT]
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+        return done.stdout.split("traced")
+
+    (factors, first), (same, again) = run(), run()
+    assert same == factors
+    assert "refitted" in first
+    assert "refitted" not in again

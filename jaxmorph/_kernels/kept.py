@@ -1,10 +1,15 @@
 """Programs of direct calls, kept in a folder: a later process neither traces nor lowers them.
 
+A command keeps all programs. In a user's process `prepare` keeps its own, in JAX's folder of
+compiled code.
+
 JAX's own cache finds machine code by the program, so that every process first makes the program.
 Here the name of a function, the shapes of its arguments and the package's files find the code.
 """
 
+import collections
 import contextlib
+import contextvars
 import dataclasses
 import functools
 import hashlib
@@ -14,7 +19,7 @@ import pathlib
 import pickle
 import secrets
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import jax
@@ -35,9 +40,15 @@ SETTINGS = ("JAX", "XLA")
 HOST = "callback"
 """A word of programs that call Python, at an address of this process."""
 
+LATEST = 64
+"""Programs that a process holds at most."""
+
+SWITCH = "JAXMORPH_CACHE"
+"""The environment variable by which nothing is kept."""
+
 _folder: Any = None
-_aside: Callable[[], contextlib.AbstractContextManager] = contextlib.nullcontext
-_programs: "dict[str, Program]" = {}
+_in_jaxs_folder = contextvars.ContextVar("_in_jaxs_folder", default=False)
+_programs: "collections.OrderedDict[str, Program]" = collections.OrderedDict()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -92,22 +103,47 @@ class _Pickler(pickle.Pickler):
         return NotImplemented
 
 
-def keep(folder: str, limit: int, aside: Callable[[], contextlib.AbstractContextManager]) -> None:
-    """Keeps programs in JAX's folder of compiled code, together with it at most `limit` bytes.
+def is_off() -> bool:
+    """Checks whether `JAXMORPH_CACHE` says that nothing is kept."""
+    return os.environ.get(SWITCH, "").lower() in ("off", "0", "no", "false")
 
-    It is for a process that runs one command. Code that changes while a process lives would not be
-    noticed. Within `aside()`, JAX's own cache keeps nothing.
+
+def keep(folder: str, limit: int) -> None:
+    """Keeps the programs of all calls in JAX's folder of compiled code, at most `limit` bytes.
+
+    It is for a process that runs one command. Finding a program takes longer than a small call.
     """
-    global _folder, _aside
-    _aside = aside
+    global _folder
+    _folder = _opened(folder, limit)
+
+
+@contextlib.contextmanager
+def kept_in_jaxs_folder() -> Iterator[None]:
+    """Keeps the programs of calls within in JAX's folder of compiled code, if JAX has one."""
+    token = _in_jaxs_folder.set(True)
+    try:
+        yield
+    finally:
+        _in_jaxs_folder.reset(token)
+
+
+def _jaxs_folder() -> Any:
+    values = jax.config.values
+    path, limit = values["jax_compilation_cache_dir"], values["jax_compilation_cache_max_size"]
+    return _opened(path, limit) if path and values["jax_enable_compilation_cache"] and not is_off() else None
+
+
+@functools.cache
+def _opened(folder: str, limit: int) -> Any:
+    """Opens a folder of programs; None where this JAX has no such folders or lacks a package."""
     try:  # private names of JAX: without them nothing is kept
         from jax._src.lru_cache import LRUCache
         from jaxlib import lapack
 
         lapack.prepare_lapack_call("getrf_ffi", np.dtype(float))  # finds LAPACK, as lowering would
-        _folder = LRUCache(folder, max_size=limit)
+        return LRUCache(folder, max_size=limit)
     except Exception:
-        _folder = None
+        return None
 
 
 def kept(
@@ -118,14 +154,17 @@ def kept(
     `arguments` are a tuple and a dictionary that hold arrays anywhere. `state` is what the program
     depends on besides. `options` gives the compiler's options for a program that is made.
     """
-    if _folder is None or jax.device_count() > 1:
+    folder = _jaxs_folder() if _folder is None and _in_jaxs_folder.get() else _folder
+    if folder is None or jax.device_count() > 1 or jax.config.values["jax_disable_jit"]:
         return None
     try:
         key = _key(function, arguments, state)
     except _UnkeptError:
         return None
     if key not in _programs:
-        _programs[key] = _loaded(key) or _made(key, function, arguments, options())
+        _programs[key] = _loaded(folder, key) or _made(folder, key, function, arguments, options())
+        while len(_programs) > LATEST:
+            _programs.popitem(last=False)
     leaves = [leaf for leaf in jax.tree.leaves(arguments) if _is_array(leaf)]
     return functools.partial(_programs[key], leaves)
 
@@ -138,7 +177,7 @@ def _key(function: Callable, arguments: tuple, state: tuple[bool, ...]) -> str:
         _Pickler(file).dump((_name(function), state, shapes))
     except (pickle.PicklingError, TypeError, AttributeError) as error:
         raise _UnkeptError from error
-    return f"jaxmorph-{hashlib.sha256(_world() + file.getvalue()).hexdigest()}"
+    return f"jaxmorph-{hashlib.sha256(_world() + _settings() + file.getvalue()).hexdigest()}"
 
 
 def _name(obj: Any) -> str:
@@ -153,7 +192,6 @@ def _name(obj: Any) -> str:
 def _world() -> bytes:
     """Describes what all programs depend on: files of packages, versions, and settings."""
     facts = [sys.version, jax.__version__, version.__version__, jax.default_backend()]
-    facts += [f"{name}={value}" for name, value in sorted(jax.config.values.items())]
     facts += [f"{name}={value}" for name, value in sorted(os.environ.items()) if name.startswith(SETTINGS)]
     own = pathlib.Path(__file__).parents[1]
     files = sorted(os.path.join(where, file) for where, _, names in os.walk(own) for file in names)
@@ -164,10 +202,16 @@ def _world() -> bytes:
     return "\n".join(facts).encode()
 
 
-def _loaded(key: str) -> Program | None:
+def _settings() -> bytes:
+    """Describes JAX's settings of this moment, in this thread."""
+    values = jax.config.values
+    return "\n".join(f"{name}={getattr(jax.config, name, values[name])}" for name in sorted(values)).encode()
+
+
+def _loaded(folder: Any, key: str) -> Program | None:
     """Loads a program; None where it is missing or damaged."""
     try:
-        content = _folder.get(key)
+        content = folder.get(key)
         if content is None:
             return None
         from jax.experimental import serialize_executable
@@ -179,7 +223,7 @@ def _loaded(key: str) -> Program | None:
         return None
 
 
-def _made(key: str, function: Callable, arguments: tuple, options: dict[str, Any]) -> Program:
+def _made(folder: Any, key: str, function: Callable, arguments: tuple, options: dict[str, Any]) -> Program:
     """Compiles a program, and keeps it."""
     leaves, tree = jax.tree.flatten(arguments)
     arrays, form = [leaf for leaf in leaves if _is_array(leaf)], None
@@ -204,21 +248,31 @@ def _made(key: str, function: Callable, arguments: tuple, options: dict[str, Any
     # program: a new name is in no cache.
     flat.__name__ = f"{function.__name__}_{secrets.token_hex(4)}"
     lowered = jax.jit(flat, compiler_options=options).lower(*arrays)
-    with _aside():
+    with _unkept_by_jax():
         compiled = lowered.compile()
     if HOST not in lowered.as_text():
-        _write(key, (len(arrays), len(jax.tree.leaves(lowered.out_info))), compiled, form)
+        _write(folder, key, (len(arrays), len(jax.tree.leaves(lowered.out_info))), compiled, form)
     return Program(compiled, form)
 
 
-def _write(key: str, counts: tuple[int, int], compiled: Any, form: Any) -> None:
+def _unkept_by_jax() -> contextlib.AbstractContextManager[Any]:
+    """Returns a context in which JAX's own cache keeps nothing of this thread."""
+    try:  # a private name of JAX: without it JAX keeps the code a second time
+        from jax._src.config import persistent_cache_min_compile_time_secs as shortest
+
+        return shortest(float("inf"))
+    except Exception:
+        return contextlib.nullcontext()
+
+
+def _write(folder: Any, key: str, counts: tuple[int, int], compiled: Any, form: Any) -> None:
     """Writes a program, if it can be written."""
     with contextlib.suppress(Exception):  # pickle, the file system and XLA raise a dozen classes
         from jax.experimental import serialize_executable
 
         file = io.BytesIO()
         _Pickler(file).dump((counts, serialize_executable.serialize(compiled)[0], form))
-        _folder.put(key, file.getvalue())
+        folder.put(key, file.getvalue())
 
 
 def _is_array(leaf: Any) -> bool:

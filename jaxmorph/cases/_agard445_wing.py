@@ -6,7 +6,6 @@ Yates, NASA TM-100492, 1987, "weakened model 3".
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 INCH = 0.0254
 ROOT_CHORD = 21.96 * INCH
@@ -32,6 +31,8 @@ def half_thickness(x: np.ndarray) -> np.ndarray:
     A cubic spline through the published ordinates in t = sqrt(x), in which a round nose is smooth:
     z = t sqrt(2 r) at the leading edge, r its radius.
     """
+    from scipy.interpolate import CubicSpline  # its import takes longer than all other meshes together
+
     t = np.sqrt(np.asarray(STATIONS) / 100)
     ends: Any = ((1, np.sqrt(2 * LEADING_EDGE_RADIUS / 100)), "not-a-knot")
     spline = CubicSpline(t, np.asarray(HALF_THICKNESS) / 100, bc_type=ends)

@@ -1,24 +1,16 @@
 """JAX as the commands use it: double precision, and compiled code that is kept between runs."""
 
-import contextlib
 import hashlib
 import os
 import pathlib
 import platform
-from collections.abc import Iterator
 
 import jax
 
-from jaxmorph._kernels.kept import keep
+from jaxmorph._kernels.kept import is_off, keep
 
 LIMIT = 256 * 2**20
 """Bytes that the folder holds at most; the program that was used longest ago goes first."""
-
-SWITCH = "JAXMORPH_CACHE"
-"""The environment variable that turns it off."""
-
-SHORTEST = "jax_persistent_cache_min_compile_time_secs"
-"""JAX's setting for the shortest compilation that its cache keeps."""
 
 
 def begin(is_own: bool) -> None:
@@ -38,10 +30,7 @@ def keep_compiled(is_own: bool = False) -> None:
     Nothing is kept if `JAXMORPH_CACHE` is `off`, if JAX has a folder already, if the folder cannot
     be written to, or without the packages that find and lock it.
     """
-    if (
-        os.environ.get(SWITCH, "").lower() in ("off", "0", "no", "false")
-        or jax.config.values["jax_compilation_cache_dir"]
-    ):
+    if is_off() or jax.config.values["jax_compilation_cache_dir"]:
         return
     try:
         import filelock  # noqa: F401  JAX locks the folder with it
@@ -56,19 +45,11 @@ def keep_compiled(is_own: bool = False) -> None:
     if os.access(folder, os.W_OK):
         jax.config.update("jax_compilation_cache_dir", str(folder))
         jax.config.update("jax_compilation_cache_max_size", LIMIT)
-        jax.config.update(SHORTEST, 0)  # reading takes a tenth of the shortest compilation
+        jax.config.update(
+            "jax_persistent_cache_min_compile_time_secs", 0
+        )  # reading takes a tenth of the shortest compilation
         if is_own:
-            keep(str(folder), LIMIT, _aside)
-
-
-@contextlib.contextmanager
-def _aside() -> Iterator[None]:
-    """Lets JAX's cache keep nothing."""
-    jax.config.update(SHORTEST, float("inf"))
-    try:
-        yield
-    finally:
-        jax.config.update(SHORTEST, 0)
+            keep(str(folder), LIMIT)
 
 
 def _machine() -> str:
