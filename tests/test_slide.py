@@ -317,7 +317,6 @@ def test_flat_sides_follow_the_base_and_a_torn_one_is_refused():
         assert f"0.25 off (node {node})" in str(off).replace(" their surface", "")
 
 
-@pytest.mark.slow
 def test_walls_and_translations_follow_the_base():
     """Of another base `refit` makes what `prepare` does; pairs that match bit for bit go on to."""
     mesh, (left, right), wrapped = duct()

@@ -50,7 +50,6 @@ def test_an_arc_is_met_to_the_fourth_order():
     assert errors[2] < errors[0] / 50
 
 
-@pytest.mark.slow
 def test_a_plane_stays_a_plane_and_a_thin_plate_its_faces():
     flat = lattice(np.linspace(0, 1, 4), np.linspace(0, 1, 3), [0.0])
     quads = blocks(np.arange(12).reshape(4, 3))
@@ -134,7 +133,6 @@ def test_improve_follows_a_circle_given_by_faces_alone(order):
     assert np.abs(np.asarray(result.points) - start)[outer].max() > 0.1
 
 
-@pytest.mark.slow
 def test_derivatives_across_an_edge_of_the_faces():
     """Where a node passes from a chord of half angle a to one of b, its direction turns by sin(a)^3 + sin(b)^3 at most."""
     vertices, lines, angles = arc(8)

@@ -151,7 +151,6 @@ def test_transpose_and_pieces_between_two_parallel_planes():
     np.testing.assert_allclose(jm.deform(half.attach(points[rows], rows), u), moved[rows], rtol=0, atol=1e-14)
 
 
-@pytest.mark.slow
 def test_a_marched_symmetric_mesh():
     part, role, *_ = whole_and_part(2, 1)
     moving, fixed = np.flatnonzero(role == 1), np.flatnonzero(role == 2)
