@@ -105,7 +105,7 @@ def test_areas_and_volume_agree_with_closed_forms(coarse):
     assert volume == pytest.approx(2 / 3 * np.pi * 512, rel=0.05)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_same_bits_and_silence_inside_a_session_of_the_callers(coarse, capfd):
     gmsh.initialize(readConfigFiles=False, interruptible=False)
     try:

@@ -23,7 +23,7 @@ def marched(mesh, moving, displacement, steps):
     return jm.quality(mesh, points)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_body_that_is_held_far_away_has_sources_of_its_own():
     """They keep the field from pushing it along once the other body is near: by 0.02 of a step at most."""
     mesh = cases.bodies(PASSING)

@@ -99,7 +99,7 @@ def test_the_rim_of_faces():
     assert sorted(rim(np.array([[0, 1], [1, 2]])).ravel()) == [0, 2]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_moved_boundary_is_judged():
     mesh = arc()
     base, inner, outer = mesh.points, mesh.patch("inner"), mesh.patch("outer")

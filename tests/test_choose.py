@@ -27,7 +27,7 @@ def choice(problem):
     return jm.choose(*problem, leaves=(2, 16), methods={})
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_errors_are_those_of_scipys_interpolation(problem, choice):
     """Thin plate spline with a linear polynomial from the same sources, evaluated by SciPy."""
     mesh, moving, fixed, motions = problem
@@ -99,7 +99,7 @@ def test_a_change_of_shape_asks_for_the_fit_and_a_turn_does_not(problem, choice)
     assert not translation.table[translation.chosen]["fit"]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_symmetry_plane_counts_the_image_too():
     """Half a ring: the errors are those of SciPy's interpolation on the whole one, whose motion is known."""
     radius, angle = lattice(np.geomspace(1, 6, 8), np.pi * np.arange(17) / 16).T
@@ -185,7 +185,7 @@ def test_names_and_titles_of_methods_are_unique():
     )
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_camber_asks_for_the_cells_and_half_a_turn_for_a_rigid_blend(problem, monkeypatch):
     """Elastic and torsional cells turn with the wall; half a turn in one step is rigid, and only RigidBlend knows that."""
     mesh, moving, fixed, _ = problem

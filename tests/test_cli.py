@@ -113,7 +113,7 @@ def test_methods_by_name(here, name):
     np.testing.assert_allclose(after.points, expected, rtol=0, atol=1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_order_of_the_motions_and_steps_along_the_circle(here):
     motion = ("--scale", "2", "1", "--rotate", "90", "--translate", "0.25", "0", "--displacement", "shift.csv")
     assert deform("a.su2", *motion, "--displacement-is", "displacement", "--steps", "3", "--sources", "8") == 0
@@ -319,7 +319,7 @@ def _box(tmp_path):
     return file, points, patches
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_symmetry_planes_on_the_command_line(tmp_path):
     file, points, sides = _box(tmp_path)
     arguments = [

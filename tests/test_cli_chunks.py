@@ -34,7 +34,7 @@ def run(file, out, *flags):
     return np.asarray(io.read(out).points)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     "flags",
     [["--steps", "2"], ["--method", "rbf", "--dtype", "float32"]],

@@ -87,7 +87,7 @@ def fields(tree):
             yield from (node, *fields(node))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_every_class_of_fields_has_a_case_with_all_laws():
     found = set()
     for name, dimension in WHOLE:

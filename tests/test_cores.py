@@ -61,10 +61,9 @@ def few_points(monkeypatch):
     ("name", "sides"),
     runs(
         [("radial functions", "fixed")],
-        slow=[("default", "a plane")],
         nightly=[
             *((name, "fixed") for name in METHODS if name != "radial functions"),
-            *((name, "a plane") for name in METHODS if name != "default"),
+            *((name, "a plane") for name in METHODS),
         ],
     ),
 )

@@ -205,7 +205,7 @@ def test_a_wall_stays_in_its_symmetry_plane():
         assert len(report) == count
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_command_line_warns(squares, tmp_path, capsys):
     io.write(tmp_path / "a.su2", squares)
     names = ["--moving", "left", "--fixed", "right", "outer", "--translate", "1.4", "0.7"]

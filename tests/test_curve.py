@@ -106,7 +106,7 @@ def test_inverted_sees_a_fold_between_corners():
 
 @pytest.mark.parametrize(
     "method",
-    runs(slow=[None, jm.LinearElasticity()], nightly=[jm.TorsionalSprings(), jm.RBF.classic(jm.WendlandC2(4.0))]),
+    runs(slow=[jm.LinearElasticity()], nightly=[None, jm.TorsionalSprings(), jm.RBF.classic(jm.WendlandC2(4.0))]),
 )
 def test_methods_move_all_nodes_and_pass_derivatives(method):
     high = jm.curve(jm.elevate(ring(), 3), unit, "wall", "far")
@@ -135,7 +135,7 @@ def test_report_of_straight_cells_is_that_of_their_corners():
             np.testing.assert_allclose(getattr(found, name), getattr(expected, name), rtol=1e-9, err_msg=name)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_wall_and_smooth_measures_of_curved_cells():
     high = jm.curve(jm.elevate(ring(), 2), unit, "wall", "far")
     wall = jm.wall_quality(high, "wall")

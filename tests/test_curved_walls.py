@@ -102,7 +102,7 @@ def test_a_wall_without_the_nodes_between_corners_is_told():
         jm.wall_quality(mesh, np.flatnonzero(np.arange(len(mesh.points)) < 8))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_nodes_slide_on_the_polynomials_of_curved_faces():
     """Of order 3 they miss the circle by the fourth power of a face's length; the linear pieces by the second."""
     errors = []
@@ -124,7 +124,7 @@ def test_nodes_slide_on_the_polynomials_of_curved_faces():
     assert errors[1] < 2 * (np.pi / 12) ** 4 / 10
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_slide_of_a_node_has_the_derivative_of_the_tangent():
     mesh = circles(8, 2)
     ((wall, nodes),), _ = walls_of(mesh, (), "far", ())
@@ -135,7 +135,7 @@ def test_the_slide_of_a_node_has_the_derivative_of_the_tangent():
         np.testing.assert_allclose(slope[k, :, k], np.eye(2) - np.outer(normal, normal), atol=1e-8)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("kind", ["tetra", "hexahedron"])
 def test_nodes_slide_on_curved_faces_in_3d(kind):
     """A floor bent by a quadratic map: faces of order 2 are the map of the plane, and the foot of a point lies on it."""

@@ -46,7 +46,7 @@ def check_base(plan, u, places):
     np.testing.assert_allclose(found[nodes, axes], expected, rtol=1e-6, atol=1e-6 * np.abs(found).max())
 
 
-@pytest.mark.parametrize("planes", [nightly(1), slow(2), nightly(3)])
+@pytest.mark.parametrize("planes", [nightly(1), nightly(2), nightly(3)])
 def test_symmetry_planes(planes):
     part, role, *_ = whole_and_part(3, planes)
     moving, fixed, inner = (np.flatnonzero(role == k) for k in (1, 2, 0))
@@ -63,7 +63,7 @@ def test_symmetry_planes(planes):
     check_base(plan, motion(part)[moving], [(node, axis) for node in (*off[:3], *held) for axis in range(3)])
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_coincident_nodes():
     """A wall node in two copies that move apart, and an inner node on the wall."""
     mesh = body(2)
@@ -91,7 +91,7 @@ def test_hessian_of_the_default(laid):
     np.testing.assert_allclose(found.reshape(expected.shape), expected, rtol=0, atol=1e-8 * np.abs(expected).max())
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_float32():
     """The operator of float32 points is that of float64 as far as seven digits and the solve let it."""
     mesh = body(2)
@@ -123,7 +123,7 @@ def needle():
     return jm.Mesh(points, {"tetra": cells}), np.array([4, 5])
 
 
-@pytest.mark.parametrize(("make", "is_near"), [slow(strip, False), nightly(needle, True)])
+@pytest.mark.parametrize(("make", "is_near"), [nightly(strip, False), nightly(needle, True)])
 def test_every_component_of_improve(make, is_near):
     """The implicit derivative is that of the minimum by the outer nodes, and zero by the inner ones, where the search begins.
 
@@ -158,7 +158,7 @@ def test_every_component_of_improve(make, is_near):
     assert (slopes[:, :, inner] == 0).all()
 
 
-@pytest.mark.parametrize("rebuild", [nightly(False), slow(True)])
+@pytest.mark.parametrize("rebuild", [nightly(False), nightly(True)])
 def test_every_component_of_a_path(rebuild):
     """`replay` by the path, where each step starts on the mesh that the steps before it left; forward mode along one direction."""
     mesh = body(2)

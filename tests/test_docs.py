@@ -20,7 +20,7 @@ from jaxmorph.cli._requests import COMMANDS
 
 PAGES = ROOT / "docs" / "pages"
 WITH_CODE = sorted(str(page.relative_to(ROOT)) for page in PAGES.rglob("*.md") if "```python" in page.read_text())
-LONG = [page for page in WITH_CODE if pathlib.Path(page).stem in ("methods", "plot", "shapes", "steps")]
+LONG = [page for page in WITH_CODE if pathlib.Path(page).stem != "first_ten_minutes"]
 NUMBER = r"(?<![\w.])[+-]?\d+\.?\d*(?:e[+-]?\d+)?"
 
 

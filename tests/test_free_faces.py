@@ -43,7 +43,7 @@ def bump(mesh):
     return np.stack([0 * x, 0.05 * np.sin(np.pi * x) ** 2], axis=1)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_command_line_prepares_the_mesh_as_python_does(here):
     """Walls that touch are told apart by their faces: without them the result is another one."""
     mesh = io.read("channel.su2")

@@ -81,7 +81,7 @@ def test_inspect_says_how_much_of_a_gap_is_left():
     assert jm.inspect(plan, closing(base, 0.5)).gap_left is None
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("case", ["channel", "valve"])
 def test_layers_end_between_walls_that_have_moved(case):
     """Gaps that close to 2 % in steps: the layers are laid anew, and no cell is inverted."""

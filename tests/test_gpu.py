@@ -48,7 +48,7 @@ def test_blocks_fit_the_platform():
         assert name == "refit" or gpu.steps(function, shapes, "cpu") > 10_000
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("method", [None, jm.SurfaceReconstruction.published(4, 4)], ids=["default", "published"])
 def test_other_methods(method):
     mesh = body(3)

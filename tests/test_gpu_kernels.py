@@ -170,7 +170,7 @@ def test_a_basis_that_is_not_elementwise_is_left_to_blocks(monkeypatch):
     assert not fused.is_fused(fused.Radial(jm.Gaussian(1.0), jnp.ones(())), jnp.dtype("float16"))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_plan_moves_as_without_a_kernel(monkeypatch):
     """By one operation inside a `jit`: points, products with the Jacobian and its transpose, batches, second derivatives."""
     points = numbers(90, 3)

@@ -65,7 +65,7 @@ def turned_in_steps(mesh, fixed_reduction, degrees):
     return jm.quality(mesh, jm.march(plan, path)[1])
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_cascade_turns_as_far_as_with_every_source():
     mesh = cases.cascade()
     few, graded, classic = (turned_in_steps(mesh, each, -44) for each in (jm.KDTree(16), jm.Graded(), None))

@@ -64,7 +64,7 @@ CASES = {
 """A mesh, its lists, the rest of `prepare`'s arguments, the nodes of each piece, and a displacement."""
 
 
-@pytest.mark.parametrize("name", runs(["graph"], ["default"], ["symmetry", "multiscale", "rbf", "sliding"]))
+@pytest.mark.parametrize("name", runs(["graph"], nightly=["default", "symmetry", "multiscale", "rbf", "sliding"]))
 def test_pieces_move_as_the_whole(mesh, name):
     """Whatever the splitting: places, walls, nodes that pieces share, and the sum of the pieces' gradients."""
     given, lists, options, pieces, u = CASES[name](mesh)
@@ -93,7 +93,7 @@ def test_pieces_move_as_the_whole(mesh, name):
     np.testing.assert_allclose(total, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_pieces_march_and_replay(mesh):
     plan, half = jm.prepare(mesh, "airfoil", "farfield"), jm.prepare_surface(mesh, "airfoil", "farfield")
     u, points, nodes = displacement(half, mesh), np.asarray(mesh.points), pieces_of(mesh)[2]

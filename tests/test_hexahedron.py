@@ -54,7 +54,7 @@ def test_a_box_with_parallel_edges_is_free_form():
     np.testing.assert_array_equal(np.asarray(box(x, control))[outside], x[outside])
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_derivatives_by_positions_are_differences():
     rng, box = np.random.default_rng(3), shapes.Hexahedron(BENT, (3, 2, 2))
     x, control = inside(BENT, rng.uniform(0.1, 0.9, (3, 3))), rng.normal(size=(3, 2, 2, 3))

@@ -27,7 +27,7 @@ def bump(mesh, a):
     return a * jnp.sin(jnp.pi * x) * jnp.array([[0.0, 1.0]])
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_hessian_vector_products_of_quality(mesh, plan):
     """Forward over reverse, the cheap way: costs a few gradients, whatever the number of displacements."""
 

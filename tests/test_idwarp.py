@@ -184,7 +184,7 @@ def test_planes_that_face_each_other_as_dafoam_gives_them(grids):
     dot_is_equal(mesh)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("is_turning", [True, None])
 def test_the_method_is_idwarps_or_the_default(grids, is_turning):
     """`useRotations` asks for IDWarp's; without it the mesh moves as `prepare` moves it."""
@@ -296,7 +296,7 @@ def test_a_definition_from_a_file_of_blocks(grids, tmp_path):
     np.testing.assert_allclose(mesh.getCommonGrid().reshape(-1, 3)[wall], nodes[wall] + [0, 0, 0.1], atol=1e-8)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_several_grids_of_one_file_move_each_by_itself(tmp_path):
     """Oracle: each grid alone in a file. The third has no options and stays; its faces on the surface move nothing."""
     path = tmp_path / "overset.cgns"
@@ -595,7 +595,7 @@ def test_the_extra_says_what_else_it_needs():
     assert "ImportError: pieces over MPI need mpi4py and an MPI library: pip install" in done.stderr
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_two_processes_have_what_one_has(grids, tmp_path):
     command = pathlib.Path(sys.executable).with_name("mpiexec")
     if not command.exists():

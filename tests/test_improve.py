@@ -102,7 +102,8 @@ def test_inverted_cells_have_a_finite_energy_that_pulls_them_back(kind):
     assert along[2] > 10
 
 
-@pytest.mark.parametrize("dimension", runs(slow=[2], nightly=[3]))
+@pytest.mark.nightly
+@pytest.mark.parametrize("dimension", [2, 3])
 def test_hessian_blocks_are_those_of_the_energy_where_it_is_convex(dimension):
     """At the target the Hessian is positive: blocks add up to it, and the host solves with it."""
     mesh = unit_grid(3, dimension)
@@ -158,7 +159,7 @@ def _softened(distortion, softness):
     return eqx.tree_at(lambda it: it.softness, distortion, jnp.asarray(softness))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_nodes_slide_in_planes():
     """The lattice is the minimum for ideal squares, and its sides come back to it along themselves, to SciPy's digits."""
     mesh = unit_grid(3)
@@ -246,7 +247,7 @@ def test_steps_lead_along_walls_and_partners_follow():
     np.testing.assert_array_equal(ways.matched(jnp.asarray(start), jnp.asarray(moved)), matched)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_nodes_slide_on_curved_walls_and_pairs_move_alike():
     """The undeformed mesh is its own minimum: nodes that have slid along a circle, or between periodic sides, come back."""
     mesh, radius, angle, wrapped = quarter()
@@ -264,7 +265,7 @@ def test_nodes_slide_on_curved_walls_and_pairs_move_alike():
     assert np.array_equal(found[mesh.patch("hub")], points[mesh.patch("hub")])
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_node_at_a_quarter_turn_from_its_start_is_no_minimum():
     """A step in the plane of the start, put back on the circle, ends there at the farthest: its slope vanishes."""
     mesh = ring(16, (1, 1.5, 2), ("inner", "outer"))
@@ -276,7 +277,7 @@ def test_a_node_at_a_quarter_turn_from_its_start_is_no_minimum():
     assert "stopped early" in str(result)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_second_derivatives_on_curved_walls_and_of_pairs():
     """Blocks add up to the Hessian, with the walls' curvature in it; what is off a wall or follows a partner has none."""
     mesh, _, _, wrapped = quarter()
@@ -318,7 +319,7 @@ def test_nodes_slide_on_faces():
     assert np.array_equal(np.asarray(result.points)[:16], points[:16])
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_undeformed_mesh_is_left_alone_and_keeps_its_boundary_layer():
     mesh = unit_grid(6)
     points = mesh.points.copy()
@@ -329,7 +330,7 @@ def test_the_undeformed_mesh_is_left_alone_and_keeps_its_boundary_layer():
     np.testing.assert_allclose(jm.improve(mesh, points + 0.2).points, points + 0.2, atol=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("order", [1, 2])
 def test_what_held_nodes_invert_is_told(order):
     """A corner of the square lies beyond its neighbours on the sides, which are held too: its cell stays inverted."""
@@ -375,7 +376,7 @@ def rotated(mesh, degrees):
     return jm.shapes.rotate(base, -np.deg2rad(degrees), [0.25, 0]) - base
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("degrees", [90])
 def test_an_airfoil_beyond_what_graph_mapping_bears(degrees):
     mesh = cases.naca0015(points=1500)

@@ -138,7 +138,8 @@ def test_derivatives_of_the_stiffened_minimum_of_mixed_cells_in_3d():
     assert np.abs(slope).min() > 0.01  # not the minimum without bounds
 
 
-@pytest.mark.parametrize("height", runs(slow=[0.3], nightly=[0.5]))
+@pytest.mark.nightly
+@pytest.mark.parametrize("height", [0.3, 0.5])
 def test_it_is_never_worse_than_without(height):
     """A bulge whose worst cell is slanted, not small: a lower bound on its distortion would make others smaller."""
     mesh = unit_grid(4)
@@ -151,7 +152,7 @@ def test_it_is_never_worse_than_without(height):
     np.testing.assert_allclose(batch(jnp.stack([points] * 2))[1], worst.points, rtol=0, atol=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_skewness_is_not_the_price_of_nothing():
     """A layer from 1e-7 on, whose upper cells bulge: no stage raises the ratio by 0.5 %, and all stages skew the cells."""
     mesh = unit_grid(4)
@@ -179,7 +180,7 @@ def test_nodes_of_planes_stay_on_them_and_cells_without_free_nodes_do_not_count(
     assert float(held.residual) == 0
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_cell_that_is_invalid_from_the_start_is_told_and_judged_by_its_own_margin():
     """A quad with a corner beyond its diagonal, undeformed: not inverted by the motion, not proven, and no worse."""
     mesh = unit_grid(3)

@@ -66,7 +66,7 @@ def test_a_wall_sliding_along_a_held_boundary_is(mesh):
     assert "`sliding`" in found.warnings[0]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_sliding_is_advised_only_where_a_fixed_boundary_touches_the_moving_one():
     """A cylinder made wavy has no boundary beside it, a shaft in its bearing has one that does not touch it."""
     mesh = ring(96, 0.5 * 1.15 ** np.arange(20))
@@ -131,7 +131,7 @@ def test_a_radius_below_the_motion_is_told(mesh):
             assert told == (share > 1 and np.isfinite(plan.reach))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_mesh_that_steps_tangle_is_improved_when_asked():
     """A store that leaves a wing for the far side: improved, it gets farther, and all that the result says is true."""
     mesh = cases.bodies({"wing": (-2.0, 2.0, 1.0, 1.5), "store": (-0.5, 0.5, 0.0, 0.5)})
@@ -218,7 +218,7 @@ def square():
     return jm.Mesh(points, mesh.cells, edges), moving, turned
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_improving_keeps_a_surface_inside_of_the_mesh_where_it_was_sent():
     mesh, moving, turned = square()
     plan = jm.prepare(mesh, moving, tuple(mesh.patches))

@@ -66,7 +66,7 @@ def test_scipy_agrees(name, dimension):
     np.testing.assert_allclose(jm.deform(plan, u) - points, reference, rtol=0, atol=1e-8 * np.abs(reference).max())
 
 
-@pytest.mark.parametrize("name", runs(slow=["wendland"], nightly=["thin-plate", "gaussian", "multiquadric"]))
+@pytest.mark.parametrize("name", runs(nightly=["wendland", "thin-plate", "gaussian", "multiquadric"]))
 def test_blocks_are_the_one_point_form(name):
     plan, u, w = case(name)
     scale = np.abs(one_by_one(plan, u)).max()
@@ -82,7 +82,7 @@ def test_blocks_are_the_one_point_form(name):
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_every_transformation():
     """jvp, vjp, both Jacobians, vmap inside and outside of grad, grad of grad, scan: against the dense operator."""
     plan, u, w = case("thin-plate", n=BLOCK + 20, s=25)

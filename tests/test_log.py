@@ -54,7 +54,7 @@ def test_special_values():
     assert np.abs(found[1:3]).max() < 1e-306
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("function", [log, half_x_log_x])
 def test_derivatives(function):
     """First, second and third, forward and reverse, against closed forms."""

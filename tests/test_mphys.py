@@ -119,7 +119,7 @@ def test_nonsense_is_refused_by_name(plan):
         mphys.VolumeBuilder(flat)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_one_shape_moves_openaerostructs_lattice_and_a_volume_mesh():
     """Lift and drag of the lattice, and the volume's points, both by the same design variables, with total derivatives."""
     meshing = pytest.importorskip("openaerostruct.meshing.mesh_generator")

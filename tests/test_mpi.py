@@ -10,7 +10,7 @@ import pytest
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_two_processes_move_one_mesh():
     pytest.importorskip("mpi4py")
     command = pathlib.Path(sys.executable).with_name("mpiexec")

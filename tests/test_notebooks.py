@@ -49,7 +49,7 @@ def with_parameters(notebook, values):
 
 # Warnings are those of Jupyter's client; what the notebook's own kernel warns of is looked for in its output.
 @pytest.mark.filterwarnings("ignore")
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     "name", [name if name in OFTEN else pytest.param(name, marks=pytest.mark.nightly) for name in sorted(SMALL)]
 )
@@ -68,7 +68,7 @@ def said_by(name):
     return "".join(output.get("text", "") for output in said)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.filterwarnings("ignore")
 def test_the_notebook_of_openfoam_does_without_it(monkeypatch, tmp_path):
     """Where the programs are not found, one sentence and no numbers."""

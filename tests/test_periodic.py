@@ -49,7 +49,7 @@ def test_laws_with_periodic_sides(dimension, method, tmp_path):
     assert (jm.deform(jm.load(tmp_path / "plan.npz"), u) == moved).all()
 
 
-@pytest.mark.parametrize(("dimension", "method"), runs(slow=[(2, LOCAL)], nightly=[(2, TPS), (3, TPS)]))
+@pytest.mark.parametrize(("dimension", "method"), runs(nightly=[(2, LOCAL), (2, TPS), (3, TPS)]))
 def test_derivatives_by_the_base_with_periodic_sides(dimension, method):
     points, moving, fixed, sides, u = sector(dimension)
     plan = jm.prepare(points, moving, fixed, method=method, periodic=joined(dimension, sides))
@@ -67,7 +67,7 @@ def test_derivatives_by_the_base_with_periodic_sides(dimension, method):
     np.testing.assert_allclose(np.vdot(objective(points)[1], step), difference, rtol=1e-5)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_steps_and_parts_of_a_periodic_mesh():
     points, moving, fixed, sides, u = sector(2)
     arguments = {"method": TPS, "periodic": joined(2, sides)}
@@ -84,7 +84,7 @@ def test_steps_and_parts_of_a_periodic_mesh():
     np.testing.assert_allclose(jm.deform(sharded, u), jm.deform(plan, u), rtol=0, atol=1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_two_directions_and_a_plane():
     """A box repeated along x and y, mirrored in z: corners are in two pairs, and all that repeat each other move alike."""
     axes = np.linspace(0, 1, 5)
@@ -106,7 +106,7 @@ def test_two_directions_and_a_plane():
         jm.prepare(points, moving, fixed, method=TPS, periodic=pairs, symmetry=jm.Plane([1, 0, 0], [0, 0, 0]))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_blade_turns_farther_between_periodic_sides():
     mesh = cases.cascade(around=80, layers=16, first_cell=1e-2, periodic=True)
     blade = np.asarray(mesh.points)[mesh.patch("blade")]

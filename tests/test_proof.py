@@ -65,7 +65,7 @@ def test_bounds_agree_with_samples(shape, order):
     check_against_samples(COMPLETE[shape, order], 60, 7)
 
 
-@pytest.mark.parametrize("order", runs(slow=[3], nightly=[1, 2, 4]))
+@pytest.mark.parametrize("order", runs(nightly=[1, 2, 3, 4]))
 @pytest.mark.parametrize("shape", SHAPES)
 def test_bounds_agree_with_dense_samples_near_the_limit(shape, order):
     """10,080 cells in all, 17 samples along each direction."""

@@ -373,7 +373,7 @@ def test_the_gate_proves_the_whole_motion(tmp_path, capsys, monkeypatch, flags, 
         assert 0.8 < margin <= (1 + np.cos(np.pi / 4)) / 2
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(("steps", "valid"), [("1", 0), ("4", 12)])
 @pytest.mark.filterwarnings("ignore:.*the case is decomposed")
 def test_the_gate_proves_the_motion_of_parts(tmp_path, capsys, steps, valid):

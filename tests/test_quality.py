@@ -544,7 +544,7 @@ def test_what_the_host_measures_is_what_a_trace_does(kind):
             assert float(getattr(traced, name)) == pytest.approx(float(getattr(host, name)), rel=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_cells_in_blocks_are_the_same_and_so_are_derivatives(monkeypatch):
     """20 quads in two blocks, 32 triangles in three and a part; the oracle is all of them together."""
     points, quads = box((6, 6))

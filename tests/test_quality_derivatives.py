@@ -72,9 +72,7 @@ def by_smooth_measures(mesh, points, solid):
 
 @pytest.mark.parametrize(
     "name",
-    runs(
-        slow=["triangle", "line"], nightly=[name for name in (*SOLIDS, *SURFACES) if name not in ("triangle", "line")]
-    ),
+    runs(slow=["line"], nightly=[name for name in (*SOLIDS, *SURFACES) if name != "line"]),
 )
 def test_component_by_component(name):
     """Forward, reverse and differences agree on sound and inverted cells; all are finite where there is no derivative.

@@ -55,7 +55,7 @@ FLAT = (
     ),
 )
 SOLID = ("extruded circle, 3 over 1", "wing", "box, tetra", "sphere", "rod on a held floor")
-OFTEN = ("C-grid 0015", "O-grid, sharp", "sphere")
+OFTEN = ("C-grid 0015", "sphere")
 """`.ci/run` has these, `.ci/nightly` all of them."""
 
 
@@ -88,7 +88,7 @@ def test_the_default_never_loses(rows, name):
     assert not set(short) - KNOWN, short
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_cells_beside_a_symmetry_plane_follow_the_wall(rows):
     """Nodes of parallel planes are guided by the same layer at the wall: one layer of cells between planes lost 2 of them."""
     case = named(rows, "extruded circle, 3 over 1")

@@ -87,7 +87,7 @@ def test_sides_of_airfoils():
         )  # nose and tail may be either
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("last", [pytest.param(0.1015, marks=pytest.mark.slow), 0.1036])
 def test_cst_fits_an_airfoil_with_a_blunt_or_sharp_edge(last):
     x = naca(0.0, 0.4, 0.12, last=last)
@@ -101,7 +101,7 @@ def test_cst_fits_an_airfoil_with_a_blunt_or_sharp_edge(last):
     assert shape(x, shape.neutral()).shape == x.shape
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_fits_find_the_parameters_of_linear_and_other_shapes():
     box = shapes.FreeForm.around(AIRFOIL, (3, 3))
     truth = 0.1 * random_like(box.neutral())

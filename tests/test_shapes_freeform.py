@@ -86,7 +86,8 @@ def test_a_box_around_points_holds_them_all():
         np.testing.assert_allclose([low, high], [cloud(d).min(axis=0), cloud(d).max(axis=0)], atol=1e-14)
 
 
-@pytest.mark.parametrize("k", runs(slow=[1], nightly=[0, 2]))
+@pytest.mark.nightly
+@pytest.mark.parametrize("k", [0, 1, 2])
 def test_continuity_joins_the_border(k):
     """Displacement and k derivatives across the border are zero on it."""
     box = shapes.FreeForm([0.0, 0.0], np.eye(2), (8, 9), degree=(3, 4), continuity=k)
@@ -210,7 +211,7 @@ def test_points_by_control_points_forward_and_reverse(d):
     np.testing.assert_allclose(back.ravel(), np.einsum("nd,ndk->k", cotangent, forward), atol=1e-11)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("degree", [2, None])
 def test_a_child_follows_its_parent(degree):
     """Exactly where the parent moves affinely, also in a child of the child; alone it is the child, and outside it the parent."""

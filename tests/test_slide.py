@@ -110,7 +110,7 @@ def test_a_shroud_between_sliding_lids(shape, tmp_path):
     check_derivatives(plan, u)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_root_of_a_wing_travels_along_its_body():
     """Nodes of wing and body stay on the body's cylinder, where its others follow; those of the wing go where `u` says."""
     mesh = cases.blade_tip(gap=0.4, layers=3)
@@ -134,7 +134,7 @@ def test_the_root_of_a_wing_travels_along_its_body():
     assert int(jm.quality(mesh, held).inverted) > 0
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_steps_along_a_shroud():
     mesh = drum()
     plan = jm.prepare(mesh, "hub", ("bottom", "top"), sliding=jm.Slide("shroud", AXIS), method=TPS)
@@ -165,7 +165,7 @@ def similar(points):
     return 1.3 * points @ turn.T + np.array([0.3, -0.2])
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_polygon_and_a_circle():
     mesh = ring(16, (1, 1.5, 2), ("inner", "outer"))
     inner = mesh.points[mesh.patch("inner")]
@@ -217,7 +217,7 @@ def test_a_circle_in_single_precision_and_an_ellipse():
         walls_of_patch(slide, outer, mesh.points * [1, 1.1], None)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_face_without_area():
     """A pyramid of quads, each of which ends in the pole: one of its triangles has no area."""
     points = np.array([[1.0, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0], [0, 0, 0.5]])
@@ -269,7 +269,7 @@ def test_what_does_not_slide():
         jm.Revolution((1, 0, 0), profile=[(1, 1), (0, 1)])
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_pairs_slide_along_walls_that_repeat_each_other():
     """A ceiling that is steeper at one end than at the other, or slides at one end alone, is no surface of both partners."""
     mesh = box_with_hole()
@@ -291,7 +291,7 @@ def duct():
     return mesh, ends, {"sliding": ("bottom", "top"), "periodic": jm.Periodic("left", "right")}
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_flat_sides_follow_the_base_and_a_torn_one_is_refused():
     """Of a stretched base `refit` makes what `prepare` does; it says which node has left a side or the symmetry plane."""
     mesh, boundary = box_with_hole(), {"sliding": ["left", "right", "top"], "symmetry": jm.Plane((0, 1), (0, -4))}
@@ -337,7 +337,7 @@ def test_walls_and_translations_follow_the_base():
 
 
 @pytest.mark.parametrize(
-    "name", runs(slow=["default", "inverse-distance"], nightly=["delaunay", "reduced", "laplacian"])
+    "name", runs(slow=["inverse-distance"], nightly=["default", "delaunay", "reduced", "laplacian"])
 )
 def test_methods_between_sliding_and_periodic_patches(name):
     """The wrappers keep the laws of the contract, whatever the method: exact or not, on cells or not, linear or not."""

@@ -9,7 +9,7 @@ from jaxmorph import cases
 from jaxmorph._boundary.holes import filled
 from jaxmorph._host.cells.pieces import boundary_faces
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.nightly
 
 
 def off_triangles(points, triangles):

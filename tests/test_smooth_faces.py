@@ -31,7 +31,7 @@ def reached(surface, x):
     return map(np.asarray, eqx.filter_jit(surface.nearest)(jnp.asarray(x)))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_an_arc_is_met_to_the_fourth_order():
     """The chords miss it by the second power of their length; also at the ends, where faces lie on one side."""
     errors = []
@@ -61,7 +61,7 @@ def test_a_plane_stays_a_plane_and_a_thin_plate_its_faces():
         np.testing.assert_allclose(np.abs(normals), np.broadcast_to([0, 0, 1], x.shape), rtol=0, atol=1e-14)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_spheres_and_cylinders_are_met():
     """Normals are exact on a sphere whatever its triangles; the places are by the fourth power of their length."""
     errors = []

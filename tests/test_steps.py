@@ -122,7 +122,7 @@ def test_one_coarse_step_and_three_of_the_correction():
     np.testing.assert_allclose(points, jm.deform(planned("few"), u), rtol=0, atol=1e-13)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(("name", "rebuild"), [("few", False), pytest.param("few", True, marks=pytest.mark.slow)])
 def test_gradients_of_replay(name, rebuild):
     """With respect to the whole path and to the base points, the ids as they were recorded."""

@@ -374,7 +374,7 @@ def test_a_box_of_splines_gives_the_wall_at_rest(folder):
     assert np.abs(wall - x).max() > 0.01
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("continuity", ["NO_DERIVATIVE", "2ND_DERIVATIVE", "USER_INPUT", None])
 def test_boxes_in_3d(folder, continuity):
     """A box that ends within the wall holds the planes of control points behind that face; one around it holds none."""
@@ -515,7 +515,7 @@ def test_a_gradient_by_boxes_is_its_differences(folder):
     np.testing.assert_allclose(gradient, differences, rtol=1e-6, atol=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_both_commands_on_boxes_that_the_mesh_keeps(folder, tmp_path, capsys):
     """FFD_SETTING puts a box into the mesh, two deformations go on from each other, and dot is their derivative."""
     mesh = io.read(folder / "airfoil.su2")

@@ -38,7 +38,7 @@ def test_full_interpolation_equals_that_of_the_whole_mesh(dimension, planes):
 
 @pytest.mark.parametrize(
     ("name", "dimension", "planes"),
-    runs(slow=[("reconstruction", 2, 1), ("multiscale", 3, 2)], nightly=[("full", 3, 2)]),
+    runs(slow=[("reconstruction", 2, 1)], nightly=[("multiscale", 3, 2), ("full", 3, 2)]),
 )
 def test_laws_with_symmetry_planes(name, dimension, planes):
     part, role, *_ = whole_and_part(dimension, planes)
@@ -127,7 +127,7 @@ def body_in_a_channel():
     return mesh, body, ends, planes, np.tile([0.05, 0.1], (len(body), 1))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_thin_layers_beside_two_parallel_planes():
     """Cells keep their shape although they move by thousands of their height."""
     mesh, body, ends, planes, u = body_in_a_channel()
@@ -179,7 +179,7 @@ def test_a_plane_anywhere():
     assert exact.origin[0] == 0.1
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_patch_that_lies_in_several_planes():
     """Front and back, or all sides of a duct, as one patch: the planes one by one. A duct of one cell's width is the hardest."""
     axes = np.linspace(0, 2, 7), np.array([0, 1.0]), np.array([0, 0.5, 1.5])

@@ -65,7 +65,7 @@ def test_names_find_the_numbers_they_name():
     assert shapes.names({}) == []
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("steps", [1, 2])
 def test_pullback_is_the_derivative_by_every_parameter(ring, steps):
     plan = jm.prepare(ring.points, np.arange(24), np.arange(192, 216), method=jm.RBF.classic())
@@ -172,7 +172,7 @@ def objective(weights, *changes):
     return np.vdot(weights, io.read("out.su2").points)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_sensitivities_of_a_job_are_the_slopes_of_what_deform_does(here, capsys):
     """Against differences of runs of `deform --set`: the file, its JSON and the terminal say the same."""
     assert main(["sensitivity", "--job", "job.toml", "volume.npz", "dJ.csv"]) == 0
@@ -255,7 +255,7 @@ def test_a_change_that_is_none(here, capsys):
     assert "--set without --job" in capsys.readouterr().err
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_surface_sensitivity_goes_on_to_a_job_without_the_volume(ring, tmp_path, capsys):
     """A bump on the upper side, a class function on the lower one, and a box that leans, from the wall's own sensitivities."""
     write_ring(tmp_path / "ring.su2")

@@ -44,7 +44,7 @@ def judged(mesh, points):
     return int(report.inverted), float(report.min_jacobian_ratio)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_fit_is_the_least_of_its_sum():
     """The sum of squares in the docstring, written out with derivatives of the field by JAX, has no slope at the answer."""
     mesh, ell, mu = body(2), 0.2, 0.15
@@ -102,7 +102,7 @@ def test_both_lengths_are_differentiable():
         assert abs(difference) > 1e-3
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("code", ["8306", "9412"])
 def test_kinks_invert_nothing(code):
     """The displacement of the lower side is another share of the upper one's: a kink at both edges of a thin section."""
@@ -202,7 +202,7 @@ def test_chord_of_a_sphere():
     assert share[0] * span == pytest.approx(np.pi, rel=0.2)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_free_side_stays_flat():
     """Half of a body with its plane named nowhere: no displacement across the plane, so none of the plane's nodes."""
     mesh = cases.wing(points=1000, stations=7)
@@ -228,7 +228,7 @@ def far_away(radius):
     return mesh.moved(arms * np.maximum(distance, 1) ** (power - 1) + np.array([0.5, 0]))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_bump_leaves_the_far_field_alone():
     """The classic method, and the fit without rings, move nodes 100 chords away by several bumps' heights."""
     radius = 500
@@ -320,7 +320,7 @@ def test_a_finer_sharp_section_keeps_the_cells_at_its_tip(shape):
     assert default > 0.9 * classic > 0.5
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_sharp_blade_turns_in_its_passage():
     """The cell behind the trailing edge, whose corner is nearly straight, no longer decides; what is affine stays so."""
     mesh = cases.cascade(around=160, layers=40, first_cell=1e-3, periodic=True)

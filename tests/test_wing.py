@@ -127,7 +127,7 @@ def test_the_turn_is_nose_up():
     np.testing.assert_allclose(tail, [0.75 * np.cos(np.pi / 6) - 0.75, 0, -0.375], atol=1e-15)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @both_sizes
 @pytest.mark.parametrize("symmetric", [pytest.param(False, marks=pytest.mark.nightly), True], ids=["free", "plane"])
 @pytest.mark.parametrize("method", [pytest.param(REDUCED, marks=pytest.mark.nightly), None], ids=["paper's", "default"])
@@ -139,7 +139,7 @@ def test_bending(wing, method, symmetric):
         assert start.aspect_ratio.mean() < end.aspect_ratio.mean() < start.aspect_ratio.mean() + 0.36 * amplitude**2
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @both_sizes
 def test_bending_spares_the_volumes_that_graph_mapping_squeezes(wing):
     u = agard445_mode(wing.base, 1, 0.25)
