@@ -29,6 +29,9 @@ SNAP = 2e-9
 TRIALS = 4
 """Most jitters tried: qhull now and then ends with a precision error on good nodes."""
 
+OPTIONS = "Qbb Qc Qz Q12 Q5"
+"""SciPy's options of qhull, without a last check of outer planes, which simplices do not use."""
+
 FLAT = 64
 """A simplex lower than this times the round-off of the coordinates holds no point."""
 
@@ -105,7 +108,7 @@ def _graph(nodes: np.ndarray, flat: float) -> Delaunay:
     graph, snapped = None, _snapped(nodes)
     for phase in range(TRIALS):
         with contextlib.suppress(QhullError):
-            graph = _Graph(_jittered(snapped, phase))
+            graph = _Graph(_jittered(snapped, phase), qhull_options=OPTIONS)
             break
     if graph is None or not _has_volume(nodes, graph.simplices, flat):
         raise ValueError(

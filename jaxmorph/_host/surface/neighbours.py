@@ -149,7 +149,7 @@ def _nearest(
     def search_all(part: slice) -> None:
         # A list is searched only for points whose nearest node so far is farther than the list's
         # box. The list with the nearest box comes first: it holds the nearest node of most points.
-        away = np.stack([_to_box(points[part], tree) for tree in trees])
+        away = np.stack([to_box(points[part], tree) for tree in trees])
         away[away > np.array([[(1 + SAME) * bound] for _, bound in bounded])] = np.inf
         first = away.argmin(axis=0)
         for is_first in (True, False):
@@ -161,7 +161,7 @@ def _nearest(
     return distance, nearest
 
 
-def _to_box(points: np.ndarray, tree: Tree) -> np.ndarray:
+def to_box(points: np.ndarray, tree: Tree) -> np.ndarray:
     """Measures the distances (n,) of points from the box of a tree's points."""
     gaps = (
         np.maximum(np.maximum(low - x, x - high), 0)
