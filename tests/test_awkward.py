@@ -35,7 +35,7 @@ def test_a_body_that_is_held_far_away_has_sources_of_its_own():
     assert off[np.isin(np.asarray(later.surface_nodes), mesh.patch("lower"))].max() < 0.02 * 0.2
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("boxes", "moving", "way", "steps", "least"),
     [(PASSING, "upper", (6.0, 0.0), 30, 0.15), (STORE, "store", (0.0, -3.4), 20, 0.05)],
@@ -48,7 +48,7 @@ def test_bodies_pass_and_leave(boxes, moving, way, steps, least):
     assert float(report.min_jacobian_ratio) > least
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_horns_of_ice_grow_on_an_airfoil():
     """Two horns, 5 % of the chord high and 2 % wide."""
     mesh = cases.naca0015(points=2000)

@@ -131,7 +131,7 @@ def test_nodes_at_one_place_move_alike():
     np.testing.assert_array_equal(moved[1][-1], points[-1])
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_multigrid_agrees_with_the_factors(monkeypatch):
     pytest.importorskip("pyamg")
     mesh, answers = cases.bricks("tetra", cells=4), []
@@ -151,7 +151,7 @@ def test_multigrid_agrees_with_the_factors(monkeypatch):
         np.testing.assert_allclose(np.vdot(pushed, w), np.vdot(u, pulled), rtol=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_transpose_and_batches_of_meshes():
     """Two meshes of one family under `vmap`: each has its own matrix, and none the other's answer."""
     points, quads, ids = slab(2)

@@ -87,7 +87,7 @@ def test_the_choice_moves_the_mesh_as_the_table_says(problem, choice):
     assert all(a or b for a, b in zip(missing, worse, strict=True))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_change_of_shape_asks_for_the_fit_and_a_turn_does_not(problem, choice):
     """Camber turns the wall along the chord; a body that turns as a whole needs no fit to keep its grid lines."""
     mesh, moving, fixed, _ = problem
@@ -217,7 +217,7 @@ def test_wrong_motions_are_named(problem, motions):
         jm.choose(*problem[:3], motions)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_where_sources_determine_no_field_other_methods_are_left():
     """Two nodes span no plane, and the moving one alone has no extent to take a radius from."""
     points = np.random.default_rng(0).random((12, 2))

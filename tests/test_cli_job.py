@@ -249,7 +249,7 @@ def test_json_is_one_object_and_says_what_the_text_says(here, capsys):
     assert said.err.count("\n") == 1
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_verbose_tells_the_time_of_each_stage(here, capsys):
     assert main(["deform", "ring.su2", "out.su2", *MOVE, "--verbose"]) == 0
     said = capsys.readouterr().out

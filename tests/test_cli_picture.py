@@ -39,7 +39,7 @@ def block(*more):
     return main(["deform", "block.su2", "out.su2", *motion, *more])
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_in_2d_before_and_after_side_by_side(here, capsys):
     assert ring("--rotate", "20", "--picture", "ring.png", "--save-job", "job.toml") == 0
     assert "picture  ring.png\n" in capsys.readouterr().out

@@ -49,7 +49,7 @@ def test_between_good_and_useless_is_a_warning():
     np.testing.assert_allclose(moved - mesh.points, expected, rtol=0, atol=1e-7)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_large_condition_number_alone_is_no_fault():
     """The sources of a C-grid lie 1e-3 to 15 chords apart: reciprocal condition 1e-11 and less, interpolated values right."""
     mesh = cases.naca0015(points=2000)

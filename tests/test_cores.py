@@ -145,6 +145,7 @@ def test_a_surface_without_extent_is_refused_beside_other_work(monkeypatch, coun
         )
 
 
+@pytest.mark.nightly
 def test_tables_of_the_transpose_are_made_for_derivatives_alone(monkeypatch):
     from jaxmorph._methods import sparse
 

@@ -76,6 +76,7 @@ def test_curved_ring_converges_to_the_circle(order):
     assert errors[1] < errors[0] / 2 ** (order + 0.8)  # that of straight walls is of order 2
 
 
+@pytest.mark.nightly
 def test_surface_as_places_function_and_mesh():
     high = jm.elevate(ring(), 2)
     nodes = high.patch("wall")

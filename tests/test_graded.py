@@ -74,7 +74,7 @@ def test_a_cascade_turns_as_far_as_with_every_source():
     assert float(graded.min_jacobian_ratio) > 0.9 * float(classic.min_jacobian_ratio)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("degrees", [-44, 42])
 def test_the_default_turns_the_cascade_as_far(degrees):
     mesh = cases.cascade()

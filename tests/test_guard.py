@@ -30,6 +30,7 @@ def airfoil():
     return mesh, plan, motion, area
 
 
+@pytest.mark.nightly
 def test_the_constraint_is_below_the_smallest_ratio_and_its_derivatives_are_differences(airfoil):
     mesh, plan, motion, _ = airfoil
     guard = shapes.MeshGuard(plan, mesh, motion, min_jacobian_ratio=0.2, sharpness=80.0)

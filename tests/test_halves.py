@@ -176,7 +176,7 @@ def test_shapes_move_the_nodes_of_other_pieces_too(mesh):
     np.testing.assert_allclose(u, shapes.rotate(wall, 0.1, (0.25, 0)) - wall, rtol=0, atol=1e-15)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_free_side_that_only_pieces_show():
     points, moving, fixed = brick()
     some = np.concatenate([moving, fixed])

@@ -45,7 +45,7 @@ def test_hessian_vector_products_of_quality(mesh, plan):
     np.testing.assert_allclose(product, difference, atol=1e-6 * np.abs(difference).max())
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_hundred_steps_of_an_optimisation_in_one_program(mesh, plan):
     """Gradient descent inside of `lax.scan` finds the bump of a mesh, and is itself differentiable, each step recomputed."""
     target = jm.deform(plan, bump(mesh, 0.08))

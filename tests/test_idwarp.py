@@ -455,7 +455,7 @@ def test_nodes_between_overset_grids_are_free(tmp_path):
     assert not change[np.setdiff1d(meshes.on(nodes, "ymax"), meshes.on(nodes, "floor"))].any()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_grid_between_overset_patches_turns_with_its_wall(tmp_path):
     """Nothing is fixed there: a turn of the wall about a line in it, and a shift, are those of the grid."""
     names = {name: f"overset_{k}" for k, name in enumerate(meshes.SIDES)} | {"floor": "wing_wall"}

@@ -219,6 +219,7 @@ def quarter():
     )
 
 
+@pytest.mark.nightly
 def test_steps_lead_along_walls_and_partners_follow():
     """Of a shifted start a node keeps what leads off its walls, and a partner what leads it apart from the other."""
     turn, none = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]), np.zeros(0, dtype=np.int32)
@@ -347,7 +348,7 @@ def test_what_held_nodes_invert_is_told(order):
     assert int(mended.before) > 0 == int(mended.after) == int(mended.lost)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_ideal_targets_make_a_lattice_regular_again():
     """Their minimum is known: the regular grid, whatever the inner nodes of the undeformed mesh were."""
     regular = unit_grid(3)
@@ -358,7 +359,7 @@ def test_ideal_targets_make_a_lattice_regular_again():
     assert not np.allclose(jm.improve(regular.moved(points), points).points, regular.points, atol=1e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_progress_and_choice_of_fixed_nodes():
     mesh, said = unit_grid(3), []
     points = mesh.points.copy()
@@ -397,7 +398,7 @@ def test_solid_cells_leave_boundary_elements_out():
     }
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_distortion_is_a_smooth_objective():
     """Against differences, on a mesh with inverted cells; cell by cell in the order of the mesh."""
     mesh = unit_grid(2)

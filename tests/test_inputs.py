@@ -50,7 +50,7 @@ def test_every_call_takes_every_form(form):
         np.testing.assert_array_equal(np.asarray(values), np.asarray(reference()[name]), err_msg=name)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_improve_takes_every_form():
     mesh = unit_grid(3)
     points, quads = np.asarray(mesh.points), mesh.cells["quad"]

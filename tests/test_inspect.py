@@ -119,7 +119,7 @@ def test_an_infeasible_motion_is_reported_with_the_fraction_reached(mesh):
     assert int(report.inverted) or float(report.min_jacobian_ratio) <= 0.05
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_radius_below_the_motion_is_told(mesh):
     base = mesh.points[mesh.patch("airfoil")]
     for method, reach in ((jm.CompactRBF(0.3), 0.3), (jm.CompactRBF(), None), (jm.DelaunayGraph(), np.inf)):

@@ -139,7 +139,7 @@ def test_every_transformation():
     np.testing.assert_allclose(jax.jit(jax.jacfwd(moved))(u), dense, rtol=1e-9, atol=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("n", [BLOCK, *(pytest.param(n, marks=pytest.mark.nightly) for n in (26, BLOCK + 1))])
 def test_any_number_of_points(n):
     plan, u, w = case("thin-plate", n=n, s=25)
@@ -176,7 +176,7 @@ def dense_kernels(text: str, n: int, s: int) -> int:
     return text.count(f"[{n},{s}]") + text.count(f"[{s},{n}]")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("what", ["deform", "gradient", "gradient by the points"])
 def test_memory_does_not_grow_with_points_times_sources(what):
     """What the program sets aside beside its results: a few arrays of the points and one block, 40 times below n s."""

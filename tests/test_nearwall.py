@@ -216,7 +216,7 @@ def test_derivatives_with_respect_to_displacement_and_base_points():
     assert back == pytest.approx(float(jnp.vdot(derivative, cotangent)), rel=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_same_field_on_a_mesh_refined_along_the_wall():
     """The layer depends on sources, not on how many nodes the wall has: its blend has no scale of its own."""
     fields = []

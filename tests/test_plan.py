@@ -81,6 +81,7 @@ def test_what_a_plan_says_of_itself():
     )
 
 
+@pytest.mark.nightly
 def test_a_plan_speaks_whatever_its_leaves_are():
     """Error messages, debuggers and progress bars print plans of shapes, of nothing, and stacked ones."""
     mesh = body(2)

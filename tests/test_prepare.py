@@ -78,6 +78,7 @@ def test_mirror_images_have_faces_too():
     assert len(np.unique(np.sort(faces, axis=1), axis=0)) == len(faces)
 
 
+@pytest.mark.nightly
 def test_planes_by_name_each_once():
     mesh = unit_box()
     both = jm.Mesh(mesh.points, mesh.cells, {**mesh.patches, "again": mesh.patch("y0")})
@@ -184,7 +185,7 @@ def test_nothing_is_written_for_arrays_and_folders_that_are_none(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_choose_takes_names():
     motions = np.random.default_rng(0).normal(size=(1, 24, 2)) * 1e-3
     assert jm.choose(MESH, "body", "far", motions, leaves=(4,), methods={}).plan.n_moving == 24

@@ -232,6 +232,7 @@ def test_a_step_from_an_unproven_mesh_is_refused():
         jm.ValidSteps(plan, folded, lambda y: y, proven=True)
 
 
+@pytest.mark.nightly
 def test_improve_says_what_is_proven():
     mesh = square(4)
     points = np.array(mesh.points)

@@ -458,7 +458,7 @@ def test_gradients_are_those_of_differences():
     np.testing.assert_allclose(jnp.sum(gradient * direction[None], axis=(1, 2)), difference, rtol=1e-5)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(("kind", "dtype"), DEGENERATE)
 def test_derivatives_are_finite_on_degenerate_cells(kind, dtype):
     ideal = np.array(IDEAL[kind], dtype=dtype)

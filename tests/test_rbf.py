@@ -114,6 +114,7 @@ def test_derivative_in_the_support_radius():
     np.testing.assert_allclose(jax.grad(objective)(jnp.asarray(1.5)), difference, rtol=1e-6)
 
 
+@pytest.mark.nightly
 def test_jitted_gradients_in_3d():
     """With respect to the base points, each coordinate apart: a compiler has merged the sum of three squares wrongly."""
     mesh = body(3)

@@ -55,7 +55,7 @@ FLAT = (
     ),
 )
 SOLID = ("extruded circle, 3 over 1", "wing", "box, tetra", "sphere", "rod on a held floor")
-OFTEN = ("C-grid 0015", "sphere")
+OFTEN = ("C-grid 0015", "box, tetra")
 """`.ci/run` has these, `.ci/nightly` all of them."""
 
 

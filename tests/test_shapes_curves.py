@@ -64,7 +64,7 @@ def test_the_curve_is_scipys_spline():
     np.testing.assert_allclose(LINEAR["curve"].at(AIRFOIL)(control), spline(lengths / lengths[-1]), atol=1e-13)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("given", [(0.02, 0.4, 0.12), (0.0, 0.4, 0.12)])
 def test_one_naca_airfoil_becomes_another(given):
     shape, x = shapes.NACA4(*given), naca(*given)

@@ -116,7 +116,7 @@ def test_the_whole_naca_family_is_exact_at_its_nodes():
         np.testing.assert_allclose(moved, expected, atol=1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_second_derivatives_of_naca_are_differences_of_the_first():
     shape, x = shapes.NACA4(0.04, 0.4, 0.12), naca(0.04, 0.4, 0.12, count=13)
     x = x[(np.abs(x[:, 0] - 0.4) > 0.02) & (x[:, 0] > 0.01)]  # the mean line's second derivative jumps at its crest
@@ -132,7 +132,7 @@ def test_second_derivatives_of_naca_are_differences_of_the_first():
     np.testing.assert_allclose(jax.jit(jax.hessian(measure))(start), np.stack(differences), rtol=1e-6, atol=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_third_derivatives_of_a_foot_are_differences_of_the_second():
     airfoil = jnp.array([0.04, 0.4, 0.12])
     second = jax.jit(jax.hessian(lambda place: _station(place[:1], place[1:], airfoil)[0]))

@@ -46,6 +46,7 @@ def check_derivatives(plan, u, rtol=1e-6):
         np.testing.assert_allclose(np.vdot(jm.pullback(plan, at, w), v), np.vdot(w, pushed), rtol=1e-8)
 
 
+@pytest.mark.nightly
 def test_a_block_in_a_box_of_sliding_sides():
     mesh, sides = box_with_hole(), ["left", "right", "bottom", "top"]
     plan = jm.prepare(mesh, "hole", sliding=sides, method=TPS)

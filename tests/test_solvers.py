@@ -74,8 +74,8 @@ def test_the_default_tolerance_against_the_dense_solve_on_flat_sides():
 @pytest.mark.parametrize(
     ("basis", "options"),
     runs(
-        slow=[(jm.WendlandC4(1.5), {"degree": None})],
         nightly=[
+            (jm.WendlandC4(1.5), {"degree": None}),
             (jm.ThinPlateSpline(), {"ridge": 1e-3}),
             (jm.LinearSpline(), {"degree": 0}),
             (jm.CubicSpline(), {}),
@@ -127,7 +127,7 @@ def test_what_does_not_converge_is_told():
     assert np.isnan(moved[mesh.inner]).all()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_steps_go_on_until_residual_and_error_are_within_the_tolerance():
     """On a diagonal system, whose error in the norm of the basis is at most twice the one that the steps know."""
     diagonal, right = jnp.linspace(0.5, 2, 30)[:, None], jnp.sin(jnp.arange(30.0))[:, None]
@@ -146,7 +146,7 @@ def test_a_fit_is_solved_directly():
         jm.FittedRBF(jm.RBF(solver=jm.Iterative()))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_single_precision_has_a_tolerance_that_it_can_reach():
     mesh, moving = box(7)
     points, wall = mesh.astype(np.float32), np.arange(len(moving))

@@ -337,7 +337,7 @@ LISTED = [
 ]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_wings_gulls_and_nacelles(folder):
     listed = [
         ("FFD_GULL", [2], [0.05]),
@@ -352,7 +352,7 @@ def test_wings_gulls_and_nacelles(folder):
     check_box(case, listed)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_box_of_splines_gives_the_wall_at_rest(folder):
     """Coordinates in the box are those at which the lattice at rest gives the wall: else SU2 would move it by nothing."""
     more = solid(WHOLE, degrees="(5, 4, 2)", more="FFD_BLENDING= BSPLINE_UNIFORM\nFFD_BSPLINE_ORDER= 4, 3, 2\n")

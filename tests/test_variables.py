@@ -35,6 +35,7 @@ def ring(tmp_path_factory):
     return write_ring(tmp_path_factory.mktemp("ring") / "ring.su2")
 
 
+@pytest.mark.nightly
 def test_a_chain_is_its_shapes_nested(ring):
     x, given, shape = ring.points[:24], parameters(np.random.default_rng(0)), chain()
     box = shape.shapes[1](shapes.rotate(x, 0.3, [0.5, 0.0]), given["box"])

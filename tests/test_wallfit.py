@@ -302,7 +302,7 @@ def test_sources_stand_beside_a_sharp_tip():
     assert not len(beside_tips(sharp_tips(*wedge(70)), np.ones(len(wedge(70)[0]))))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     "shape",
     [lambda x: 0.061 * np.sin(4 * np.pi * x[:, 0]), lambda x: 1.5 * x[:, 1], lambda x: 0.4 * x[:, 0] * (1 - x[:, 0])],

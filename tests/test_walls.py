@@ -142,7 +142,7 @@ def bumped(mesh, method=None, *, whole=True):
     return jm.quality(mesh, jm.deform(plan, u))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("whole", [True, pytest.param(False, marks=pytest.mark.slow)], ids=["mesh", "points"])
 def test_half_a_gap_is_closed_in_one_step(whole):
     """Graph mapping alone keeps half of each cell; a layer over both walls at once once inverted dozens."""

@@ -177,7 +177,7 @@ def test_one_step_of_the_field_and_three_of_the_graph(wing):
     assert end.volume_ratio.min() == pytest.approx(once.volume_ratio.min(), abs=0.01)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("points", [COARSE])
 def test_a_fixed_plane_contradicts_a_wing_that_moves_along_it(wing):
     """Nodes of the plane next to the root: held, they cost cells; sliding, none."""

@@ -2,7 +2,7 @@
 
 What the right mesh is after one damaged byte, `oracle.py` says: only what the byte stood for may differ.
 
-JAXMORPH_FUZZ is the number of damaged files a format (200 by default; `.ci/nightly` takes 2,000), JAXMORPH_FUZZ_SEED another
+JAXMORPH_FUZZ is the number of damaged files a format (100 by default; `.ci/nightly` takes 2,000), JAXMORPH_FUZZ_SEED another
 series of them. `python tests/fuzz/child.py FORMAT SEED K K+1 FOLDER` does number K again.
 """
 
@@ -16,7 +16,7 @@ import sys
 import pytest
 
 HERE = pathlib.Path(__file__).parent
-COUNT, SEED = int(os.environ.get("JAXMORPH_FUZZ", "200")), int(os.environ.get("JAXMORPH_FUZZ_SEED", "0"))
+COUNT, SEED = int(os.environ.get("JAXMORPH_FUZZ", "100")), int(os.environ.get("JAXMORPH_FUZZ_SEED", "0"))
 FORMATS = ("SU2", "VTK", "gmsh", "CGNS", "ADF", "Exodus", "MFEM", "MED", "PLOT3D", "OpenFOAM")
 FORMATS += ("tables", "surfaces", "plans", "boxes", "fields")
 
