@@ -1,6 +1,5 @@
 """Programs that a command keeps: found again by what they depend on, never where that may have changed."""
 
-import collections
 import os
 import pathlib
 import subprocess
@@ -94,7 +93,7 @@ def files(folder: pathlib.Path) -> list[pathlib.Path]:
 
 def anew(monkeypatch):
     """As a new process finds the folder."""
-    monkeypatch.setattr(kept, "_programs", collections.OrderedDict())
+    monkeypatch.setattr(kept, "_programs", {})
 
 
 def never(*_):

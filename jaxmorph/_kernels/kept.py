@@ -7,7 +7,6 @@ JAX's own cache finds machine code by the program, so that every process first m
 Here the name of a function, the shapes of its arguments and the package's files find the code.
 """
 
-import collections
 import contextlib
 import contextvars
 import dataclasses
@@ -48,7 +47,7 @@ SWITCH = "JAXMORPH_CACHE"
 
 _folder: Any = None
 _in_jaxs_folder = contextvars.ContextVar("_in_jaxs_folder", default=False)
-_programs: "collections.OrderedDict[str, Program]" = collections.OrderedDict()
+_programs: "dict[str, Program]" = {}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -155,18 +154,20 @@ def kept(
     depends on besides. `options` gives the compiler's options for a program that is made.
     """
     folder = _jaxs_folder() if _folder is None and _in_jaxs_folder.get() else _folder
-    if folder is None or jax.device_count() > 1 or jax.config.values["jax_disable_jit"]:
+    if folder is None or jax.config.values["jax_disable_jit"]:
+        return None
+    if jax.device_count() > 1 or jax.default_backend() != "cpu":
         return None
     try:
         key = _key(function, arguments, state)
     except _UnkeptError:
         return None
-    if key not in _programs:
-        _programs[key] = _loaded(folder, key) or _made(folder, key, function, arguments, options())
-        while len(_programs) > LATEST:
-            _programs.popitem(last=False)
+    program = _programs.get(key) or _loaded(folder, key) or _made(folder, key, function, arguments, options())
+    _programs[key] = program
+    while len(_programs) > LATEST:
+        _programs.pop(next(iter(_programs)), None)
     leaves = [leaf for leaf in jax.tree.leaves(arguments) if _is_array(leaf)]
-    return functools.partial(_programs[key], leaves)
+    return functools.partial(program, leaves)
 
 
 def _key(function: Callable, arguments: tuple, state: tuple[bool, ...]) -> str:

@@ -45,9 +45,8 @@ def keep_compiled(is_own: bool = False) -> None:
     if os.access(folder, os.W_OK):
         jax.config.update("jax_compilation_cache_dir", str(folder))
         jax.config.update("jax_compilation_cache_max_size", LIMIT)
-        jax.config.update(
-            "jax_persistent_cache_min_compile_time_secs", 0
-        )  # reading takes a tenth of the shortest compilation
+        # reading takes a tenth of the shortest compilation
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
         if is_own:
             keep(str(folder), LIMIT)
 
