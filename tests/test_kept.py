@@ -185,20 +185,25 @@ def test_a_damaged_file_is_no_fault(folder, monkeypatch):
         np.testing.assert_array_equal(result(halves, x, 0.1)[0].rows, np.full((3, 2), 0.1))
 
 
+def heard(folder, code, *words, **variables) -> list[str]:
+    """What a process of its own says, and the names of the functions that it traces."""
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("JAX")}
+    environment |= {"PYTHONPATH": str(pathlib.Path(jm.__file__).parents[1])} | variables
+    command = [sys.executable, "-c", LISTENER + code, *words]
+    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=True)
+    return done.stdout.split("traced")
+
+
 @pytest.mark.nightly
 def test_a_command_traces_nothing_again_and_writes_the_same_file(tmp_path):
     mesh = cases.sharp_o_grid(around=24, layers=8)
     io.write(tmp_path / "mesh.su2", mesh)
     words = ["deform", "mesh.su2", "OUT", "--moving", "airfoil", "--fixed", "farfield", "--rotate", "5"]
-    environment = {name: value for name, value in os.environ.items() if not name.startswith("JAX")}
-    environment |= {"XDG_CACHE_HOME": str(tmp_path / "cache"), "PYTHONPATH": str(pathlib.Path(jm.__file__).parents[1])}
 
     def run(name, **variables):
-        command = [sys.executable, "-c", LISTENER + COMMAND, *(name if word == "OUT" else word for word in words)]
-        done = subprocess.run(
-            command, cwd=tmp_path, env=environment | variables, capture_output=True, text=True, check=True
-        )
-        return (tmp_path / name).read_bytes(), done.stdout.split("traced")[-1].split()
+        command = (COMMAND, *(name if word == "OUT" else word for word in words))
+        traced = heard(tmp_path, *command, XDG_CACHE_HOME=str(tmp_path / "cache"), **variables)[-1]
+        return (tmp_path / name).read_bytes(), traced.split()
 
     plain, traced = run("plain.su2", JAXMORPH_CACHE="off")
     assert any("refitted" in name for name in traced)
@@ -210,15 +215,9 @@ def test_a_command_traces_nothing_again_and_writes_the_same_file(tmp_path):
 
 @pytest.mark.slow
 def test_a_script_prepares_again_without_tracing(tmp_path):
-    environment = {name: value for name, value in os.environ.items() if not name.startswith("JAX")}
-    environment |= {"JAX_COMPILATION_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(pathlib.Path(jm.__file__).parents[1])}
-
-    def run():
-        command = [sys.executable, "-c", LISTENER + SCRIPT]
-        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
-        return done.stdout.split("traced")
-
-    (factors, first), (same, again) = run(), run()
+    (factors, first), (same, again) = (
+        heard(tmp_path, SCRIPT, JAX_COMPILATION_CACHE_DIR=str(tmp_path / "cache")) for _ in range(2)
+    )
     assert same == factors
     assert "refitted" in first
     assert "refitted" not in again

@@ -295,9 +295,7 @@ def test_parts_move_as_their_union(divided, tmp_path, capsys, flags):
 
 
 @pytest.mark.filterwarnings("ignore:.*the case is decomposed")
-@pytest.mark.parametrize(
-    "name", runs(slow=[name for name in CASES if name == "empty"], nightly=[name for name in CASES if name != "empty"])
-)
+@pytest.mark.parametrize("name", runs(slow=["empty"], nightly=[name for name in CASES if name != "empty"]))
 def test_parts_move_as_the_whole_case(tmp_path, monkeypatch, capsys, name):
     foam.need_openfoam()
     case, whole, parts = (tmp_path / each for each in ("case", "whole", "parts"))

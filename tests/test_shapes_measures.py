@@ -1,6 +1,7 @@
 """Measures of walls against closed forms: ellipse, NACA airfoil, box, sphere; derivatives against differences."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from meshes import bricks, naca, sphere, write_ring
@@ -113,6 +114,25 @@ def test_the_loop_of_a_patch(tmp_path):
 def test_thickness_follows_a_moved_wall():
     moved = shapes.scale(ELLIPSE, [1.0, 1.5], [0.0, 0.0])
     np.testing.assert_allclose(shapes.thickness(moved, LINES), 1.5 * shapes.thickness(ELLIPSE, LINES), rtol=1e-12)
+
+
+@pytest.mark.nightly
+def test_a_constrained_optimisation_keeps_the_thickness():
+    """Least area with bumps, thickness held at two stations: SLSQP with traced derivatives."""
+    from scipy.optimize import minimize
+
+    bumps = shapes.HicksHenne([0.25, 0.5, 0.75])
+    moved = jax.jit(lambda p: jnp.where(ELLIPSE[:, 1:] > 0, bumps(ELLIPSE, p), jnp.asarray(ELLIPSE)))
+    before = np.asarray(shapes.thickness(ELLIPSE, LINES))
+    constraint = jax.jit(lambda p: shapes.thickness(moved(p), LINES) - before)
+    objective = jax.jit(jax.value_and_grad(lambda p: shapes.area(moved(p), LOOP) + 0.5 * jnp.sum(p**2)))
+    held = {"type": "ineq", "fun": constraint, "jac": jax.jit(jax.jacrev(constraint))}
+    result = minimize(
+        lambda p: tuple(map(np.asarray, objective(p))), np.zeros(3), jac=True, constraints=held, method="SLSQP"
+    )
+    assert result.success
+    assert result.fun < float(shapes.area(ELLIPSE, LOOP)) - 1e-3
+    assert np.asarray(constraint(result.x)).min() > -1e-9
 
 
 @pytest.mark.parametrize(

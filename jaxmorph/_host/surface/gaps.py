@@ -3,7 +3,7 @@
 import numpy as np
 
 from ..package.cores import Tree
-from .neighbours import searched_together, to_box
+from .neighbours import nearest_boxes_first, searched_together
 
 CLOSEST = 12
 """Faces of other walls to which a node's distance is measured: the faces of nearest middles."""
@@ -50,23 +50,18 @@ def gaps(points: np.ndarray, wall: np.ndarray, faces: np.ndarray) -> tuple[np.nd
 
 def _closest(points: np.ndarray, trees: list[tuple[np.ndarray, Tree]]) -> np.ndarray:
     """Finds faces (k, c) with middles nearest to points (k, d), by trees with their face rows."""
-    # The tree with the nearest box comes first. Others are searched for points alone whose farthest
-    # face so far is farther than the box.
     count = min(CLOSEST, sum(len(rows) for rows, _ in trees))
     distance, near = np.full((len(points), count), np.inf), np.zeros((len(points), count), dtype=np.int64)
-    away = np.stack([to_box(points, tree) for _, tree in trees])
-    first = away.argmin(axis=0)
-    for is_first in (True, False):
-        for k, (rows, tree) in enumerate(trees):
-            wanted = np.flatnonzero(((first == k) == is_first) & (away[k] <= distance[:, -1]))
-            if not len(wanted):
-                continue
-            found, row = tree.query(points[wanted], k=range(1, min(count, len(rows)) + 1))
-            distances = np.concatenate([distance[wanted], found], axis=1)
-            order = np.argsort(distances, axis=1, kind="stable")[:, :count]
-            faces = np.concatenate([near[wanted], rows[row]], axis=1)
-            distance[wanted] = np.take_along_axis(distances, order, axis=1)
-            near[wanted] = np.take_along_axis(faces, order, axis=1)
+    for k, wanted in nearest_boxes_first(points, [tree for _, tree in trees], distance[:, -1]):
+        if not len(wanted):
+            continue
+        rows, tree = trees[k]
+        found, row = tree.query(points[wanted], k=range(1, min(count, len(rows)) + 1))
+        distances = np.concatenate([distance[wanted], found], axis=1)
+        order = np.argsort(distances, axis=1, kind="stable")[:, :count]
+        faces = np.concatenate([near[wanted], rows[row]], axis=1)
+        distance[wanted] = np.take_along_axis(distances, order, axis=1)
+        near[wanted] = np.take_along_axis(faces, order, axis=1)
     return near
 
 

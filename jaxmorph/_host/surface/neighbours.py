@@ -1,6 +1,6 @@
 """Nearest nodes: the nodes of a wall that lie nearest to a point."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -147,21 +147,34 @@ def _nearest(
         distance[better], nearest[better], place[better] = least[closer], node[closer], k
 
     def search_all(part: slice) -> None:
-        # A list is searched only for points whose nearest node so far is farther than the list's
-        # box. The list with the nearest box comes first: it holds the nearest node of most points.
-        away = np.stack([to_box(points[part], tree) for tree in trees])
-        away[away > np.array([[(1 + SAME) * bound] for _, bound in bounded])] = np.inf
-        first = away.argmin(axis=0)
-        for is_first in (True, False):
-            for k, gap in enumerate(away):
-                wanted = ((first == k) == is_first) & (gap <= (1 + SAME) * distance[part]) & (gap < np.inf)
-                search(k, part.start + np.flatnonzero(wanted))
+        bounds = [bound for _, bound in bounded]
+        for k, rows in nearest_boxes_first(points[part], trees, distance[part], bounds):
+            search(k, part.start + rows)
 
     by_blocks(search_all, len(points) if bounded else 0)
     return distance, nearest
 
 
-def to_box(points: np.ndarray, tree: Tree) -> np.ndarray:
+def nearest_boxes_first(
+    points: np.ndarray, trees: list[Tree], farthest: np.ndarray, bounds: list[float] | None = None
+) -> Iterator[tuple[int, np.ndarray]]:
+    """Yields trees, by number, with the rows of points to search in each.
+
+    `farthest` (n,) is what a search has to beat; the caller lowers it between two trees. No box
+    beyond the `bounds` of its tree is searched.
+    """
+    # A tree is searched only for points whose answer so far is farther than the tree's box. The
+    # tree with the nearest box comes first: it holds the answer of most points.
+    away = np.stack([_to_box(points, tree) for tree in trees])
+    if bounds is not None:
+        away[away > (1 + SAME) * np.array(bounds)[:, None]] = np.inf
+    first = away.argmin(axis=0)
+    for is_first in (True, False):
+        for k, gap in enumerate(away):
+            yield k, np.flatnonzero(((first == k) == is_first) & (gap <= (1 + SAME) * farthest) & (gap < np.inf))
+
+
+def _to_box(points: np.ndarray, tree: Tree) -> np.ndarray:
     """Measures the distances (n,) of points from the box of a tree's points."""
     gaps = (
         np.maximum(np.maximum(low - x, x - high), 0)
