@@ -82,14 +82,15 @@ def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays)
     content: _Content = source.content
     layout, data = content.layout, content.data
     points = content.joined.in_file(np.asarray(mesh.points))
-    numbers = _numbers(source.path, data) if layout.dtype is None else np.frombuffer(bytearray(data), np.uint8)
+    known = _numbers(source.path, data) if layout.dtype is None else np.frombuffer(data, np.uint8)
+    numbers = known.copy()
     first = 0
     for block in layout.coordinates(numbers):
         block[...] = points[first : first + block.shape[1]].T
         first += block.shape[1]
     with path.open("wb") as file:
         file.writelines(
-            replace_words(data, 0, len(data), numbers, WORDS) if layout.dtype is None else [numbers.tobytes()]
+            replace_words(data, 0, len(data), known, numbers, WORDS) if layout.dtype is None else [numbers.tobytes()]
         )
 
 

@@ -222,14 +222,14 @@ def _write_points(path: pathlib.Path, content: _CaseContent, points: np.ndarray)
         return
     with path.open("wb") as out:
         if path.suffix != ".gz":
-            out.writelines(_replaced(file, points))
+            out.writelines(_replaced(file, content.points, points))
             return
         with gzip.GzipFile(file.path.stem, "wb", 6, out) as packed:  # it keeps a name: not the temporary one
-            packed.writelines(_replaced(file, points))
+            packed.writelines(_replaced(file, content.points, points))
 
 
-def _replaced(file: FoamFile, points: np.ndarray) -> Iterator[bytes]:
-    """Yields the file with other coordinates, in pieces."""
+def _replaced(file: FoamFile, known: np.ndarray, points: np.ndarray) -> Iterator[bytes]:
+    """Yields the file with `points` in place of its `known` ones, in pieces."""
     place = file.list_at(file.end)
     if place.uniform:
         raise file.error("a list with one value for all points cannot hold moved ones")
@@ -241,7 +241,7 @@ def _replaced(file: FoamFile, points: np.ndarray) -> Iterator[bytes]:
         return
     stop = file.data.rfind(b")", place.start)
     yield file.data[: place.start]
-    yield from replace_words(file.data, place.start, stop, points.ravel(), PARENTHESES)
+    yield from replace_words(file.data, place.start, stop, known.ravel(), points.ravel(), PARENTHESES)
     yield file.data[stop:]
 
 

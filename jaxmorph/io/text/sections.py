@@ -8,7 +8,6 @@ import dataclasses
 import pathlib
 import re
 from collections.abc import Callable, Iterator
-from typing import Any
 
 import numpy as np
 
@@ -144,22 +143,25 @@ def replace(
         starts, ends, counts = scan(chunk)
         first = (np.cumsum(counts) - counts)[is_row(counts)]
         words = (first[:, None] + np.arange(column, column + d)).ravel()
-        yield _changed(original, chunk, starts[words], ends[words], words, points[done : done + len(first)].ravel())
+        old = parse(chunk, np.float64)[words]
+        yield _changed(original, starts[words], ends[words], old, points[done : done + len(first)].ravel())
         done += len(first)
     yield memoryview(text)[part.stop :]
 
 
-def replace_words(text: bytes, start: int, stop: int, values: np.ndarray, blanks: bytes) -> Iterator[bytes]:
+def replace_words(
+    text: bytes, start: int, stop: int, known: np.ndarray, values: np.ndarray, blanks: bytes
+) -> Iterator[bytes]:
     """Yields the text `start` to `stop` with `values` in place of its numbers, as `replace` does.
 
-    `blanks` is the table (of `bytes.translate`) that turns what stands between the numbers into
-    blanks.
+    `known` are the numbers that the text holds. `blanks` is the table (of `bytes.translate`) that
+    turns what stands between the numbers into blanks.
     """
     done = 0
     for original in chunks(text, start, stop):
-        chunk = original.translate(blanks)
-        starts, ends, _ = scan(chunk)
-        yield _changed(original, chunk, starts, ends, slice(None), values[done : done + len(starts)])
+        starts, ends, _ = scan(original.translate(blanks))
+        here = slice(done, done + len(starts))
+        yield _changed(original, starts, ends, known[here], values[here])
         done += len(starts)
 
 
@@ -174,17 +176,17 @@ def replace_numbers(text: bytes, part: slice, at: np.ndarray, values: np.ndarray
         starts, ends, _ = scan(chunk)
         rows = slice(*np.searchsorted(at, (done, done + len(starts))))
         words = at[rows] - done
-        yield _changed(chunk, chunk, starts[words], ends[words], words, values[rows])
+        yield _changed(chunk, starts[words], ends[words], parse(chunk, np.float64)[words], values[rows])
         done += len(starts)
     yield memoryview(text)[part.stop :]
 
 
-def _changed(original: bytes, chunk: bytes, starts: np.ndarray, ends: np.ndarray, words: Any, new: np.ndarray) -> bytes:
-    """Replaces the words of a chunk between `starts` and `ends` by `new`, where they differ."""
-    changed = np.flatnonzero(new != parse(chunk, np.float64)[words].astype(new.dtype))
+def _changed(text: bytes, starts: np.ndarray, ends: np.ndarray, old: np.ndarray, new: np.ndarray) -> bytes:
+    """Replaces the words of a text between `starts` and `ends` by the `new` that are not `old`."""
+    changed = np.flatnonzero(new != old.astype(new.dtype))
     if not len(changed):
-        return original
-    return spliced(original, starts[changed], ends[changed], lines(new[changed]))
+        return text
+    return spliced(text, starts[changed], ends[changed], lines(new[changed]))
 
 
 def _is(kind: type, word: bytes) -> bool:
