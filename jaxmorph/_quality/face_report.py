@@ -96,7 +96,7 @@ class FaceQuality:
         """
         whole("k", k, 0)
         name = "pyramid" if by is None else by
-        return ranked(self._measure(name), name, self.counted, self.is_inverted if by is None else None)[:k]
+        return ranked(self._measure(name), name, self.counted, k, self.is_inverted if by is None else None)
 
     def raise_if_inverted(self) -> None:
         """Raises `ValueError` where cells are inverted, with their number and the first place."""

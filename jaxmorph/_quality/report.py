@@ -52,13 +52,20 @@ class Report(Protocol):
     def worst(self, k: int = 5, *, by: str | None = None) -> np.ndarray: ...
 
 
-def ranked(values: Any, by: str, counted: np.ndarray, first: np.ndarray | None = None) -> np.ndarray:
-    """Sorts counting cells by a measure, worst first; NaN is worst, `first` cells come first."""
+def ranked(values: Any, by: str, counted: np.ndarray, k: int, first: np.ndarray | None = None) -> np.ndarray:
+    """Lists the `k` worst counting cells by a measure, worst first; NaN is worst.
+
+    Cells marked by `first` come before all others.
+    """
     badness = np.asarray(values, dtype=float) * (-1.0 if by in SMALL_IS_BAD else 1.0)
     badness = np.where(np.isnan(badness), np.inf, badness)
     ids = np.flatnonzero(counted)
-    late = np.zeros(len(ids), dtype=bool) if first is None else ~np.asarray(first)[ids]
-    return ids[np.lexsort((-badness[ids], late))]
+    early = np.zeros(len(ids), dtype=bool) if first is None else np.asarray(first)[ids]
+    if 0 < k < len(ids):  # only cells that may be among the first k are sorted
+        least = np.partition(badness[ids], len(ids) - k)[len(ids) - k]
+        near = early | (badness[ids] >= least)
+        ids, early = ids[near], early[near]
+    return ids[np.lexsort((-badness[ids], ~early))][:k]
 
 
 def table_of(report: Report, heading: str, names: tuple[str, ...]) -> str:
@@ -227,7 +234,7 @@ class QualityReport(Module):
         """
         whole("k", k, 0)
         values = self._measure("skewness" if by is None else by)
-        return ranked(values, by or "skewness", self.counted, None if by else np.asarray(self.is_inverted))[:k]
+        return ranked(values, by or "skewness", self.counted, k, None if by else np.asarray(self.is_inverted))
 
     def raise_if_inverted(self) -> None:
         """Raises `ValueError` on the host for inverted cells: how many, and where the first is.
