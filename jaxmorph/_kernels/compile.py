@@ -3,7 +3,7 @@
 import contextlib
 import contextvars
 import functools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any, TypeVar
 
 import equinox as eqx
@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .contexts import holding
 from .kept import kept
 from .values import is_known
 
@@ -70,15 +71,12 @@ def compiled(function: Function) -> Function:
         if not _is_direct(arrays):
             return plain(*arguments, **keywords)
         for_cpu = any(isinstance(leaf, jax.Array) for leaf in arrays)
-        token = _is_for_cpu.set(for_cpu)
-        try:
+        with holding(_is_for_cpu, for_cpu):
             state = _is_quick.get(), for_cpu
             program = kept(function, (arguments, keywords), state, lambda: _known_options(state[0]))
             if program is not None:
                 return program()
             return direct(len(arrays) == len(leaves), *state)(*arguments, **keywords)
-        finally:
-            _is_for_cpu.reset(token)
 
     return call  # pyright: ignore[reportReturnType]
 
@@ -94,17 +92,12 @@ def is_direct(*trees: Any) -> bool:
     return not _is_for_cpu.get() and _is_direct([leaf for leaf in leaves if isinstance(leaf, jax.Array | np.ndarray)])
 
 
-@contextlib.contextmanager
-def quickly_compiled(is_quick: bool = True) -> Iterator[None]:
+def quickly_compiled(is_quick: bool = True) -> contextlib.AbstractContextManager[None]:
     """Makes calls within compile without optimisation, for programs that run once on a small mesh.
 
     With `is_quick=False` it changes nothing.
     """
-    token = _is_quick.set(is_quick or _is_quick.get())
-    try:
-        yield
-    finally:
-        _is_quick.reset(token)
+    return holding(_is_quick, is_quick or _is_quick.get())
 
 
 def float64_mode(is_on: bool = True) -> contextlib.AbstractContextManager[Any]:

@@ -2,10 +2,11 @@
 
 import contextlib
 import contextvars
-from collections.abc import Iterator
 
 import jax
 from jaxtyping import Array, Float
+
+from .contexts import holding
 
 _KINDS = {"float64": ("f64", "d"), "float32": ("f32", "f")}
 INLINE = "elementwise_inline_asm_p"
@@ -19,14 +20,9 @@ def is_in_kernel() -> bool:
     return _is_in_kernel.get()
 
 
-@contextlib.contextmanager
-def in_kernel() -> Iterator[None]:
+def in_kernel() -> contextlib.AbstractContextManager[None]:
     """Marks what JAX traces as a kernel's body."""
-    token = _is_in_kernel.set(True)
-    try:
-        yield
-    finally:
-        _is_in_kernel.reset(token)
+    return holding(_is_in_kernel, True)
 
 
 def fma(

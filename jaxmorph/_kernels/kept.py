@@ -18,13 +18,14 @@ import pathlib
 import pickle
 import secrets
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import jax
 import numpy as np
 from jaxlib import version
 
+from .contexts import holding
 from .values import array
 
 BASES = ("jax", "jaxlib", "equinox", "numpy")
@@ -116,14 +117,9 @@ def keep(folder: str, limit: int) -> None:
     _folder = _opened(folder, limit)
 
 
-@contextlib.contextmanager
-def kept_in_jaxs_folder() -> Iterator[None]:
+def kept_in_jaxs_folder() -> contextlib.AbstractContextManager[None]:
     """Keeps the programs of calls within in JAX's folder of compiled code, if JAX has one."""
-    token = _in_jaxs_folder.set(True)
-    try:
-        yield
-    finally:
-        _in_jaxs_folder.reset(token)
+    return holding(_in_jaxs_folder, True)
 
 
 def _jaxs_folder() -> Any:
