@@ -141,6 +141,13 @@ def test_changed_files_of_the_package_are_another_program(folder, monkeypatch):
     assert len(files(folder)) == 2
 
 
+def test_another_kind_of_processor_has_programs_of_its_own(monkeypatch):
+    """Nodes of a cluster may share a folder: code for wide vectors ends a process on an older node."""
+    own = kept._world.__wrapped__()
+    monkeypatch.setattr(kept.platform, "machine", lambda: "another")
+    assert kept._world.__wrapped__() != own
+
+
 def test_prepare_keeps_programs_in_jaxs_folder_if_there_is_one(folder, monkeypatch):
     x = Pair(jnp.ones((3, 2)), "x", 3)
     monkeypatch.setattr(kept, "_folder", None)

@@ -16,6 +16,7 @@ import io
 import os
 import pathlib
 import pickle
+import platform
 import secrets
 import sys
 from collections.abc import Callable
@@ -108,6 +109,17 @@ def is_off() -> bool:
     return os.environ.get(SWITCH, "").lower() in ("off", "0", "no", "false")
 
 
+def machine() -> str:
+    """Names the kind of processor, on which another kind's code may not run."""
+    facts = [platform.machine(), platform.processor()]
+    try:
+        lines = pathlib.Path("/proc/cpuinfo").read_text().splitlines()
+        facts += sorted({line for line in lines if line.startswith(("model name", "flags", "Features", "CPU part"))})
+    except OSError:
+        pass
+    return hashlib.sha256("\n".join(facts).encode()).hexdigest()[:16]
+
+
 def keep(folder: str, limit: int) -> None:
     """Keeps the programs of all calls in JAX's folder of compiled code, at most `limit` bytes.
 
@@ -187,8 +199,8 @@ def _name(obj: Any) -> str:
 
 @functools.cache
 def _world() -> bytes:
-    """Describes what all programs depend on: files of packages, versions, and settings."""
-    facts = [sys.version, jax.__version__, version.__version__, jax.default_backend()]
+    """Describes what all programs depend on: processor, files of packages, versions, settings."""
+    facts = [machine(), sys.version, jax.__version__, version.__version__, jax.default_backend()]
     facts += [f"{name}={value}" for name, value in sorted(os.environ.items()) if name.startswith(SETTINGS)]
     own = pathlib.Path(__file__).parents[1]
     files = sorted(os.path.join(where, file) for where, _, names in os.walk(own) for file in names)

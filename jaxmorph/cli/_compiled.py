@@ -1,13 +1,10 @@
 """JAX as the commands use it: double precision, and compiled code that is kept between runs."""
 
-import hashlib
 import os
-import pathlib
-import platform
 
 import jax
 
-from jaxmorph._kernels.kept import is_off, keep
+from jaxmorph._kernels.kept import is_off, keep, machine
 
 LIMIT = 256 * 2**20
 """Bytes that the folder holds at most; the program that was used longest ago goes first."""
@@ -37,7 +34,7 @@ def keep_compiled(is_own: bool = False) -> None:
         import platformdirs
     except ImportError:
         return
-    folder = platformdirs.user_cache_path("jaxmorph") / "compiled" / _machine()
+    folder = platformdirs.user_cache_path("jaxmorph") / "compiled" / machine()
     try:
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
     except OSError:
@@ -49,14 +46,3 @@ def keep_compiled(is_own: bool = False) -> None:
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
         if is_own:
             keep(str(folder), LIMIT)
-
-
-def _machine() -> str:
-    """Names the kind of processor."""
-    facts = [platform.machine(), platform.processor()]
-    try:
-        lines = pathlib.Path("/proc/cpuinfo").read_text().splitlines()
-        facts += sorted({line for line in lines if line.startswith(("model name", "flags", "Features", "CPU part"))})
-    except OSError:
-        pass
-    return hashlib.sha256("\n".join(facts).encode()).hexdigest()[:16]
