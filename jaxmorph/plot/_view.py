@@ -69,8 +69,6 @@ def _add_axes(plotter: Any) -> None:
 
     In perspective no bar.
     """
-    from vtkmodules.vtkRenderingAnnotation import vtkAxisActor2D
-
     axes = plotter.add_axes(xlabel="x", ylabel="y", zlabel="z", color=DARK, line_width=3)
     captions = [getattr(axes, f"Get{name}AxisCaptionActor2D")() for name in "XYZ"]
     for caption in captions:
@@ -78,14 +76,7 @@ def _add_axes(plotter: Any) -> None:
         caption.GetCaptionTextProperty().SetJustificationToCentered()
         caption.GetCaptionTextProperty().SetVerticalJustificationToCentered()
     axes.SetNormalizedLabelPosition(1.4, 1.4, 1.4)  # off the arrows
-    scale = vtkAxisActor2D()
-    scale.SetNumberOfLabels(2)
-    scale.AdjustLabelsOff()
-    scale.LabelVisibilityOff()
-    scale.GetProperty().SetColor(pyvista().Color(DARK).float_rgb)
-    scale.GetProperty().SetLineWidth(3)
-    scale.UseFontSizeFromPropertyOn()
-    scale.GetTitleTextProperty().SetColor(pyvista().Color(DARK).float_rgb)
+    scale = _scale()
     texts = [scale.GetTitleTextProperty(), *(caption.GetCaptionTextProperty() for caption in captions)]
     for text in texts:
         _in_font(text)
@@ -112,6 +103,21 @@ def _add_axes(plotter: Any) -> None:
             getattr(axes, f"Set{name.upper()}AxisLabelText")(name if abs(along) < ALONG else "")
 
     plotter.renderer.AddObserver("StartEvent", fit)
+
+
+def _scale() -> Any:
+    """Makes the bar of a round length, without numbers."""
+    from vtkmodules.vtkRenderingAnnotation import vtkAxisActor2D
+
+    scale = vtkAxisActor2D()
+    scale.SetNumberOfLabels(2)
+    scale.AdjustLabelsOff()
+    scale.LabelVisibilityOff()
+    scale.GetProperty().SetColor(pyvista().Color(DARK).float_rgb)
+    scale.GetProperty().SetLineWidth(3)
+    scale.UseFontSizeFromPropertyOn()
+    scale.GetTitleTextProperty().SetColor(pyvista().Color(DARK).float_rgb)
+    return scale
 
 
 def _round_length(largest: float) -> float:
