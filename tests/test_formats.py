@@ -62,6 +62,18 @@ def test_every_pair_is_decided_before_any_work(tmp_path, capsys, source):
     assert {path.name for path in tmp_path.iterdir()} <= {f"in{source}", *(f"out{to}" for to in ENDINGS)}
 
 
+@pytest.mark.parametrize("ending", ENDINGS)
+def test_points_that_a_caller_changes_in_place_are_written(tmp_path, ending):
+    """As NumPy's users move nodes: what a mesh keeps of its file must not share their array."""
+    mesh = io.read(written(tmp_path, ending))
+    before = np.array(mesh.points)
+    mesh.points[0] += 0.125
+    io.write(tmp_path / f"out{ending}", mesh)
+    change = np.asarray(io.read(tmp_path / f"out{ending}").points) - before
+    assert np.count_nonzero(change.any(axis=1)) == 1
+    np.testing.assert_allclose(change[0], 0.125)
+
+
 def decide(tmp_path, capsys, mesh, moved, source, to):
     out, patch = tmp_path / f"out{to}", next(iter(mesh.patches))
     words = ["deform", str(tmp_path / f"in{source}"), str(out), "--moving", patch, "--translate", "0", "0", "1e-3"]

@@ -115,8 +115,8 @@ def read(path: pathlib.Path) -> Mesh:
     patches = _patches(sides, of_sides)
     groups = _groups(parts.get("boundary_attribute_sets"), patches)
     source = Source(path, NAME, content, groups=groups, cell_ids=None if (np.diff(ids) == 1).all() else ids)
-    with faults_of(path):
-        return Mesh(points, nodes, patches, source=source)
+    with faults_of(path):  # a caller may change the mesh's points in place, and the file's must stay
+        return Mesh(points.copy(), nodes, patches, source=source)
 
 
 def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:

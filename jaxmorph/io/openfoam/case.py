@@ -102,7 +102,8 @@ def read(path: pathlib.Path) -> Mesh:
     shared = np.unique(between[between >= 0])
     if plane is not None and len(between):
         between = plane.edges(between)
-    content = _CaseContent(file, points, topology, plane, shared)
+    # a caller may change the mesh's points in place, and the file's values must stay
+    content = _CaseContent(file, points.copy() if plane is None else points, topology, plane, shared)
     planes = [patch.name for patch in boundary if patch.type in ("symmetry", "symmetryPlane") and patch.count]
     planes += ["axis"] * (isinstance(plane, Sector) and bool(plane.on_axis.any()))
     between = between if len(between) else None
