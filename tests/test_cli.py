@@ -258,8 +258,20 @@ def test_no_input_is_overwritten(here, capsys):
     assert_one_line(capsys, "ring.su2: the mesh was read from this file")
     assert deform("wall.su2", "--displacement", "wall.su2") == 2
     assert_one_line(capsys, "wall.su2: the displacements are read from this file")
+    motion = ["--displacement", "wall.su2"]
+    for flag, name, what in (
+        ("--save-job", "ring.su2", "the mesh is"),
+        ("--save-job", "wall.su2", "the displacements are"),
+        ("--picture", "wall.su2", "the displacements are"),
+        ("--picture", "ring.su2", "the mesh is"),
+    ):
+        assert deform("out.su2", *motion, flag, name) == 2, (flag, name)
+        assert_one_line(capsys, f"{flag} {name}: {what} read from this file")
+    assert deform("out.su2", *motion, "--save-job", "a.png", "--picture", "a.png") == 2
+    assert_one_line(capsys, "--picture a.png is the file of --save-job")
     assert (here / "ring.su2").read_bytes() == original
     assert (here / "wall.su2").read_bytes() == table
+    assert not (here / "out.su2").exists()
 
 
 def test_info(here, capsys):

@@ -207,7 +207,7 @@ MOVE = ["--moving", "wall", "--fixed", "far", "--translate", "0.2", "0"]
 
 def test_a_job_that_cannot_be_saved_is_told_before_the_work(here, capsys):
     taken = "is a folder, which a file cannot replace: give the file another name"
-    same = "out.su2 is the file of OUT. Write the job to another file"
+    same = "out.su2 is the file of OUT. Write to another file"
     for job, message in (
         ("no/job.toml", "no/job.toml: there is no folder no"),
         (".", f".: {taken}"),

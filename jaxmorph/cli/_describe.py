@@ -6,10 +6,11 @@ from pathlib import Path
 import numpy as np
 
 from jaxmorph import Mesh, io
-from jaxmorph._host.package.files import complete, output_path
+from jaxmorph._host.package.files import check_apart, complete, output_path
 
 from ._job import text_of
 from ._method import NamedMethod, Patches
+from ._motion import lattice_files
 from ._output import Output
 from ._parts import PROVEN
 from ._requests import Deform
@@ -29,12 +30,12 @@ def mesh_of(path: Path, zone: int | None) -> Mesh:
 
 def check_files(request: Deform, mesh: Mesh) -> None:
     """Raises `ValueError` for patches without nodes, and for files beside the meshes."""
+    outputs = [("OUT", request.output), ("--save-job", request.save_job), ("--picture", request.picture)]
+    outputs += [
+        ("--lattice", file) for group in request.groups if group.lattice for file in lattice_files(group.lattice)
+    ]
+    check_apart([(name, file) for name, file in outputs if file is not None], inputs_of(request))
     for group in request.groups:
-        tables = [group.box, group.hicks_henne, group.cst]
-        inputs = [group.displacement, group.displacement_from, *(file for file, _ in group.mode), *tables]
-        for file in filter(None, inputs):
-            if request.output.resolve() == Path(file).resolve():
-                raise ValueError(f"{request.output}: the displacements are read from this file; write to another one.")
         if group.lattice is not None:
             io.check_lattice_output(group.lattice)
         if group.patches and not len(mesh.patch(*group.patches)):
@@ -47,8 +48,15 @@ def check_files(request: Deform, mesh: Mesh) -> None:
             output_path(job)
         except ValueError as error:
             raise ValueError(f"--save-job {error}") from error
-        if job.resolve() == request.output.resolve():
-            raise ValueError(f"--save-job {job} is the file of OUT. Write the job to another file.")
+
+
+def inputs_of(request: Deform) -> dict[str, list[Path | str | None]]:
+    """Lists the files that a request reads, by what is read from them."""
+    displacements: list[Path | str | None] = []
+    for group in request.groups:
+        tables = [group.box, group.hicks_henne, group.cst]
+        displacements += [group.displacement, group.displacement_from, *(file for file, _ in group.mode), *tables]
+    return {"the mesh is": [request.file], "the job is": [request.job], "the displacements are": displacements}
 
 
 def described(request: Deform, patches: Patches, choice: NamedMethod, u: np.ndarray, out: Output) -> None:

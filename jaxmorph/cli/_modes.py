@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 import jaxmorph as jm
 from jaxmorph import Mesh, io
+from jaxmorph._host.package.files import check_apart
 
 from ._judged import Judged
 from ._method import Patches, in_double, patches_of
@@ -94,6 +95,8 @@ def _check(request: Modes, mesh: Mesh, cases: list[Case]) -> Patches:
         raise ValueError("--amplitude needs finite numbers.")
     for case in cases:
         io.check_output(case.output, mesh)
+    outputs = [request.output, *(case.output for case in cases)]
+    check_apart([("OUT", file) for file in outputs], {"the mesh is": [request.file], "the shapes are": request.mode})
     return patches
 
 

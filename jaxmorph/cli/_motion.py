@@ -48,10 +48,15 @@ class Motion:
         """Writes the lattice of each box before and after its motion, and returns the files."""
         files = []
         for file, box, (patches, name) in self.boxes:
-            for when, control in (("before", None), ("after", self.parameters[patches][name])):
-                files.append(file.with_stem(f"{file.stem}_{when}"))
-                io.write_lattice(files[-1], box.lattice(control))
+            for place, control in zip(lattice_files(file), (None, self.parameters[patches][name]), strict=True):
+                files.append(place)
+                io.write_lattice(place, box.lattice(control))
         return files
+
+
+def lattice_files(file: Path) -> tuple[Path, Path]:
+    """Names the files of a lattice before and after its motion."""
+    return file.with_stem(f"{file.stem}_before"), file.with_stem(f"{file.stem}_after")
 
 
 def motion(request: Deform, mesh: Mesh, moving: Int[np.ndarray, " m"]) -> Motion:

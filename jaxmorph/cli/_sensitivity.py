@@ -8,7 +8,9 @@ import numpy as np
 
 import jaxmorph as jm
 from jaxmorph import io, shapes
+from jaxmorph._host.package.files import check_apart
 
+from ._describe import inputs_of
 from ._flags import request_of
 from ._method import patches_of
 from ._motion import Motion, motion
@@ -23,8 +25,8 @@ def sensitivity(request: Sensitivity, out: Output) -> int:
     """Reads, pulls back, writes. Returns the exit status."""
     job = _job_of(request)
     (io.check_sensitivity_output if job is None else io.check_gradient_output)(request.output)
-    if request.output.resolve() == request.sensitivity.resolve():
-        raise ValueError(f"{request.output}: the sensitivities are read from this file; write to another one.")
+    inputs = inputs_of(job) | {"the job is": [request.job]} if job is not None else {"the mesh is": [request.file]}
+    check_apart([("OUT", request.output)], inputs | {"the sensitivities are": [request.sensitivity]})
     with out.progress(f"reading {title(request.file)}"):
         mesh = io.read(request.file)
     patches = patches_of(job or request, mesh)

@@ -8,6 +8,7 @@ import numpy as np
 
 import jaxmorph as jm
 from jaxmorph import io, shapes
+from jaxmorph._host.package.files import check_apart
 from jaxmorph._kernels.compile import quickly_compiled
 from jaxmorph.integrations import su2
 
@@ -40,6 +41,7 @@ def run(request: SU2, out: Output) -> int:
 def _deform(request: SU2, config: su2.Config, out: Output) -> int:
     mesh, output = config.mesh, request.output or config.output
     io.check_output(output, mesh)
+    check_apart([("OUT", output)], {"the config is": [request.file]})
     points = np.asarray(mesh.points)
     status = 0
     if config.names:
@@ -95,6 +97,8 @@ def _project(request: SU2, config: su2.Config, out: Output) -> int:
     output = request.output or config.options.beside(name if Path(name).suffix else f"{name}.dat")
     with out.progress("reading the sensitivities"):
         sensitivities = su2.read_sensitivity(config, request.sensitivity)
+    inputs = {"the config is": [request.file], "the mesh is": [config.mesh.source.path]}
+    check_apart([("OUT", output)], inputs | {"the sensitivities are": [sensitivities.path]})
     gradient, angle = _gradient(request, config, sensitivities, out), sensitivities.by_angle
     if config.angles:
         gradient[config.angles] = angle or 0

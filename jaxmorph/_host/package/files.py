@@ -11,7 +11,7 @@ import socket
 import stat
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 
 import numpy as np
 
@@ -60,6 +60,25 @@ def output_path(path: str | os.PathLike[str], *endings: str, folder: bool = Fals
         raise ValueError(f"{path}: there is no folder {path.parent}.")
     _check_replaceable(path, pathlib.Path(os.path.realpath(path)), folder)
     return path
+
+
+def check_apart(
+    outputs: Iterable[tuple[str, pathlib.Path]], inputs: Mapping[str, Iterable[str | os.PathLike[str] | None]]
+) -> None:
+    """Raises `ValueError` for an output that is an input, and for two outputs in one file.
+
+    Outputs come with the names that messages give them. Inputs are listed by what is read from
+    them: `the mesh is`.
+    """
+    read = {pathlib.Path(file).resolve(): what for what, files in inputs.items() for file in files if file is not None}
+    written: dict[pathlib.Path, str] = {}
+    for name, path in outputs:
+        place = path.resolve()
+        if place in read:
+            raise ValueError(f"{name} {path}: {read[place]} read from this file; write to another one.")
+        if place in written:
+            raise ValueError(f"{name} {path} is the file of {written[place]}. Write to another file.")
+        written[place] = name
 
 
 def read_arrays(path: pathlib.Path, what: str = "an NPZ file") -> dict[str, np.ndarray]:
