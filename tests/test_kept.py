@@ -186,7 +186,9 @@ def test_a_damaged_file_is_no_fault(folder, monkeypatch):
     x = Pair(jnp.ones((3, 2)), "x", 3)
     result(halves, x, 0.1)
     file = files(folder)[0]
-    for content in (b"", b"no program", file.read_bytes()[:1000]):
+    whole = file.read_bytes()
+    flipped = [bytes([*whole[:at], whole[at] ^ 64, *whole[at + 1 :]]) for at in range(7, len(whole), len(whole) // 12)]
+    for content in (b"", b"no program", whole[:1000], *flipped):
         file.write_bytes(content)
         anew(monkeypatch)
         np.testing.assert_array_equal(result(halves, x, 0.1)[0].rows, np.full((3, 2), 0.1))

@@ -44,6 +44,9 @@ HOST = "callback"
 LATEST = 64
 """Programs that a process holds at most."""
 
+DIGEST = hashlib.sha256().digest_size
+"""Bytes before a program in its file."""
+
 SWITCH = "JAXMORPH_CACHE"
 """The environment variable by which nothing is kept."""
 
@@ -220,8 +223,9 @@ def _settings() -> bytes:
 def _loaded(folder: Any, key: str) -> Program | None:
     """Loads a program; None where it is missing or damaged."""
     try:
-        content = folder.get(key)
-        if content is None:
+        kept = folder.get(key) or b""
+        digest, content = kept[:DIGEST], kept[DIGEST:]
+        if digest != hashlib.sha256(content).digest():  # machine code of a damaged file may do anything
             return None
         from jax.experimental import serialize_executable
 
@@ -281,7 +285,7 @@ def _write(folder: Any, key: str, counts: tuple[int, int], compiled: Any, form: 
 
         file = io.BytesIO()
         _Pickler(file).dump((counts, serialize_executable.serialize(compiled)[0], form))
-        folder.put(key, file.getvalue())
+        folder.put(key, hashlib.sha256(file.getvalue()).digest() + file.getvalue())
 
 
 def _is_array(leaf: Any) -> bool:
