@@ -74,6 +74,20 @@ def test_points_that_a_caller_changes_in_place_are_written(tmp_path, ending):
     np.testing.assert_allclose(change[0], 0.125)
 
 
+@pytest.mark.parametrize("ending", [".msh", ".vtu", ".vtk"])
+def test_other_cells_than_the_file_had_are_written(tmp_path, ending):
+    """The pieces of curved cells, or some of the cells: the file is not given back in their place."""
+    io.write(tmp_path / f"in{ending}", jm.elevate(bricks(2), 2))
+    mesh = io.read(tmp_path / f"in{ending}")
+    fewer = {kind: corners[1:] for kind, corners in mesh.linear.cells.items()}
+    for other in (mesh.linear, jm.Mesh(mesh.points, fewer, None, mesh.source)):
+        io.write(tmp_path / f"out{ending}", other)
+        back = io.read(tmp_path / f"out{ending}").cells
+        assert {kind: len(corners) for kind, corners in back.items()} == {k: len(c) for k, c in other.cells.items()}
+    io.write(tmp_path / f"same{ending}", mesh)
+    assert (tmp_path / f"same{ending}").read_bytes() == (tmp_path / f"in{ending}").read_bytes()
+
+
 def decide(tmp_path, capsys, mesh, moved, source, to):
     out, patch = tmp_path / f"out{to}", next(iter(mesh.patches))
     words = ["deform", str(tmp_path / f"in{source}"), str(out), "--moving", patch, "--translate", "0", "0", "1e-3"]

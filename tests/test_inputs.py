@@ -11,7 +11,13 @@ from meshes import unit_grid
 
 import jaxmorph as jm
 
-FORMS = {"numpy": np.asarray, "jax": jnp.asarray, "list": lambda values: np.asarray(values).tolist()}
+FORMS = {
+    "numpy": np.asarray,
+    "jax": jnp.asarray,
+    "list": lambda values: np.asarray(values).tolist(),
+    "another byte order": lambda values: np.asarray(values).astype(np.asarray(values).dtype.newbyteorder()),
+    "long": lambda values: np.asarray(values).astype(np.longdouble) if np.asarray(values).dtype.kind == "f" else values,
+}
 
 
 def results(form):
@@ -44,7 +50,9 @@ def results(form):
 reference = functools.cache(lambda: results(np.asarray))
 
 
-@pytest.mark.parametrize("form", [pytest.param("jax", marks=pytest.mark.slow), "list"])
+@pytest.mark.parametrize(
+    "form", ["list", "another byte order", *(pytest.param(form, marks=pytest.mark.slow) for form in ("jax", "long"))]
+)
 def test_every_call_takes_every_form(form):
     for name, values in results(FORMS[form]).items():
         np.testing.assert_array_equal(np.asarray(values), np.asarray(reference()[name]), err_msg=name)

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._host.cells.topology import NODES
-from .._host.package.arguments import shown
+from .._host.package.arguments import native, shown
 
 
 def check_parts(points: Any, cells: Mapping[str, Any], patches: Mapping[str, Any]) -> None:
@@ -41,7 +41,7 @@ def floats(points) -> Any:
     points = points.data if isinstance(points, np.ma.MaskedArray) else points
     if not (np.issubdtype(points.dtype, np.integer) or jnp.issubdtype(points.dtype, np.floating)):
         raise ValueError(f"`points` holds {points.dtype}; coordinates are real numbers.")
-    return points.astype(float) if np.issubdtype(points.dtype, np.integer) else points
+    return points.astype(float) if np.issubdtype(points.dtype, np.integer) else native(points)
 
 
 def ids_of(values) -> np.ndarray:
@@ -51,4 +51,4 @@ def ids_of(values) -> np.ndarray:
         return ids.astype(np.int64)
     if ids.dtype.kind not in "iu":
         raise ValueError(f"ids must be integers, not {ids.dtype}.")
-    return ids
+    return native(ids)

@@ -33,12 +33,24 @@ Arrays = Mapping[str, Any]
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Origin:
-    """The mesh of another library that a mesh came from.
+    """The mesh of another library that a mesh came from, and numbers of the mesh's cells by type.
 
     It is compared by identity, as a static field of a pytree must be.
     """
 
     content: Any
+    cells: Mapping[str, int]
+
+
+def numbers_of_cells(cells: Mapping[str, Any]) -> dict[str, int]:
+    """Counts cells by type."""
+    return {kind: len(corners) for kind, corners in cells.items()}
+
+
+def intact_source(mesh: Any) -> Any:
+    """Returns what a mesh came from; None if the mesh has other cells by now."""
+    known = getattr(mesh.source, "cells", None)
+    return mesh.source if known in (None, numbers_of_cells(mesh.cells)) else None
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -191,7 +191,8 @@ class Mesh(Module):
         nodes between corners). Also for points that are not finite, and for a mesh without area or
         volume.
         """
-        return Mesh(*exchange.parts(exchange.of_meshio(mesh)), source=exchange.Origin(mesh))
+        parts = exchange.parts(exchange.of_meshio(mesh))
+        return Mesh(*parts, source=exchange.Origin(mesh, exchange.numbers_of_cells(parts.cells)))
 
     @checked
     def to_meshio(
@@ -210,7 +211,7 @@ class Mesh(Module):
         **Raises:** `ValueError` for arrays of a wrong length, `ImportError` where meshio is
         missing.
         """
-        return export.to_meshio(self._parts, self.source, point_data, cell_data)
+        return export.to_meshio(self._parts, exchange.intact_source(self), point_data, cell_data)
 
     @staticmethod
     def from_pyvista(grid: Any) -> "Mesh":
@@ -224,7 +225,8 @@ class Mesh(Module):
                     f"`grid` must be a single grid of PyVista, not {shown(grid)}; one of several blocks has `combine`."
                 )
             grid = grid.cast_to_unstructured_grid()
-        return Mesh(*exchange.parts(exchange.of_pyvista(grid)), source=exchange.Origin(grid))
+        parts = exchange.parts(exchange.of_pyvista(grid))
+        return Mesh(*parts, source=exchange.Origin(grid, exchange.numbers_of_cells(parts.cells)))
 
     @checked
     def to_pyvista(
@@ -239,7 +241,7 @@ class Mesh(Module):
         **Raises:** `ValueError` for arrays of a wrong length, `ImportError` where PyVista is
         missing.
         """
-        return export.to_pyvista(self._parts, self.source, point_data, cell_data)
+        return export.to_pyvista(self._parts, exchange.intact_source(self), point_data, cell_data)
 
     @property
     def _parts(self) -> exchange.Parts:

@@ -11,6 +11,7 @@ import numpy as np
 
 from jaxmorph import Mesh, Periodic
 from jaxmorph._host.package.arguments import checked
+from jaxmorph._mesh.exchange import intact_source
 from jaxmorph._mesh.polyhedra import Polyhedra
 
 Arrays = Mapping[str, np.ndarray]
@@ -29,6 +30,7 @@ class Source:
     - `node_ids` (n,): numbers of the nodes in other files, None for 0, 1, 2, ...
     - `in_file`: takes points (n, d) of the mesh to points (N, 3) of the file; None where a mesh has
       the nodes of its file.
+    - `cells`: numbers of the file's cells by type, of which a mesh keeps its file; None: not compared.
     """
 
     path: pathlib.Path
@@ -44,6 +46,7 @@ class Source:
     kinds: Mapping[str, str] = dataclasses.field(default_factory=dict)
     file_nodes: np.ndarray | None = None
     in_file: Callable[[np.ndarray], np.ndarray] | None = None
+    cells: Mapping[str, int] | None = None
 
     def __repr__(self) -> str:
         return f"Source({str(self.path)!r}, {self.format})"
@@ -96,8 +99,11 @@ class Format:
 
 
 def source_of(mesh: Mesh, format_name: str) -> Source | None:
-    """Returns the source of a mesh when it was read from a file of that format, whole."""
-    source = mesh.source
+    """Returns the source of a mesh when it was read from a file of that format, whole.
+
+    A mesh with other cells than those of the file has no source.
+    """
+    source = intact_source(mesh)
     is_of_format = isinstance(source, Source) and source.format == format_name and source.content is not None
     return source if is_of_format else None
 

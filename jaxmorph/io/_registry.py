@@ -1,5 +1,6 @@
 """The formats there are, and `read` and `write`, which choose among them."""
 
+import dataclasses
 import os
 import pathlib
 
@@ -11,6 +12,7 @@ from jaxmorph._host.cells.topology import HIGH_ORDER, repeated_cells
 from jaxmorph._host.package import files
 from jaxmorph._host.package.arguments import checked
 from jaxmorph._host.package.errors import place_of, warn
+from jaxmorph._mesh.exchange import numbers_of_cells
 
 from ._format import Checking, Format, Source, own_source
 
@@ -88,7 +90,10 @@ def read(path: str | os.PathLike[str]) -> Mesh:
     path = files.input_path(path)
     mesh = format_of(path).codec().read(path)
     check_nodes(path, mesh)
-    return mesh
+    if not isinstance(mesh.source, Source):
+        return mesh
+    source = dataclasses.replace(mesh.source, cells=numbers_of_cells(mesh.cells))
+    return dataclasses.replace(mesh, source=source)
 
 
 def check_nodes(path: pathlib.Path, mesh: Mesh) -> None:

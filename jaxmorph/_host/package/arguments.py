@@ -24,7 +24,7 @@ def checked(function: Function) -> Function:
     """Makes a function compare its arguments with its annotations at every call.
 
     The function then raises `ValueError` for a wrong argument, with its name, its value and the
-    call to make.
+    call to make. Numbers of another machine's byte order are turned: JAX reads them as they lie.
     """
     parameters = inspect.signature(function).parameters
     rules = {name: parameter.annotation for name, parameter in parameters.items() if says(parameter.annotation)}
@@ -32,6 +32,8 @@ def checked(function: Function) -> Function:
 
     @functools.wraps(function)
     def call(*arguments, **keywords):
+        arguments = tuple(map(native, arguments))
+        keywords = {name: native(value) for name, value in keywords.items()}
         names = itertools.chain(parameters, itertools.cycle(rest))
         for name, value in itertools.chain(zip(names, arguments, strict=False), keywords.items()):
             if name in rules:
@@ -39,6 +41,13 @@ def checked(function: Function) -> Function:
         return function(*arguments, **keywords)
 
     return call  # pyright: ignore[reportReturnType]
+
+
+def native(value: Any) -> Any:
+    """Returns NumPy's arrays in this machine's byte order, and in float64 if they are longer."""
+    if not isinstance(value, np.ndarray) or (value.dtype.isnative and value.dtype != np.longdouble):
+        return value
+    return value.astype(float if value.dtype == np.longdouble else value.dtype.newbyteorder("="))
 
 
 def check_fields(instance: Any) -> None:
