@@ -74,6 +74,18 @@ def test_points_that_a_caller_changes_in_place_are_written(tmp_path, ending):
     np.testing.assert_allclose(change[0], 0.125)
 
 
+@pytest.mark.parametrize("ending", ["", ".su2", ".msh", ".mesh", ".xyz"])
+def test_nodes_that_stay_keep_their_digits_in_single_precision(tmp_path, ending):
+    """With JAX's x64 mode off, points come back in float32: a node that stays has the text of its file."""
+    path = written(tmp_path, ending)
+    mesh = io.read(path)
+    points = (np.asarray(mesh.points) + 1 / 3).astype(np.float64)
+    io.write(tmp_path / f"thirds{ending}", mesh.moved(points))
+    mesh = io.read(tmp_path / f"thirds{ending}")
+    io.write(tmp_path / f"out{ending}", mesh.moved(np.asarray(mesh.points).astype(np.float32)))
+    np.testing.assert_array_equal(io.read(tmp_path / f"out{ending}").points, mesh.points)
+
+
 @pytest.mark.parametrize("ending", [".msh", ".vtu", ".vtk"])
 def test_other_cells_than_the_file_had_are_written(tmp_path, ending):
     """The pieces of curved cells, or some of the cells: the file is not given back in their place."""

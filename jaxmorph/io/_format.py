@@ -142,6 +142,11 @@ def stamp_of(path: pathlib.Path) -> tuple[int, int]:
     return status.st_size, status.st_mtime_ns
 
 
+def as_in_file(points: np.ndarray, old: np.ndarray) -> np.ndarray:
+    """Returns points with a file's `old` coordinates where they stay, also in single precision."""
+    return np.where(points == old.astype(points.dtype), old, points)
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class FilePoints:
     """The points of a file, of which a 2-D mesh has no z."""
@@ -150,7 +155,8 @@ class FilePoints:
 
     def in_file(self, points: np.ndarray) -> np.ndarray:
         """Returns points with the z of the file where they have none."""
-        return np.concatenate([points, self.points[:, points.shape[1] :]], axis=1)
+        d = points.shape[1]
+        return np.concatenate([as_in_file(points, self.points[:, :d]), self.points[:, d:]], axis=1)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -40,7 +40,7 @@ class Joined:
         first = np.unique(self.node, return_index=True)[1]
         new = self.points.copy()
         d = points.shape[1]
-        moved = (points != self.points[first, :d])[self.node]
+        moved = (points != self.points[first, :d].astype(points.dtype))[self.node]
         new[:, :d] = np.where(moved, points[self.node], self.points[:, :d])
         return new
 

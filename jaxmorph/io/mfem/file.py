@@ -79,7 +79,7 @@ class _Content:
         """Computes the file's numbers in its order; unchanged where points have not changed."""
         new, old = (at_places(self.cells, coordinates, to_lobatto) for coordinates in (points, self.points))
         rows, d = self.values.copy(), points.shape[1]
-        rows[:, :d] = np.where((new != old)[self.node], new[self.node], rows[:, :d])
+        rows[:, :d] = np.where((new != old.astype(new.dtype))[self.node], new[self.node], rows[:, :d])
         return rows.T.ravel() if self.space.by_nodes else rows.ravel()
 
 

@@ -21,7 +21,7 @@ from jaxmorph._host.package.errors import warn
 from jaxmorph._host.package.files import complete
 from jaxmorph._mesh.polyhedra import Polyhedra, tetrahedra
 
-from .._format import Arrays, Source, source_of
+from .._format import Arrays, Source, as_in_file, source_of
 from ..text.sections import replace_words
 from .cyclic import check_cyclic, cyclic_pairs
 from .file import PARENTHESES, FoamFile, Patch, load, patches
@@ -52,7 +52,8 @@ class _CaseContent:
 
         Raises `ValueError` where the axis does not stay.
         """
-        return points if self.plane is None else self.plane.in_space(self.points, points)
+        in_space = points if self.plane is None else self.plane.in_space(self.points, points)
+        return as_in_file(in_space, self.points)
 
     @functools.cached_property
     def point_ids(self) -> np.ndarray:

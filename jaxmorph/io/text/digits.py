@@ -55,7 +55,8 @@ def parse(text: bytes, dtype: type) -> np.ndarray:
 
 
 def lines(values: np.ndarray) -> bytes:
-    """Writes one number a line, with the fewest digits that read back bit for bit."""
+    """Writes one number a line, with the fewest digits that read back as the double it is."""
+    values = values.astype(float, copy=False)
     if 16 * len(values) < ENOUGH:
         return repr(values.tolist())[1:-1].encode().replace(b", ", b"\n")
     file = io.BytesIO()
