@@ -70,6 +70,17 @@ def test_files_come_back_and_move(tmp_path, name):
     assert (tmp_path / "moved.mesh").read_text().split("Ordering")[0] == path.read_text().split("Ordering")[0]
 
 
+def test_comments_between_vertices_stay(tmp_path):
+    text = mfem_meshes.straight(bricks(2), "floor")
+    first = text[text.index("vertices") :].split("\n")[3]
+    mesh = io.read(saved(tmp_path, text.replace(f"\n{first}\n", f"\n# 1 2 3\n{first}\n # four\n")))
+    io.write(tmp_path / "same.mesh", mesh)
+    assert (tmp_path / "same.mesh").read_text() == (tmp_path / "a.mesh").read_text()
+    io.write(tmp_path / "b.mesh", mesh.moved(np.asarray(mesh.points) + 0.25))
+    assert "\n# 1 2 3\n0.25 0.25 0.25\n # four\n" in (tmp_path / "b.mesh").read_text()
+    np.testing.assert_array_equal(io.read(tmp_path / "b.mesh").points, np.asarray(mesh.points) + 0.25)
+
+
 def test_patches_are_attributes_and_named_sets(tmp_path):
     mesh = io.read(saved(tmp_path, mfem_meshes.SOLID))
     assert list(mesh.patches) == ["boundary_3", "boundary_5", "boundary_9"]

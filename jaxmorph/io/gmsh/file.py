@@ -160,7 +160,9 @@ def _replaced(content: _GmshContent, points: np.ndarray) -> Iterator[bytes | byt
     data, places = content.section.text, content.places
     if content.form.is_text:
         words = (places[:, None] + np.arange(3)).ravel()
-        yield from replace_numbers(data, slice(content.section.start, content.section.stop), words, points.ravel())
+        yield from replace_numbers(
+            data, data, slice(content.section.start, content.section.stop), words, points.ravel()
+        )
         return
     copy = bytearray(data)
     for rows, step in runs(places):

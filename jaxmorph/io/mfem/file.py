@@ -108,8 +108,7 @@ def read(path: pathlib.Path) -> Mesh:
     flat = lobatto.shape[1] > DIMENSION[cells[0].kind] and not np.ptp(lobatto[:, 2])
     curved = nodes if space.order > 2 else {}
     points = at_places(curved, lobatto[:, :2] if flat else lobatto, from_lobatto)
-    start, stop = space.section.start, space.section.stop
-    section = Section(path, text[:start] + space.section.text[start:stop] + text[stop:], start, stop)
+    section = dataclasses.replace(space.section, text=text)
     content = _Content(section, space, values, node, points, curved)
     ids = np.concatenate([element.rows for element in cells])
     patches = _patches(sides, of_sides)
@@ -125,7 +124,13 @@ def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays)
     section, words = content.section, content.words(np.asarray(mesh.points))
     at = np.arange(len(words)) + content.space.skipped
     with path.open("wb") as file:
-        file.writelines(replace_numbers(section.text, slice(section.start, section.stop), at, words))
+        part = slice(section.start, section.stop)
+        file.writelines(replace_numbers(section.text, _plain(section.text), part, at, words))
+
+
+def _plain(text: bytes) -> bytes:
+    """Overwrites every line of comment by spaces: what remains stands where it stood."""
+    return re.sub(rb"(?m)^[ \t]*#[^\r\n]*", lambda comment: b" " * len(comment[0]), text)
 
 
 def _sections(path: pathlib.Path, text: bytes) -> dict[str, Section]:
@@ -133,7 +138,7 @@ def _sections(path: pathlib.Path, text: bytes) -> dict[str, Section]:
     head = text[:64].split(b"\n")[0].strip().decode(errors="replace")
     if not re.fullmatch(r"MFEM mesh v1\.[0-3]", head):
         raise ValueError(f"{path}: MFEM mesh v1.0 to v1.3 expected in the first line, found {head[:40]!r}.")
-    plain = re.sub(rb"(?m)^[ \t]*#[^\r\n]*", lambda comment: b" " * len(comment[0]), text)
+    plain = _plain(text)
     words = list(re.finditer(rb"(?m)^[ \t]*([a-z_]+)[ \t]*\r?$", plain))
     ends = [*(word.start() for word in words[1:]), len(plain)]
     parts = {word[1].decode(): Section(path, plain, word.end(), end) for word, end in zip(words, ends, strict=False)}

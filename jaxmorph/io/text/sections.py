@@ -165,18 +165,23 @@ def replace_words(
         done += len(starts)
 
 
-def replace_numbers(text: bytes, part: slice, at: np.ndarray, values: np.ndarray) -> Iterator[bytes | memoryview]:
+def replace_numbers(
+    text: bytes, plain: bytes, part: slice, at: np.ndarray, values: np.ndarray
+) -> Iterator[bytes | memoryview]:
     """Yields the text with `values` in place of some numbers of a part of it, as `replace` does.
 
-    `at` are the places of these among all words of the part, ascending.
+    `plain` is the text with blanks in place of its comments. `at` are the places of the numbers
+    among all words of the part, ascending.
     """
-    done = 0
+    done, end = 0, part.start
     yield memoryview(text)[: part.start]
-    for chunk in chunks(text, part.start, part.stop):
+    for chunk in chunks(plain, part.start, part.stop):
+        original = text[end : end + len(chunk)]
+        end += len(chunk)
         starts, ends, _ = scan(chunk)
         rows = slice(*np.searchsorted(at, (done, done + len(starts))))
         words = at[rows] - done
-        yield _changed(chunk, starts[words], ends[words], parse(chunk, np.float64)[words], values[rows])
+        yield _changed(original, starts[words], ends[words], parse(chunk, np.float64)[words], values[rows])
         done += len(starts)
     yield memoryview(text)[part.stop :]
 
