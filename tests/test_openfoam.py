@@ -40,6 +40,20 @@ def test_every_form_comes_back_as_it_was(tmp_path, form):
     assert {name: text for name, text in foam.tree(tmp_path / "a").items() if "0.5" not in name} == before
 
 
+@pytest.mark.parametrize("end", [" // x)", "\n\n// the end (1 2 3)\n// ) of the file //\n"])
+def test_comments_at_the_end_may_hold_parentheses(tmp_path, end):
+    points, cells = mixed()
+    foam.write_case(tmp_path / "a", points, cells, PATCHES)
+    for name in ("points", "faces", "owner"):
+        file = tmp_path / "a" / "constant" / "polyMesh" / name
+        file.write_text(file.read_text().rstrip() + end)
+    mesh = io.read(tmp_path / "a")
+    np.testing.assert_array_equal(mesh.points, points)
+    io.write(tmp_path / "b", mesh.moved(points + 1))
+    np.testing.assert_array_equal(io.read(tmp_path / "b").points, points + 1)
+    assert (tmp_path / "b" / "constant" / "polyMesh" / "points").read_text().endswith(end)
+
+
 def test_cells_have_the_volumes_of_their_hulls(tmp_path):
     points, cells = mixed()
     foam.write_case(tmp_path / "a", points, cells, PATCHES)

@@ -30,7 +30,7 @@ class Source:
     - `node_ids` (n,): numbers of the nodes in other files, None for 0, 1, 2, ...
     - `in_file`: takes points (n, d) of the mesh to points (N, 3) of the file; None where a mesh has
       the nodes of its file.
-    - `cells`: numbers of the file's cells by type, of which a mesh keeps its file; None: not compared.
+    - `cells`: numbers of the file's cells by type, by which changed cells are seen; None: unknown.
     """
 
     path: pathlib.Path

@@ -241,7 +241,7 @@ def _replaced(file: FoamFile, known: np.ndarray, points: np.ndarray) -> Iterator
         yield values.tobytes()
         yield file.data[place.start + values.nbytes :]
         return
-    stop = file.data.rfind(b")", place.start)
+    stop = file.end_of_text(place.start)
     yield file.data[: place.start]
     yield from replace_words(file.data, place.start, stop, known.ravel(), points.ravel(), PARENTHESES)
     yield file.data[stop:]

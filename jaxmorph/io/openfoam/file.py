@@ -73,6 +73,17 @@ class FoamFile:
         count = int(match[1]) if match[1] else -1
         return List(count if match[2] else 0, match.end(), match[2] == b"{")
 
+    def end_of_text(self, start: int) -> int:
+        """Finds the last parenthesis after `start`, before the comments at the end of the file."""
+        stop = len(self.data)
+        while stop > start:
+            line = max(self.data.rfind(b"\n", start, stop), start)
+            comment = self.data.find(b"//", line, stop)
+            if comment < 0 and self.data[line:stop].strip():
+                break
+            stop = max(comment, line)
+        return self.data.rfind(b")", start, stop)
+
     def numbers(self, what: str, width: int = 1) -> np.ndarray:
         """Reads the list of `label`s or `scalar`s: (count, width), as int32 or float64."""
         items = self.list_at(self.end)
@@ -84,7 +95,7 @@ class FoamFile:
             return values.astype(kind if what == "scalar" else _narrow(values))
         if not items.start or items.count == 0:
             return np.zeros((0, width), kind)
-        stop = self.data.find(b"}", items.start) if items.uniform else self.data.rfind(b")", items.start)
+        stop = self.data.find(b"}", items.start) if items.uniform else self.end_of_text(items.start)
         values = self._words(items.start, stop, kind).reshape(-1)
         if items.uniform and len(values) == width:
             values = np.tile(values, items.count)
@@ -136,7 +147,7 @@ class FoamFile:
 
     def _text_faces(self) -> tuple[np.ndarray, np.ndarray]:
         items = self.list_at(self.end)
-        stop = self.data.rfind(b")", items.start)
+        stop = self.end_of_text(items.start)
         labels = self._table(items, stop) if items.count >= 0 else None
         if labels is not None:
             kind = np.int32 if labels.size < 2**31 - labels.shape[1] else np.int64
