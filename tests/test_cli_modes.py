@@ -139,3 +139,13 @@ def test_outputs_that_cannot_be(here, capsys):
     assert "unknown file ending" in capsys.readouterr().err
     assert modes("x.su2", "bump.csv", "--amplitude", "nan") == 2
     assert "--amplitude needs finite numbers" in capsys.readouterr().err
+    shape = (here / "bump.csv").read_bytes()
+    (here / "y_0001.su2").write_bytes(shape)
+    assert modes("y.su2", "y_0001.su2") == 2
+    assert "OUT y_0001.su2: the shapes are read from this file" in capsys.readouterr().err
+    motion = [*SURFACE, "--mode", "bump.csv", "0.01", "--save-job", "job.toml"]
+    assert main(["deform", "ring.su2", "moved.su2", *motion]) == 0
+    capsys.readouterr()
+    assert main(["sensitivity", "--job", "job.toml", "zero.csv", "bump.csv"]) == 2
+    assert "bump.csv: the displacements are read from this file" in capsys.readouterr().err
+    assert (here / "bump.csv").read_bytes() == (here / "y_0001.su2").read_bytes() == shape
