@@ -223,8 +223,8 @@ def _settings() -> bytes:
 def _loaded(folder: Any, key: str) -> Program | None:
     """Loads a program; None where it is missing or damaged."""
     try:
-        kept = folder.get(key) or b""
-        digest, content = kept[:DIGEST], kept[DIGEST:]
+        found = folder.get(key) or b""
+        digest, content = found[:DIGEST], found[DIGEST:]
         if digest != hashlib.sha256(content).digest():  # machine code of a damaged file may do anything
             return None
         from jax.experimental import serialize_executable
@@ -285,7 +285,8 @@ def _write(folder: Any, key: str, counts: tuple[int, int], compiled: Any, form: 
 
         file = io.BytesIO()
         _Pickler(file).dump((counts, serialize_executable.serialize(compiled)[0], form))
-        folder.put(key, hashlib.sha256(file.getvalue()).digest() + file.getvalue())
+        content = file.getvalue()
+        folder.put(key, hashlib.sha256(content).digest() + content)
 
 
 def _is_array(leaf: Any) -> bool:

@@ -139,7 +139,7 @@ class Mesh(Module):
     @property
     def cell_counts(self) -> dict[str, int]:
         """Numbers of cells by type in the file; cut cells count as `polyhedron` or `polygon`."""
-        counts = {kind: len(corners) for kind, corners in self.cells.items()}
+        counts = exchange.numbers_of_cells(self.cells)
         if self.polyhedra is not None:
             cut = np.isin(self.cell_ids, self.polyhedra.cut)
             pieces = np.split(cut, np.cumsum(list(counts.values()))[:-1])

@@ -200,7 +200,7 @@ def _checked(name: str | os.PathLike[str], mesh: Mesh) -> Format:
     """Checks the name of a file and the mesh to write there; returns the format."""
     source, chosen = mesh.source, format_of(pathlib.Path(name), mesh.source)
     path = files.output_path(name, folder=chosen.is_folder)
-    if isinstance(source, Source) and _same_file(path, source.path):
+    if isinstance(source, Source) and files.is_same(path, source.path):
         raise ValueError(f"{path}: the mesh was read from this file; write to another one.")
     codec = chosen.codec()
     if isinstance(codec, Checking):
@@ -208,11 +208,3 @@ def _checked(name: str | os.PathLike[str], mesh: Mesh) -> Format:
     else:
         own_source(path, mesh, chosen.name)
     return chosen
-
-
-def _same_file(a: pathlib.Path, b: pathlib.Path) -> bool:
-    """Checks whether two paths lead to one file."""
-    try:
-        return os.path.samefile(a, b)
-    except OSError:
-        return a.resolve() == b.resolve()

@@ -62,6 +62,14 @@ def output_path(path: str | os.PathLike[str], *endings: str, folder: bool = Fals
     return path
 
 
+def is_same(a: pathlib.Path, b: pathlib.Path) -> bool:
+    """Checks whether two paths lead to one file."""
+    try:
+        return os.path.samefile(a, b)
+    except OSError:
+        return a.resolve() == b.resolve()
+
+
 def check_apart(
     outputs: Iterable[tuple[str, pathlib.Path]], inputs: Mapping[str, Iterable[str | os.PathLike[str] | None]]
 ) -> None:
@@ -70,12 +78,13 @@ def check_apart(
     Outputs come with the names that messages give them. Inputs are listed by what is read from
     them: `the mesh is`.
     """
-    read = {pathlib.Path(file).resolve(): what for what, files in inputs.items() for file in files if file is not None}
+    read = [(pathlib.Path(file), what) for what, files in inputs.items() for file in files if file is not None]
     written: dict[pathlib.Path, str] = {}
     for name, path in outputs:
+        for file, what in read:
+            if is_same(path, file):
+                raise ValueError(f"{name} {path}: {what} read from this file; write to another one.")
         place = path.resolve()
-        if place in read:
-            raise ValueError(f"{name} {path}: {read[place]} read from this file; write to another one.")
         if place in written:
             raise ValueError(f"{name} {path} is the file of {written[place]}. Write to another file.")
         written[place] = name

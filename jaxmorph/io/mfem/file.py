@@ -16,7 +16,7 @@ from jaxmorph import Mesh
 from jaxmorph._host.cells.topology import CORNERS, DIMENSION
 
 from .._format import Arrays, Source, faults_of, own_source
-from ..text.sections import Section, replace_numbers
+from ..text.sections import Section, blanked, replace_numbers
 from .nodes import Elements, at_places, from_lobatto, lexicographic, numbered, to_lobatto
 
 NAME = "MFEM"
@@ -130,7 +130,7 @@ def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays)
 
 def _plain(text: bytes) -> bytes:
     """Overwrites every line of comment by spaces: what remains stands where it stood."""
-    return re.sub(rb"(?m)^[ \t]*#[^\r\n]*", lambda comment: b" " * len(comment[0]), text)
+    return blanked(text, rb"(?m)^[ \t]*#[^\r\n]*")
 
 
 def _sections(path: pathlib.Path, text: bytes) -> dict[str, Section]:

@@ -101,9 +101,12 @@ class Section:
 
 def blank_comments(text: bytes) -> bytes:
     """Overwrites every `%` comment by spaces: what remains stands where it stood."""
-    if b"%" not in text:
-        return text
-    return re.sub(rb"%[^\r\n]*", lambda comment: b" " * len(comment[0]), text)
+    return blanked(text, rb"%[^\r\n]*") if b"%" in text else text
+
+
+def blanked(text: bytes, pattern: bytes) -> bytes:
+    """Overwrites what a regular expression finds by spaces."""
+    return re.sub(pattern, lambda found: b" " * len(found[0]), text)
 
 
 def chunks(text: bytes, start: int, stop: int) -> Iterator[bytes]:
