@@ -13,11 +13,10 @@ The public names stand in `_public.py`. The first use of a name imports its modu
 the command line shows its help without. Submodules are imported when they are first used.
 """
 
-import functools
 import importlib
-import pathlib
-import re
 import typing
+
+from ._host.package.names import Names
 
 if typing.TYPE_CHECKING:
     from . import cases as cases
@@ -30,28 +29,14 @@ if typing.TYPE_CHECKING:
 
 __version__: str
 
-_SUBMODULES = ("cases", "cli", "integrations", "io", "plot", "shapes")
-
-
-@functools.cache
-def _modules() -> dict[str, str]:
-    """Lists the module of each public name, in the lines of `_public.py`."""
-    lines = pathlib.Path(__file__).with_name("_public.py").read_text()
-    return {name: module for module, name in re.findall(r"(?m)^from (\S+) import \w+ as (\w+)$", lines)}
+_names = Names(__name__, ("cases", "cli", "integrations", "io", "plot", "shapes"))
 
 
 def __getattr__(name: str) -> typing.Any:
-    if name in _SUBMODULES:
-        return importlib.import_module(f"{__name__}.{name}")
     if name == "__version__":
         return importlib.import_module("importlib.metadata").version(__name__)
-    if name == "__all__":
-        return sorted({*_modules(), *_SUBMODULES})
-    if name.startswith("_") or name not in _modules():
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    globals()[name] = getattr(importlib.import_module(_modules()[name], __name__), name)
-    return globals()[name]
+    return _names.found(name)
 
 
 def __dir__() -> list[str]:
-    return sorted({*__getattr__("__all__"), "__version__", *(name for name in globals() if name.startswith("__"))})
+    return sorted({*_names.listed(), "__version__"})

@@ -15,7 +15,7 @@ from runs import runs
 
 import jaxmorph as jm
 from jaxmorph._host.cells import pairs
-from jaxmorph._host.package import cores
+from jaxmorph._host.package import cores, trees
 from jaxmorph._host.surface.neighbours import near_walls
 from jaxmorph._methods.blocks import is_rows
 from jaxmorph._plan import slabs
@@ -50,7 +50,7 @@ def fine():
 def few_points(monkeypatch):
     """Slabs, searches by threads and blocks of few points, faces and cells."""
     monkeypatch.setattr(slabs, "LEAST", 1024)
-    monkeypatch.setattr(cores, "FEW", 64)
+    monkeypatch.setattr(trees, "FEW", 64)
     monkeypatch.setattr(cores, "BLOCK", 512)
     monkeypatch.setattr(pairs, "BLOCK", 512)
     monkeypatch.setattr(sides, "BLOCK", 512)
@@ -183,7 +183,7 @@ def test_tables_made_while_jax_traces_serve_later():
 
 def test_more_points_than_a_thread_searches_alone_get_equal_neighbours(few_points, monkeypatch):
     points = lattice(*[np.linspace(0, 1, 12)] * 3)
-    tree = cores.Tree(points)
+    tree = trees.Tree(points)
     monkeypatch.setenv(cores.SWITCH, "1")
     alone = tree.query(points + 0.3, k=3)
     monkeypatch.setenv(cores.SWITCH, "3")

@@ -1,56 +1,15 @@
 """Every format into every other one: what cannot be written is told before any work, in Python and on the command line."""
 
-import pathlib
-
-import cgns
 import exodus
-import foam
 import h5py
-import meshio
-import mfem_meshes
 import numpy as np
 import pytest
-from foam import PATCHES, mixed
+from formats import ENDINGS, written
 from meshes import bricks
-from plot3d import write as write_plot3d
 
 import jaxmorph as jm
 from jaxmorph import io
 from jaxmorph.cli import main
-from jaxmorph.io._registry import FORMATS
-
-ENDINGS = [".vtk", *((form.suffixes or ("",))[0] for form in FORMATS)]
-
-
-def written(folder: pathlib.Path, ending: str) -> pathlib.Path:
-    """Writes a small mesh with a patch `floor` in the format of an ending."""
-    path, mesh = folder / f"in{ending}", bricks(2)
-    if ending == "":
-        foam.write_case(path, *mixed(), PATCHES)
-    elif ending == ".cgns":
-        corners = np.asarray(mesh.cells["hexahedron"]) + 1
-        with h5py.File(path, "w") as file:
-            base = cgns.base(file, 3, 3)
-            zone = cgns.zone(base, "box", tuple(np.asarray(mesh.points).T), len(corners))
-            cgns.elements(zone, "cells", 17, corners, 1, len(corners))
-    elif ending == ".med":
-        corners = np.asarray(mesh.cells["hexahedron"])[:, [0, 3, 2, 1, 4, 7, 6, 5]]  # MED's order
-        tags = np.isin(np.arange(len(mesh.points)), mesh.patch("floor")).astype(int)
-        tagged = meshio.Mesh(mesh.points, [("hexahedron", corners)], point_data={"point_tags": tags})
-        tagged.point_tags = {1: ["floor"]}
-        meshio.med.write(path, tagged)
-    elif ending == ".e":
-        corners = np.asarray(mesh.cells["hexahedron"])
-        blocks, sets = [("box", "hexahedron", corners)], [("floor", mesh.patch("floor"))]
-        exodus.write(path, np.asarray(mesh.points), blocks, node_sets=sets)
-    elif ending == ".mesh":
-        path.write_text(mfem_meshes.straight(mesh, "floor"))
-    elif ending == ".xyz":
-        grid = np.stack(np.meshgrid(*(np.linspace(0, 1, 3),) * 3, indexing="ij"))
-        write_plot3d(path, [grid], "text")
-    else:
-        io.write(path, mesh)
-    return path
 
 
 @pytest.mark.parametrize("source", ENDINGS)

@@ -8,8 +8,9 @@ import numpy as np
 from jaxtyping import ArrayLike, Integer, Real
 
 from .._host.package.arguments import checked, rows_of
-from .._host.package.cores import Tree
+from .._host.package.cores import Beside
 from .._host.package.errors import MeshError
+from .._host.package.trees import Tree
 from .._host.surface.gaps import share_left
 from .._host.surface.skin import edges
 from .._host.surface.walls import walls
@@ -73,7 +74,6 @@ def inspected(plan: Plan, u: Any, mesh: Mesh | None, nodes: Any, moved: np.ndarr
         raise ValueError(
             f"`mesh` has points of shape {tuple(mesh.points.shape)}; this plan was made for {tuple(plan.points.shape)}."
         )
-    inspection = _of_plan(plan, u, moved)
     ids = (
         np.arange(len(plan.points))
         if nodes is None
@@ -81,41 +81,47 @@ def inspected(plan: Plan, u: Any, mesh: Mesh | None, nodes: Any, moved: np.ndarr
     )
     if len(ids) != len(plan.points):
         raise ValueError(f"`nodes` has {len(ids)} ids; this plan has {len(plan.points)} points.")
+    surface, vectors = np.asarray(plan.surface_nodes), np.asarray(plan.of_surface(u))
+    _check_finite(u, surface[: plan.n_moving])
+    looking = mesh and Beside(_of_faces, mesh, ids[surface], vectors.astype(float), plan.n_moving)
+    inspection = _of_plan(plan, u, vectors, moved)
     inspection = inspection if nodes is None else inspection.renumbered(ids)
-    if mesh is None:
+    if mesh is None or looking is None:
         return inspection
-    surface, vectors = ids[np.asarray(plan.surface_nodes)], np.asarray(plan.of_surface(u), dtype=float)
-    return _with_faces(inspection, mesh, surface, vectors, plan.n_moving)
-
-
-def _with_faces(inspection: Inspection, mesh: Mesh, nodes: np.ndarray, vectors: np.ndarray, moving: int) -> Inspection:
-    """Adds what needs faces to the inspection.
-
-    The mesh's `nodes` (o,) move by `vectors` (o, d); the caller gave the first `moving`
-    vectors.
-    """
-    cut, left, node, touches = simplices(mesh, nodes), None, None, inspection.touches
-    crossed = None if cut is None else crossings(cut, mesh, nodes, vectors)
-    if cut is not None and inspection.rests.any():
+    faces, found = looking.result()
+    touches, torn = inspection.touches, inspection.contradictions
+    if faces is not None and inspection.rests.any():
         rows = np.zeros(len(mesh.points), dtype=np.int64)
-        rows[nodes] = np.arange(len(nodes))
-        touches = inspection.rests & share_faces(rows[inspection.contradictions], cut[0], len(nodes))
-    if cut is not None and len(cut[0]):
+        rows[ids[surface]] = np.arange(len(surface))
+        touches = inspection.rests & share_faces(rows[torn], faces, len(surface))
+    names = tuple(names_of(mesh, torn[0][:, None])) if len(torn) else ()
+    return dataclasses.replace(inspection, torn=names, touches=touches, **found)
+
+
+def _of_faces(
+    mesh: Mesh, nodes: np.ndarray, vectors: np.ndarray, moving: int
+) -> tuple[np.ndarray | None, dict[str, Any]]:
+    """Checks what needs faces: the faces' simplices, and what is found of them, by field.
+
+    The mesh's `nodes` (o,) move by `vectors` (o, d); the caller gave the first `moving` vectors.
+    """
+    cut, left, node = simplices(mesh, nodes), None, None
+    if cut is None:
+        return None, {}
+    if len(cut[0]):
         before = np.asarray(mesh.points, dtype=float)[nodes]
         wall = walls(before, moving, {"simplex": cut[0]})
         share = share_left(before, before + vectors, wall, cut[0], TOUCHING * np.ptp(before, axis=0).max())
         if np.isfinite(share).any():
             left, node = float(share.min()), int(nodes[share.argmin()])
-    torn = tuple(names_of(mesh, inspection.contradictions[0][:, None])) if len(inspection.contradictions) else ()
-    return dataclasses.replace(inspection, crossings=crossed, gap_left=left, gap_node=node, torn=torn, touches=touches)
+    return cut[0], {"crossings": crossings(cut, mesh, nodes, vectors), "gap_left": left, "gap_node": node}
 
 
-def _of_plan(plan: Plan, u: Any, moved: np.ndarray | None) -> Inspection:
-    """Checks all that needs no faces."""
+def _of_plan(plan: Plan, u: Any, vectors: np.ndarray, moved: np.ndarray | None) -> Inspection:
+    """Checks all that needs no faces, of displacements `vectors` (o, d) of the surface."""
     offset = np.linalg.norm(np.asarray(plan.offset(u)), axis=1)
     points, nodes = np.asarray(plan.points), np.asarray(plan.surface_nodes)
-    _check_finite(u, nodes[: plan.n_moving])
-    vectors, displacement = np.asarray(plan.of_surface(u)), np.asarray(u, dtype=float)
+    displacement = np.asarray(u, dtype=float)
     is_fixed = np.isin(nodes, plan.fixed)
     tree = Tree(points, leafsize=32, balanced_tree=False, compact_nodes=False)
     size = np.asarray(tree.query(points[nodes], k=2)[0])[:, 1]

@@ -9,10 +9,11 @@ from .._host.package.errors import MeshError, place_of
 from .._mesh.mesh import Mesh
 from .boundary import Boundary
 from .curved_faces import with_own_curves
+from .matching import paired
 from .names import check_named_once, checked_points, nodes_named, planes_named, slides
 from .outer_faces import OuterFaces, outer_faces
 from .pairing import Pairing, check_pairings, merged
-from .periodic import Periodic, paired
+from .periodic import Periodic
 from .slide import walls_of_patch
 from .symmetry import check_dimension
 from .tracks import Track, check_repeated, tracks_of

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from .._host.package.cores import Tree
 from .._host.package.orders import rows_in
+from .._host.package.trees import Tree
 from .._kernels.values import as_jax
 from .pairing import Pairing
 from .symmetry import Plane, facing, tolerance

@@ -3,14 +3,31 @@
 from collections.abc import Mapping
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
-from .._host.cells.topology import NODES
+from .._host.cells.topology import NODES, canonical_type
 from .._host.package.arguments import native, shown
 
 
-def check_parts(points: Any, cells: Mapping[str, Any], patches: Mapping[str, Any]) -> None:
+def checked_parts(
+    points: Any, cells: Mapping[str, Any] | None, patches: Mapping[str, Any] | None
+) -> tuple[Any, dict[str, Any], dict[str, Any]]:
+    """Returns coordinates as floats, cells by type in alphabetical order, and unique ids by patch.
+
+    It raises `ValueError` for what a `Mesh` refuses.
+    """
+    types = {kind: canonical_type(kind) for kind in cells or {}}
+    twice = sorted(kind for kind, name in types.items() if list(types.values()).count(name) > 1)
+    if twice:
+        raise ValueError(f"cells of one type have several names ({', '.join(twice)}): join them.")
+    points, ids = floats(points), {types[kind]: ids_of(corners) for kind, corners in (cells or {}).items()}
+    ids = {kind: ids[kind] for kind in sorted(ids)}  # as JAX sorts the keys of a dict
+    nodes = {name: np.unique(ids_of(members)) for name, members in (patches or {}).items()}
+    _check_parts(points, ids, nodes)
+    return points, ids, nodes
+
+
+def _check_parts(points: Any, cells: Mapping[str, Any], patches: Mapping[str, Any]) -> None:
     """Raises `ValueError` for arrays of wrong shapes, and for ids outside of `points`."""
     if points.ndim != 2 or points.shape[1] not in (2, 3):
         raise ValueError(f"`points` has shape {points.shape}; expected (n, 2) or (n, 3).")
@@ -39,7 +56,7 @@ def floats(points) -> Any:
             f"`points` masks {np.ma.count_masked(points)} coordinates; a node needs all of its coordinates."
         )
     points = points.data if isinstance(points, np.ma.MaskedArray) else points
-    if not (np.issubdtype(points.dtype, np.integer) or jnp.issubdtype(points.dtype, np.floating)):
+    if not (np.issubdtype(points.dtype, np.integer) or _is_floating(points.dtype)):
         raise ValueError(f"`points` holds {points.dtype}; coordinates are real numbers.")
     return points.astype(float) if np.issubdtype(points.dtype, np.integer) else native(points)
 
@@ -52,3 +69,12 @@ def ids_of(values) -> np.ndarray:
     if ids.dtype.kind not in "iu":
         raise ValueError(f"ids must be integers, not {ids.dtype}.")
     return native(ids)
+
+
+def _is_floating(dtype: Any) -> bool:
+    """Checks for real numbers of any precision; only JAX knows some of the short ones."""
+    if isinstance(dtype, np.dtype) and dtype.kind != "V":
+        return np.issubdtype(dtype, np.floating)
+    import jax.numpy as jnp
+
+    return jnp.issubdtype(dtype, np.floating)

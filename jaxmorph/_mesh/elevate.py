@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from .._host.cells.lagrange import ORDERS, Lagrange, of_order
+from .._host.cells.lagrange import ORDERS, of_order
 from .._host.cells.pieces import boundary_sides
-from .._host.cells.shape_functions import collapsed, values
+from .._host.cells.shape_functions import node_keys
 from .._host.cells.topology import CORNERS, SHAPES, solid
 from .._host.package.arguments import checked
 from .mesh import Mesh
@@ -51,30 +51,6 @@ def elevate(mesh: Mesh, order: int) -> Mesh:
     added = np.einsum("nc,ncd->nd", weights / weights.sum(axis=1, keepdims=True), old[corners])
     points = np.concatenate([old, added.astype(old.dtype)])
     return Mesh(points, cells, _patches(mesh, cells, len(points)))
-
-
-def node_keys(ids: np.ndarray, cell: Lagrange) -> np.ndarray:
-    """Lists corners and weights in turn (k, new, 16) of each cell's new nodes.
-
-    Corners ascend, with zeros in front.
-    """
-    weights = _weights(cell)
-    weights = weights // np.gcd.reduce(weights, axis=1)[:, None]  # alike in cells of all types that share a face
-    order = np.argsort(np.where(weights[None] > 0, ids[:, None], -1), axis=2, kind="stable")
-    weights = np.take_along_axis(np.broadcast_to(weights, (len(ids), *weights.shape)), order, axis=2)
-    corners = np.where(
-        weights > 0, np.take_along_axis(np.repeat(ids[:, None], weights.shape[1], axis=1), order, axis=2), 0
-    )
-    keys = np.zeros((*weights.shape[:2], 16), np.int64)
-    width = 2 * weights.shape[2]
-    keys[:, :, 16 - width :] = np.stack([corners, weights], axis=3).reshape(*weights.shape[:2], width)
-    return keys
-
-
-def _weights(cell: Lagrange) -> np.ndarray:
-    """Lists integer weights (new, corners) of corners at new nodes: 12^3 linear shape functions."""
-    places = collapsed(cell.shape, cell.reference[cell.corners :])
-    return np.rint(12**3 * values(cell.shape, places)).astype(np.int64)
 
 
 def _patches(mesh: Mesh, cells: dict[str, np.ndarray], n: int) -> dict[str, np.ndarray]:

@@ -10,12 +10,12 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Integer, Real
 
 from .._host.cells.pieces import linear_cells
-from .._host.cells.topology import SHAPES, canonical_type
+from .._host.cells.topology import SHAPES
 from .._host.package.arguments import check, checked, shown
 from .._kernels.module import Module
 from .._kernels.values import is_known
 from . import exchange, export
-from .arrays import check_parts, floats, ids_of
+from .arrays import checked_parts, floats
 from .patches import patch_names
 from .polyhedra import Polyhedra
 
@@ -49,18 +49,10 @@ class Mesh(Module):
     source: Any = eqx.field(static=True, default=None)
 
     def __init__(self, points, cells=None, patches=None, source=None):
-        self.points = floats(points)
         check("cells", cells, Mapping[str, Any] | None, Mesh)
         check("patches", patches, Mapping[str, Any] | None, Mesh)
-        types = {kind: canonical_type(kind) for kind in cells or {}}
-        twice = sorted(kind for kind, name in types.items() if list(types.values()).count(name) > 1)
-        if twice:
-            raise ValueError(f"cells of one type have several names ({', '.join(twice)}): join them.")
-        cells = {types[kind]: ids_of(corners) for kind, corners in dict(cells or {}).items()}
-        self.cells = {kind: cells[kind] for kind in sorted(cells)}  # as JAX sorts the keys of a dict
-        self.patches = {name: np.unique(ids_of(nodes)) for name, nodes in dict(patches or {}).items()}
+        self.points, self.cells, self.patches = checked_parts(points, cells, patches)
         self.source = source
-        check_parts(self.points, self.cells, self.patches)
 
     @checked
     def patch(self, *names: str) -> np.ndarray:

@@ -6,8 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._host.package.cores import Tree
 from .._host.package.rounding import nearest_of
+from .._host.package.trees import Tree
 from .._kernels.values import as_jax
 from .base import Control
 from .nearwall import Extent, layer_width

@@ -13,8 +13,9 @@ from .._boundary.arguments import find_boundary
 from .._boundary.boundary import Boundary, renumbered
 from .._boundary.images import Images, images_of
 from .._boundary.kinds import by_kinds
+from .._boundary.matching import across_one_layer
 from .._boundary.pairing import check_pairings
-from .._boundary.periodic import Periodic, across_one_layer
+from .._boundary.periodic import Periodic
 from .._boundary.slide import Slide
 from .._boundary.symmetry import Plane, check_planes, on_facing
 from .._host.package.errors import warn

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Real
 
+from .._boundary.matching import MISMATCH
 from .._boundary.pairing import Pairing
-from .._boundary.periodic import MISMATCH
 from .._boundary.symmetry import tolerance
 from .._boundary.tracks import Track
 from .._host.package.arguments import checked

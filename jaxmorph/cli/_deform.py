@@ -83,6 +83,8 @@ def _write(attempt: Attempt, points: np.ndarray, judging: Beside[Judgement]) -> 
 def _attempt(request: Deform, mesh: Mesh, out: Output) -> tuple[Attempt, NamedMethod, Chunks]:
     """Checks the request, describes it on the terminal, and collects what an attempt needs."""
     _check(request, mesh)
+    undeformed = Judged(mesh, mesh.points)
+    summing = Beside(Summary.from_judged, undeformed, request.gates.limits)
     patches = patches_of(request, mesh)
     if request.chunk is not None and request.chunk < 1:
         raise ValueError(f"--chunk must be 1 or more, found {request.chunk}.")
@@ -95,8 +97,6 @@ def _attempt(request: Deform, mesh: Mesh, out: Output) -> tuple[Attempt, NamedMe
     cells = ", ".join(f"{number} {kind}" for kind, number in mesh.cell_counts.items())
     out.say(f"{title(request.file)}: {n} points in {d}-D, {cells}", points=n)
     described(request, patches, choice, moves.path(wall, 1)[-1], out)
-    undeformed = Judged(mesh, mesh.points)
-    summing = Beside(Summary.from_judged, undeformed, request.gates.limits)
     return Attempt(request, patches, moves, undeformed, summing), choice, chunks
 
 

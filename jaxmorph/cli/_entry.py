@@ -9,13 +9,14 @@ import importlib
 import os
 import warnings
 from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 
 from ._flags import parser, request_of
 from ._interrupt import STATUS, raise_again
 from ._output import Output
 from ._parser import Parser, meant
 from ._parts import Speech
-from ._requests import COMMANDS, Request
+from ._requests import COMMANDS, SU2, Demo, Request
 
 
 def answer(words: Sequence[str], *, is_own: bool = False) -> int:
@@ -52,9 +53,18 @@ def answer(words: Sequence[str], *, is_own: bool = False) -> int:
 
 def _command(request: Request, is_own: bool) -> Callable[[Request, Output], int]:
     """Imports the command, and JAX with it, in double precision and with a cache."""
+    if is_own and (file := _mesh_file(request)) is not None:
+        importlib.import_module("jaxmorph.io._ahead").begin(file)
     importlib.import_module("._compiled", __package__).begin(is_own)
     module, name = request.run.split(".")
     return getattr(importlib.import_module(f".{module}", __package__), name)
+
+
+def _mesh_file(request: Request) -> Path | None:
+    """Returns the file that the command reads by `io.read`, if any."""
+    if isinstance(request, SU2 | Demo) or getattr(request, "decomposed", False):
+        return None
+    return request.file if getattr(request, "zone", None) is None else None
 
 
 def one_line(message: object) -> str:

@@ -2,11 +2,12 @@
 
 import numpy as np
 
-from jaxmorph import Mesh
 from jaxmorph._host.cells.pieces import boundary_sides
 
+from ._format import MeshLike
 
-def patch_faces(mesh: Mesh) -> dict[str, dict[str, np.ndarray]]:
+
+def patch_faces(mesh: MeshLike) -> dict[str, dict[str, np.ndarray]]:
     """Finds the boundary faces of each patch, by type: all nodes of the face are in the patch.
 
     A face that several patches could have (the one edge of an inlet between two walls of one patch)

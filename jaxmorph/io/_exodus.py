@@ -8,11 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from jaxmorph import Mesh
 from jaxmorph._host.cells.topology import DIMENSION
 from jaxmorph._mesh.exchange import PREFIX
 
-from ._format import Arrays, Source, StampedPoints, stamp_of
+from ._format import Arrays, FileMesh, MeshLike, Source, StampedPoints, stamp_of
 from ._meshio import meshio, to_mesh
 from .cgns.tree import opened, write_points
 from .text.digits import decoded
@@ -48,7 +47,7 @@ class _Block:
     sides: list[list[int]]
 
 
-def read(path: pathlib.Path) -> Mesh:
+def read(path: pathlib.Path) -> FileMesh:
     """Reads points, cells and patches: side sets, node sets, blocks of lower dimension.
 
     Sets and blocks of one name are one patch. A set without a name is called by its kind and its
@@ -71,7 +70,7 @@ def read(path: pathlib.Path) -> Mesh:
     return to_mesh(path, mesh, Source(path, NAME, content, in_file=content.in_file))
 
 
-def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:
+def write(path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arrays) -> None:
     """Writes a copy of the file that the mesh was read from."""
     write_points(path, mesh, NAME, _put, WHAT)
 

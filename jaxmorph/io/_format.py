@@ -5,12 +5,13 @@ import dataclasses
 import importlib
 import pathlib
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any, Protocol, cast, runtime_checkable
+from typing import Any, NamedTuple, Protocol, cast, runtime_checkable
 
 import numpy as np
 
-from jaxmorph import Mesh, Periodic
-from jaxmorph._host.package.arguments import checked
+from jaxmorph._boundary.periodic import Periodic
+from jaxmorph._host.cells.topology import SHAPES
+from jaxmorph._mesh.arrays import checked_parts
 from jaxmorph._mesh.exchange import intact_source
 from jaxmorph._mesh.polyhedra import Polyhedra
 
@@ -52,18 +53,46 @@ class Source:
         return f"Source({str(self.path)!r}, {self.format})"
 
 
+class FileMesh(NamedTuple):
+    """The points, cells, patches and source of a mesh that was read: a `Mesh`, without JAX."""
+
+    points: np.ndarray
+    cells: Mapping[str, np.ndarray]
+    patches: Mapping[str, np.ndarray]
+    source: Any = None
+
+    @staticmethod
+    def of(points: Any, cells: Any, patches: Any, source: Any = None) -> "FileMesh":
+        """Makes a checked one, with cells and patches as a `Mesh` has them."""
+        return FileMesh(*checked_parts(points, cells, patches), source)
+
+
+@runtime_checkable
+class MeshLike(Protocol):
+    """What a format writes: a `Mesh` or a `FileMesh`."""
+
+    @property
+    def points(self) -> Any: ...
+    @property
+    def cells(self) -> Mapping[str, Any]: ...
+    @property
+    def patches(self) -> Mapping[str, Any]: ...
+    @property
+    def source(self) -> Any: ...
+
+
 @runtime_checkable
 class Codec(Protocol):
-    """Lists the functions that the module of a format defines.
+    """Lists the functions that the module of a format defines. It imports no JAX; see `_ahead`.
 
     A format without the `check` of `Checking` takes back only meshes that came from it.
     """
 
-    def read(self, path: pathlib.Path) -> Mesh:
+    def read(self, path: pathlib.Path) -> FileMesh:
         """Reads the mesh in a file; `ValueError` names file, place and what was found."""
         ...
 
-    def write(self, path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:
+    def write(self, path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arrays) -> None:
         """Writes a new file; `cell_data` follows the order of `mesh.cells`, type by type."""
         ...
 
@@ -72,7 +101,7 @@ class Codec(Protocol):
 class Checking(Protocol):
     """The function of a format that writes any mesh, or some of them."""
 
-    def check(self, path: pathlib.Path, mesh: Mesh) -> None:
+    def check(self, path: pathlib.Path, mesh: MeshLike) -> None:
         """Raises `ValueError` for what `write` could not do with the mesh, for any points."""
         ...
 
@@ -98,7 +127,7 @@ class Format:
         return cast(Codec, importlib.import_module(f"{__package__}.{self.module}"))
 
 
-def source_of(mesh: Mesh, format_name: str) -> Source | None:
+def source_of(mesh: MeshLike, format_name: str) -> Source | None:
     """Returns the source of a mesh when it was read from a file of that format, whole.
 
     A mesh with other cells than those of the file has no source.
@@ -108,7 +137,7 @@ def source_of(mesh: Mesh, format_name: str) -> Source | None:
     return source if is_of_format else None
 
 
-def own_source(path: pathlib.Path, mesh: Mesh, format_name: str) -> Source:
+def own_source(path: pathlib.Path, mesh: MeshLike, format_name: str) -> Source:
     """Returns the source of a mesh, for a format whose files are copies of the file that was read.
 
     It raises `ValueError` for other meshes, and where the file has changed since, if the source's
@@ -117,7 +146,7 @@ def own_source(path: pathlib.Path, mesh: Mesh, format_name: str) -> Source:
     source = source_of(mesh, format_name)
     if source is None:
         article = "an" if format_name in ("Exodus", "MFEM") else "a"
-        other = ".msh" if mesh.is_curved else ".su2"
+        other = ".msh" if any(kind != SHAPES[kind] for kind in mesh.cells) else ".su2"
         raise ValueError(
             f"{path}: only a mesh that was read from {article} {format_name} file can be written to one; "
             f"write .vtu or {other}."
@@ -164,31 +193,3 @@ class StampedPoints(FilePoints):
     """The points of a file, and marks by which a changed file is found."""
 
     stamp: tuple[int, int]
-
-
-@checked
-def periodic(mesh: Mesh) -> tuple[Periodic, ...]:
-    """Lists a file's periodic patches: OpenFOAM's `cyclic`, CGNS's periodic interfaces.
-
-    **Arguments:**
-
-    - `mesh`: what `read` returned.
-
-    **Returns:** pairs for `prepare(..., periodic=)`; none for other formats.
-    """
-    return mesh.source.periodic if isinstance(mesh.source, Source) else ()
-
-
-@checked
-def symmetry(mesh: Mesh) -> tuple[str, ...]:
-    """Lists a file's symmetry patches: OpenFOAM's `symmetry` and `symmetryPlane`, axes of wedges.
-
-    In CGNS these are of the type `BCSymmetryPlane`, their own or their family's.
-
-    **Arguments:**
-
-    - `mesh`: what `read` returned.
-
-    **Returns:** names for `prepare(..., symmetry=)`; none for other formats.
-    """
-    return mesh.source.symmetry if isinstance(mesh.source, Source) else ()

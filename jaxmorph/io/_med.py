@@ -7,10 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from jaxmorph import Mesh
 from jaxmorph._mesh.exchange import PREFIX
 
-from ._format import Arrays, Source, StampedPoints, stamp_of
+from ._format import Arrays, FileMesh, MeshLike, Source, StampedPoints, stamp_of
 from ._meshio import meshio, to_mesh
 from .cgns.tree import opened, write_points
 from .text.digits import decoded
@@ -30,7 +29,7 @@ TYPES = {
 """Types of cells by MED's, and the places of MED's corners in VTK's order."""
 
 
-def read(path: pathlib.Path) -> Mesh:
+def read(path: pathlib.Path) -> FileMesh:
     """Reads points, cells and patches: groups of nodes, and of elements of lower dimension."""
     path.open("rb").close()
     with opened(path, what=WHAT) as file:
@@ -58,7 +57,7 @@ def read(path: pathlib.Path) -> Mesh:
     return to_mesh(path, mesh, Source(path, NAME, content, in_file=content.in_file))
 
 
-def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:
+def write(path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arrays) -> None:
     """Writes a copy of the file that the mesh was read from."""
     write_points(path, mesh, NAME, _put, WHAT)
 

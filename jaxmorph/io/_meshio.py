@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxmorph import Mesh
+from jaxmorph._mesh import exchange, export
 
-from ._format import faults_of
+from ._format import Arrays, FileMesh, MeshLike, faults_of
 
 for _kind in ("pyramid13", "wedge15"):  # types that meshio reads and writes, and whose dimension it lacks
     meshio._mesh.topological_dimension.setdefault(_kind, 3)
@@ -62,8 +62,13 @@ def load(path: pathlib.Path, name: str, reader: Callable[[str], Any]) -> meshio.
     return mesh
 
 
-def to_mesh(path: pathlib.Path, mesh: Any, source: Any) -> Mesh:
-    """Makes a `Mesh` by `Mesh.from_meshio`, whose errors then name the file."""
+def to_mesh(path: pathlib.Path, mesh: Any, source: Any) -> FileMesh:
+    """Makes a mesh as `Mesh.from_meshio` does; errors name the file."""
     with faults_of(path):
-        whole = Mesh.from_meshio(mesh)
-        return Mesh(whole.points, whole.cells, whole.patches, source=source)
+        return FileMesh.of(*exchange.parts(exchange.of_meshio(mesh)), source)
+
+
+def of_mesh(mesh: MeshLike, point_data: Arrays | None = None, cell_data: Arrays | None = None) -> meshio.Mesh:
+    """Makes meshio's mesh as `Mesh.to_meshio` does."""
+    parts = exchange.Parts(mesh.points, mesh.cells, mesh.patches)
+    return export.to_meshio(parts, exchange.intact_source(mesh), point_data, cell_data)

@@ -11,9 +11,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from jaxmorph import Mesh
-
-from ._format import Arrays, Source, faults_of, own_source
+from ._format import Arrays, FileMesh, MeshLike, Source, faults_of, own_source
 from ._joined import Joined, Zones, join
 from ._structured import SIDES, block_cells, block_ids, block_sides
 from .text.sections import chunks, parse, replace_words
@@ -51,7 +49,7 @@ class _Content:
     joined: Joined
 
 
-def read(path: pathlib.Path) -> Mesh:
+def read(path: pathlib.Path) -> FileMesh:
     """Reads all blocks; nodes where blocks meet are one.
 
     Patches come from a file beside the grid, called as the grid with the ending `.patches`. It
@@ -73,10 +71,10 @@ def read(path: pathlib.Path) -> Mesh:
         mesh, joined = join(_zones(path, layout.shapes, points))
         content = _Content(data, layout, joined)
         source = Source(path, NAME, content, file_nodes=joined.node, in_file=joined.in_file)
-        return Mesh(mesh.points, mesh.cells, mesh.patches, source=source)
+        return mesh._replace(source=source)
 
 
-def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:
+def write(path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arrays) -> None:
     """Writes the file the mesh was read from with new coordinates."""
     source = own_source(path, mesh, NAME)
     content: _Content = source.content

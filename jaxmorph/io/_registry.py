@@ -1,57 +1,18 @@
-"""The formats there are, and `read` and `write`, which choose among them."""
+"""`read` and `write`, which choose among the formats, and what a file says beside its mesh."""
 
-import dataclasses
 import os
 import pathlib
 
 import numpy as np
 from jaxtyping import Shaped
 
-from jaxmorph import Mesh
-from jaxmorph._host.cells.topology import HIGH_ORDER, repeated_cells
+from jaxmorph import Mesh, Periodic
 from jaxmorph._host.package import files
 from jaxmorph._host.package.arguments import checked
-from jaxmorph._host.package.errors import place_of, warn
-from jaxmorph._mesh.exchange import numbers_of_cells
 
+from . import _ahead
 from ._format import Checking, Format, Source, own_source
-
-FORMATS = (
-    Format("SU2", (".su2",), "_su2"),
-    Format("VTK", (".vtu", ".vtk"), "vtk.file", holds_arrays=True),
-    Format("gmsh", (".msh",), "gmsh.file"),
-    Format("CGNS", (".cgns",), "cgns.file"),
-    Format("MFEM", (".mesh",), "mfem.file"),
-    Format("MED", (".med",), "_med"),
-    Format("Exodus", (".e", ".exo", ".ex2", ".exoii", ".g"), "_exodus", magic=(b"CDF", b"\x89HDF")),
-    Format("PLOT3D", (".xyz", ".p3d", ".p3dfmt", ".x", ".g"), "_plot3d"),
-    Format("OpenFOAM", (), "openfoam.case", is_folder=True),
-)
-
-
-def format_of(path: pathlib.Path, source: object = None) -> Format:
-    """Finds the format of a file by its ending, of a folder OpenFOAM.
-
-    Two formats may have an ending. Then the format of `source` decides, from which a mesh to be
-    written came, or the first bytes of a file to be read. It raises `ValueError`, with the endings
-    there are, for another one.
-    """
-    found = [candidate for candidate in FORMATS if path.suffix.lower() in candidate.suffixes]
-    if len(found) > 1 and isinstance(source, Source):
-        found = [candidate for candidate in found if candidate.name == source.format] or found
-    elif len(found) > 1 and path.is_file():
-        with path.open("rb") as file:
-            first = file.read(8)
-        known = [candidate for candidate in found if first.startswith(candidate.magic)]
-        found = known or [candidate for candidate in found if not candidate.magic]
-    found += [candidate for candidate in FORMATS if candidate.is_folder]
-    if len(found) > 1 or path.is_dir() or path.suffix.strip(".0123456789") == "":
-        return found[0]
-    known = ", ".join(f"{candidate.name} ({', '.join(candidate.suffixes) or 'folders'})" for candidate in FORMATS)
-    raise ValueError(
-        f"{path}: unknown file ending {path.suffix!r}; known are {known}. Write one of them where the file was made. Or let "
-        "meshio, which knows more formats, make one: `meshio convert FILE FILE.vtu`, in Python jaxmorph.Mesh.from_meshio."
-    )
+from ._reading import file_mesh, format_of
 
 
 @checked
@@ -87,40 +48,7 @@ def read(path: str | os.PathLike[str]) -> Mesh:
     **Raises:** `ValueError` for a file that is not a good mesh, with file, line and what stands
     there. `OSError` for a file that cannot be opened. `ImportError` when the extra is missing.
     """
-    path = files.input_path(path)
-    mesh = format_of(path).codec().read(path)
-    check_nodes(path, mesh)
-    if not isinstance(mesh.source, Source):
-        return mesh
-    source = dataclasses.replace(mesh.source, cells=numbers_of_cells(mesh.cells))
-    return dataclasses.replace(mesh, source=source)
-
-
-def check_nodes(path: pathlib.Path, mesh: Mesh) -> None:
-    """Raises `ValueError` for two cells with equal nodes; warns of curved cells with a node twice.
-
-    Pieces of polyhedra may coincide.
-    """
-    cut, first = None if mesh.polyhedra is None else np.isin(mesh.cell_ids, mesh.polyhedra.cut), 0
-    for kind, corners in mesh.cells.items():
-        corners = np.asarray(corners)
-        chosen = None if cut is None else np.flatnonzero(~cut[first : first + len(corners)])
-        first += len(corners)
-        twice = repeated_cells(corners) if chosen is None else chosen[repeated_cells(corners[chosen])]
-        if len(twice):
-            raise ValueError(
-                f"{path}: {len(twice)} cells of type {kind} have the nodes of another one, first cell {twice[0]} "
-                f"between nodes {corners[twice[0]].tolist()}: remove the copies."
-            )
-        if kind not in HIGH_ORDER:
-            continue
-        folded = np.flatnonzero((np.diff(np.sort(corners, axis=1), axis=1) == 0).any(axis=1))
-        if len(folded):
-            centre = place_of(np.asarray(mesh.points)[corners[folded[0]]].mean(axis=0))
-            warn(
-                f"{path}: {len(folded)} of {len(corners)} cells of type {kind} name a node twice, first cell {folded[0]} "
-                f"near ({centre}): they fold there, or are flat."
-            )
+    return Mesh(*(_ahead.taken(path) or file_mesh(files.input_path(path))))
 
 
 @checked
@@ -208,3 +136,31 @@ def _checked(name: str | os.PathLike[str], mesh: Mesh) -> Format:
     else:
         own_source(path, mesh, chosen.name)
     return chosen
+
+
+@checked
+def periodic(mesh: Mesh) -> tuple[Periodic, ...]:
+    """Lists a file's periodic patches: OpenFOAM's `cyclic`, CGNS's periodic interfaces.
+
+    **Arguments:**
+
+    - `mesh`: what `read` returned.
+
+    **Returns:** pairs for `prepare(..., periodic=)`; none for other formats.
+    """
+    return mesh.source.periodic if isinstance(mesh.source, Source) else ()
+
+
+@checked
+def symmetry(mesh: Mesh) -> tuple[str, ...]:
+    """Lists a file's symmetry patches: OpenFOAM's `symmetry` and `symmetryPlane`, axes of wedges.
+
+    In CGNS these are of the type `BCSymmetryPlane`, their own or their family's.
+
+    **Arguments:**
+
+    - `mesh`: what `read` returned.
+
+    **Returns:** names for `prepare(..., symmetry=)`; none for other formats.
+    """
+    return mesh.source.symmetry if isinstance(mesh.source, Source) else ()

@@ -10,12 +10,11 @@ from collections.abc import Iterable, Iterator, Mapping
 
 import numpy as np
 
-from jaxmorph import Mesh
 from jaxmorph._host.cells.pieces import boundary_faces
 from jaxmorph._host.cells.topology import CORNERS, VTK
 
 from ._boundary import patch_faces
-from ._format import Arrays, Source, source_of
+from ._format import Arrays, FileMesh, MeshLike, Source, source_of
 from .text.digits import decoded
 from .text.sections import Rows, Section, blank_comments, replace
 
@@ -58,7 +57,7 @@ class SU2Content:
     shape: tuple[int, int]
 
 
-def read(path: pathlib.Path) -> Mesh:
+def read(path: pathlib.Path) -> FileMesh:
     """Reads points in the order of the file; `patches` are the markers, joined by name.
 
     With `NMARK= 0` the patch is `boundary`.
@@ -95,7 +94,7 @@ def by_zones(path: pathlib.Path, text: bytes) -> list[list[Keyword]]:
     return parts
 
 
-def mesh_of(path: pathlib.Path, text: bytes, keywords: list[Keyword]) -> Mesh:
+def mesh_of(path: pathlib.Path, text: bytes, keywords: list[Keyword]) -> FileMesh:
     """Reads the points, cells and markers of a zone, or of a file without zones."""
     dimension = _only(path, keywords, "NDIME")
     if (d := dimension.number()) not in (2, 3):
@@ -108,10 +107,10 @@ def mesh_of(path: pathlib.Path, text: bytes, keywords: list[Keyword]) -> Mesh:
     if not patches:
         outer = boundary_faces(cells, len(points)).values()
         patches = {"boundary": np.concatenate([corners.ravel() for corners in outer])}
-    return Mesh(points, cells, patches, source=Source(path, NAME, content))
+    return FileMesh.of(points, cells, patches, Source(path, NAME, content))
 
 
-def check(path: pathlib.Path, mesh: Mesh) -> None:
+def check(path: pathlib.Path, mesh: MeshLike) -> None:
     """Raises `ValueError` for patches that a new file cannot have.
 
     Boundary faces cannot express them, or their name is no tag of a marker.
@@ -129,7 +128,7 @@ def check(path: pathlib.Path, mesh: Mesh) -> None:
     patch_faces(mesh)
 
 
-def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:
+def write(path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arrays) -> None:
     """Writes the mesh's own text with new coordinates; else a new file, see `_new_text`."""
     source = source_of(mesh, NAME)
     points = np.asarray(mesh.points)
@@ -286,7 +285,7 @@ def _check_count(keyword: Keyword, stated: int, count: int, what: str) -> None:
         raise keyword.section.error(f"{keyword.name}= {stated}, but {count} rows of {what} follow.")
 
 
-def _new_text(mesh: Mesh) -> Iterator[bytes]:
+def _new_text(mesh: MeshLike) -> Iterator[bytes]:
     """Yields a new file in pieces; patches become markers, of faces between their nodes."""
     points = np.asarray(mesh.points)
     n, d = points.shape

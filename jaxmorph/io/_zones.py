@@ -11,7 +11,8 @@ from jaxmorph._host.package.arguments import checked
 from jaxmorph._host.package.files import complete, input_path
 
 from ._format import source_of
-from ._registry import check_nodes, check_output
+from ._reading import check_nodes
+from ._registry import check_output
 from ._su2 import NAME, by_zones, mesh_of, with_points
 
 
@@ -38,10 +39,10 @@ def read_zones(path: str | os.PathLike[str]) -> tuple[Mesh, ...]:
             f"{path}: SU2 files (.su2) have zones that are meshes of their own; io.read joins the zones of other formats."
         )
     text = path.read_bytes()
-    meshes = tuple(mesh_of(path, text, zone) for zone in by_zones(path, text))
+    meshes = [mesh_of(path, text, zone) for zone in by_zones(path, text)]
     for mesh in meshes:
         check_nodes(path, mesh)
-    return meshes
+    return tuple(Mesh(*mesh) for mesh in meshes)
 
 
 @checked

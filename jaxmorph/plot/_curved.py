@@ -7,8 +7,8 @@ from jaxtyping import Float, Int
 
 from .._host.cells.lagrange import lagrange_types, of_order
 from .._host.cells.pieces import places_of, steps_of
+from .._host.cells.shape_functions import node_keys
 from .._host.cells.topology import CORNERS, SHAPES
-from .._mesh.elevate import node_keys
 from ._cells import SEGMENTS
 
 PIECES = 1_000_000

@@ -4,7 +4,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from .pairs import columns_of, parts_of, sorted_columns, twins
+from .pairs import columns_of, sorted_columns, twins
+from .parts import parts_of
 from .topology import FACES
 
 

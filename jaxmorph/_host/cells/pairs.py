@@ -1,12 +1,10 @@
-"""Pairs of equal faces, whose nodes are equal in any order; and parts connected by pairs."""
+"""Pairs of equal faces, whose nodes are equal in any order."""
 
 import functools
 import itertools
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from ..package.cores import BLOCK, by_blocks, cores, in_order
 
@@ -147,9 +145,3 @@ def _scatter(order: np.ndarray, values: np.ndarray) -> np.ndarray:
     result = np.empty_like(values)
     result[order] = values
     return result
-
-
-def parts_of(first: np.ndarray, second: np.ndarray, count: int) -> np.ndarray:
-    """Numbers connected parts of nodes (count,); `first` (e,) and `second` (e,) are connected."""
-    graph = coo_array((np.ones(len(first), dtype=bool), (first, second)), shape=(count, count))
-    return connected_components(graph, directed=False)[1]

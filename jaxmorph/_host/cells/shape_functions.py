@@ -114,3 +114,27 @@ def _of_cube(shape: str, cube: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         w = cube[:, 2]
         return np.stack([u * (1 - v) * (1 - w), v * (1 - w), w], axis=1), (1 - v) * (1 - w) ** 2
     return np.column_stack([u * (1 - v), v, cube[:, 2:]]), 1 - v
+
+
+def node_keys(ids: np.ndarray, cell: Lagrange) -> np.ndarray:
+    """Lists corners and weights in turn (k, new, 16) of each cell's new nodes.
+
+    Corners ascend, with zeros in front.
+    """
+    weights = _weights(cell)
+    weights = weights // np.gcd.reduce(weights, axis=1)[:, None]  # alike in cells of all types that share a face
+    order = np.argsort(np.where(weights[None] > 0, ids[:, None], -1), axis=2, kind="stable")
+    weights = np.take_along_axis(np.broadcast_to(weights, (len(ids), *weights.shape)), order, axis=2)
+    corners = np.where(
+        weights > 0, np.take_along_axis(np.repeat(ids[:, None], weights.shape[1], axis=1), order, axis=2), 0
+    )
+    keys = np.zeros((*weights.shape[:2], 16), np.int64)
+    width = 2 * weights.shape[2]
+    keys[:, :, 16 - width :] = np.stack([corners, weights], axis=3).reshape(*weights.shape[:2], width)
+    return keys
+
+
+def _weights(cell: Lagrange) -> np.ndarray:
+    """Lists integer weights (new, corners) of corners at new nodes: 12^3 linear shape functions."""
+    places = collapsed(cell.shape, cell.reference[cell.corners :])
+    return np.rint(12**3 * values(cell.shape, places)).astype(np.int64)

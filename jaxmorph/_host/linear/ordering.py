@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from ..package.cores import Tree
 from ..package.orders import canonical_order
+from ..package.trees import Tree
 from ..sources.farthest import farthest
 
 

@@ -8,15 +8,10 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, Generic, TypeVar
 
-from scipy.spatial import KDTree
-
 T = TypeVar("T")
 
 SWITCH = "JAXMORPH_CPUS"
 """The environment variable that limits the cores to use."""
-
-FEW = 4096
-"""Points of a search up to which threads cost more than they gain."""
 
 BLOCK = 1 << 16
 """Rows that one core computes at a time."""
@@ -38,14 +33,6 @@ def cores() -> int:
     if hasattr(os, "sched_getaffinity"):  # batch systems grant a few of many
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
-
-
-class Tree(KDTree):
-    """A k-d tree that is searched with all cores. The answers do not depend on their number."""
-
-    def query(self, x: Any, *arguments: Any, **keywords: Any) -> tuple[Any, Any]:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """Finds the nearest points of the tree, as `scipy.spatial.KDTree.query` does."""
-        return super().query(x, *arguments, **{"workers": cores() if len(x) > FEW else 1} | keywords)
 
 
 class Beside(Generic[T]):

@@ -7,7 +7,7 @@ follow that bit.
 
 import numpy as np
 
-from .cores import Tree
+from .trees import Tree
 
 SAME = 1e-9
 """Relative difference up to which two numbers count as equal."""

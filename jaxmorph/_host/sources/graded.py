@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 
 from ..package.arguments import between, whole
-from ..package.cores import Tree
 from ..package.rounding import nearest_of, spacing
+from ..package.trees import Tree
 from .farthest import farthest
 from .reduction import AbstractSeparated, chosen_in_order
 

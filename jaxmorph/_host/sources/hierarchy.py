@@ -6,9 +6,9 @@ import numpy as np
 from scipy.spatial.distance import cdist
 
 from ..package.arguments import between
-from ..package.cores import Tree
 from ..package.orders import canonical_order
 from ..package.rounding import SAME, first_largest, nearest_of, ranked, roundoff
+from ..package.trees import Tree
 from .farthest import FarthestPoints
 from .reduction import AbstractReduction
 

@@ -10,9 +10,9 @@ from typing import ClassVar
 import numpy as np
 
 from ..package.arguments import between, check_fields, finite_array, whole
-from ..package.cores import Tree
 from ..package.orders import canonical_order
 from ..package.rounding import SAME, first_largest, nearest_of, roundoff
+from ..package.trees import Tree
 from .separation import drop_close, least_distance
 
 

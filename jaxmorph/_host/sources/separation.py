@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from ..package.cores import Tree
 from ..package.rounding import SAME, roundoff
+from ..package.trees import Tree
 
 
 def least_distance(points: np.ndarray, separation: float) -> float:

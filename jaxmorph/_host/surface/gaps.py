@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..package.cores import Tree
+from ..package.trees import Tree
 from .neighbours import nearest_boxes_first, searched_together
 
 CLOSEST = 12

@@ -5,9 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from ..package.cores import Tree, by_blocks
+from ..package.cores import by_blocks
 from ..package.orders import morton_order
 from ..package.rounding import SAME, few_by, nearest_few, roundoff
+from ..package.trees import Tree
 
 FEW = 16
 """Most walls for which every wall has a search tree of its own."""

@@ -5,9 +5,9 @@ from collections.abc import Mapping
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from ..package.cores import Tree
 from ..package.orders import canonical_order, morton_order
 from ..package.rounding import SAME, distinct, first_largest, nearest_few, nearest_of, ranked, roundoff
+from ..package.trees import Tree
 from ..sources.farthest import farthest
 from .walls import outward
 

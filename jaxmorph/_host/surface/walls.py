@@ -4,9 +4,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ..cells.pairs import parts_of
-from ..package.cores import Tree
+from ..cells.parts import parts_of
 from ..package.rounding import SAME, distinct, nearest_of
+from ..package.trees import Tree
 from ..sources.farthest import farthest
 from .simplices import normals
 

@@ -7,9 +7,9 @@ import numpy as np
 from jax import dtypes
 from jaxtyping import Array, Bool, Float, Int
 
-from ..._host.package.cores import Tree
 from ..._host.package.errors import warn
 from ..._host.package.rounding import roundoff
+from ..._host.package.trees import Tree
 from ..._host.sources.hierarchy import overlaps, padded
 from ..._host.sources.separation import drop_close
 from ..._kernels.compile import compiled

@@ -6,13 +6,12 @@ from typing import Any
 
 import numpy as np
 
-import jaxmorph as jm
-from jaxmorph import Mesh
+from jaxmorph._boundary.periodic import Periodic
 from jaxmorph._host.cells.pieces import boundary_faces
 from jaxmorph._mesh.faces import faces_of_cells, joined_faces
 from jaxmorph._mesh.polyhedra import Polyhedra
 
-from .._format import Arrays, Source, faults_of, stamp_of
+from .._format import Arrays, FileMesh, MeshLike, Source, faults_of, stamp_of
 from .._joined import Joined, Zones, join
 from .conditions import Connection, connections, patches
 from .kinds import groups_of, kinds_of, symmetry_of
@@ -31,7 +30,7 @@ class _CGNSContent(Joined):
     stamp: tuple[int, int]
 
 
-def read(path: pathlib.Path) -> Mesh:
+def read(path: pathlib.Path) -> FileMesh:
     """Reads all zones of one base; nodes where two zones meet are one.
 
     `patches` are the boundary conditions, by family, and the sides of periodic interfaces. Outer
@@ -46,10 +45,10 @@ def read(path: pathlib.Path) -> Mesh:
         content = _CGNSContent(**vars(joined), stamp=stamp_of(path))
         known |= {"periodic": periodic_of(pairs, joined.is_flat), "symmetry": symmetry_of(known["kinds"])}
         source = Source(path, NAME, content, whole, ids, file_nodes=joined.node, in_file=joined.in_file, **known)
-        return Mesh(mesh.points, mesh.cells, mesh.patches, source=source)
+        return mesh._replace(source=source)
 
 
-def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:
+def write(path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arrays) -> None:
     """Writes a copy of the file that the mesh was read from."""
 
     def put(file: Any, points: np.ndarray, old: np.ndarray) -> None:
@@ -129,7 +128,7 @@ def pairs_of(
     return pairs
 
 
-def periodic_of(pairs: list[tuple[str, str, Connection]], is_flat: bool) -> tuple[jm.Periodic, ...]:
+def periodic_of(pairs: list[tuple[str, str, Connection]], is_flat: bool) -> tuple[Periodic, ...]:
     """Makes periodic pairs of interfaces.
 
     Translation or angle is that of the nodes, for files differ in its sign.
@@ -138,7 +137,7 @@ def periodic_of(pairs: list[tuple[str, str, Connection]], is_flat: bool) -> tupl
     for first, second, interface in pairs:
         turns = bool(interface.angles.any())
         about = np.pad(interface.centre, (0, 3))[: 2 if is_flat else 3] if turns else None
-        made.append(jm.Periodic(first, second, about=about, axis=interface.angles if turns and not is_flat else None))
+        made.append(Periodic(first, second, about=about, axis=interface.angles if turns and not is_flat else None))
     return tuple(made)
 
 

@@ -14,10 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from jaxmorph import Mesh
-
 from .. import _netcdf
-from .._format import own_source
+from .._format import MeshLike, own_source
 from ..text.digits import decoded
 from . import adf
 
@@ -52,7 +50,7 @@ def opened(path: pathlib.Path, writes: bool = False, what: str = WHAT) -> Iterat
 
 def write_points(
     path: pathlib.Path,
-    mesh: Mesh,
+    mesh: MeshLike,
     format_name: str,
     put: Callable[[Any, np.ndarray, np.ndarray], None],
     what: str = WHAT,

@@ -7,13 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from jaxmorph import Mesh
 from jaxmorph._host.cells.orders import GMSH, MESHIO, reordered
 from jaxmorph._host.cells.topology import DIMENSION
 
 from .._boundary import patch_faces
-from .._format import Arrays, FilePoints, Source, faults_of, source_of
-from .._meshio import Block, Blocks, meshio, to_mesh
+from .._format import Arrays, FileMesh, FilePoints, MeshLike, Source, faults_of, source_of
+from .._meshio import Block, Blocks, meshio, of_mesh, to_mesh
 from ..text.sections import Section, replace_numbers
 from .parts import TYPES, Elements, elements, entities, nodes
 from .sections import Form, Stream, form_of, physical_names, runs, sections
@@ -34,7 +33,7 @@ class _GmshContent(FilePoints):
     places: np.ndarray
 
 
-def read(path: pathlib.Path) -> Mesh:
+def read(path: pathlib.Path) -> FileMesh:
     """Reads points, cells and patches: the physical groups of lower dimension than the mesh.
 
     A group without a name is `physical_` and its tag.
@@ -104,7 +103,7 @@ def _mesh(points: np.ndarray, cells: list[Elements], names: dict[tuple[int, int]
     return Blocks(points, blocks, cell_sets=sets)
 
 
-def check(path: pathlib.Path, mesh: Mesh) -> None:
+def check(path: pathlib.Path, mesh: MeshLike) -> None:
     """Raises `ValueError` for patches that a new file cannot have.
 
     Boundary faces cannot express them, or their name ends before its end.
@@ -121,7 +120,7 @@ def check(path: pathlib.Path, mesh: Mesh) -> None:
     patch_faces(mesh)
 
 
-def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:
+def write(path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arrays) -> None:
     """Writes the mesh's own file with new coordinates; else a new binary file of version 2.2.
 
     In a new file a patch becomes a physical group, with the boundary faces between its nodes as
@@ -136,7 +135,7 @@ def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays)
         file.writelines(_replaced(source.content, points))
 
 
-def _new(mesh: Mesh) -> meshio.Mesh:
+def _new(mesh: MeshLike) -> meshio.Mesh:
     blocks: list[Any] = [_block(kind, np.asarray(nodes)) for kind, nodes in mesh.cells.items()]
     tags = [np.zeros(len(corners), np.int32) for _, corners in blocks]
     groups = {}
@@ -147,7 +146,7 @@ def _new(mesh: Mesh) -> meshio.Mesh:
                 blocks.append(_block(kind, corners))
                 tags.append(np.full(len(corners), tag, np.int32))
     cell_data: Any = {"gmsh:physical": tags, "gmsh:geometrical": tags}
-    return meshio.Mesh(mesh.to_meshio().points, blocks, cell_data=cell_data, field_data=groups)
+    return meshio.Mesh(of_mesh(mesh).points, blocks, cell_data=cell_data, field_data=groups)
 
 
 def _block(kind: str, nodes: np.ndarray) -> tuple[str, np.ndarray]:

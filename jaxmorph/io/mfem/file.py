@@ -12,10 +12,9 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from jaxmorph import Mesh
 from jaxmorph._host.cells.topology import CORNERS, DIMENSION
 
-from .._format import Arrays, Source, faults_of, own_source
+from .._format import Arrays, FileMesh, MeshLike, Source, faults_of, own_source
 from ..text.sections import Section, blanked, replace_numbers
 from .nodes import Elements, at_places, from_lobatto, lexicographic, numbered, to_lobatto
 
@@ -83,7 +82,7 @@ class _Content:
         return rows.T.ravel() if self.space.by_nodes else rows.ravel()
 
 
-def read(path: pathlib.Path) -> Mesh:
+def read(path: pathlib.Path) -> FileMesh:
     """Reads cells, nodes, and patches: the attributes of boundary elements.
 
     The patch of attribute 3 is `boundary_3`; named sets of attributes are groups of patches.
@@ -115,10 +114,10 @@ def read(path: pathlib.Path) -> Mesh:
     groups = _groups(parts.get("boundary_attribute_sets"), patches)
     source = Source(path, NAME, content, groups=groups, cell_ids=None if (np.diff(ids) == 1).all() else ids)
     with faults_of(path):  # a caller may change the mesh's points in place, and the file's must stay
-        return Mesh(points.copy(), nodes, patches, source=source)
+        return FileMesh.of(points.copy(), nodes, patches, source)
 
 
-def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:
+def write(path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arrays) -> None:
     """Writes the mesh's own file with new coordinates."""
     content: _Content = own_source(path, mesh, NAME).content
     section, words = content.section, content.words(np.asarray(mesh.points))

@@ -7,9 +7,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.polynomial import legendre
 
-from jaxmorph._host.cells.lagrange import Lagrange, lagrange_types
-from jaxmorph._host.cells.shape_functions import values
-from jaxmorph._mesh.elevate import node_keys, of_order
+from jaxmorph._host.cells.lagrange import Lagrange, lagrange_types, of_order
+from jaxmorph._host.cells.shape_functions import node_keys, values
 
 EDGES = {
     "triangle": ((0, 1), (1, 2), (2, 0)),

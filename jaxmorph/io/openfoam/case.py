@@ -16,12 +16,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from jaxmorph import Mesh, Periodic
+from jaxmorph._boundary.periodic import Periodic
 from jaxmorph._host.package.errors import warn
 from jaxmorph._host.package.files import complete
 from jaxmorph._mesh.polyhedra import Polyhedra, tetrahedra
 
-from .._format import Arrays, Source, as_in_file, source_of
+from .._format import Arrays, FileMesh, MeshLike, Source, as_in_file, source_of
 from ..text.sections import replace_words
 from .cyclic import check_cyclic, cyclic_pairs
 from .file import PARENTHESES, FoamFile, Patch, load, patches
@@ -61,7 +61,7 @@ class _CaseContent:
         return point_ids(self.topology, len(self.points))
 
 
-def read(path: pathlib.Path) -> Mesh:
+def read(path: pathlib.Path) -> FileMesh:
     """Reads the mesh of a case, a time folder, or a folder polyMesh; nodes in file order.
 
     `patches` come from `boundary`, `groups` from their `inGroups`. Cells with more or other faces
@@ -113,10 +113,10 @@ def read(path: pathlib.Path) -> Mesh:
     nodes = None if plane is None else plane.file_nodes()
     known = {"symmetry": tuple(planes), "kinds": kinds, "file_nodes": nodes, "in_file": content.in_file}
     source = Source(file.path, NAME, content, whole, ids, groups, pairs, between, **known)
-    return Mesh(mesh.points, mesh.cells, mesh.patches, source=source)
+    return mesh._replace(source=source)
 
 
-def check(path: pathlib.Path, mesh: Mesh) -> None:
+def check(path: pathlib.Path, mesh: MeshLike) -> None:
     """Raises `ValueError` for what `write` cannot do, before any work."""
     source = source_of(mesh, NAME)
     if source is None:
@@ -135,7 +135,7 @@ def check(path: pathlib.Path, mesh: Mesh) -> None:
         raise ValueError(f"{path}: the mesh was read from this folder; write to another one.")
 
 
-def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:
+def write(path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arrays) -> None:
     """Writes `points` in a time folder, or a new case: `constant`, `system`, `0`, `0.orig`."""
     points = file_points(mesh)
     source = source_of(mesh, NAME)
@@ -144,7 +144,7 @@ def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays)
     write_points(path, mesh, points)
 
 
-def file_points(mesh: Mesh) -> np.ndarray:
+def file_points(mesh: MeshLike) -> np.ndarray:
     """Computes the file's points (N, 3) of a mesh that was read from a case: in 2-D both planes'.
 
     It raises `ValueError` where cyclic patches do not match any more.
@@ -157,7 +157,7 @@ def file_points(mesh: Mesh) -> np.ndarray:
     return points
 
 
-def write_points(path: pathlib.Path, mesh: Mesh, points: np.ndarray) -> None:
+def write_points(path: pathlib.Path, mesh: MeshLike, points: np.ndarray) -> None:
     """Writes a case, or a time folder, as `write` does, with the file's points (N, 3)."""
     source = source_of(mesh, NAME)
     assert source is not None
@@ -257,20 +257,20 @@ def _points(folder: pathlib.Path) -> tuple[FoamFile, np.ndarray]:
     return file, points
 
 
-def _in_space(topology: Topology, points: np.ndarray) -> tuple[Mesh, np.ndarray | None, Polyhedra | None]:
+def _in_space(topology: Topology, points: np.ndarray) -> tuple[FileMesh, np.ndarray | None, Polyhedra | None]:
     cells, ids, faces = topology.cells, topology.ids, topology.faces
     if faces is None:
-        mesh = Mesh(points, cells, topology.nodes)
+        mesh = FileMesh.of(points, cells, topology.nodes)
         return mesh, _joined_ids(mesh, ids), None
     cut = ids.pop("polyhedron")
     pieces, owners = tetrahedra(faces, cut, points)
     cells["tetra"] = np.concatenate([cells["tetra"], pieces]) if "tetra" in cells else pieces
     ids["tetra"] = np.concatenate([ids["tetra"], owners]) if "tetra" in ids else owners
-    mesh = Mesh(points, cells, topology.nodes)
+    mesh = FileMesh.of(points, cells, topology.nodes)
     return mesh, _joined_ids(mesh, ids), Polyhedra(faces, cut)
 
 
-def _joined_ids(mesh: Mesh, ids: dict[str, np.ndarray]) -> np.ndarray | None:
+def _joined_ids(mesh: MeshLike, ids: dict[str, np.ndarray]) -> np.ndarray | None:
     """Returns the case's number of each cell of the mesh; None where the order is equal."""
     joined = np.concatenate([ids[kind] for kind in mesh.cells])
     return None if (joined[1:] > joined[:-1]).all() else joined
@@ -278,19 +278,19 @@ def _joined_ids(mesh: Mesh, ids: dict[str, np.ndarray]) -> np.ndarray | None:
 
 def _in_plane(
     topology: Topology, points: np.ndarray, boundary: list[Patch], empty: list[Patch]
-) -> tuple[Mesh, np.ndarray | None, Polyhedra | None, Layer]:
+) -> tuple[FileMesh, np.ndarray | None, Polyhedra | None, Layer]:
     assert topology.faces is not None
     chosen = np.concatenate([np.arange(patch.start, patch.start + patch.count) for patch in empty])
     plane = layer(topology.faces, points, chosen)
     nodes = {patch.name: plane.ids(topology.nodes[patch.name]) for patch in boundary if patch.type != "empty"}
     cells, ids, whole = plane_cells(topology.faces, points, chosen, plane)
-    mesh = Mesh(plane.in_plane(points), cells, nodes)
+    mesh = FileMesh.of(plane.in_plane(points), cells, nodes)
     return mesh, _joined_ids(mesh, ids), whole, plane
 
 
 def _in_sector(
     topology: Topology, points: np.ndarray, boundary: list[Patch], wedges: list[Patch]
-) -> tuple[Mesh, np.ndarray | None, Polyhedra | None, Sector]:
+) -> tuple[FileMesh, np.ndarray | None, Polyhedra | None, Sector]:
     faces = topology.faces
     assert faces is not None
     plane, is_first = sector(faces, topology.nodes[wedges[0].name], topology.nodes[wedges[1].name], points)
@@ -306,7 +306,7 @@ def _in_sector(
             raise ValueError("the patch axis has faces; nodes on the axis get its name: call it otherwise in boundary.")
         nodes["axis"] = np.flatnonzero(plane.on_axis)
     cells, ids, whole = plane_cells(faces, points, front, plane)
-    mesh = Mesh(plane.in_plane(points), cells, nodes)
+    mesh = FileMesh.of(plane.in_plane(points), cells, nodes)
     return mesh, _joined_ids(mesh, ids), whole, plane
 
 

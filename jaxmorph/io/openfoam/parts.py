@@ -117,7 +117,7 @@ class Decomposed:
         folder = self.folder(k)
         if self._last is None or self._last[0] != k:
             self._last = None  # before the next one is read
-            self._last = k, read(folder)
+            self._last = k, Mesh(*read(folder))
         return self._last[1]
 
     def side(self, k: int) -> Side:

@@ -9,18 +9,17 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from jaxmorph import Mesh
 from jaxmorph._host.cells.orders import swapped_edges
 from jaxmorph._host.cells.topology import CORNERS, NODES, SHAPES, VTK, VTK_QUADRATIC
 
-from .._format import Arrays, FilePoints, Source
-from .._meshio import load, meshio, to_mesh
+from .._format import Arrays, FileMesh, FilePoints, MeshLike, Source
+from .._meshio import load, meshio, of_mesh, to_mesh
 from . import legacy
 
 NAME = "VTK"
 
 
-def read(path: pathlib.Path) -> Mesh:
+def read(path: pathlib.Path) -> FileMesh:
     """Reads points, cells and patches as `Mesh.from_meshio` finds them.
 
     Patches are point arrays `patch:NAME`, as `write` leaves them, or come from numbers.
@@ -77,7 +76,7 @@ def _check_counts(path: pathlib.Path) -> None:
                     raise ValueError(f"{path}: cell {k} is of type {kind} and has {ends[k + 1] - ends[k]} nodes.")
 
 
-def check(path: pathlib.Path, mesh: Mesh) -> None:
+def check(path: pathlib.Path, mesh: MeshLike) -> None:
     """Raises `ValueError` for pyramids that VTK does not have.
 
     All other meshes fit, with patches as flags of points.
@@ -87,9 +86,9 @@ def check(path: pathlib.Path, mesh: Mesh) -> None:
         raise ValueError(f"{path}: VTK has no cells of type {', '.join(unknown)}; it has pyramids of 5 and 13 nodes.")
 
 
-def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:
+def write(path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arrays) -> None:
     """Writes in double precision, .vtu compressed; keeps the cells and arrays of its own file."""
-    made = mesh.to_meshio(point_data=dict(point_data), cell_data=dict(cell_data))
+    made = of_mesh(mesh, point_data, cell_data)
     is_legacy = path.suffix.lower() == ".vtk"
     blocks: Any = [(block.type, swapped_edges(block.type, block.data)) for block in made.cells]
     out: Any = meshio.Mesh(made.points, blocks, made.point_data, made.cell_data, field_data=made.field_data)

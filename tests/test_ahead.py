@@ -1,0 +1,72 @@
+"""A command's mesh is read in a child of its process, beside imports, and is what the process itself would read."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+from formats import ENDINGS, written
+from meshes import bricks
+
+import jaxmorph as jm
+from jaxmorph import io
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="a process begins no other one elsewhere")
+
+READ = """
+import sys
+from jaxmorph.io import _ahead
+paths = sys.argv[1:]
+for path in paths:
+    _ahead.begin(path)
+assert not {"numpy", "jax"} & set(sys.modules)
+import pathlib
+from jaxmorph.io._reading import file_mesh
+alone = [file_mesh(pathlib.Path(path)) for path in paths]
+assert "jax" not in sys.modules
+import numpy as np
+from jaxmorph import Mesh, io
+for path, other in zip(paths, alone, strict=True):
+    sent = _ahead.taken(path)
+    for mine, its in ((other.cells, sent.cells), (other.patches, sent.patches)):
+        assert list(mine) == list(its)
+        for name in mine:
+            np.testing.assert_array_equal(mine[name], its[name])
+    np.testing.assert_array_equal(other.points, sent.points)
+    files = []
+    for name, mesh in (("mine", Mesh(*other)), ("its", Mesh(*sent))):
+        out = pathlib.Path(path).with_name(name + pathlib.Path(path).suffix)
+        io.write(out, mesh.moved(np.asarray(mesh.points) + 0.125))
+        file = out / "constant/polyMesh/points" if out.is_dir() else out
+        files.append(file.read_bytes().replace(name.encode(), b""))
+    assert files[0] == files[1] and _ahead.taken(path) is None, path
+"""
+
+
+def run(*words, cores="2"):
+    environment = os.environ | {"JAXMORPH_CPUS": cores}
+    return subprocess.run([sys.executable, *words], capture_output=True, text=True, env=environment, check=False)
+
+
+def test_each_format_arrives_whole(tmp_path):
+    """Without JAX in the child, and with all that writing needs."""
+    done = run("-c", READ, *(str(written(tmp_path, ending)) for ending in ENDINGS))
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.parametrize("fault", ["cut", "folded", "missing", "none"])
+def test_faults_and_warnings_are_those_of_one_process(tmp_path, fault):
+    path = tmp_path / "in.msh"
+    mesh = jm.elevate(bricks(2), 2)
+    if fault == "folded":
+        corners = mesh.cells["hexahedron27"].copy()
+        corners[0, 20] = corners[0, 21]
+        mesh = jm.Mesh(mesh.points, {"hexahedron27": corners})
+    if fault != "missing":
+        io.write(path, mesh)
+    if fault == "cut":
+        path.write_bytes(path.read_bytes()[:-500])
+    alone, beside = (run("-m", "jaxmorph", "info", str(path), cores=cores) for cores in "12")
+    assert (beside.returncode, beside.stdout, beside.stderr) == (alone.returncode, alone.stdout, alone.stderr)
+    assert alone.returncode == (0 if fault in ("none", "folded") else 2)
+    assert ("name a node twice" in alone.stderr) == (fault == "folded")
