@@ -1,7 +1,7 @@
 """Programs of direct calls, kept in a folder: a later process neither traces nor lowers them.
 
-A command keeps all programs. In a user's process `prepare` keeps its own, in JAX's folder of
-compiled code.
+A command keeps all programs. In a user's process `prepare` and `deform` keep their own, in JAX's
+folder of compiled code.
 
 JAX's own cache finds machine code by the program, so that every process first makes the program.
 Here the name of a function, the shapes of its arguments and the package's files find the code.
@@ -20,7 +20,7 @@ import platform
 import secrets
 import sys
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
 import numpy as np
@@ -50,9 +50,13 @@ DIGEST = hashlib.sha256().digest_size
 SWITCH = "JAXMORPH_CACHE"
 """The environment variable by which nothing is kept."""
 
+T = TypeVar("T")
+
 _folder: Any = None
 _in_jaxs_folder = contextvars.ContextVar("_in_jaxs_folder", default=False)
 _programs: "dict[str, Program]" = {}
+_names: dict[Any, str | None] = {}
+"""Names of programs by the form of a call, which is quickly made; None: nothing is kept."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -126,7 +130,7 @@ def machine() -> str:
 def keep(folder: str, limit: int) -> None:
     """Keeps the programs of all calls in JAX's folder of compiled code, at most `limit` bytes.
 
-    It is for a process that runs one command. Finding a program takes longer than a small call.
+    It is for a process that runs one command. The first call of a program takes longer to name it.
     """
     global _folder
     _folder = _opened(folder, limit)
@@ -138,15 +142,16 @@ def kept_in_jaxs_folder() -> contextlib.AbstractContextManager[None]:
 
 
 def _jaxs_folder() -> Any:
-    values = jax.config.values
-    path, limit = values["jax_compilation_cache_dir"], values["jax_compilation_cache_max_size"]
-    return _opened(path, limit) if path and values["jax_enable_compilation_cache"] and not is_off() else None
+    config: Any = jax.config
+    path, limit = config.jax_compilation_cache_dir, config.jax_compilation_cache_max_size
+    return _opened(path, limit) if path and config.jax_enable_compilation_cache and not is_off() else None
 
 
 @functools.cache
 def _opened(folder: str, limit: int) -> Any:
     """Opens a folder of programs; None where this JAX has no such folders or lacks a package."""
     try:  # private names of JAX: without them nothing is kept
+        from jax._src.config import trace_context  # noqa: F401
         from jax._src.lru_cache import LRUCache
         from jaxlib import lapack
 
@@ -157,38 +162,62 @@ def _opened(folder: str, limit: int) -> Any:
 
 
 def kept(
-    function: Callable, arguments: tuple, state: tuple[bool, ...], options: Callable[[], dict[str, Any]]
+    function: Callable, leaves: list[Any], tree: Any, state: tuple[bool, ...], options: Callable[[], dict[str, Any]]
 ) -> Callable[[], Any] | None:
     """Finds or makes the program of a call; None where no program can be kept.
 
-    `arguments` are a tuple and a dictionary that hold arrays anywhere. `state` is what the program
-    depends on besides. `options` gives the compiler's options for a program that is made.
+    `leaves` and `tree` are those of the arguments, a tuple and a dictionary. `state` is what the
+    program depends on besides. `options` gives the compiler's options for a program that is made.
     """
     folder = _jaxs_folder() if _folder is None and _in_jaxs_folder.get() else _folder
-    if folder is None or jax.config.values["jax_disable_jit"]:
+    config: Any = jax.config
+    if folder is None or config.jax_disable_jit or config.jax_debug_nans or config.jax_debug_infs:
         return None
     if jax.device_count() > 1 or jax.default_backend() != "cpu":
         return None
-    try:
-        key = _key(function, arguments, state)
-    except _UnkeptError:
+    key = _held(_names, _form(function, leaves, tree, state), lambda: _key(function, leaves, tree, state))
+    if key is None:
         return None
-    program = _programs.get(key) or _loaded(folder, key) or _made(folder, key, function, arguments, options())
-    _programs[key] = program
-    while len(_programs) > LATEST:
-        _programs.pop(next(iter(_programs)), None)
-    leaves = [leaf for leaf in jax.tree.leaves(arguments) if _is_array(leaf)]
-    return functools.partial(program, leaves)
+    program = _held(
+        _programs, key, lambda: _loaded(folder, key) or _made(folder, key, function, leaves, tree, options())
+    )
+    return functools.partial(program, [leaf for leaf in leaves if _is_array(leaf)])
 
 
-def _key(function: Callable, arguments: tuple, state: tuple[bool, ...]) -> str:
-    """Computes the name of a program. Raises `_UnkeptError` for the user's own functions."""
+def _held(values: dict[Any, T], key: Any, make: Callable[[], T]) -> T:
+    """Returns what a dictionary holds of a key, or makes it; what came first is forgotten."""
+    try:
+        found = values.get(key, values)
+    except TypeError:  # something in the key has no hash
+        return make()
+    if found is values:
+        found = values[key] = make()
+        while len(values) > LATEST:
+            values.pop(next(iter(values)), None)
+    return found  # pyright: ignore[reportReturnType]
+
+
+def _form(function: Callable, leaves: list[Any], tree: Any, state: tuple[bool, ...]) -> Any:
+    """Describes a call as `jax.jit` does: calls of one form have one program in this process."""
+    from jax._src.config import trace_context
+
+    kinds = [
+        (leaf.shape, leaf.dtype, getattr(leaf, "weak_type", False))
+        if _is_array(leaf)
+        else (type(leaf), repr(leaf) if isinstance(leaf, float) else leaf)  # 0.0 and -0.0 are equal
+        for leaf in leaves
+    ]
+    return function, tree, tuple(kinds), state, trace_context()
+
+
+def _key(function: Callable, leaves: list[Any], tree: Any, state: tuple[bool, ...]) -> str | None:
+    """Computes the name of a program; None for the user's own functions."""
     file = io.BytesIO()
-    shapes = jax.tree.map(lambda leaf: _Shape.of(leaf) if _is_array(leaf) else leaf, arguments)
+    shapes = jax.tree.unflatten(tree, [_Shape.of(leaf) if _is_array(leaf) else leaf for leaf in leaves])
     try:
         _Pickler(file).dump((_name(function), state, shapes))
-    except (pickle.PicklingError, TypeError, AttributeError) as error:
-        raise _UnkeptError from error
+    except (pickle.PicklingError, TypeError, AttributeError, _UnkeptError):
+        return None
     return f"jaxmorph-{hashlib.sha256(_world() + _settings() + file.getvalue()).hexdigest()}"
 
 
@@ -236,9 +265,8 @@ def _loaded(folder: Any, key: str) -> Program | None:
         return None
 
 
-def _made(folder: Any, key: str, function: Callable, arguments: tuple, options: dict[str, Any]) -> Program:
+def _made(folder: Any, key: str, function: Callable, leaves: list[Any], tree: Any, options: dict[str, Any]) -> Program:
     """Compiles a program, and keeps it."""
-    leaves, tree = jax.tree.flatten(arguments)
     arrays, form = [leaf for leaf in leaves if _is_array(leaf)], None
 
     def flat(*traced: Any) -> tuple[Any, ...]:
