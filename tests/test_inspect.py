@@ -4,9 +4,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from meshes import grid, ring
+from scipy.interpolate import RBFInterpolator
 
 import jaxmorph as jm
 from jaxmorph import cases
+from jaxmorph._advice.resolved import missed
 
 
 @pytest.fixture(scope="module")
@@ -258,3 +260,13 @@ def test_a_motion_that_is_none(value, words):
     plan = jm.prepare(mesh, [0], [1, 2], method=jm.InverseDistance())
     with pytest.raises(ValueError, match=words):
         jm.fewest_steps(plan, mesh, lambda t: None if value is None else np.full((1, 2), value))
+
+
+@pytest.mark.parametrize(("count", "some", "d"), [(5000, 60, 3), (90, 1, 3), (500, 100, 2)])
+def test_what_sources_miss_is_what_scipys_interpolation_by_distances_misses(count, some, d):
+    rng = np.random.default_rng(count)
+    points = rng.random((count, d))
+    u, rows = np.sin(5 * points), np.sort(rng.choice(count, some, replace=False))
+    field = RBFInterpolator(points[rows], u[rows], kernel="linear", degree=0)(points)
+    expected = np.linalg.norm(field - u, axis=1).max() / np.linalg.norm(u, axis=1).max()
+    np.testing.assert_allclose(missed(points, u, rows), expected, rtol=1e-9)

@@ -244,4 +244,5 @@ def test_a_script_prepares_again_without_tracing(tmp_path):
     )
     assert same == factors
     for name in ("refitted", "_deform"):
-        assert name in first and name not in again
+        assert name in first
+        assert name not in again
