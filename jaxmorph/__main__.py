@@ -20,8 +20,8 @@ def run() -> NoReturn:
     is_watched = sys.gettrace() or sys.getprofile() or sys.flags.interactive or set(WATCHERS) & set(sys.modules)
     if not is_watched:
         try:
-            sys.stdout.flush()
-            sys.stderr.flush()
+            for stream in filter(None, (sys.stdout, sys.stderr)):  # a service may close them
+                stream.flush()
         except OSError:  # a closed pipe: Python has a status for it
             sys.exit(status)
         os._exit(status)

@@ -43,9 +43,13 @@ for path, other in zip(paths, alone, strict=True):
 """
 
 
-def run(*words, cores="2"):
+def run(*words, cores="2", closed=()):
     environment = os.environ | {"JAXMORPH_CPUS": cores}
-    return subprocess.run([sys.executable, *words], capture_output=True, text=True, env=environment, check=False)
+    close = lambda: [os.close(number) for number in closed]  # noqa: E731
+    command = [sys.executable, *words]
+    return subprocess.run(
+        command, capture_output=True, text=True, env=environment, check=False, timeout=120, preexec_fn=close
+    )
 
 
 def test_each_format_arrives_whole(tmp_path):
@@ -70,3 +74,26 @@ def test_faults_and_warnings_are_those_of_one_process(tmp_path, fault):
     assert (beside.returncode, beside.stdout, beside.stderr) == (alone.returncode, alone.stdout, alone.stderr)
     assert alone.returncode == (0 if fault in ("none", "folded") else 2)
     assert ("name a node twice" in alone.stderr) == (fault == "folded")
+
+
+@pytest.mark.parametrize("closed", [(0,), (1,), (2,), (0, 2), (0, 1, 2)])
+def test_a_service_may_have_closed_streams(tmp_path, closed):
+    """The pipe to the child then has their numbers."""
+    io.write(tmp_path / "in.su2", bricks(2))
+    whole = run("-m", "jaxmorph", "info", str(tmp_path / "in.su2"))
+    done = run("-m", "jaxmorph", "info", str(tmp_path / "in.su2"), closed=closed)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "" if 1 in closed else whole.stdout, "")
+
+
+def test_nobody_waits_for_a_process_that_has_ended(tmp_path):
+    """A child sends its mesh to nobody where its parent has ended, and ends too."""
+    code = f"""
+import os
+from jaxmorph.io import _ahead
+_ahead.begin({str(tmp_path / "in.su2")!r})
+((child, pipe),) = _ahead._begun.values()
+pipe.close()
+print(os.waitpid(child, 0)[1])
+"""
+    io.write(tmp_path / "in.su2", bricks(24))  # more than a pipe holds
+    assert run("-c", code).stdout == "0\n"

@@ -49,7 +49,7 @@ class Progress:
     def __call__(self, name: str) -> Iterator[Stage]:
         stage, over = Stage(name), threading.Event()
         clock = threading.Thread(target=self._tell, args=(stage, over), daemon=True)
-        is_heard = sys.stderr.isatty()
+        is_heard = sys.stderr is not None and sys.stderr.isatty()  # a service may have closed it
         if is_heard:
             clock.start()
         try:

@@ -25,8 +25,14 @@ def begin(path: str | os.PathLike[str]) -> None:
     if sys.platform != "linux" or "numpy" in sys.modules or cores() < 2:
         return
     reader, writer = os.pipe()
-    child = os.fork()
+    try:
+        child = os.fork()
+    except OSError:  # a limit to processes or memory
+        os.close(reader)
+        os.close(writer)
+        return
     if not child:
+        os.close(reader)  # or the child would wait for itself where its parent has ended
         _send(path, writer)
     os.close(writer)
     _begun[os.fspath(path)] = child, os.fdopen(reader, "rb")
