@@ -243,7 +243,7 @@ _flagged = compiled(_flags)
 
 
 def _volume(kind: str, points: Float[Either, "n d"], ids: Shaped[Either, "c k"]) -> Float[Either, " k"]:
-    return _sizes(kind, corners(points, ids.T))[0]
+    return measures.volume(kind, measures.relative_corners(corners(points, ids.T))[0])
 
 
 def _judged(
