@@ -83,7 +83,9 @@ def inspected(plan: Plan, u: Any, mesh: Mesh | None, nodes: Any, moved: np.ndarr
         raise ValueError(f"`nodes` has {len(ids)} ids; this plan has {len(plan.points)} points.")
     surface, vectors = np.asarray(plan.surface_nodes), np.asarray(plan.of_surface(u))
     _check_finite(u, surface[: plan.n_moving])
-    looking = mesh and Beside(_of_faces, mesh, ids[surface], vectors.astype(float), plan.n_moving)
+    looking = None
+    if mesh is not None:
+        looking = Beside(_of_faces, mesh, ids[surface], vectors.astype(float), plan.n_moving)
     inspection = _of_plan(plan, u, vectors, moved)
     inspection = inspection if nodes is None else inspection.renumbered(ids)
     if mesh is None or looking is None:

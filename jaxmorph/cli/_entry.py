@@ -16,7 +16,7 @@ from ._interrupt import STATUS, raise_again
 from ._output import Output
 from ._parser import Parser, meant
 from ._parts import Speech
-from ._requests import COMMANDS, SU2, Demo, Request
+from ._requests import COMMANDS, SU2, Demo, Info, Request
 
 
 def answer(words: Sequence[str], *, is_own: bool = False) -> int:
@@ -62,7 +62,7 @@ def _command(request: Request, is_own: bool) -> Callable[[Request, Output], int]
 
 def _mesh_file(request: Request) -> Path | None:
     """Returns the file that the command reads by `io.read`, if any."""
-    if isinstance(request, SU2 | Demo) or getattr(request, "decomposed", False):
+    if isinstance(request, SU2 | Demo | Info) or getattr(request, "decomposed", False):
         return None
     return request.file if getattr(request, "zone", None) is None else None
 

@@ -47,7 +47,7 @@ class Beside(Generic[T]):
         self._future: Future[T] = Future()
         self._has_thread = cores() > 1
         if self._has_thread:
-            threading.Thread(target=self._run, daemon=True).start()
+            threading.Thread(target=self._run).start()
 
     def _run(self) -> None:
         try:
