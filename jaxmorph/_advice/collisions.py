@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 
 from .._boundary.outer_faces import outer_faces
-from .._host.cells.parts import parts_of
+from .._host.cells.adjacency import parts_of
 from .._host.collisions.crossings import crossing_faces
 from .._host.package.trees import Tree
 from .._mesh.mesh import Mesh

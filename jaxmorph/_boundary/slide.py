@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.sparse import csr_array
 
-from .._host.cells.parts import parts_of
+from .._host.cells.adjacency import parts_of
 from .._host.package.arguments import check_patch, finite_array
 from .._host.package.errors import MeshError, place_of, worst_first
 from .._host.surface.simplices import normals

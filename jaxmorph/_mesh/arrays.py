@@ -7,11 +7,12 @@ import numpy as np
 
 from .._host.cells.topology import NODES, canonical_type
 from .._host.package.arguments import native, shown
+from .exchange import Parts
 
 
 def checked_parts(
-    points: Any, cells: Mapping[str, Any] | None, patches: Mapping[str, Any] | None
-) -> tuple[Any, dict[str, Any], dict[str, Any]]:
+    points: Any, cells: Mapping[str, Any] | None, patches: Mapping[str, Any] | None, source: Any = None
+) -> Parts:
     """Returns coordinates as floats, cells by type in alphabetical order, and unique ids by patch.
 
     It raises `ValueError` for what a `Mesh` refuses.
@@ -24,7 +25,7 @@ def checked_parts(
     ids = {kind: ids[kind] for kind in sorted(ids)}  # as JAX sorts the keys of a dict
     nodes = {name: np.unique(ids_of(members)) for name, members in (patches or {}).items()}
     _check_parts(points, ids, nodes)
-    return points, ids, nodes
+    return Parts(points, ids, nodes, source)
 
 
 def _check_parts(points: Any, cells: Mapping[str, Any], patches: Mapping[str, Any]) -> None:

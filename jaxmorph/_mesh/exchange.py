@@ -152,11 +152,12 @@ def imported(name: str, extra: str) -> Any:
 
 
 class Parts(NamedTuple):
-    """Points (n, d), corner ids by type, and node ids by patch."""
+    """Points (n, d), corner ids by type, nodes by patch, and the source: a `Mesh`, without JAX."""
 
     points: Any
-    cells: Mapping[str, Any]
-    patches: Mapping[str, Any]
+    cells: dict[str, Any]
+    patches: dict[str, Any]
+    source: Any = None
 
 
 def parts(grid: Grid) -> Parts:

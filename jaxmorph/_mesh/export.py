@@ -8,13 +8,13 @@ import numpy as np
 
 from .._host.cells.orders import VTK_ORDER, reordered
 from .._host.cells.topology import SHAPES, VTK, VTK_LAGRANGE, VTK_QUADRATIC
-from .exchange import PREFIX, Arrays, Parts, block_of, imported, kind_of_block, kind_of_vtk, offsets_of
+from .exchange import PREFIX, Arrays, Parts, block_of, imported, intact_source, kind_of_block, kind_of_vtk, offsets_of
 
 
-def to_meshio(mesh: Parts, source: Any, point_data: Arrays | None, cell_data: Arrays | None) -> Any:
+def to_meshio(mesh: Parts, point_data: Arrays | None, cell_data: Arrays | None) -> Any:
     meshio = imported("meshio", "io")
     point_arrays, cell_arrays = _checked(mesh, point_data, cell_data)
-    old = _origin(source, meshio.Mesh)
+    old = _origin(mesh, meshio.Mesh)
     points = _points(mesh, None if old is None else old.points)
     if old is None:
         new = meshio.Mesh(points, [block_of(kind, corners) for kind, corners in mesh.cells.items()])
@@ -29,10 +29,10 @@ def to_meshio(mesh: Parts, source: Any, point_data: Arrays | None, cell_data: Ar
     return new
 
 
-def to_pyvista(mesh: Parts, source: Any, point_data: Arrays | None, cell_data: Arrays | None) -> Any:
+def to_pyvista(mesh: Parts, point_data: Arrays | None, cell_data: Arrays | None) -> Any:
     pyvista = imported("pyvista", "plot")
     point_arrays, cell_arrays = _checked(mesh, point_data, cell_data)
-    old = _origin(source, pyvista.UnstructuredGrid)
+    old = _origin(mesh, pyvista.UnstructuredGrid)
     points = _points(mesh, None if old is None else np.asarray(old.points))
     if old is None:
         new = unstructured_grid(pyvista, mesh.cells, points)
@@ -61,8 +61,9 @@ def unstructured_grid(pyvista: Any, cells: Mapping[str, Any], points: np.ndarray
     return pyvista.UnstructuredGrid(np.concatenate(rows), np.concatenate(numbers), points)
 
 
-def _origin(source: Any, kind: type) -> Any:
+def _origin(mesh: Parts, kind: type) -> Any:
     """Finds the library's own mesh behind a mesh's source, directly or through a file."""
+    source = intact_source(mesh)
     while hasattr(source, "content"):
         source = source.content
     return source if isinstance(source, kind) else None

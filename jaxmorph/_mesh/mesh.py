@@ -51,8 +51,7 @@ class Mesh(Module):
     def __init__(self, points, cells=None, patches=None, source=None):
         check("cells", cells, Mapping[str, Any] | None, Mesh)
         check("patches", patches, Mapping[str, Any] | None, Mesh)
-        self.points, self.cells, self.patches = checked_parts(points, cells, patches)
-        self.source = source
+        self.points, self.cells, self.patches, self.source = checked_parts(points, cells, patches, source)
 
     @checked
     def patch(self, *names: str) -> np.ndarray:
@@ -184,7 +183,7 @@ class Mesh(Module):
         volume.
         """
         parts = exchange.parts(exchange.of_meshio(mesh))
-        return Mesh(*parts, source=exchange.Origin(mesh, exchange.numbers_of_cells(parts.cells)))
+        return Mesh(*parts[:3], exchange.Origin(mesh, exchange.numbers_of_cells(parts.cells)))
 
     @checked
     def to_meshio(
@@ -203,7 +202,7 @@ class Mesh(Module):
         **Raises:** `ValueError` for arrays of a wrong length, `ImportError` where meshio is
         missing.
         """
-        return export.to_meshio(self._parts, exchange.intact_source(self), point_data, cell_data)
+        return export.to_meshio(self._parts, point_data, cell_data)
 
     @staticmethod
     def from_pyvista(grid: Any) -> "Mesh":
@@ -218,7 +217,7 @@ class Mesh(Module):
                 )
             grid = grid.cast_to_unstructured_grid()
         parts = exchange.parts(exchange.of_pyvista(grid))
-        return Mesh(*parts, source=exchange.Origin(grid, exchange.numbers_of_cells(parts.cells)))
+        return Mesh(*parts[:3], exchange.Origin(grid, exchange.numbers_of_cells(parts.cells)))
 
     @checked
     def to_pyvista(
@@ -233,11 +232,11 @@ class Mesh(Module):
         **Raises:** `ValueError` for arrays of a wrong length, `ImportError` where PyVista is
         missing.
         """
-        return export.to_pyvista(self._parts, exchange.intact_source(self), point_data, cell_data)
+        return export.to_pyvista(self._parts, point_data, cell_data)
 
     @property
     def _parts(self) -> exchange.Parts:
-        return exchange.Parts(self.points, self.cells, self.patches)
+        return exchange.Parts(self.points, self.cells, self.patches, self.source)
 
     def __repr__(self) -> str:
         n, d = self.points.shape

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from jaxmorph._boundary.outer_faces import outer_faces
+from jaxmorph._host.cells.adjacency import parts_of as parts_of
 from jaxmorph._host.cells.pairs import sorted_columns
-from jaxmorph._host.cells.parts import parts_of as parts_of
 from jaxmorph._host.cells.topology import CORNERS, solid
 from jaxmorph._host.package.arguments import shown
 from jaxmorph._host.package.orders import rows_in

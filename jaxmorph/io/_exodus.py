@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from jaxmorph._host.cells.topology import DIMENSION
-from jaxmorph._mesh.exchange import PREFIX
+from jaxmorph._mesh.exchange import PREFIX, Parts
 
-from ._format import Arrays, FileMesh, MeshLike, Source, StampedPoints, stamp_of
+from ._format import Arrays, MeshLike, Source, StampedPoints, stamp_of
 from ._meshio import meshio, to_mesh
 from .cgns.tree import opened, write_points
 from .text.digits import decoded
@@ -47,7 +47,7 @@ class _Block:
     sides: list[list[int]]
 
 
-def read(path: pathlib.Path) -> FileMesh:
+def read(path: pathlib.Path) -> Parts:
     """Reads points, cells and patches: side sets, node sets, blocks of lower dimension.
 
     Sets and blocks of one name are one patch. A set without a name is called by its kind and its

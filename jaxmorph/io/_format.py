@@ -5,14 +5,13 @@ import dataclasses
 import importlib
 import pathlib
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any, NamedTuple, Protocol, cast, runtime_checkable
+from typing import Any, Protocol, cast, runtime_checkable
 
 import numpy as np
 
 from jaxmorph._boundary.periodic import Periodic
 from jaxmorph._host.cells.topology import SHAPES
-from jaxmorph._mesh.arrays import checked_parts
-from jaxmorph._mesh.exchange import intact_source
+from jaxmorph._mesh.exchange import Parts, intact_source
 from jaxmorph._mesh.polyhedra import Polyhedra
 
 Arrays = Mapping[str, np.ndarray]
@@ -53,30 +52,16 @@ class Source:
         return f"Source({str(self.path)!r}, {self.format})"
 
 
-class FileMesh(NamedTuple):
-    """The points, cells, patches and source of a mesh that was read: a `Mesh`, without JAX."""
-
-    points: np.ndarray
-    cells: Mapping[str, np.ndarray]
-    patches: Mapping[str, np.ndarray]
-    source: Any = None
-
-    @staticmethod
-    def of(points: Any, cells: Any, patches: Any, source: Any = None) -> "FileMesh":
-        """Makes a checked one, with cells and patches as a `Mesh` has them."""
-        return FileMesh(*checked_parts(points, cells, patches), source)
-
-
 @runtime_checkable
 class MeshLike(Protocol):
-    """What a format writes: a `Mesh` or a `FileMesh`."""
+    """Lists what a format needs of a mesh to write it: of a `Mesh`, or of its `Parts`."""
 
     @property
     def points(self) -> Any: ...
     @property
-    def cells(self) -> Mapping[str, Any]: ...
+    def cells(self) -> dict[str, Any]: ...
     @property
-    def patches(self) -> Mapping[str, Any]: ...
+    def patches(self) -> dict[str, Any]: ...
     @property
     def source(self) -> Any: ...
 
@@ -88,7 +73,7 @@ class Codec(Protocol):
     A format without the `check` of `Checking` takes back only meshes that came from it.
     """
 
-    def read(self, path: pathlib.Path) -> FileMesh:
+    def read(self, path: pathlib.Path) -> Parts:
         """Reads the mesh in a file; `ValueError` names file, place and what was found."""
         ...
 

@@ -7,8 +7,9 @@ import numpy as np
 
 from jaxmorph._host.cells.pairs import columns_of, is_single, sorted_columns
 from jaxmorph._host.cells.topology import DIMENSION
+from jaxmorph._mesh.arrays import checked_parts
+from jaxmorph._mesh.exchange import Parts
 
-from ._format import FileMesh
 from ._structured import open_faces, shared_nodes
 
 
@@ -45,7 +46,7 @@ class Joined:
         return new
 
 
-def join(zones: Zones) -> tuple[FileMesh, Joined]:
+def join(zones: Zones) -> tuple[Parts, Joined]:
     """Joins zones to one mesh in the file's node order; 2-D if all cells are, and z is constant.
 
     It raises `ValueError` for coordinates that are not finite.
@@ -61,7 +62,7 @@ def join(zones: Zones) -> tuple[FileMesh, Joined]:
     is_flat = max(DIMENSION[kind] for kind in cells) == 2 and (points.shape[1] == 2 or bool(np.ptp(points[:, 2]) == 0))
     at = points[original][:, : 2 if is_flat else 3]
     whole = {kind: np.concatenate(parts) for kind, parts in cells.items()}
-    return FileMesh.of(np.ascontiguousarray(at), whole, patches), Joined(node, points, is_flat)
+    return checked_parts(np.ascontiguousarray(at), whole, patches), Joined(node, points, is_flat)
 
 
 def _join_nodes(zones: Zones) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:

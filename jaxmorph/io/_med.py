@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from jaxmorph._mesh.exchange import PREFIX
+from jaxmorph._mesh.exchange import PREFIX, Parts
 
-from ._format import Arrays, FileMesh, MeshLike, Source, StampedPoints, stamp_of
+from ._format import Arrays, MeshLike, Source, StampedPoints, stamp_of
 from ._meshio import meshio, to_mesh
 from .cgns.tree import opened, write_points
 from .text.digits import decoded
@@ -29,7 +29,7 @@ TYPES = {
 """Types of cells by MED's, and the places of MED's corners in VTK's order."""
 
 
-def read(path: pathlib.Path) -> FileMesh:
+def read(path: pathlib.Path) -> Parts:
     """Reads points, cells and patches: groups of nodes, and of elements of lower dimension."""
     path.open("rb").close()
     with opened(path, what=WHAT) as file:

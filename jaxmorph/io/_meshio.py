@@ -15,8 +15,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxmorph._mesh import exchange, export
+from jaxmorph._mesh.arrays import checked_parts
+from jaxmorph._mesh.exchange import Parts
 
-from ._format import Arrays, FileMesh, MeshLike, faults_of
+from ._format import Arrays, MeshLike, faults_of
 
 for _kind in ("pyramid13", "wedge15"):  # types that meshio reads and writes, and whose dimension it lacks
     meshio._mesh.topological_dimension.setdefault(_kind, 3)
@@ -62,13 +64,12 @@ def load(path: pathlib.Path, name: str, reader: Callable[[str], Any]) -> meshio.
     return mesh
 
 
-def to_mesh(path: pathlib.Path, mesh: Any, source: Any) -> FileMesh:
+def to_mesh(path: pathlib.Path, mesh: Any, source: Any) -> Parts:
     """Makes a mesh as `Mesh.from_meshio` does; errors name the file."""
     with faults_of(path):
-        return FileMesh.of(*exchange.parts(exchange.of_meshio(mesh)), source)
+        return checked_parts(*exchange.parts(exchange.of_meshio(mesh))[:3], source)
 
 
 def of_mesh(mesh: MeshLike, point_data: Arrays | None = None, cell_data: Arrays | None = None) -> meshio.Mesh:
     """Makes meshio's mesh as `Mesh.to_meshio` does."""
-    parts = exchange.Parts(mesh.points, mesh.cells, mesh.patches)
-    return export.to_meshio(parts, exchange.intact_source(mesh), point_data, cell_data)
+    return export.to_meshio(Parts(mesh.points, mesh.cells, mesh.patches, mesh.source), point_data, cell_data)

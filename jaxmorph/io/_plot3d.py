@@ -11,7 +11,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ._format import Arrays, FileMesh, MeshLike, Source, faults_of, own_source
+from jaxmorph._mesh.exchange import Parts
+
+from ._format import Arrays, MeshLike, Source, faults_of, own_source
 from ._joined import Joined, Zones, join
 from ._structured import SIDES, block_cells, block_ids, block_sides
 from .text.sections import chunks, parse, replace_words
@@ -49,7 +51,7 @@ class _Content:
     joined: Joined
 
 
-def read(path: pathlib.Path) -> FileMesh:
+def read(path: pathlib.Path) -> Parts:
     """Reads all blocks; nodes where blocks meet are one.
 
     Patches come from a file beside the grid, called as the grid with the ending `.patches`. It

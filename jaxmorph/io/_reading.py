@@ -7,9 +7,9 @@ import numpy as np
 
 from jaxmorph._host.cells.topology import HIGH_ORDER, repeated_cells
 from jaxmorph._host.package.errors import place_of, warn
-from jaxmorph._mesh.exchange import numbers_of_cells
+from jaxmorph._mesh.exchange import Parts, numbers_of_cells
 
-from ._format import FileMesh, Format, Source
+from ._format import Format, Source
 
 FORMATS = (
     Format("SU2", (".su2",), "_su2"),
@@ -49,7 +49,7 @@ def format_of(path: pathlib.Path, source: object = None) -> Format:
     )
 
 
-def file_mesh(path: pathlib.Path) -> FileMesh:
+def file_mesh(path: pathlib.Path) -> Parts:
     """Reads and checks the mesh in a file or a case, as `jaxmorph.io.read` describes it."""
     mesh = format_of(path).codec().read(path)
     check_nodes(path, mesh)
@@ -57,7 +57,7 @@ def file_mesh(path: pathlib.Path) -> FileMesh:
     return mesh._replace(source=source)
 
 
-def check_nodes(path: pathlib.Path, mesh: FileMesh) -> None:
+def check_nodes(path: pathlib.Path, mesh: Parts) -> None:
     """Raises `ValueError` for two cells with equal nodes; warns of curved cells with a node twice.
 
     Pieces of polyhedra may coincide.

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy import spatial
 
-from .._host.cells.parts import parts_of
+from .._host.cells.adjacency import parts_of
 
 SIDES = ("imin", "imax", "jmin", "jmax", "kmin", "kmax")
 TOLERANCE = 1e-3

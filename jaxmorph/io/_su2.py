@@ -12,9 +12,11 @@ import numpy as np
 
 from jaxmorph._host.cells.pieces import boundary_faces
 from jaxmorph._host.cells.topology import CORNERS, VTK
+from jaxmorph._mesh.arrays import checked_parts
+from jaxmorph._mesh.exchange import Parts
 
 from ._boundary import patch_faces
-from ._format import Arrays, FileMesh, MeshLike, Source, source_of
+from ._format import Arrays, MeshLike, Source, source_of
 from .text.digits import decoded
 from .text.sections import Rows, Section, blank_comments, replace
 
@@ -57,7 +59,7 @@ class SU2Content:
     shape: tuple[int, int]
 
 
-def read(path: pathlib.Path) -> FileMesh:
+def read(path: pathlib.Path) -> Parts:
     """Reads points in the order of the file; `patches` are the markers, joined by name.
 
     With `NMARK= 0` the patch is `boundary`.
@@ -94,7 +96,7 @@ def by_zones(path: pathlib.Path, text: bytes) -> list[list[Keyword]]:
     return parts
 
 
-def mesh_of(path: pathlib.Path, text: bytes, keywords: list[Keyword]) -> FileMesh:
+def mesh_of(path: pathlib.Path, text: bytes, keywords: list[Keyword]) -> Parts:
     """Reads the points, cells and markers of a zone, or of a file without zones."""
     dimension = _only(path, keywords, "NDIME")
     if (d := dimension.number()) not in (2, 3):
@@ -107,7 +109,7 @@ def mesh_of(path: pathlib.Path, text: bytes, keywords: list[Keyword]) -> FileMes
     if not patches:
         outer = boundary_faces(cells, len(points)).values()
         patches = {"boundary": np.concatenate([corners.ravel() for corners in outer])}
-    return FileMesh.of(points, cells, patches, Source(path, NAME, content))
+    return checked_parts(points, cells, patches, Source(path, NAME, content))
 
 
 def check(path: pathlib.Path, mesh: MeshLike) -> None:

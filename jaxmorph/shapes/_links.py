@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool, Float
 
-from .._host.cells.parts import parts_of
+from .._host.cells.adjacency import parts_of
 from .._host.package.arguments import whole
 
 

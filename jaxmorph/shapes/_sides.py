@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
-from .._host.cells.parts import parts_of
+from .._host.cells.adjacency import parts_of
 
 SAME = 1e-9
 """Distance in chords within which two nodes stand at one place."""

@@ -1,11 +1,12 @@
-"""Neighbours of cells: the cells that share a face, and the handedness of their numbering."""
+"""Neighbours of cells, the handedness of their numbering, and parts that pairs connect."""
 
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from .pairs import columns_of, sorted_columns, twins
-from .parts import parts_of
 from .topology import FACES
 
 
@@ -95,3 +96,9 @@ def handedness(
     end = np.concatenate([b + other, b + count - other])
     sheet = parts_of(start, end, 2 * count)
     return np.where(sheet[:count] <= sheet[count:], 1, -1), np.minimum(sheet[:count], sheet[count:])
+
+
+def parts_of(first: np.ndarray, second: np.ndarray, count: int) -> np.ndarray:
+    """Numbers connected parts of nodes (count,); `first` (e,) and `second` (e,) are connected."""
+    graph = coo_array((np.ones(len(first), dtype=bool), (first, second)), shape=(count, count))
+    return connected_components(graph, directed=False)[1]

@@ -10,7 +10,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse import linalg
 
-from ..cells.parts import parts_of
+from ..cells.adjacency import parts_of
 from ..package.rounding import distinct
 from .multigrid import by_component, hierarchy
 from .solves import Factors, conjugate_gradients, inner_product, is_factored

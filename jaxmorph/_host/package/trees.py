@@ -1,4 +1,4 @@
-"""Searches for the nearest points, with all cores."""
+"""Searches for the nearest points, with all cores. `cores.py` comes before SciPy."""
 
 from typing import Any
 

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ..cells.parts import parts_of
+from ..cells.adjacency import parts_of
 from ..package.rounding import SAME, distinct, nearest_of
 from ..package.trees import Tree
 from ..sources.farthest import farthest

@@ -8,10 +8,11 @@ import numpy as np
 
 from jaxmorph._boundary.periodic import Periodic
 from jaxmorph._host.cells.pieces import boundary_faces
+from jaxmorph._mesh.exchange import Parts
 from jaxmorph._mesh.faces import faces_of_cells, joined_faces
 from jaxmorph._mesh.polyhedra import Polyhedra
 
-from .._format import Arrays, FileMesh, MeshLike, Source, faults_of, stamp_of
+from .._format import Arrays, MeshLike, Source, faults_of, stamp_of
 from .._joined import Joined, Zones, join
 from .conditions import Connection, connections, patches
 from .kinds import groups_of, kinds_of, symmetry_of
@@ -30,7 +31,7 @@ class _CGNSContent(Joined):
     stamp: tuple[int, int]
 
 
-def read(path: pathlib.Path) -> FileMesh:
+def read(path: pathlib.Path) -> Parts:
     """Reads all zones of one base; nodes where two zones meet are one.
 
     `patches` are the boundary conditions, by family, and the sides of periodic interfaces. Outer

@@ -9,9 +9,10 @@ import numpy as np
 
 from jaxmorph._host.cells.orders import GMSH, MESHIO, reordered
 from jaxmorph._host.cells.topology import DIMENSION
+from jaxmorph._mesh.exchange import Parts
 
 from .._boundary import patch_faces
-from .._format import Arrays, FileMesh, FilePoints, MeshLike, Source, faults_of, source_of
+from .._format import Arrays, FilePoints, MeshLike, Source, faults_of, source_of
 from .._meshio import Block, Blocks, meshio, of_mesh, to_mesh
 from ..text.sections import Section, replace_numbers
 from .parts import TYPES, Elements, elements, entities, nodes
@@ -33,7 +34,7 @@ class _GmshContent(FilePoints):
     places: np.ndarray
 
 
-def read(path: pathlib.Path) -> FileMesh:
+def read(path: pathlib.Path) -> Parts:
     """Reads points, cells and patches: the physical groups of lower dimension than the mesh.
 
     A group without a name is `physical_` and its tag.

@@ -13,8 +13,10 @@ from collections.abc import Iterable
 import numpy as np
 
 from jaxmorph._host.cells.topology import CORNERS, DIMENSION
+from jaxmorph._mesh.arrays import checked_parts
+from jaxmorph._mesh.exchange import Parts
 
-from .._format import Arrays, FileMesh, MeshLike, Source, faults_of, own_source
+from .._format import Arrays, MeshLike, Source, faults_of, own_source
 from ..text.sections import Section, blanked, replace_numbers
 from .nodes import Elements, at_places, from_lobatto, lexicographic, numbered, to_lobatto
 
@@ -82,7 +84,7 @@ class _Content:
         return rows.T.ravel() if self.space.by_nodes else rows.ravel()
 
 
-def read(path: pathlib.Path) -> FileMesh:
+def read(path: pathlib.Path) -> Parts:
     """Reads cells, nodes, and patches: the attributes of boundary elements.
 
     The patch of attribute 3 is `boundary_3`; named sets of attributes are groups of patches.
@@ -114,7 +116,7 @@ def read(path: pathlib.Path) -> FileMesh:
     groups = _groups(parts.get("boundary_attribute_sets"), patches)
     source = Source(path, NAME, content, groups=groups, cell_ids=None if (np.diff(ids) == 1).all() else ids)
     with faults_of(path):  # a caller may change the mesh's points in place, and the file's must stay
-        return FileMesh.of(points.copy(), nodes, patches, source)
+        return checked_parts(points.copy(), nodes, patches, source)
 
 
 def write(path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arrays) -> None:

@@ -19,9 +19,11 @@ import numpy as np
 from jaxmorph._boundary.periodic import Periodic
 from jaxmorph._host.package.errors import warn
 from jaxmorph._host.package.files import complete
+from jaxmorph._mesh.arrays import checked_parts
+from jaxmorph._mesh.exchange import Parts
 from jaxmorph._mesh.polyhedra import Polyhedra, tetrahedra
 
-from .._format import Arrays, FileMesh, MeshLike, Source, as_in_file, source_of
+from .._format import Arrays, MeshLike, Source, as_in_file, source_of
 from ..text.sections import replace_words
 from .cyclic import check_cyclic, cyclic_pairs
 from .file import PARENTHESES, FoamFile, Patch, load, patches
@@ -61,7 +63,7 @@ class _CaseContent:
         return point_ids(self.topology, len(self.points))
 
 
-def read(path: pathlib.Path) -> FileMesh:
+def read(path: pathlib.Path) -> Parts:
     """Reads the mesh of a case, a time folder, or a folder polyMesh; nodes in file order.
 
     `patches` come from `boundary`, `groups` from their `inGroups`. Cells with more or other faces
@@ -257,16 +259,16 @@ def _points(folder: pathlib.Path) -> tuple[FoamFile, np.ndarray]:
     return file, points
 
 
-def _in_space(topology: Topology, points: np.ndarray) -> tuple[FileMesh, np.ndarray | None, Polyhedra | None]:
+def _in_space(topology: Topology, points: np.ndarray) -> tuple[Parts, np.ndarray | None, Polyhedra | None]:
     cells, ids, faces = topology.cells, topology.ids, topology.faces
     if faces is None:
-        mesh = FileMesh.of(points, cells, topology.nodes)
+        mesh = checked_parts(points, cells, topology.nodes)
         return mesh, _joined_ids(mesh, ids), None
     cut = ids.pop("polyhedron")
     pieces, owners = tetrahedra(faces, cut, points)
     cells["tetra"] = np.concatenate([cells["tetra"], pieces]) if "tetra" in cells else pieces
     ids["tetra"] = np.concatenate([ids["tetra"], owners]) if "tetra" in ids else owners
-    mesh = FileMesh.of(points, cells, topology.nodes)
+    mesh = checked_parts(points, cells, topology.nodes)
     return mesh, _joined_ids(mesh, ids), Polyhedra(faces, cut)
 
 
@@ -278,19 +280,19 @@ def _joined_ids(mesh: MeshLike, ids: dict[str, np.ndarray]) -> np.ndarray | None
 
 def _in_plane(
     topology: Topology, points: np.ndarray, boundary: list[Patch], empty: list[Patch]
-) -> tuple[FileMesh, np.ndarray | None, Polyhedra | None, Layer]:
+) -> tuple[Parts, np.ndarray | None, Polyhedra | None, Layer]:
     assert topology.faces is not None
     chosen = np.concatenate([np.arange(patch.start, patch.start + patch.count) for patch in empty])
     plane = layer(topology.faces, points, chosen)
     nodes = {patch.name: plane.ids(topology.nodes[patch.name]) for patch in boundary if patch.type != "empty"}
     cells, ids, whole = plane_cells(topology.faces, points, chosen, plane)
-    mesh = FileMesh.of(plane.in_plane(points), cells, nodes)
+    mesh = checked_parts(plane.in_plane(points), cells, nodes)
     return mesh, _joined_ids(mesh, ids), whole, plane
 
 
 def _in_sector(
     topology: Topology, points: np.ndarray, boundary: list[Patch], wedges: list[Patch]
-) -> tuple[FileMesh, np.ndarray | None, Polyhedra | None, Sector]:
+) -> tuple[Parts, np.ndarray | None, Polyhedra | None, Sector]:
     faces = topology.faces
     assert faces is not None
     plane, is_first = sector(faces, topology.nodes[wedges[0].name], topology.nodes[wedges[1].name], points)
@@ -306,7 +308,7 @@ def _in_sector(
             raise ValueError("the patch axis has faces; nodes on the axis get its name: call it otherwise in boundary.")
         nodes["axis"] = np.flatnonzero(plane.on_axis)
     cells, ids, whole = plane_cells(faces, points, front, plane)
-    mesh = FileMesh.of(plane.in_plane(points), cells, nodes)
+    mesh = checked_parts(plane.in_plane(points), cells, nodes)
     return mesh, _joined_ids(mesh, ids), whole, plane
 
 

@@ -11,15 +11,16 @@ import numpy as np
 
 from jaxmorph._host.cells.orders import swapped_edges
 from jaxmorph._host.cells.topology import CORNERS, NODES, SHAPES, VTK, VTK_QUADRATIC
+from jaxmorph._mesh.exchange import Parts
 
-from .._format import Arrays, FileMesh, FilePoints, MeshLike, Source
+from .._format import Arrays, FilePoints, MeshLike, Source
 from .._meshio import load, meshio, of_mesh, to_mesh
 from . import legacy
 
 NAME = "VTK"
 
 
-def read(path: pathlib.Path) -> FileMesh:
+def read(path: pathlib.Path) -> Parts:
     """Reads points, cells and patches as `Mesh.from_meshio` finds them.
 
     Patches are point arrays `patch:NAME`, as `write` leaves them, or come from numbers.
