@@ -57,7 +57,7 @@ def main() -> None:
     about(parts=arguments.parts, size=arguments.size, wall=arguments.wall, far=arguments.far)
     points, count = surface(arguments.wall, arguments.far)
     began = time.process_time()
-    half = jm.prepare_surface(points, np.arange(count), np.arange(count, len(points)), is_open=False)
+    half = jm.prepare_surface(jm.Boundary(points, np.arange(count), np.arange(count, len(points))), is_open=False)
     preparing = time.process_time() - began
     span = points[:count, 2]
     u = np.stack([0 * span, 0.05 * span**2, 0 * span], axis=1)

@@ -11,6 +11,7 @@ from ._advice.inspection import Inspection as Inspection
 from ._advice.largest_step import LargestStep as LargestStep
 from ._advice.largest_step import largest_step as largest_step
 from ._advice.valid_steps import ValidSteps as ValidSteps
+from ._boundary.boundary import Boundary as Boundary
 from ._boundary.outer_faces import FreeFaces as FreeFaces
 from ._boundary.outer_faces import boundary_faces as boundary_faces
 from ._boundary.periodic import Periodic as Periodic

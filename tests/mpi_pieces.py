@@ -44,7 +44,7 @@ weight = np.random.default_rng(3).normal(size=points.shape)
 gradient = piece.pullback(u, weight[nodes])
 expected = np.asarray(jm.pullback(plan, u_all, weight))
 # forward products, and pieces of a half that one process prepared
-half = comm.bcast(jm.prepare_surface(points, wall, far) if comm.rank == 0 else None)
+half = comm.bcast(jm.prepare_surface(jm.Boundary(points, wall, far)) if comm.rank == 0 else None)
 attached = mpi.attach(comm, half, points[nodes], nodes)
 assert np.array_equal(attached.moving, moving)
 tangent = np.cos(3 * points[wall])

@@ -179,7 +179,7 @@ def test_wrong_uses_are_told():
         jm.prepare(points, ids[:, 0], ids[:, -1], method=jm.LinearElasticity())
     mesh = jm.Mesh(points, {"quad": quads})
     with pytest.raises(ValueError, match=r"Laplacian needs the cells of the whole mesh"):
-        jm.prepare_in_chunks(mesh, ids[:, 0], ids[:, -1], size=4, method=jm.Laplacian(), free=ids.ravel())
+        jm.prepare_in_chunks(jm.Boundary(mesh, ids[:, 0], ids[:, -1], free=ids.ravel()), size=4, method=jm.Laplacian())
     plan = jm.prepare(mesh, ids[:, 0], ids[:, -1], method=jm.Laplacian(), free=ids.ravel())
     with pytest.raises(ValueError, match=r"solves for all nodes at once"):
         jm.shard(plan, jax.devices())

@@ -67,7 +67,7 @@ def test_nodes_slide_in_their_planes_in_every_chunk():
     moved, sizes = [], []
     for size in (None, 50):
         moved.append(np.array(mesh.points))
-        for nodes, plan in jm.prepare_in_chunks(mesh.points, moving, fixed, size=size, symmetry=planes):
+        for nodes, plan in jm.prepare_in_chunks(jm.Boundary(mesh.points, moving, fixed, symmetry=planes), size=size):
             moved[-1][nodes] = jm.deform(plan, u)
             sizes.append(len(nodes))
     assert sizes[0] == 216
@@ -85,14 +85,17 @@ def test_chunks_cover_the_mesh_and_have_one_length(here):
     wall, far = mesh.patch("wall"), mesh.patch("far")
     for size in (10, 50, 167, 168, 1000, None):
         chunks = [
-            nodes for nodes, _ in jm.prepare_in_chunks(mesh.points, wall, far, size=size, method=jm.InverseDistance())
+            nodes
+            for nodes, _ in jm.prepare_in_chunks(
+                jm.Boundary(mesh.points, wall, far), size=size, method=jm.InverseDistance()
+            )
         ]
         assert len(chunks) == (1 if size is None else -(-168 // size))
         assert len({len(nodes) for nodes in chunks}) == 1
         assert all(np.isin([*wall, *far], nodes).all() for nodes in chunks)
         np.testing.assert_array_equal(np.unique(np.concatenate(chunks)), np.arange(216))
     with pytest.raises(ValueError, match="`size` must be a whole number of at least 1, not 0"):
-        jm.prepare_in_chunks(mesh.points, wall, far, size=0)
+        jm.prepare_in_chunks(jm.Boundary(mesh.points, wall, far), size=0)
 
 
 @pytest.mark.slow

@@ -180,7 +180,7 @@ def test_what_crossed_before_is_no_news(squares):
 
 
 def test_a_part_names_nodes_of_the_whole(squares):
-    nodes, plan = next(jm.prepare_in_chunks(squares, "left", ("right", "outer"), size=40, method=METHOD))
+    nodes, plan = next(jm.prepare_in_chunks(jm.Boundary(squares, "left", ("right", "outer")), size=40, method=METHOD))
     whole = found(squares, "left", (1.4, 0.7))
     part = jm.inspect(plan, np.tile([1.4, 0.7], (plan.n_moving, 1)), mesh=squares, nodes=nodes)
     assert part.crossings is not None

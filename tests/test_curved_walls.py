@@ -8,8 +8,14 @@ from meshes import ring
 
 import jaxmorph as jm
 from jaxmorph import cases
-from jaxmorph._boundary.arguments import walls_of
 from jaxmorph._boundary.curved_faces import CurvedFaces
+
+
+def wall_of(mesh, patch):
+    """The wall of a patch that slides alone, and its nodes."""
+    (track,) = jm.Boundary(mesh, (), sliding=patch).tracks
+    (wall,) = track.walls
+    return wall, track.rows
 
 
 def bent(x):
@@ -108,8 +114,7 @@ def test_nodes_slide_on_the_polynomials_of_curved_faces():
     errors = []
     for n in (6, 12):
         mesh = circles(n, 3)
-        walls, _ = walls_of(mesh, (), "far", ())
-        ((wall, nodes),) = walls
+        wall, nodes = wall_of(mesh, "far")
         assert type(wall) is CurvedFaces
         np.testing.assert_allclose(wall.nearest(jnp.asarray(mesh.points[nodes]))[0], mesh.points[nodes], atol=1e-13)
         angle = np.linspace(0, 2 * np.pi, 97)[:-1] + 0.01
@@ -127,7 +132,7 @@ def test_nodes_slide_on_the_polynomials_of_curved_faces():
 @pytest.mark.nightly
 def test_the_slide_of_a_node_has_the_derivative_of_the_tangent():
     mesh = circles(8, 2)
-    ((wall, nodes),), _ = walls_of(mesh, (), "far", ())
+    wall, nodes = wall_of(mesh, "far")
     x = jnp.asarray(mesh.points[nodes][:3])
     slope = jax.jacfwd(lambda x: wall.nearest(x)[0])(x)
     for k in range(3):
@@ -142,7 +147,7 @@ def test_nodes_slide_on_curved_faces_in_3d(kind):
     mesh = jm.elevate(cases.bricks(kind, cells=3), 2)
     plane = np.asarray(mesh.points)
     mesh = mesh.moved(bent(plane))
-    ((wall, _),), _ = walls_of(mesh, (), "floor", ())
+    wall, _ = wall_of(mesh, "floor")
     assert type(wall) is CurvedFaces
     s = np.random.default_rng(0).uniform(0.05, 0.95, (40, 3)) * [1, 1, 0]
     on = bent(s)

@@ -11,7 +11,6 @@ from meshes import unit_box
 
 import jaxmorph as jm
 from jaxmorph import cases, io
-from jaxmorph._boundary.arguments import find_boundary
 from jaxmorph._kernels.compile import quickly_compiled
 from jaxmorph.cli import main
 
@@ -127,7 +126,7 @@ def test_free_patches_are_not_warned_of_in_python():
 
 def left_of(mesh, moving, fixed, symmetry=()):
     """The faces that no list names."""
-    left = find_boundary(mesh, moving, fixed, symmetry).left
+    left = jm.Boundary(mesh, moving, fixed, symmetry=symmetry).left
     assert left is not None
     return left
 
@@ -159,21 +158,21 @@ def test_front_and_back_of_a_2d_case_are_no_boundary(tmp_path):
     mesh = io.read(tmp_path / "case")
     assert mesh.points.shape == (9, 2)
     assert left_of(mesh, "floor", "rest").count == 0
-    left = left_of(mesh, "floor", ())
+    left = left_of(mesh, "floor", [])
     assert (left.count, left.total, left.patches) == (6, 8, {"rest": 6})
 
 
 def test_a_surface_in_3d_has_no_boundary_faces():
     points = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 1]], float)
     mesh = jm.Mesh(points, {"triangle": [[0, 1, 2], [1, 3, 2]]})
-    assert find_boundary(mesh, [0], [3], ()).left is None
+    assert jm.Boundary(mesh, [0], [3]).left is None
 
 
 def test_a_part_knows_what_the_whole_knows():
     """Faces off the surface are in no part, but a method that treats free sides otherwise sees that there are some."""
     mesh = unit_box()
     for fixed in ("z0", ("z0", "x0", "x1", "y0", "y1")):
-        named = find_boundary(mesh, "z1", fixed, ())
+        named = jm.Boundary(mesh, "z1", fixed)
         part = named.part(np.unique(named.nodes))
         assert part.is_open == named.is_open == (fixed == "z0")
         faces, whole = part.surface_faces, named.surface_faces
@@ -184,6 +183,6 @@ def test_a_part_knows_what_the_whole_knows():
 
 def test_a_surface_alone_has_each_node_once():
     points = np.random.default_rng(0).normal(size=(6, 2))
-    alone = find_boundary(points, [4, 1], [2], ()).alone()
+    alone = jm.Boundary(points, [4, 1], [2]).alone()
     np.testing.assert_array_equal(alone.nodes, [0, 1, 2])
     np.testing.assert_array_equal(alone.points, points[[4, 1, 2]])

@@ -17,7 +17,7 @@ from jaxmorph._boundary.pairing import Pairing
 from jaxmorph._boundary.tracks import Track
 from jaxmorph._boundary.walls import Flat
 from jaxmorph._host.linear.hessians import pattern, solve
-from jaxmorph._improve.constraints import constraints_of_mesh, prepared
+from jaxmorph._improve.constraints import constraints_of, prepared
 from jaxmorph._improve.ways import Ways
 from jaxmorph._kernels.values import as_jax
 from jaxmorph._quality.distortion import IDEAL, energy, samples, solid, target
@@ -108,7 +108,7 @@ def test_hessian_blocks_are_those_of_the_energy_where_it_is_convex(dimension):
     """At the target the Hessian is positive: blocks add up to it, and the host solves with it."""
     mesh = unit_grid(3, dimension)
     n = len(mesh.points)
-    distortion, pairs = prepared(mesh, jnp.float64, constraints_of_mesh(mesh, None, (), (), ()), False, 0.5)
+    distortion, pairs = prepared(mesh, jnp.float64, constraints_of(jm.Boundary(mesh, ()), mesh), False, 0.5)
     base, y = jnp.asarray(mesh.points), jnp.zeros_like(jnp.asarray(mesh.points))
     dense = np.asarray(jax.hessian(lambda y: distortion(y, base))(y)).reshape(n * dimension, -1)
     blocks = np.asarray(distortion.blocks(y, base))
@@ -141,7 +141,7 @@ def test_it_finds_scipys_minimum_and_untangles(dimension):
     assert float(result.residual) < 1e-6
     assert np.array_equal(np.asarray(result.points)[~inner], points[~inner])
     assert "0 are now" in str(result)
-    distortion, _ = prepared(mesh, jnp.float64, constraints_of_mesh(mesh, None, (), (), ()), False, 0.5)
+    distortion, _ = prepared(mesh, jnp.float64, constraints_of(jm.Boundary(mesh, ()), mesh), False, 0.5)
     found = jnp.asarray(result.points)
     sharp = _softened(distortion, 1e-3)
     value_and_grad = jax.jit(jax.value_and_grad(lambda y: sharp(y.reshape(found.shape), found)))
@@ -172,11 +172,11 @@ def test_nodes_slide_in_planes():
     for name, nodes in sides.items():
         points[nodes, "xy".index(name[0])] = float(name[1])
     plane = jm.Plane((1, 0), (0, 0))
-    result = jm.improve(mesh, points, symmetry=plane, sliding=("x1", "y0", "y1"), tolerance=1e-9)
+    result = jm.improve(jm.Boundary(mesh, (), symmetry=plane, sliding=("x1", "y0", "y1")), points, tolerance=1e-9)
     np.testing.assert_allclose(result.points, regular, rtol=0, atol=1e-7)
     for name, nodes in sides.items():
         assert (np.asarray(result.points)[nodes, "xy".index(name[0])] == float(name[1])).all()
-    held = np.asarray(jm.improve(mesh, points, symmetry=plane, tolerance=1e-3).points)
+    held = np.asarray(jm.improve(jm.Boundary(mesh, (), symmetry=plane), points, tolerance=1e-3).points)
     assert (held[sides["x1"]] == points[sides["x1"]]).all()
     assert np.abs(held - points)[sides["x0"]].max() > 1e-3
 
@@ -193,7 +193,7 @@ def test_derivatives_with_nodes_that_slide():
     weights, tangent = rng.normal(size=points.shape), rng.normal(size=points.shape)
 
     def objective(points):
-        improved = jm.improve(mesh, points, sliding=("left", "low"), tolerance=1e-10).points
+        improved = jm.improve(jm.Boundary(mesh, (), sliding=("left", "low")), points, tolerance=1e-10).points
         return jnp.sum(jnp.sin(3 * improved) * weights)
 
     step = 1e-4
@@ -255,7 +255,7 @@ def test_nodes_slide_on_curved_walls_and_pairs_move_alike():
     moved = angle + 0.1 * (radius > 1) * np.cos(4 * angle + radius)
     farther = radius + 0.05 * np.sin(np.pi * radius) * np.cos(4 * angle)
     points = np.stack([farther * np.cos(moved), farther * np.sin(moved)], axis=1)
-    result = jm.improve(mesh, points, tolerance=1e-8, **wrapped)
+    result = jm.improve(jm.Boundary(mesh, (), **wrapped), points, tolerance=1e-8)
     assert float(result.residual) < 1e-6
     np.testing.assert_allclose(result.points, mesh.points, rtol=0, atol=1e-6)
     found = np.asarray(result.points)
@@ -273,7 +273,9 @@ def test_a_node_at_a_quarter_turn_from_its_start_is_no_minimum():
     free, turn = np.arange(16, 48), np.deg2rad(100)
     points = mesh.points.copy()
     points[free] = points[free] @ np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
-    result = jm.improve(mesh, points, fixed=mesh.patch("inner"), sliding=jm.Slide("outer", jm.Revolution()))
+    result = jm.improve(
+        jm.Boundary(mesh, (), fixed=mesh.patch("inner"), sliding=jm.Slide("outer", jm.Revolution())), points
+    )
     assert float(result.residual) == np.inf
     assert "stopped early" in str(result)
 
@@ -283,7 +285,7 @@ def test_second_derivatives_on_curved_walls_and_of_pairs():
     """Blocks add up to the Hessian, with the walls' curvature in it; what is off a wall or follows a partner has none."""
     mesh, _, _, wrapped = quarter()
     base, rng = jnp.asarray(mesh.points + 0.05 * np.sin(3 * mesh.points[:, ::-1])), np.random.default_rng(0)
-    distortion, pairs = prepared(mesh, jnp.float64, constraints_of_mesh(mesh, None, (), *wrapped.values()), False, 0.5)
+    distortion, pairs = prepared(mesh, jnp.float64, constraints_of(jm.Boundary(mesh, (), **wrapped), mesh), False, 0.5)
     ways = distortion.ways
     assert ways is not None
     distortion = eqx.tree_at(lambda it: it.ways, distortion, eqx.filter_jit(ways.at)(base))
@@ -314,7 +316,7 @@ def test_nodes_slide_on_faces():
         ],
         axis=1,
     )
-    result = jm.improve(mesh, start, sliding="outer", tolerance=1e-8)
+    result = jm.improve(jm.Boundary(mesh, (), sliding="outer"), start, tolerance=1e-8)
     np.testing.assert_allclose(result.points, points, rtol=0, atol=2e-3)
     assert float(result.residual) < 1e-4  # no edge between faces stops the search
     assert np.array_equal(np.asarray(result.points)[:16], points[:16])
@@ -365,7 +367,9 @@ def test_progress_and_choice_of_fixed_nodes():
     points = mesh.points.copy()
     points[5] += 0.4
     held = np.array([5, *np.flatnonzero(np.any((points < 0.01) | (points > 0.99), axis=1))])
-    result = jm.improve(mesh, points, fixed=held, progress=lambda *told: said.append(tuple(map(float, told))))
+    result = jm.improve(
+        jm.Boundary(mesh, (), fixed=held), points, progress=lambda *told: said.append(tuple(map(float, told)))
+    )
     jax.effects_barrier()
     assert np.array_equal(np.asarray(result.points)[5], points[5])
     assert len(said) == int(result.steps)

@@ -172,10 +172,10 @@ def test_nodes_of_planes_stay_on_them_and_cells_without_free_nodes_do_not_count(
     x, y = mesh.points.T
     points = mesh.points + np.stack([0 * x, 0.4 * np.exp(-((x / 0.3) ** 2)) * (1 - y) ** 4], axis=1)
     left = x == 0
-    result = jm.improve(mesh, points, symmetry=jm.Plane((1, 0), (0, 0)), worst=True)
+    result = jm.improve(jm.Boundary(mesh, (), symmetry=jm.Plane((1, 0), (0, 0))), points, worst=True)
     assert (np.asarray(result.points)[left, 0] == 0).all()
     assert int(result.after) == 0
-    held = jm.improve(mesh, points, fixed=np.arange(len(points)), worst=True)
+    held = jm.improve(jm.Boundary(mesh, (), fixed=np.arange(len(points))), points, worst=True)
     assert np.array_equal(held.points, points)
     assert float(held.residual) == 0
 
@@ -187,7 +187,7 @@ def test_a_cell_that_is_invalid_from_the_start_is_told_and_judged_by_its_own_mar
     points = np.array(mesh.points)
     points[0] = 0.8 * points[5] + 0.2 * points[0]  # of the first cell, all other nodes of which stay
     mesh = mesh.moved(points)
-    result = jm.improve(mesh, points, fixed=np.arange(len(points)), worst=True)
+    result = jm.improve(jm.Boundary(mesh, (), fixed=np.arange(len(points))), points, worst=True)
     assert int(result.before) == int(result.after) == 0
     assert int(result.unproven) == int(result.from_start) == 1
     assert "but for 1 (1 of them as on the undeformed mesh or better)" in str(result)

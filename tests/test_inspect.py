@@ -248,7 +248,7 @@ def test_improving_lets_the_boundary_of_a_plan_slide_and_repeat(by):
         np.testing.assert_array_equal(found[side] + [8, 0], found[mesh.patch("x8")])
     else:
         np.testing.assert_array_equal(found[side, 0], 0)
-    alone = jm.improve(mesh, start, fixed=fixed, **{by: given}).points
+    alone = jm.improve(jm.Boundary(mesh, (), fixed, **{by: given}), start).points
     np.testing.assert_allclose(found, alone, rtol=0, atol=1e-9)
 
 

@@ -17,7 +17,7 @@ from scipy.spatial import KDTree
 
 import jaxmorph as jm
 from jaxmorph import io
-from jaxmorph._boundary.arguments import find_boundary
+from jaxmorph._boundary.boundary import with_faces
 from jaxmorph._boundary.outer_faces import OuterFaces
 from jaxmorph._host.package.ranks import Agreement, Alone, together
 from jaxmorph.cli import main
@@ -62,7 +62,7 @@ def test_a_part_has_no_boundary_to_other_parts(divided):
     assert (part.points[between][:, :, 0] == 1).all()
     inner = np.setdiff1d(np.arange(len(ids)), part.patch("floor", "roof", "sides"))
     assert len(inner) == 2  # one between the parts, one between the last cells
-    left = find_boundary(part, "floor", "roof", (), "sides", (), ()).left
+    left = jm.Boundary(part, "floor", "roof", free="sides").left
     assert left is not None
     assert left.total == 20  # of 24 around these eight cubes
 
@@ -74,8 +74,9 @@ def test_the_surface_is_that_of_the_whole(divided):
     np.testing.assert_array_equal(surface.points, whole.points[ids])
     for name in whole.patches:
         np.testing.assert_array_equal(ids[surface.patch(name)], whole.patch(name))
-    named = find_boundary(surface, "floor", "roof", (), "sides", outer=OuterFaces.numbered(surface.cells))
-    expected = find_boundary(whole, "floor", "roof", (), "sides")
+    named = jm.Boundary(surface, "floor", "roof", free="sides")
+    named = with_faces(named, surface, OuterFaces.numbered(surface.cells))
+    expected = jm.Boundary(whole, "floor", "roof", free="sides")
     np.testing.assert_array_equal(ids[named.nodes], expected.nodes)
     assert named.is_open == expected.is_open
     assert str(named.left) == str(expected.left)

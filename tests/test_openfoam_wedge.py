@@ -143,7 +143,9 @@ def test_parts_of_a_wedge_about_any_axis(tmp_path):
     whole, case = io.read(tmp_path / "pipe"), io.Decomposed(tmp_path / "pipe")
     surface = case.surface()
     kept = {"symmetry": "axis", "method": jm.RBF.classic(jm.ThinPlateSpline())}
-    half = jm.prepare_surface(surface, "wall", "ends", nodes=io.global_nodes(surface), faces=surface.cells, **kept)
+    boundary = jm.Boundary(surface, "wall", "ends", symmetry="axis")
+    known = {"nodes": io.global_nodes(surface), "faces": surface.cells}
+    half = jm.prepare_surface(boundary, method=kept["method"], **known)
     u = np.zeros((3, 2))
     u[1, 1] = 0.2
     moved = whole.moved(jm.deform(jm.prepare(whole, "wall", "ends", **kept), u))

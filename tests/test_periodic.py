@@ -70,13 +70,13 @@ def test_derivatives_by_the_base_with_periodic_sides(dimension, method):
 @pytest.mark.nightly
 def test_steps_and_parts_of_a_periodic_mesh():
     points, moving, fixed, sides, u = sector(2)
-    arguments = {"method": TPS, "periodic": joined(2, sides)}
-    plan, path = jm.prepare(points, moving, fixed, **arguments), np.stack([u, 3 * u])
+    boundary = jm.Boundary(points, moving, fixed, periodic=joined(2, sides))
+    plan, path = jm.prepare(boundary, method=TPS), np.stack([u, 3 * u])
     for rebuild in (False, True):
         plans, end = jm.march(plan, path, rebuild=rebuild)
         np.testing.assert_allclose(end[sides[1]], end[sides[0]] @ turn(np.pi / 2, 2).T, rtol=0, atol=1e-14)
         np.testing.assert_allclose(jm.replay(plans, path), end, rtol=0, atol=1e-12)
-    chunks, expected = list(jm.prepare_in_chunks(points, moving, fixed, size=6, **arguments)), jm.deform(plan, u)
+    chunks, expected = list(jm.prepare_in_chunks(boundary, size=6, method=TPS)), jm.deform(plan, u)
     assert len(chunks) > 1
     for nodes, part in chunks:
         np.testing.assert_allclose(jm.deform(part, u), expected[nodes], rtol=0, atol=1e-12)

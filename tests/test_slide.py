@@ -145,7 +145,9 @@ def test_steps_along_a_shroud():
         plans, end = jm.march(plan, path, rebuild=rebuild)
         np.testing.assert_allclose(np.linalg.norm(end[mesh.patch("shroud"), :2], axis=1), 2, rtol=0, atol=1e-12)
         np.testing.assert_allclose(jm.replay(plans, path), end, rtol=0, atol=1e-12)
-    chunks = jm.prepare_in_chunks(mesh, "hub", ("bottom", "top"), sliding=jm.Slide("shroud", AXIS), method=TPS, size=40)
+    chunks = jm.prepare_in_chunks(
+        jm.Boundary(mesh, "hub", ("bottom", "top"), sliding=jm.Slide("shroud", AXIS)), method=TPS, size=40
+    )
     for nodes, part in chunks:
         np.testing.assert_allclose(jm.deform(part, u), jm.deform(plan, u)[nodes], rtol=0, atol=1e-12)
     sharded = jm.shard(plan, jax.devices()[:1])

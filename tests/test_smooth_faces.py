@@ -123,7 +123,7 @@ def test_improve_follows_a_circle_given_by_faces_alone(order):
     outer = np.flatnonzero(np.isclose(radius, 2))
     assert set(outer) >= set(mesh.patch("outer"))
     mesh = jm.Mesh(mesh.points, mesh.cells, {"outer": outer})
-    result = jm.improve(mesh, start, sliding="outer", tolerance=1e-8)
+    result = jm.improve(jm.Boundary(mesh, (), sliding="outer"), start, tolerance=1e-8)
     found = np.linalg.norm(np.asarray(result.points)[outer], axis=1)
     c, s = 1 - np.cos(np.pi / 12), np.sin(np.pi / 12)
     error = c - s**2 * (1 - c) / 2 if order == 1 else 1 - np.sqrt(1 - c**2 / 4)

@@ -146,7 +146,7 @@ def test_transpose_and_pieces_between_two_parallel_planes():
     plan, points = jm.prepare(mesh, body, ends, symmetry=planes), mesh.points
     moved, w = np.asarray(jm.deform(plan, u)), np.random.default_rng(0).normal(size=points.shape)
     assert np.vdot(jm.pullback(plan, u, w), u) == pytest.approx(np.vdot(w, moved - points), rel=1e-10)
-    half = jm.prepare_surface(mesh, body, ends, symmetry=planes)
+    half = jm.prepare_surface(jm.Boundary(mesh, body, ends, symmetry=planes))
     rows = np.arange(0, len(points), 3)
     np.testing.assert_allclose(jm.deform(half.attach(points[rows], rows), u), moved[rows], rtol=0, atol=1e-14)
 

@@ -10,7 +10,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Real
 
-from .._boundary.arguments import find_boundary
 from .._boundary.boundary import Boundary
 from .._boundary.images import Images
 from .._boundary.periodic import Periodic
@@ -87,7 +86,7 @@ def choose(
     `leaves`, and for `methods` that are no methods by name. Also what `prepare` raises where it
     refuses every candidate.
     """
-    boundary = find_boundary(mesh, moving, fixed, symmetry, periodic=periodic, sliding=sliding)
+    boundary = Boundary(mesh, moving, fixed, symmetry=symmetry, periodic=periodic, sliding=sliding)
     boundary.warn_of_free_faces()
     motions = _checked_motions(motions, (len(boundary.moving), mesh.points.shape[1]))
     _check_tries(leaves, tolerance, methods)

@@ -1,49 +1,139 @@
-"""The boundary of a mesh, checked: node ids, planes, pairs, tracks and faces."""
+"""The boundary of a mesh, checked: what moves, stays, slides and repeats."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
+from jaxtyping import ArrayLike, Int, Integer, Real
 
 from .._host.cells.topology import solid
-from .._host.package.errors import warn
+from .._host.package.arguments import rows_of
+from .._host.package.errors import MeshError, place_of, warn
 from .._host.surface.skin import has_free_faces
 from .._mesh.mesh import Mesh
+from .curved_faces import with_own_curves
+from .kinds import by_kinds
+from .matching import paired
+from .names import check_named_once, checked_points, nodes_named, planes_named, slides
 from .outer_faces import FreeFaces, OuterFaces, free_faces, outer_faces
-from .pairing import Pairing
-from .symmetry import Plane
-from .tracks import Track
+from .pairing import Pairing, merged
+from .periodic import Periodic
+from .slide import Slide, walls_of_patch
+from .symmetry import Plane, check_dimension
+from .tracks import Track, check_repeated, tracks_of
+from .walls import AbstractWall
+
+Nodes = str | Sequence[str] | Integer[ArrayLike, " _k"] | Sequence[int | np.integer]
+
+_EMPTY: dict[str, Any] = {"planes": (), "pairings": (), "tracks": (), "free": np.zeros(0, dtype=np.int64)}
+_EMPTY |= dict.fromkeys(("mesh", "faces", "left", "is_open", "cells"))
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, eq=False, init=False, repr=False)
 class Boundary:
-    """A checked call of `prepare`.
+    """What moves, stays, slides and repeats on the boundary of a mesh, checked once.
+
+    `prepare`, `prepare_surface` and `prepare_in_chunks` take it. It is immutable, and holds no
+    method: several plans may share it.
+
+    **Arguments:**
+
+    - `mesh`: a `Mesh`, or points (n, d) alone, d = 2 or 3, in any unit. With a mesh, methods see
+      the boundary faces, patches may be named, and boundary faces in no list cause a warning.
+    - `moving`, `fixed`: node ids, (m,) and (f,), or names of patches. A node in both lists moves.
+      Nodes in no list follow. If nothing but moving patches is named, the `kinds` of the other
+      patches decide: symmetry planes slide, all others are fixed. A warning names them.
+    - `symmetry`: planes, or names of patches that lie in one or several planes. Nodes on a plane
+      stay in it, also moving nodes.
+    - `periodic`: pairs of patches of which one repeats the other. The two nodes of a pair move
+      alike.
+    - `sliding`: patches whose nodes stay on their surface and move along it. A name stands for the
+      patch's own faces.
+    - `free`: node ids or names of patches whose nodes may follow like inner nodes, without a
+      warning. Default: none.
+
+    **Fields:**
 
     - `points` (n, d): base coordinates.
     - `moving` (m,), `fixed` (f,): node ids, no node twice.
     - `guided` (g,): ids of all other nodes on sliding and periodic patches, and on parallel planes.
     - `planes`: symmetry planes.
-    - `pairings`: pairs of nodes that move alike.
-    - `tracks`: nodes that stay on walls.
-    - `faces`: boundary faces (k, corners) of the mesh by type, as node ids.
-    - `left`: the boundary faces in no list.
-    - `is_open`: whether some boundary faces are neither on the surface nor on a plane.
-    - `cells`: node ids (k, corners) of the cells by type; None also for a part of a mesh.
+    - `left`: the boundary faces in no list, None where no cells are known.
 
-    The last four are None where no cells are known.
+    **Raises:** `ValueError` for ids out of range, ids that come twice in `moving`, and coordinates
+    that are not finite. Also for periodic patches that do not match, and sliding patches that do
+    not lie on their surface.
     """
 
+    # `pairings`: nodes that move alike; `tracks`: nodes that stay on walls; `faces`: boundary faces
+    # (k, corners) by type; `is_open`: whether some of them are neither on the surface nor on a
+    # plane. Of points alone the last four are None.
+    mesh: Mesh | None
     points: np.ndarray
-    moving: np.ndarray
-    fixed: np.ndarray
-    guided: np.ndarray
+    moving: Int[np.ndarray, " m"]
+    fixed: Int[np.ndarray, " f"]
+    free: Int[np.ndarray, " k"]
+    guided: Int[np.ndarray, " g"]
     planes: tuple[Plane, ...]
     pairings: tuple[Pairing, ...]
     tracks: tuple[Track, ...]
-    faces: Mapping[str, np.ndarray] | None = None
-    left: FreeFaces | None = None
-    is_open: bool | None = None
-    cells: Mapping[str, np.ndarray] | None = None
+    faces: Mapping[str, np.ndarray] | None
+    left: FreeFaces | None
+    is_open: bool | None
+    cells: Mapping[str, np.ndarray] | None
+
+    def __init__(
+        self,
+        mesh: Mesh | Real[ArrayLike, "n d"] | Sequence[Any],
+        moving: Nodes,
+        fixed: Nodes = (),
+        *,
+        symmetry: Plane | str | Sequence[Plane | str] = (),
+        periodic: Periodic | Sequence[Periodic] = (),
+        sliding: Slide | str | Sequence[Slide | str] = (),
+        free: Nodes = (),
+    ):
+        patches = mesh if isinstance(mesh, Mesh) else None
+        points = checked_points(mesh.points if isinstance(mesh, Mesh) else mesh)
+        if all(isinstance(argument, tuple) and not argument for argument in (fixed, symmetry, sliding, free)):
+            fixed, symmetry = by_kinds(mesh, moving, periodic)
+        check_named_once(sliding, fixed=fixed, symmetry=symmetry)
+        moving, fixed, free = (
+            nodes_named(ids, name, patches, len(points))
+            for ids, name in ((moving, "moving"), (fixed, "fixed"), (free, "free"))
+        )
+        _check_moving(moving)
+        fixed = fixed[np.sort(np.unique(fixed, return_index=True)[1])]  # each once, where it comes first
+        fixed = fixed[~np.isin(fixed, moving)]
+        planes = planes_named(symmetry, points, patches)
+        check_dimension(planes, points.shape[1])
+        outer = None if patches is None else outer_faces(patches)
+        pairings = _pairings(periodic, points, patches)
+        faces = None if patches is None else outer or OuterFaces.numbered(patches.linear.cells)  # or those of a surface
+        walls = _walls(sliding, points, patches, {"fixed": fixed, "moving": moving}, faces)
+        tracks, corners = tracks_of(walls, planes if walls else (), points)
+        _check_corners(corners, moving, points)
+        is_free = np.isin(np.arange(len(points)), fixed, invert=True)
+        check_repeated(tracks, corners, pairings, points, is_free)
+        fixed = np.append(fixed, corners[~np.isin(corners, fixed)])
+        tracks = (Track(track.rows[~np.isin(track.rows, fixed)], track.walls) for track in tracks)
+        tracks = tuple(track for track in tracks if len(track.rows))
+        fields = {"mesh": patches, "points": points, "moving": moving, "fixed": fixed, "free": free}
+        fields |= {"planes": planes, "pairings": pairings, "tracks": tracks}
+        fields["guided"] = _guided(pairings, tracks, moving, fixed, points)
+        self._fill(_EMPTY | fields)
+        if patches is not None and outer is not None:
+            self._fill(vars(with_cells(self, patches, outer)))
+
+    def _fill(self, fields: Mapping[str, Any]) -> None:
+        for name, value in fields.items():
+            object.__setattr__(self, name, value)
+
+    def __repr__(self) -> str:
+        n, d = self.points.shape
+        lists = f"{len(self.moving)} moving, {len(self.fixed)} fixed, {len(self.guided)} guided"
+        return f"Boundary({n} points in {d}-D, {lists})"
 
     @property
     def nodes(self) -> np.ndarray:
@@ -58,37 +148,22 @@ class Boundary:
         rows = {kind: _rows(self.nodes, len(self.points))[corners] for kind, corners in self.faces.items()}
         return {kind: corners[(corners >= 0).all(axis=1)] for kind, corners in rows.items()}
 
-    def with_faces_of(
-        self, mesh: Mesh, outer: OuterFaces | None = None, free: np.ndarray | Sequence[int] = ()
-    ) -> "Boundary":
-        """Adds the cells of the mesh, its boundary faces, and the boundary faces in no list."""
-        outer = outer_faces(mesh) if outer is None else outer
-        if outer is None:
-            return self
-        is_listed = np.zeros(len(self.points), dtype=bool)
-        is_listed[self.nodes] = True
-        for plane in self.planes:
-            is_listed |= plane.holds(self.points)
-        is_open = has_free_faces(self.points, outer.corners, is_listed)
-        is_listed[np.asarray(free, dtype=int)] = True
-        cells = {kind: np.asarray(corners) for kind, corners in solid(mesh.linear.cells, self.points.shape[1]).items()}
-        left = free_faces(mesh, outer, is_listed)
-        return dataclasses.replace(self, faces=outer.corners, left=left, is_open=is_open, cells=cells)
-
     def warn_of_free_faces(self) -> None:
         """Warns about boundary faces in no list."""
         if self.left:
             warn(f"{self.left} Name them in `fixed`, `moving`, `symmetry` or `free`.")
 
-    def part(self, nodes: np.ndarray) -> "Boundary":
-        """Restricts the boundary to `nodes` of the mesh: ascending ids, with the whole surface."""
+    def part(self, nodes: Integer[ArrayLike, " _k"] | Sequence[int]) -> "Boundary":
+        """Restricts the boundary to nodes (k,) of the mesh and those of the surface, ascending."""
+        nodes = np.union1d(rows_of("nodes", nodes, len(self.points)), self.nodes)
         moving, fixed, guided = (np.searchsorted(nodes, ids) for ids in (self.moving, self.fixed, self.guided))
         faces, surface = self.surface_faces, np.concatenate([moving, fixed, guided])
         faces = None if faces is None else {kind: surface[rows] for kind, rows in faces.items()}
         place = _rows(nodes, len(self.points))
-        lists = moving, fixed, guided, self.planes, *renumbered(self.pairings, self.tracks, place)
+        pairings, tracks = renumbered(self.pairings, self.tracks, place)
+        lists = {"moving": moving, "fixed": fixed, "guided": guided, "pairings": pairings, "tracks": tracks}
         cells = self.cells if len(nodes) == len(self.points) else None
-        return Boundary(self.points[nodes], *lists, faces, self.left, self.is_open, cells)
+        return changed(self, mesh=None, points=self.points[nodes], faces=faces, cells=cells, **lists)
 
     def alone(self) -> "Boundary":
         """Restricts the boundary to the surface's nodes; the guided nodes are then in no list."""
@@ -98,8 +173,131 @@ class Boundary:
         if faces is not None:
             faces = {kind: corners[(corners < count).all(axis=1)] for kind, corners in faces.items()}
             is_open = bool(self.tracks)
-        lists = rows[:m], rows[m:], rows[:0], self.planes, *renumbered(self.pairings, self.tracks, place)
-        return Boundary(self.points[self.nodes], *lists, faces, None, is_open)
+        pairings, tracks = renumbered(self.pairings, self.tracks, place)
+        lists = {"moving": rows[:m], "fixed": rows[m:], "guided": rows[:0], "pairings": pairings, "tracks": tracks}
+        points = self.points[self.nodes]
+        return changed(self, mesh=None, points=points, faces=faces, left=None, is_open=is_open, cells=None, **lists)
+
+
+def changed(boundary: Boundary, **fields: Any) -> Boundary:
+    """Copies a boundary with other fields, which are not checked."""
+    other = object.__new__(Boundary)
+    other._fill(vars(boundary) | fields)
+    return other
+
+
+def with_cells(boundary: Boundary, mesh: Mesh, outer: OuterFaces) -> Boundary:
+    """Adds the cells of a mesh, and its boundary faces."""
+    cells = {kind: np.asarray(corners) for kind, corners in solid(mesh.linear.cells, boundary.points.shape[1]).items()}
+    return with_faces(changed(boundary, mesh=mesh, cells=cells), mesh, outer)
+
+
+def with_faces(boundary: Boundary, mesh: Mesh, outer: OuterFaces) -> Boundary:
+    """Adds boundary faces, and finds those in no list."""
+    is_listed = np.zeros(len(boundary.points), dtype=bool)
+    is_listed[boundary.nodes] = True
+    for plane in boundary.planes:
+        is_listed |= plane.holds(boundary.points)
+    is_open = has_free_faces(boundary.points, outer.corners, is_listed)
+    is_listed[boundary.free] = True
+    return changed(boundary, faces=outer.corners, left=free_faces(mesh, outer, is_listed), is_open=is_open)
+
+
+def boundary_of_lists(
+    points: np.ndarray, moving: np.ndarray, fixed: np.ndarray, guided: np.ndarray, **fields: Any
+) -> Boundary:
+    """Makes a boundary of points alone, of node ids, planes, pairings and tracks checked before."""
+    boundary = object.__new__(Boundary)
+    boundary._fill(_EMPTY | {"points": points, "moving": moving, "fixed": fixed, "guided": guided} | fields)
+    return boundary
+
+
+def _check_moving(moving: np.ndarray) -> None:
+    unique, counts = np.unique(moving, return_counts=True)
+    if len(unique) < len(moving):
+        raise MeshError(
+            f"{(counts > 1).sum()} nodes are named more than once in `moving`, first node {{node}}.", unique[counts > 1]
+        )
+
+
+def _check_corners(corners: np.ndarray, moving: np.ndarray, points: np.ndarray) -> None:
+    """Raises `ValueError` for moving nodes at corners of sliding patches, which cannot move."""
+    wrong = corners[np.isin(corners, moving)]
+    if len(wrong):
+        raise MeshError(
+            f"{len(wrong)} moving nodes are corners of sliding patches and cannot move, the first is node {{node}} at "
+            f"({place_of(points[wrong[0]])}). Remove them from `moving`, or slide along fewer patches.",
+            wrong,
+        )
+
+
+def _pairings(periodic: Any, points: np.ndarray, mesh: Mesh | None) -> tuple[Pairing, ...]:
+    several = [periodic] if isinstance(periodic, Periodic) else periodic
+    if not isinstance(several, Sequence) or not all(isinstance(pair, Periodic) for pair in several):
+        raise ValueError(
+            f"`periodic` must be pairs such as jm.Periodic('lower', 'upper', translation=(0, 1)), not {periodic!r}."
+        )
+    pairings = []
+    for pair in several:
+        first, second = (
+            np.unique(nodes_named(side, "periodic", mesh, len(points))) for side in (pair.patch, pair.partner)
+        )
+        pairings.append(paired(pair, first, second, points))
+    return merged(pairings, float(np.ptp(points, axis=0).max()))
+
+
+def _walls(
+    sliding: Any,
+    points: np.ndarray,
+    mesh: Mesh | None,
+    lists: Mapping[str, np.ndarray],
+    outer: OuterFaces | None,
+) -> list[tuple[AbstractWall, np.ndarray]]:
+    """Makes the walls of sliding patches, with their nodes.
+
+    Raises `ValueError` for a patch that a list holds whole.
+    """
+    walls, patches, faces = [], [], None if outer is None else outer.corners
+    for slide in slides(sliding):
+        nodes = np.unique(nodes_named(slide.patch, "sliding", mesh, len(points)))
+        for name, listed in lists.items():
+            if len(nodes) and np.isin(nodes, listed).all():
+                place = place_of(points[nodes[0]])
+                raise MeshError(
+                    f"all {len(nodes)} nodes of {slide.name} are in `{name}`, first node {{node}} at ({place}): "
+                    "the patch would not slide. Remove them from one list.",
+                    nodes,
+                )
+        if any(np.array_equal(nodes, other) for other in patches):
+            raise ValueError(f"{slide.name} comes twice in `sliding`. Its nodes slide along one surface. Remove one.")
+        patches.append(nodes)
+        own = walls_of_patch(slide, nodes, points, faces, lists.get("moving", ()))
+        walls += with_own_curves(own, mesh)
+    return walls
+
+
+def _guided(
+    pairings: Sequence[Pairing], tracks: Sequence[Track], moving: np.ndarray, fixed: np.ndarray, points: np.ndarray
+) -> np.ndarray:
+    """Lists sliding and periodic nodes in no list.
+
+    Raises `ValueError` for a pair whose nodes are in different lists.
+    """
+    role = np.zeros(len(points), dtype=int)
+    role[moving], role[fixed] = 1, 2
+    for pairing in pairings:
+        first, second = np.asarray(pairing.first), np.asarray(pairing.second)
+        odd = np.flatnonzero(role[first] != role[second])
+        if odd.size:
+            words, worst = ("in neither list", "in `moving`", "in `fixed`"), odd[0]
+            raise MeshError(
+                f"{len(odd)} periodic pairs have nodes in different lists: node {{node}} at ({place_of(points[first[worst]])}) is "
+                f"{words[role[first[worst]]]}, its partner {second[worst]} {words[role[second[worst]]]}. Name both nodes, or none.",
+                first[odd],
+            )
+    parts = [np.zeros(0, dtype=np.int64), *(pairing.nodes for pairing in pairings), *(track.rows for track in tracks)]
+    nodes = np.unique(np.concatenate(parts))
+    return nodes[role[nodes] == 0]
 
 
 def renumbered(

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from .._boundary.arguments import walls_of
+from .._boundary.boundary import Boundary
 from .._boundary.pairing import Pairing
 from .._boundary.smooth_faces import smoothed
 from .._boundary.tracks import Track, check_repeated, tracks_of
@@ -19,8 +19,6 @@ from .._host.linear.hessians import Pattern, pattern
 from .._kernels.compile import compiled
 from .._kernels.values import as_jax
 from .._mesh.mesh import Mesh
-from .._plan.plan import Plan
-from .._plan.prepare import boundary_of
 from .._quality.distortion import node_scales, target
 from .._quality.vector import corners
 from .motion import Distortion
@@ -36,30 +34,20 @@ class Constraints:
     pairings: tuple[Pairing, ...]
 
 
-def constraints_of_mesh(mesh: Mesh, fixed, symmetry, sliding, periodic) -> Constraints:
-    """Finds a mesh's constraints; without `fixed`, boundary nodes that do not slide are held."""
-    walls, pairings = walls_of(mesh, symmetry, sliding, periodic, () if fixed is None else fixed)
-    tracks, edges = tracks_of(walls, (), np.asarray(mesh.points))
-    ways = [nodes for _, nodes in walls]
-    ways += [np.append(side, pairing.alone) for pairing in pairings for side in (pairing.first, pairing.second)]
-    fixed_nodes = _boundary(mesh, ways) if fixed is None else np.asarray(fixed, dtype=int)
-    return Constraints(np.append(fixed_nodes, edges), tuple(map(smoothed, tracks)), pairings)
-
-
-def constraints_of_plan(plan: Plan, mesh: Mesh) -> Constraints:
-    """Finds the constraints of a plan; boundary nodes that the plan leaves free are held."""
-    boundary = boundary_of(plan)
-    flat = [
-        (Flat(plane.normal, plane.origin), np.flatnonzero(plane.holds(boundary.points))) for plane in boundary.planes
-    ]
+def constraints_of(boundary: Boundary, mesh: Mesh) -> Constraints:
+    """Finds the constraints of a boundary; nodes of the outside in no list are held."""
+    points, data = boundary.points, np.concatenate([boundary.moving, boundary.fixed])
     sliding = np.concatenate([np.zeros(0, dtype=int), *(track.rows for track in boundary.tracks)])
-    flat = [(wall, np.setdiff1d(nodes, sliding)) for wall, nodes in flat]
-    tracks, edges = tracks_of(flat, (), boundary.points)
-    data = np.concatenate([boundary.moving, boundary.fixed])
-    partners = [pairing.nodes for pairing in boundary.pairings]
-    led = np.concatenate([data, sliding, *partners, *(nodes for _, nodes in flat)])
-    fixed_nodes = np.concatenate([_boundary(mesh, [led]), data, edges])
-    return Constraints(fixed_nodes, tuple(map(smoothed, (*boundary.tracks, *tracks))), boundary.pairings)
+    on_plane = [np.flatnonzero(plane.holds(points)) for plane in boundary.planes]
+    flat = [Flat(plane.normal, plane.origin) for plane in boundary.planes]
+    nodes = [np.setdiff1d(nodes, sliding) for nodes in on_plane]
+    tracks, corners = tracks_of(list(zip(flat, nodes, strict=True)), (), points)
+    tracks, held = (*boundary.tracks, *tracks), np.append(data, corners)
+    edges = [track.rows for track in tracks if len(track.walls) > 1]
+    ways = [track.rows for track in tracks if len(track.walls) == 1]
+    ways += [np.append(side, pair.alone) for pair in boundary.pairings for side in (pair.first, pair.second)]
+    ways = [np.concatenate([way, held, *edges]) for way in (*ways, *on_plane, boundary.free)]
+    return Constraints(np.append(_boundary(mesh, ways), held), tuple(map(smoothed, tracks)), boundary.pairings)
 
 
 def prepared(

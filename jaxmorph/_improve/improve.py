@@ -8,12 +8,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float, Int, Integer, Real
+from jaxtyping import Array, ArrayLike, Float, Int, Real
 
-from .._boundary.names import check_finite, node_ids
-from .._boundary.periodic import Periodic
-from .._boundary.slide import Slide
-from .._boundary.symmetry import Plane
+from .._boundary.boundary import Boundary
+from .._boundary.names import check_finite
 from .._host.cells.pieces import owners
 from .._host.cells.topology import solid
 from .._host.package.arguments import between, checked, whole
@@ -24,7 +22,7 @@ from .._plan.plan import Plan
 from .._quality.proof.margin import proven_margin
 from .._quality.quality import quality
 from .._quality.report import QualityReport
-from .constraints import Constraints, constraints_of_mesh, constraints_of_plan, prepared
+from .constraints import Constraints, constraints_of, prepared
 from .stages import Minimum, Search, judged, softened, stiffened
 
 MINIMUM = 1e-2
@@ -98,13 +96,9 @@ class Options:
 
 @checked
 def improve(
-    mesh: Mesh,
+    mesh: Mesh | Boundary,
     points: Real[ArrayLike, "n d"] | Sequence[Any],
     *,
-    fixed: Integer[ArrayLike, " f"] | Sequence[int] | None = None,
-    symmetry: Plane | str | Sequence[Plane | str] = (),
-    periodic: Periodic | Sequence[Periodic] = (),
-    sliding: Slide | str | Sequence[Slide | str] = (),
     ideal: bool = False,
     size_weight: float = Options.size_weight,
     worst: bool = Options.worst,
@@ -151,12 +145,11 @@ def improve(
 
     **Arguments:**
 
-    - `mesh`: the mesh with its cells; `mesh.points` is undeformed.
+    - `mesh`: the mesh with its cells, or the `Boundary` of one; its points are undeformed. Moving
+      and fixed nodes, and boundary nodes in no list, stay at `points`, bit for bit. Nodes of
+      symmetry planes, sliding and periodic patches move along them. Of a `Mesh` all nodes of
+      patches and of the outer boundary stay.
     - `points`: moved points (n, d), in the unit of `mesh.points`.
-    - `fixed`: ids (f,) of nodes that stay at `points`, bit for bit. Default: all nodes of patches
-      and of the outer boundary that do not slide.
-    - `symmetry`, `periodic`, `sliding`: as `prepare` takes them, of the undeformed mesh. Default:
-      none.
     - `ideal`: the target is the equilateral cell (a cube, a square) of the undeformed volume.
       Default False.
     - `size_weight`: weight of a change of size against a change of shape, 0 to 1, default 0.5.
@@ -169,14 +162,17 @@ def improve(
     **Returns:** an `Improvement`.
 
     **Raises:** `ValueError` for a mesh without cells of its dimension, and when the shapes of
-    `points` and `mesh.points` differ. Also for node ids out of range, for `size_weight` outside of
-    0 to 1, and for planes, periodic and sliding patches as `prepare` does.
+    `points` and the mesh's differ. Also for a boundary of points alone, and for a `size_weight`
+    that is not in 0 to 1.
     """
     start, options = jnp.asarray(points), Options(ideal, size_weight, worst, tolerance, max_steps, progress)
-    _check(mesh, start, fixed, options)
     with jax.ensure_compile_time_eval():  # not folded into the caller's program
-        constraints = constraints_of_mesh(mesh, fixed, symmetry, sliding, periodic)
-    return _improved(mesh, start, constraints, options)
+        boundary = mesh if isinstance(mesh, Boundary) else Boundary(mesh, ())
+        if boundary.mesh is None:
+            raise ValueError("this boundary has points alone: make it of the mesh, jm.Boundary(mesh, ...).")
+        _check(boundary.mesh, start, options)
+        constraints = constraints_of(boundary, boundary.mesh)
+    return _improved(boundary.mesh, start, constraints, options)
 
 
 def improve_of(plan: Plan, mesh: Mesh, points: Float[Array, "n d"]) -> Improvement:
@@ -184,7 +180,7 @@ def improve_of(plan: Plan, mesh: Mesh, points: Float[Array, "n d"]) -> Improveme
 
     Surface nodes stay, or move along the plan's walls, planes and pairs.
     """
-    return _improved(mesh, points, constraints_of_plan(plan, mesh), Options())
+    return _improved(mesh, points, constraints_of(plan.boundary, mesh), Options())
 
 
 def _improved(mesh: Mesh, start: Array, constraints: Constraints, options: Options) -> Improvement:
@@ -226,7 +222,7 @@ def _ended(mesh: Mesh, start: Array, plain: Minimum, minimum: Minimum) -> tuple[
     return Improvement(moved, before.inverted, after.inverted, *counts, energy, residual, steps, after.count), after
 
 
-def _check(mesh: Mesh, points, fixed, options: Options) -> None:
+def _check(mesh: Mesh, points, options: Options) -> None:
     n, d = mesh.points.shape
     if not solid(mesh.cells, d):
         types = ", ".join(mesh.cells) or "none"
@@ -235,8 +231,6 @@ def _check(mesh: Mesh, points, fixed, options: Options) -> None:
         raise ValueError(f"`points` has shape {tuple(points.shape)}; this mesh has {(n, d)}.")
     if is_known(points):
         check_finite(np.asarray(points))
-    if fixed is not None:
-        node_ids(fixed, "fixed", n)
     if is_known(options.size_weight):
         between("size_weight", options.size_weight, 0, 1, "[]")
     between("tolerance", options.tolerance, 0, ends="[)")

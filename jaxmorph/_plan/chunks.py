@@ -1,20 +1,14 @@
 """A mesh prepared some nodes at a time: memory holds the surface and one chunk, not all nodes."""
 
 import warnings
-from collections.abc import Iterator, Sequence
-from typing import Any
+from collections.abc import Iterator
 
 import numpy as np
-from jaxtyping import ArrayLike, Int, Integer, Real
+from jaxtyping import Int
 
-from .._boundary.arguments import find_boundary
 from .._boundary.boundary import Boundary
-from .._boundary.periodic import Periodic
-from .._boundary.slide import Slide
-from .._boundary.symmetry import Plane
 from .._host.package.arguments import whole
 from .._host.package.errors import MeshError
-from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod, check_kind
 from .halves import half_of
 from .plan import Plan
@@ -22,16 +16,7 @@ from .prepare import between_planes, plan_of, refuse_cells
 
 
 def prepare_in_chunks(
-    mesh: Mesh | Real[ArrayLike, "n d"] | Sequence[Any],
-    moving: str | Sequence[str] | Integer[ArrayLike, " m"] | Sequence[int | np.integer],
-    fixed: str | Sequence[str] | Integer[ArrayLike, " f"] | Sequence[int | np.integer] = (),
-    *,
-    size: int | None = None,
-    method: AbstractMethod | None = None,
-    symmetry: Plane | str | Sequence[Plane | str] = (),
-    periodic: Periodic | Sequence[Periodic] = (),
-    sliding: Slide | str | Sequence[Slide | str] = (),
-    free: str | Sequence[str] | Integer[ArrayLike, " k"] | Sequence[int | np.integer] = (),
+    boundary: Boundary, *, size: int | None = None, method: AbstractMethod | None = None
 ) -> Iterator[tuple[Int[np.ndarray, " c"], Plan]]:
     """Yields the nodes (c,) and the plan of every chunk of a mesh, one chunk after the other.
 
@@ -40,33 +25,32 @@ def prepare_in_chunks(
 
     ```python
     points = np.array(mesh.points)
-    for nodes, plan in jm.prepare_in_chunks(mesh, "wing", "far", size=1_000_000):
+    for nodes, plan in jm.prepare_in_chunks(jm.Boundary(mesh, "wing", "far"), size=1_000_000):
         points[nodes] = jm.deform(plan, u)
     ```
 
     **Arguments:**
 
-    - `mesh`, `moving`, `fixed`, `method`, `symmetry`, `periodic`, `sliding`, `free`: as `prepare`
-      takes them.
+    - `boundary`: the mesh's boundary.
     - `size`: most inner nodes of a chunk, beside all nodes of the surface. None makes one chunk.
+    - `method`: `SurfaceReconstruction()` by default.
 
     **Raises:** `ValueError` for a size below 1, and where `prepare` does. With a size, also for a
     method that solves on cells. A wrong point raises with its chunk; a `MeshError` names nodes of
     the whole mesh.
     """
+    check_kind(boundary, Boundary, "boundary", 'jm.Boundary(mesh, "wall", "far")')
+    check_kind(method, AbstractMethod, "method", "jm.RBF()", optional=True)
     if size is not None:
         whole("size", size)
-    if method is not None:
-        check_kind(method, AbstractMethod, "method", "jm.RBF()")
-        if size is not None:
+        if method is not None:
             refuse_cells(method)
-    return chunks_of(find_boundary(mesh, moving, fixed, symmetry, free, periodic, sliding), method, size)
+    return _chunks(boundary, method, size)
 
 
-def chunks_of(
+def _chunks(
     boundary: Boundary, method: AbstractMethod | None, size: int | None
 ) -> Iterator[tuple[Int[np.ndarray, " c"], Plan]]:
-    """Yields nodes and plans of the chunks of a checked boundary."""
     # A chunk of k has the surface and every k-th other node. A chunk that is one node short takes
     # the first other node again: so all chunks have one length and share compiled code.
     points = boundary.points

@@ -9,13 +9,9 @@ import jax
 import numpy as np
 from jaxtyping import Int, Integer, Real
 
-from .._boundary.arguments import find_boundary
-from .._boundary.boundary import Boundary
+from .._boundary.boundary import Boundary, changed, with_faces
 from .._boundary.names import checked_points
 from .._boundary.outer_faces import OuterFaces
-from .._boundary.periodic import Periodic
-from .._boundary.slide import Slide
-from .._boundary.symmetry import Plane
 from .._host.package.arguments import as_array, checked
 from .._host.package.errors import MeshError
 from .._host.package.rounding import roundoff
@@ -26,7 +22,7 @@ from .._methods.base import AbstractMethod, check_kind
 from .._methods.reconstruction import SurfaceReconstruction, sees_free_sides
 from .._methods.surface import Surface
 from .plan import Plan
-from .prepare import between_planes, boundary_of, laid_out, plan_of, refuse_cells, surface_of
+from .prepare import between_planes, laid_out, plan_of, refuse_cells, surface_of
 
 SAME = 1e-12
 """Largest difference of a surface node's place in piece and half, as a share of the extent."""
@@ -109,7 +105,7 @@ class SurfaceHalf:
         nodes = np.where(surface.nodes < 0, -1, rows[surface.nodes])
         volume_ids = plan.method.connect(surface.altered(nodes=nodes), together)[1]
         if on_plane is not None:
-            on_plane = np.stack([plane.holds(together)[:count] for plane in boundary_of(plan).planes], axis=1)
+            on_plane = np.stack([plane.holds(together)[:count] for plane in plan.boundary.planes], axis=1)
         volume_ids = as_jax(jax.tree.map(lambda leaf: leaf[:count], volume_ids))
         here = as_jax(rows[np.asarray(plan.surface.nodes)].astype(np.int32))
         shared = dataclasses.replace(plan.surface, nodes=here)
@@ -130,10 +126,10 @@ class SurfaceHalf:
     @functools.cached_property
     def _surface(self) -> tuple[Surface, np.ndarray | None]:
         """The surface as methods see it, and a mask of the half's points on every plane."""
-        boundary = dataclasses.replace(boundary_of(self.plan), pairings=(), tracks=(), is_open=self.is_open)
+        boundary = changed(self.plan.boundary, pairings=(), tracks=(), is_open=self.is_open)
         if self.faces is not None:
             faces = {kind: boundary.nodes[rows] for kind, rows in self.faces.items()}
-            boundary = dataclasses.replace(boundary, faces=faces)
+            boundary = changed(boundary, faces=faces)
         surface, _, on_plane = surface_of(boundary)
         return surface, on_plane
 
@@ -170,37 +166,30 @@ class SurfaceHalf:
 
 
 def prepare_surface(
-    mesh: Mesh | Real[np.ndarray, "n d"] | Sequence[Any],
-    moving: str | Sequence[str] | Integer[np.ndarray, " m"] | Sequence[int | np.integer],
-    fixed: str | Sequence[str] | Integer[np.ndarray, " f"] | Sequence[int | np.integer] = (),
+    boundary: Boundary,
     *,
     nodes: Integer[np.ndarray, " n"] | Sequence[int] | None = None,
     method: AbstractMethod | None = None,
-    symmetry: Plane | str | Sequence[Plane | str] = (),
-    periodic: Periodic | Sequence[Periodic] = (),
-    sliding: Slide | str | Sequence[Slide | str] = (),
-    free: str | Sequence[str] | Integer[np.ndarray, " k"] | Sequence[int | np.integer] = (),
     is_open: bool | None = None,
     faces: Mapping[str, Integer[np.ndarray, "_k _c"]] | None = None,
 ) -> SurfaceHalf:
     """Prepares the surface of a mesh too large for one `prepare`, or in several processes.
 
-    `prepare_surface(mesh, ...).attach(mesh.points, range(n))` equals `prepare(mesh, ...)`. If no
+    `prepare_surface(boundary).attach(mesh.points, range(n))` equals `prepare(boundary)`. If no
     process has the whole mesh, gather the moving and fixed nodes of all pieces, and pass them.
 
     **Arguments:**
 
-    - `mesh`: a `Mesh`, or points (n, d). All surface nodes must be in it, and the outermost nodes
+    - `boundary`: the boundary. All surface nodes must be in its points, and the outermost nodes
       should be. Other points set tolerances and show free sides. The nodes of two parallel symmetry
       planes are needed too: they are guided.
-    - `moving`, `fixed`, `method`, `symmetry`, `periodic`, `sliding`, `free`: as `prepare` takes
-      them; ids are rows of `mesh`.
-    - `nodes`: ids (n,) of the points in the whole mesh, by which pieces name them; -1 for points
-      that no piece names. Default: 0 to n - 1.
+    - `nodes`: ids (n,) of the boundary's points in the whole mesh, by which pieces name them; -1
+      for points that no piece names. Default: 0 to n - 1.
+    - `method`: `SurfaceReconstruction()` by default.
     - `is_open`: whether the whole mesh has a side that is neither moving, fixed nor a symmetry
-      plane. Default None: decided by `faces`, or by `mesh`, which must then be whole.
-    - `faces`: boundary faces (k, corners) of the whole mesh by type, as rows of `mesh`, seen from
-      outside; in 2-D `line`s. With them, pieces move as the whole mesh does. Default None: the
+      plane. Default None: decided by `faces`, or by the points, which must then be all.
+    - `faces`: boundary faces (k, corners) of the whole mesh by type, as rows of the points, seen
+      from outside; in 2-D `line`s. With them, pieces move as the whole mesh does. Default None: the
       faces of the mesh's cells, if it has cells.
 
     **Returns:** a `SurfaceHalf`.
@@ -208,16 +197,15 @@ def prepare_surface(
     **Raises:** `ValueError` as `prepare` does, for ids that come twice in `nodes`, and for a method
     that solves on cells.
     """
-    outer = None
-    if faces is not None:
-        mesh = mesh if isinstance(mesh, Mesh) else Mesh(mesh)
-        outer = OuterFaces.numbered(Mesh(mesh.points, dict(faces)).cells)
-    boundary = find_boundary(mesh, moving, fixed, symmetry, free, periodic, sliding, outer=outer)
+    check_kind(boundary, Boundary, "boundary", 'jm.Boundary(mesh, "wall", "far")')
     count = len(boundary.points)
+    if faces is not None:
+        mesh = boundary.mesh or Mesh(boundary.points)
+        boundary = with_faces(boundary, mesh, OuterFaces.numbered(Mesh(mesh.points, dict(faces)).cells))
     ids = np.arange(count) if nodes is None else as_array("nodes", nodes)
     if ids.shape != (count,) or ids.dtype.kind not in "iu" or len(np.unique(ids[ids >= 0])) < (ids >= 0).sum():
-        raise ValueError(f"`nodes` must be {count} ids, one for every point of `mesh`; only -1 may come twice.")
-    return half_of(boundary if is_open is None else dataclasses.replace(boundary, is_open=is_open), method, ids)
+        raise ValueError(f"`nodes` must be {count} ids, one for every point of the boundary; only -1 may come twice.")
+    return half_of(boundary if is_open is None else changed(boundary, is_open=is_open), method, ids)
 
 
 def half_of(boundary: Boundary, method: AbstractMethod | None, ids: np.ndarray) -> SurfaceHalf:
@@ -228,7 +216,7 @@ def half_of(boundary: Boundary, method: AbstractMethod | None, ids: np.ndarray) 
     boundary = between_planes(boundary, method)
     is_open = has_open_side(boundary) if boundary.is_open is None else boundary.is_open
     rows = np.union1d(boundary.nodes, fence(boundary))
-    part = dataclasses.replace(boundary.part(rows), is_open=is_open)
+    part = changed(boundary.part(rows), is_open=is_open)
     try:
         plan = plan_of(part, method)
     except MeshError as error:
@@ -238,7 +226,7 @@ def half_of(boundary: Boundary, method: AbstractMethod | None, ids: np.ndarray) 
 
 def has_open_side(boundary: Boundary) -> bool:
     """Checks, by points alone, whether a flat side is free: not moving, fixed or symmetric."""
-    surface = surface_of(dataclasses.replace(boundary, pairings=()))[0]
+    surface = surface_of(changed(boundary, pairings=()))[0]
     return has_free_sides(surface.points, surface.rows(len(boundary.points)) == len(surface.points), boundary.points)
 
 

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Int, PyTree, Real
 
+from .._boundary.boundary import Boundary, boundary_of_lists, renumbered
 from .._boundary.images import Images
 from .._boundary.pairing import Pairing
 from .._boundary.tracks import Track
@@ -142,6 +143,16 @@ class Plan(Module):
     def guided(self) -> Int[Array, " g"]:
         """Ids of nodes that follow along sliding or periodic patches, or parallel planes."""
         return self.surface.nodes[len(self.surface.nodes) - self.n_guided :]
+
+    @property
+    def boundary(self) -> Boundary:
+        """What moves, stays, slides and repeats, on the host; a plan keeps no faces."""
+        points, moving, fixed, guided = map(np.asarray, (self.points, self.moving, self.fixed, self.guided))
+        nodes, guide = np.concatenate([moving, fixed, guided]), self.surface.guide
+        planes = () if self.images is None else self.images.planes
+        pairings, tracks = ((), ()) if guide is None else jax.tree.map(np.asarray, (guide.pairings, guide.tracks))
+        pairings, tracks = renumbered(pairings, tracks, nodes)
+        return boundary_of_lists(points, moving, fixed, guided, planes=planes, pairings=pairings, tracks=tracks)
 
     @property
     def is_linear(self) -> bool:

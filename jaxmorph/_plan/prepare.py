@@ -1,18 +1,14 @@
 """Preparation: all of a mesh that does not depend on the displacement, once on the host."""
 
-import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Bool, Float, Integer, PyTree, Real
+from jaxtyping import Array, ArrayLike, Bool, Float, PyTree, Real
 
-from .._boundary.arguments import find_boundary
-from .._boundary.boundary import Boundary, renumbered
+from .._boundary.boundary import Boundary, Nodes, changed
 from .._boundary.images import Images, images_of
-from .._boundary.kinds import by_kinds
 from .._boundary.matching import across_one_layer
 from .._boundary.pairing import check_pairings
 from .._boundary.periodic import Periodic
@@ -36,51 +32,47 @@ FEW = 50_000, 2_000
 
 
 def prepare(
-    mesh: Mesh | Real[ArrayLike, "n d"] | Sequence[Any],
-    moving: str | Sequence[str] | Integer[ArrayLike, " m"] | Sequence[int | np.integer],
-    fixed: str | Sequence[str] | Integer[ArrayLike, " f"] | Sequence[int | np.integer] = (),
+    mesh: Boundary | Mesh | Real[ArrayLike, "n d"] | Sequence[Any],
+    moving: Nodes | None = None,
+    fixed: Nodes = (),
     *,
     method: AbstractMethod | None = None,
     symmetry: Plane | str | Sequence[Plane | str] = (),
     periodic: Periodic | Sequence[Periodic] = (),
     sliding: Slide | str | Sequence[Slide | str] = (),
-    free: str | Sequence[str] | Integer[ArrayLike, " k"] | Sequence[int | np.integer] = (),
+    free: Nodes = (),
 ) -> Plan:
     """Prepares a plan, once per mesh, on the host: all that does not depend on the displacement.
 
+    `prepare(mesh, "wing", "far", ...)` is short for `prepare(Boundary(mesh, "wing", "far", ...))`.
+
     **Arguments:**
 
-    - `mesh`: a `Mesh`, or points (n, d) alone, d = 2 or 3, in any unit. With a mesh, methods see
-      the boundary faces, patches may be named, and boundary faces in no list cause a warning.
-      Precision and device come from the points: float64 needs JAX's x64 mode.
-    - `moving`, `fixed`: node ids, (m,) and (f,), or names of patches. A node in both lists moves.
-      Nodes in no list follow. If nothing but moving patches is named, the `kinds` of the other
-      patches decide: symmetry planes slide, all others are fixed. A warning names them.
+    - `mesh`: a `Boundary`, or a `Mesh` or points (n, d). Precision and device come from the points:
+      float64 needs JAX's x64 mode.
+    - `moving`, `fixed`, `symmetry`, `periodic`, `sliding`, `free`: as `Boundary` takes them, which
+      is then made. Not with a `Boundary`.
     - `method`: `SurfaceReconstruction()` by default.
-    - `symmetry`: planes, or names of patches that lie in one or several planes. Nodes on a plane
-      stay in it, also moving nodes.
-    - `periodic`: pairs of patches of which one repeats the other. The two nodes of a pair move
-      alike.
-    - `sliding`: patches whose nodes stay on their surface and move along it. A name stands for the
-      patch's own faces.
-    - `free`: node ids or names of patches whose nodes may follow like inner nodes, without a
-      warning. Default: none.
 
     **Returns:** a `Plan`.
 
-    **Raises:** `ValueError` for ids out of range, ids that come twice in `moving`, and coordinates
-    that are not finite. Also for points outside of the surface's hull (graph mapping), and sources
-    that do not determine the interpolation. Also for planes that hold no node or have nodes on both
-    sides, periodic patches that do not match, and sliding patches that do not lie on their surface.
+    **Raises:** `ValueError` where `Boundary` does. Also for no moving nodes, for points outside of
+    the surface's hull (graph mapping), and sources that do not determine the interpolation. Also
+    for planes that hold no node or have nodes on both sides.
     """
     check_kind(method, AbstractMethod, "method", "jm.RBF()", optional=True)
-    if all(isinstance(argument, tuple) and not argument for argument in (fixed, symmetry, sliding, free)):
-        fixed, symmetry = by_kinds(mesh, moving, periodic)
-    return plan_of(find_boundary(mesh, moving, fixed, symmetry, free, periodic, sliding), method)
+    lists = {"symmetry": symmetry, "periodic": periodic, "sliding": sliding, "free": free}
+    if not isinstance(mesh, Boundary):
+        return plan_of(Boundary(mesh, () if moving is None else moving, fixed, **lists), method)
+    if moving is not None or any(not isinstance(named, tuple) or named for named in (fixed, *lists.values())):
+        raise ValueError("a Boundary has its lists of nodes: call prepare(boundary, method=...), and name them there.")
+    return plan_of(mesh, method)
 
 
 def plan_of(boundary: Boundary, method: AbstractMethod | None) -> Plan:
     """Prepares the plan of a checked boundary; warns of free faces and of lost precision."""
+    if not len(boundary.moving):
+        raise ValueError("`moving` is empty: name the nodes of the boundary that moves.")
     boundary.warn_of_free_faces()
     boundary = between_planes(boundary, method)
     check_pairings(boundary.pairings, boundary.planes, float(np.ptp(boundary.points, axis=0).max()))
@@ -88,7 +80,7 @@ def plan_of(boundary: Boundary, method: AbstractMethod | None) -> Plan:
     if boundary.cells is None:
         refuse_cells(method)
     guide = _guide_of(boundary, method)
-    plan = _plan_of(dataclasses.replace(boundary, pairings=(), tracks=()), method, guide)
+    plan = _plan_of(changed(boundary, pairings=(), tracks=()), method, guide)
     if plan.points.dtype != boundary.points.dtype:
         warn(
             "the points are float64 but JAX's x64 mode is off, so the plan is float32: boundary layers and gradients suffer. "
@@ -117,7 +109,7 @@ def between_planes(boundary: Boundary, method: AbstractMethod | None) -> Boundar
     layer = across_one_layer(boundary.planes, boundary.points)
     layer = tuple(pairing.renumbered(np.where(free, place, -1)) for pairing in layer)
     guided, pairings = np.union1d(boundary.guided, others), (*boundary.pairings, *layer)
-    return dataclasses.replace(boundary, guided=guided, pairings=pairings)
+    return changed(boundary, guided=guided, pairings=pairings)
 
 
 def refuse_cells(method: AbstractMethod) -> None:
@@ -211,16 +203,6 @@ def _guide_of(boundary: Boundary, method: AbstractMethod) -> Guide | None:
     rows.append(np.arange(known, len(boundary.nodes)))
     pairings, tracks = as_jax((alone.pairings, alone.tracks))
     return Guide(plan, pairings, tracks, jnp.asarray(np.unique(np.concatenate(rows)), jnp.int32))
-
-
-def boundary_of(plan: Plan) -> Boundary:
-    """Returns the boundary of a plan; without faces, which a plan does not keep."""
-    points, moving, fixed, guided = map(np.asarray, (plan.points, plan.moving, plan.fixed, plan.guided))
-    nodes, guide = np.concatenate([moving, fixed, guided]), plan.surface.guide
-    planes = () if plan.images is None else plan.images.planes
-    pairings, tracks = ((), ()) if guide is None else jax.tree.map(np.asarray, (guide.pairings, guide.tracks))
-    joined = renumbered(pairings, tracks, nodes)
-    return Boundary(points, moving, fixed, guided, planes, *joined, None, None, None)
 
 
 def _trial(plan: Plan) -> Float[Array, "b d"]:

@@ -1,6 +1,5 @@
 """Motions in several steps: a path of displacements, followed on the host, replayed in traces."""
 
-import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
@@ -8,12 +7,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Real
 
+from .._boundary.boundary import changed, with_cells
+from .._boundary.outer_faces import outer_faces
 from .._host.package.arguments import checked
 from .._kernels.compile import compiled
 from .._mesh.mesh import Mesh
 from .base import carry, refitted
 from .plan import Plan, deform_surface, moved_surface
-from .prepare import boundary_of, plan_of
+from .prepare import plan_of
 from .refit import with_boundary_of
 from .transposes import transposable
 
@@ -129,7 +130,8 @@ def _check_piece(plan: Plan, rebuild: bool) -> None:
 
 
 def _anew(plan: Plan, points, mesh: Mesh | None) -> Plan:
-    boundary = dataclasses.replace(boundary_of(plan), points=np.asarray(points))
-    if mesh is not None:
-        boundary = dataclasses.replace(boundary.with_faces_of(mesh), left=None)  # `prepare` has warned of free faces
+    boundary = changed(plan.boundary, points=np.asarray(points))
+    outer = None if mesh is None else outer_faces(mesh)
+    if mesh is not None and outer is not None:
+        boundary = changed(with_cells(boundary, mesh, outer), left=None)  # `prepare` has warned of free faces
     return plan_of(boundary, plan.method)

@@ -11,13 +11,8 @@ import jaxmorph as jm
 from jaxmorph import io
 from jaxmorph._advice.methods import METHODS, Entry, entry
 from jaxmorph._advice.rivals import Extent
-from jaxmorph._boundary.arguments import find_boundary
-from jaxmorph._boundary.boundary import Boundary as NodeLists
 from jaxmorph._boundary.names import planes_of
-from jaxmorph._boundary.outer_faces import OuterFaces
 from jaxmorph._boundary.symmetry import check_planes
-from jaxmorph._plan.chunks import chunks_of
-from jaxmorph._plan.halves import half_of
 
 from ._parts import Boundary, Method
 from ._requests import Deform, Modes, Sensitivity
@@ -123,28 +118,29 @@ class Patches:
         return self._plans(lists, choice, size)
 
     def _plans(
-        self, lists: NodeLists, choice: NamedMethod, size: int | None
+        self, lists: jm.Boundary, choice: NamedMethod, size: int | None
     ) -> Iterator[tuple[Int[np.ndarray, " c"], jm.Plan]]:
         with self._explaining():
-            yield from chunks_of(lists, choice.method, size)
+            yield from jm.prepare_in_chunks(lists, method=choice.method, size=size)
 
     def half(self, choice: NamedMethod) -> jm.SurfaceHalf:
         """Prepares the surface of a mesh in parts, which `mesh` is. Raises as `chunks` does."""
         with self._explaining():
-            lists = self._boundary(choice, OuterFaces.numbered(self.mesh.linear.cells))
-            return half_of(lists, choice.method, io.global_nodes(self.mesh))
+            known = {"nodes": io.global_nodes(self.mesh), "faces": self.mesh.cells}
+            return jm.prepare_surface(self._boundary(choice), method=choice.method, **known)
 
     def plan(self, choice: NamedMethod) -> jm.Plan:
         """Prepares the mesh as a whole. Raises as `chunks` does."""
         return next(self.chunks(choice))[1]
 
-    def _boundary(self, choice: NamedMethod, outer: OuterFaces | None = None) -> NodeLists:
+    def _boundary(self, choice: NamedMethod) -> jm.Boundary:
         """Looks up all nodes in the lists.
 
         It raises `ValueError` for boundary faces of patches that no flag names.
         """
-        mesh, boundaries = self.mesh.moved(self.points(choice)), (self.planes, self.free, self.periodic, self.sliding)
-        lists = find_boundary(mesh, self.moving, self.fixed, *boundaries, outer=outer)
+        slides = {"symmetry": self.planes, "periodic": self.periodic, "sliding": self.sliding}
+        mesh = self.mesh.moved(self.points(choice))
+        lists = jm.Boundary(mesh, self.moving, self.fixed, free=self.free, **slides)
         free = lists.left
         if free is not None and free.patches:
             raise ValueError(

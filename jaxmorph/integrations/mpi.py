@@ -169,12 +169,11 @@ def prepare(
     def half() -> jm.SurfaceHalf | None:
         if comm.rank:
             return None
-        lists = np.arange(m), np.arange(m, count)
-        known: dict[str, Any] = {"is_open": is_open}
-        if faces is not None:
-            known = {"faces": joined(whole, names), "free": np.arange(count, total if is_open else count)}
+        free = np.arange(count, total if is_open else count)
+        known: dict[str, Any] = {"is_open": is_open} if faces is None else {"faces": joined(whole, names)}
         try:
-            return jm.prepare_surface(everything, *lists, nodes=names, method=method, symmetry=symmetry, **known)
+            boundary = jm.Boundary(everything, np.arange(m), np.arange(m, count), symmetry=symmetry, free=free)
+            return jm.prepare_surface(boundary, nodes=names, method=method, **known)
         except jm.MeshError as error:
             raise error.renumbered(names) from None
 

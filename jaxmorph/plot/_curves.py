@@ -9,7 +9,6 @@ from jaxtyping import Float, Int
 
 import jaxmorph as jm
 from jaxmorph._host.package.arguments import checked, finite_array
-from jaxmorph._plan.prepare import boundary_of, plan_of
 from jaxmorph._quality.report import MEASURES
 from jaxmorph.shapes import History
 
@@ -98,7 +97,7 @@ def surface_errors(plan: jm.Plan, u: Float[Any, "m d"], reductions: Sequence[jm.
         raise ValueError("`u` is zero: every reduction follows it.")
     if not len(reductions):
         raise ValueError("`reductions` is empty: name at least one, such as jm.KDTree(16).")
-    boundary = boundary_of(plan)
+    boundary = plan.boundary
     nodes, planes = boundary.nodes, boundary.planes
     if planes:  # of the volume only the nodes that tell where the planes are
         nodes = np.union1d(nodes, np.flatnonzero(np.any([plane.holds(points) for plane in planes], axis=0)))
@@ -107,7 +106,7 @@ def surface_errors(plan: jm.Plan, u: Float[Any, "m d"], reductions: Sequence[jm.
     rows = []
     for reduction in reductions:
         method = jm.RBF(rbf.basis, reduction, rbf.fixed_reduction, rbf.degree)
-        reduced = plan_of(part, method)
+        reduced = jm.prepare(part, method=method)
         missed = np.linalg.norm(np.asarray(jm.deform(reduced, u))[np.asarray(reduced.moving)] - target, axis=1)
         rows.append((len(of_plan(reduced)[1]), missed.max(), missed.mean()))
     number, largest, mean = (np.array(column) for column in zip(*rows, strict=True))

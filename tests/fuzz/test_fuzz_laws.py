@@ -304,7 +304,7 @@ def check_mesh_laws(cloud: Cloud, mesh: jm.Mesh) -> bool:
             np.testing.assert_array_equal(moved[cloud.moving], cloud.points[cloud.moving] + cloud.u)
             assert not np.isnan(jm.quality(mesh, moved).skewness).any()
             answered(lambda: str(jm.inspect(plan, cloud.u, mesh=mesh)))
-        found = answered(lambda: jm.improve(mesh, cloud.points, fixed=cloud.moving, max_steps=3))
+        found = answered(lambda: jm.improve(jm.Boundary(mesh, (), fixed=cloud.moving), cloud.points, max_steps=3))
     if found is not None:
         assert np.isfinite(found.points).all()
         np.testing.assert_array_equal(np.asarray(found.points)[cloud.moving], cloud.points[cloud.moving])

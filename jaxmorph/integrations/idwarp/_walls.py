@@ -70,10 +70,9 @@ class Walls:
         loose = {*self.flat, *self.free, *(str(name) for pair in periodic for name in (pair.patch, pair.partner))}
         fixed = self.mesh.patch(*(name for name in self.mesh.patches if name not in loose))
         free = np.setdiff1d(self.mesh.patch(*self.free), np.concatenate([fixed, moving]))
-        kinds = {"symmetry": self.symmetry, "periodic": periodic, "free": free}
         fixed = np.setdiff1d(fixed, moving)
-        chosen = method(options, is_loose=len(free) > 0 and not len(fixed))
-        return jm.prepare_surface(self.mesh, moving, fixed, method=chosen, **kinds, **known)
+        boundary = jm.Boundary(self.mesh, moving, fixed, symmetry=self.symmetry, periodic=periodic, free=free)
+        return jm.prepare_surface(boundary, method=method(options, is_loose=len(free) > 0 and not len(fixed)), **known)
 
 
 def walls_of(mesh: jm.Mesh, options: Mapping[str, Any]) -> Walls:

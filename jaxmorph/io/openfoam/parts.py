@@ -63,7 +63,7 @@ class Decomposed:
     case = io.Decomposed("case")
     surface = case.surface()
     known = {"nodes": io.global_nodes(surface), "faces": surface.cells}
-    half = jm.prepare_surface(surface, "wall", "inlet", **known)
+    half = jm.prepare_surface(jm.Boundary(surface, "wall", "inlet"), **known)
     with case.writing("moved") as writer:
         for k in range(len(case)):
             part = case.read(k)
@@ -155,8 +155,8 @@ class Decomposed:
 
         - `sides`: what `side` gives of all parts. Default: they are read, one after the other.
 
-        **Returns:** a `Mesh` for `prepare_surface(..., nodes=io.global_nodes(surface),
-        faces=surface.cells)`.
+        **Returns:** a `Mesh` for `prepare_surface(Boundary(surface, ...),
+        nodes=io.global_nodes(surface), faces=surface.cells)`.
 
         **Raises:** `ValueError` where a node lies at different places in different parts.
         """
