@@ -1,0 +1,409 @@
+"""Whether a mesh is good: counts, worst cells and limits, of one mesh or the parts of one."""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import ArrayLike, Float, Int, Real
+
+from .._host.package.arguments import between, real_array
+from .._mesh.mesh import Mesh
+from .judged import Judged
+from .report import QualityReport
+
+WORST = 5
+"""Cells named for each limit that is exceeded."""
+
+LABELS = {"non_orthogonality": "non-orthogonality", "pyramid": "face pyramid"}
+PROVEN = "min_proven_margin"
+"""The limit that `Limits.proven` sets, to 0."""
+
+RATIOS = (("min", "volume_ratio"), ("min", "jacobian_ratio"))
+ROWS = tuple((kind, name) for name in ("skewness", "aspect_ratio", "non_orthogonality") for kind in ("mean", "max"))
+
+
+@dataclasses.dataclass(frozen=True)
+class Limits:
+    """Limits of quality for `judge`; None limits nothing.
+
+    - `max_aspect_ratio`, `max_skewness`: of cells by their corners, as `QualityReport` has them.
+    - `max_non_orthogonality`: in degrees, as `face_quality` measures it.
+    - `max_face_skewness`, `max_face_aspect_ratio`: as OpenFOAM's checkMesh measures them.
+    - `min_jacobian_ratio`: smallest corner Jacobian over its initial value.
+    - `proven`: every cell is proven to fold nowhere inside, during the whole motion.
+
+    **Raises:** `ValueError` for a limit that is no number.
+    """
+
+    max_aspect_ratio: float | None = None
+    max_non_orthogonality: float | None = None
+    max_skewness: float | None = None
+    max_face_skewness: float | None = None
+    max_face_aspect_ratio: float | None = None
+    min_jacobian_ratio: float | None = None
+    proven: bool = False
+
+    def __post_init__(self):
+        for name, limit in self.by_name.items():
+            between(name, limit, ends="[]")
+
+    @classmethod
+    def checkmesh(cls) -> "Limits":
+        """Returns the limits of OpenFOAM's checkMesh."""
+        return cls(max_face_aspect_ratio=1000.0, max_non_orthogonality=70.0, max_face_skewness=4.0)
+
+    @property
+    def by_name(self) -> dict[str, float]:
+        """Limits that are set, by name; `proven` is `min_proven_margin`, 0."""
+        names = (field.name for field in dataclasses.fields(self) if field.name != "proven")
+        limits = {name: getattr(self, name) for name in names}
+        limits[PROVEN] = 0.0 if self.proven else None
+        return {name: limit for name, limit in limits.items() if limit is not None}
+
+
+@dataclasses.dataclass(frozen=True)
+class Number:
+    """One number of a mesh: an extreme (`max`, `min`) at a cell, or a mean by weight.
+
+    `part` is the part of the mesh, None for the whole.
+    """
+
+    kind: str
+    value: float
+    cell: int = -1
+    near: tuple[float, ...] = ()
+    part: int | None = None
+    weight: float | None = None
+
+    @property
+    def badness(self) -> float:
+        """Ranks the value, the larger the worse; infinite for NaN."""
+        return np.inf if np.isnan(self.value) else self.value if self.kind == "max" else -self.value
+
+    @property
+    def place(self) -> str:
+        return coordinates(self.near)
+
+    @property
+    def name(self) -> str:
+        """The cell, by its part where the mesh has several."""
+        return f"cell {self.cell}" if self.part is None else f"processor{self.part} cell {self.cell}"
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        part = {} if self.part is None else {"processor": self.part}
+        return part | {"cell": self.cell, "near": list(self.near)}
+
+
+@dataclasses.dataclass(frozen=True)
+class Gate:
+    """A limit by its name, the extreme value, and how many cells are beyond, with the worst."""
+
+    name: str
+    limit: float
+    extreme: Number
+    beyond: int
+    worst: tuple[Number, ...]
+
+    @property
+    def label(self) -> str:
+        return f"{self.name[:3]} {label(self.name[4:])}"
+
+
+@dataclasses.dataclass(frozen=True)
+class Verdict:
+    """Whether a mesh is good, from `judge`; `str` of it is a table.
+
+    - `ok`: the motion inverts no cell, a mesh by itself has none, and no limit is exceeded.
+    - `cells`, `inverted`, `degenerate`: numbers of cells; `rule`: by what a cell is inverted.
+    - `spoilt`: how many cells the motion has inverted; `worst` is the worst of them, with its cell
+      and place.
+    - `bad` (k,): ids of the cells that are inverted or beyond a limit. Of joined parts there are
+      none.
+    - `rows`: means and extremes by kind and measure, such as `("max", "skewness")`.
+    - `gates`: each limit, with the number of cells `beyond` it.
+    - `before`: the verdict on the undeformed mesh; None of a mesh by itself.
+    - `parts`: the number of parts, 0 for a whole mesh. `between`: the number of faces between
+      parts, which are not judged.
+    - `corners`: the `QualityReport`; None after pickling, and of joined parts.
+    """
+
+    cells: int
+    inverted: int
+    degenerate: int
+    rule: str
+    spoilt: int
+    worst: Number | None
+    rows: dict[tuple[str, str], Number]
+    gates: tuple[Gate, ...]
+    before: "Verdict | None" = None
+    parts: int = 0
+    between: int = 0
+    bad: Int[np.ndarray, " k"] | None = dataclasses.field(default=None, compare=False, repr=False)
+    judged: Judged | None = dataclasses.field(default=None, compare=False, repr=False)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Returns the numbers, without the arrays of all cells."""
+        return vars(self) | {"judged": None}
+
+    @property
+    def ok(self) -> bool:
+        return not self.spoilt and not any(gate.beyond for gate in self.gates)
+
+    @property
+    def corners(self) -> QualityReport | None:
+        return None if self.judged is None else self.judged.corners
+
+    @classmethod
+    def together(cls, parts: "Sequence[Verdict]") -> "Verdict":
+        """Joins the verdicts on the parts of a mesh."""
+        first = parts[0]
+        spoilt = [part.worst for part in parts if part.worst is not None]
+        before = [part.before for part in parts if part.before is not None]
+        return cls(
+            cells=sum(part.cells for part in parts),
+            inverted=sum(part.inverted for part in parts),
+            degenerate=sum(part.degenerate for part in parts),
+            rule=first.rule,
+            spoilt=sum(part.spoilt for part in parts),
+            worst=_worst(spoilt) if spoilt else None,
+            rows={row: _merged([part.rows[row] for part in parts]) for row in first.rows},
+            gates=tuple(_joined([part.gates[k] for part in parts]) for k in range(len(first.gates))),
+            before=cls.together(before) if before else None,
+            parts=len(parts),
+            between=sum(part.between for part in parts) // 2,
+        )
+
+    def faults(self, name_of: Callable[[Gate], str] = lambda gate: f"{gate.name} {gate.limit:g}") -> list[str]:
+        """Lists a sentence for the cells that the motion has inverted, and one for each limit."""
+        sentences = []
+        if self.worst is not None:
+            are = "is" if self.spoilt == 1 else "are"
+            where = f"the worst is {self.worst.name} near {self.worst.place}"
+            sentences.append(f"{self.spoilt} of {count(self.cells, 'cell')} {are} inverted, {where}, by {self.rule}.")
+        for k, gate in enumerate(self.gates):
+            if gate.beyond:
+                are = "cell is" if gate.beyond == 1 else "cells are"
+                start = 0 if self.before is None else self.before.gates[k].beyond
+                old = f" ({start} before the motion)" if start else ""
+                where = f"the worst is {gate.worst[0].name}"
+                sentences.append(f"{gate.beyond} of {self.cells} {are} beyond {name_of(gate)}{old}, {where}.")
+        return sentences
+
+    def table(self, more: Sequence[str] = ()) -> str:
+        """Formats the measures, before and after a motion, with the worst cells, 80 columns wide.
+
+        `more` are further rows. The limits follow.
+        """
+        parts = f" in {self.parts} parts" if self.parts else ""
+        note = f", {self.degenerate} degenerate from the start" if self.degenerate else ""
+        lines = [f"quality of {self.cells} cells{parts}, inverted by {self.rule}{note}"]
+        if self.before is None:
+            lines.append(f"{'':<23}{'':>12}   worst cell")
+        else:
+            lines.append(f"{'':<23}{'before':>12}{'after':>12}   worst cell after")
+        for (kind, name), number in self.rows.items():
+            is_ratio = (kind, name) in RATIOS
+            if is_ratio if self.before is None else name == "volume":
+                continue
+            start = f"{'-':>12}" if is_ratio or self.before is None else _column(self.before.rows[kind, name].value)
+            start = "" if self.before is None else start
+            where = "" if kind == "mean" else f"   {number.name.removeprefix('cell ')} near {number.place}"
+            lines.append(f"{kind + ' ' + label(name):<23}{start}{_column(number.value)}{where}")
+        if self.before is not None:
+            lines.append(f"{'inverted cells':<23}{self.before.inverted:>12}{self.inverted:>12}")
+        if self.parts:
+            lines.append(f"{self.between} faces between parts are not judged: their skewness and non-orthogonality.")
+        return "\n\n".join(filter(None, ["\n".join([*lines, *more]), self._limits()]))
+
+    def _limits(self) -> str:
+        """Formats a row for each limit, then the worst cells beyond."""
+        if not self.gates:
+            return ""
+        now = "now" if self.before is None else "after"
+        lines = [f"{'gate':<23}{'limit':>12}{'before':>12}{now:>12}   cells beyond"]
+        worst = []
+        for old, gate in zip(self._starts(), self.gates, strict=True):
+            start = "-" if old is None else f"{old:.5g}"
+            share = f"{gate.beyond} of {self.cells}" if gate.beyond else "0"
+            lines.append(f"{gate.label:<23}{gate.limit:>12.5g}{start:>12}{gate.extreme.value:>12.5g}   {share}")
+            if gate.beyond:
+                worst.append(f"worst cells by {gate.label}")
+                worst += [f"  {c.name.removeprefix('cell '):<22}{c.value:>12.5g}   near {c.place}" for c in gate.worst]
+        return "\n".join(lines + worst)
+
+    def __str__(self) -> str:
+        return "\n\n".join(filter(None, [self.table(), "\n".join(self.faults())]))
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """The numbers by name, for output as JSON."""
+        facts: dict[str, Any] = {"cells": self.cells, "inverted": self.inverted, "inverted_by": self.rule}
+        facts |= {f"{kind}_{name}": number.value for (kind, name), number in self.rows.items()}
+        facts |= {f"worst_{name}": number.facts for (kind, name), number in self.rows.items() if kind != "mean"}
+        return facts
+
+    @property
+    def gate_facts(self) -> list[dict[str, Any]]:
+        """Each limit with its numbers, for output as JSON."""
+        return [
+            {
+                "gate": gate.name,
+                "limit": gate.limit,
+                "before": old,
+                "after": gate.extreme.value,
+                "beyond": gate.beyond,
+                "worst": [cell.facts for cell in gate.worst],
+            }
+            for old, gate in zip(self._starts(), self.gates, strict=True)
+        ]
+
+    def _starts(self) -> list[float | None]:
+        """Lists the extremes before the motion; a ratio to the mesh before has none."""
+        if self.before is None:
+            return [None] * len(self.gates)
+        return [None if gate.name == "min_jacobian_ratio" else gate.extreme.value for gate in self.before.gates]
+
+
+def judge(
+    mesh: Mesh,
+    points: Real[ArrayLike, "n d"] | Sequence[Any] | None = None,
+    limits: Limits | None = None,
+    *,
+    before: Verdict | None = None,
+    steps: Sequence[Float[np.ndarray, "n d"]] = (),
+    is_straight: bool = True,
+    part: int | None = None,
+) -> Verdict:
+    """Judges a mesh by itself, or after a motion, by the rule of the solvers that read its format.
+
+    OpenFOAM's cases and meshes with polyhedra or polygons are judged by volumes and face pyramids,
+    as checkMesh does; others by the Jacobians at the corners of their cells, relative to the
+    undeformed mesh. A motion is not blamed for cells that were inverted before.
+
+    ```python
+    verdict = jm.judge(mesh, jm.deform(plan, u), jm.Limits(max_skewness=0.9, proven=True))
+    print(verdict)
+    assert verdict.ok
+    ```
+
+    **Arguments:**
+
+    - `mesh`: the undeformed mesh.
+    - `points`: points (n, d) after a motion, in the unit of the mesh. Default: the mesh by itself.
+    - `limits`: what else must hold. Default: no limits.
+    - `before`: the verdict on the undeformed mesh under the same limits, for several motions of one
+      mesh. Default: made.
+    - `steps`: points after each step of the motion but the last, for `Limits.proven`.
+    - `is_straight`: nodes move along straight lines from step to step, as with a plan that
+      `is_linear`. Default True. Where they do not, the ends of steps alone are proven.
+    - `part`: number of the part of a mesh that `mesh` is, for `Verdict.together`.
+
+    **Returns:** a `Verdict`.
+
+    **Raises:** `ValueError` for points of another shape, and for a limit on a measure that the
+    cells do not have.
+    """
+    limits = Limits() if limits is None else limits
+    if points is None:
+        judged = Judged(mesh, mesh.points)
+    else:
+        points = real_array("points", points, tuple(mesh.points.shape))
+        before = judge(mesh, None, limits, part=part) if before is None else before
+        judged = Judged(mesh, points, before.judged or Judged(mesh, mesh.points), tuple(steps), is_straight)
+    return _verdict(judged, limits, before if points is not None else None, part)
+
+
+def _verdict(judged: Judged, limits: Limits, before: Verdict | None, part: int | None) -> Verdict:
+    spoilt, worst, by_faces = judged.spoilt, None, judged.by_faces
+    gates, beyond = [], [spoilt]
+    for name, limit in limits.by_name.items():
+        gate, cells = _gate(judged, name, limit, part)
+        gates.append(gate)
+        beyond.append(cells)
+    if len(spoilt):
+        values = getattr(judged.report, "pyramid" if by_faces else "jacobian_ratio")
+        worst = _number(judged, "min", float(values[spoilt[0]]), spoilt[0], part)
+    return Verdict(
+        cells=len(judged.counted),
+        inverted=int(judged.inverted[judged.counted].sum()),
+        degenerate=0 if by_faces else int(judged.corners.degenerate),
+        rule=judged.report.rule,
+        spoilt=len(spoilt),
+        worst=worst,
+        rows=dict(_rows(judged, part)),
+        gates=tuple(gates),
+        before=before,
+        parts=0 if part is None else 1,
+        between=0 if judged.mesh.between is None else len(judged.mesh.between),
+        bad=np.unique(np.concatenate(beyond)),
+        judged=judged,
+    )
+
+
+def _gate(judged: Judged, name: str, limit: float, part: int | None) -> tuple[Gate, np.ndarray]:
+    """Compares a measure with its limit; also returns the ids of the cells beyond."""
+    kind, values = name[:3], judged.values(name[4:]).astype(float)
+    badness = np.where(np.isnan(values), np.inf, values if kind == "max" else -values)
+    rows = np.flatnonzero(badness > (limit if kind == "max" else -limit))
+    order = rows[np.argsort(-badness[rows], kind="stable")][:WORST]
+    worst = tuple(_number(judged, kind, float(values[row]), judged.counted[row], part) for row in order)
+    extreme = float(values.max() if kind == "max" else values.min())
+    number = _number(judged, kind, extreme, judged.counted[int(badness.argmax())], part)
+    return Gate(name, limit, number, len(rows), worst), judged.counted[rows]
+
+
+def _rows(judged: Judged, part: int | None) -> list[tuple[tuple[str, str], Number]]:
+    report, rows = judged.report, []
+    last = (("min", "pyramid"), RATIOS[0]) if judged.by_faces else RATIOS
+    for kind, name in (*ROWS, ("min", "volume"), *last):
+        value, key = float(getattr(report, kind)(name)), (kind, judged.key(name))
+        if kind != "mean":
+            rows.append((key, _number(judged, kind, value, report.worst(1, by=name)[0], part)))
+        elif part is None or name != "non_orthogonality":  # checkMesh's mean is over faces, which parts share
+            weight = float(np.abs(np.asarray(report.volume)[judged.counted]).sum())
+            rows.append((key, Number(kind, value, part=part, weight=weight)))
+    return rows
+
+
+def _number(judged: Judged, kind: str, value: float, cell: Any, part: int | None) -> Number:
+    return Number(kind, value, int(cell), tuple(np.asarray(judged.report.centroid)[cell].tolist()), part)
+
+
+def _joined(gates: Sequence[Gate]) -> Gate:
+    cells = sorted((cell for gate in gates for cell in gate.worst), key=lambda cell: cell.badness)
+    extreme, beyond = _worst([gate.extreme for gate in gates]), sum(gate.beyond for gate in gates)
+    return Gate(gates[0].name, gates[0].limit, extreme, beyond, tuple(cells[-WORST:][::-1]))
+
+
+def _merged(numbers: Sequence[Number]) -> Number:
+    """Takes the worst of all parts, or the mean by their volumes."""
+    if numbers[0].kind != "mean":
+        return _worst(numbers)
+    weight = sum(number.weight or 0.0 for number in numbers)
+    total = sum(number.value * (number.weight or 0.0) for number in numbers)
+    return Number("mean", total / weight if weight else float("nan"), weight=weight)
+
+
+def _worst(numbers: Sequence[Number]) -> Number:
+    return max(numbers, key=lambda number: number.badness)
+
+
+def label(name: str) -> str:
+    """Writes a measure's name."""
+    return LABELS.get(name, name.replace("_", " "))
+
+
+def count(number: int, what: str) -> str:
+    """Writes a number with its noun: `1 step`, `2 steps`."""
+    return f"{number} {what}" + ("" if number == 1 else "s")
+
+
+def coordinates(x: Any) -> str:
+    """Writes a place."""
+    return "(" + ", ".join(f"{number:.3g}" for number in np.asarray(x).tolist()) + ")"
+
+
+def _column(value: float) -> str:
+    return f"{value + 0.0:>12.5g}"  # -0 is 0
