@@ -46,7 +46,7 @@ def walls(
     the wall of the nearest other node.
     """
     label = np.full(len(points), -1)
-    groups = [_in_order(np.asarray(group)) for _, group in sorted((faces or {}).items()) if len(group)]
+    groups = [in_order(np.asarray(group)) for _, group in sorted((faces or {}).items()) if len(group)]
     if groups:
         label = _by_faces(points, moving, groups)
     else:
@@ -60,9 +60,12 @@ def walls(
     return np.unique(label, return_inverse=True)[1].astype(np.int32)
 
 
-def _in_order(faces: np.ndarray) -> np.ndarray:
-    """Sorts faces (k, c) by their nodes: walls do not depend on the order of the faces."""
-    if faces.shape[1] > 2:  # a turned edge would be seen from inside
+def in_order(faces: np.ndarray) -> np.ndarray:
+    """Sorts faces (k, c) by their nodes, each from its first node on: nothing depends on their order.
+
+    Edges (k, 2) keep their direction, which tells the side.
+    """
+    if faces.shape[1] > 2:
         turn = faces.argmin(axis=1)[:, None] + np.arange(faces.shape[1])
         faces = np.take_along_axis(faces, turn % faces.shape[1], axis=1)
     return faces[np.lexsort(faces.T[::-1])]
