@@ -9,10 +9,15 @@ import pytest
 
 import jaxmorph as jm
 from jaxmorph import io
+from jaxmorph._host.cells.topology import FACES
 from jaxmorph._quality.distortion import IDEAL
 
 TETRAHEDRA = [[0, 4, 6, 7], [0, 6, 2, 7], [0, 2, 3, 7], [0, 3, 1, 7], [0, 1, 5, 7], [0, 5, 4, 7]]
 """The six tetrahedra of a cube, by corners 4 i + 2 j + k."""
+
+
+INWARD = [face[::-1] for face in FACES["hexahedron"]]
+"""The sides of a cube as its middle sees them."""
 
 
 @contextlib.contextmanager
@@ -98,6 +103,113 @@ def wedges() -> jm.Mesh:
     points = np.array([[x, y, z] for z in (0.0, 1.0) for y in (0.0, 1.0) for x in (0.0, 1.0, 2.0)])
     cells = {"hexahedron": [[0, 1, 4, 3, 6, 7, 10, 9]], "wedge": [[1, 2, 4, 7, 8, 10], [2, 5, 4, 8, 11, 10]]}
     return jm.Mesh(points, cells, {"floor": np.arange(6), "roof": np.arange(6, 12)})
+
+
+REFLECTED = {
+    **{"triangle": [0, 2, 1], "quad": [0, 3, 2, 1], "tetra": [0, 2, 1, 3], "pyramid": [0, 3, 2, 1, 4]},
+    **{"wedge": [0, 2, 1, 3, 5, 4], "hexahedron": [0, 3, 2, 1, 4, 7, 6, 5]},
+}
+"""The nodes of a cell that is listed the other way round, left-handed, by type."""
+
+TURNED = {
+    **{"triangle": [1, 2, 0], "quad": [1, 2, 3, 0], "tetra": [1, 2, 0, 3], "pyramid": [1, 2, 3, 0, 4]},
+    **{"wedge": [1, 2, 0, 4, 5, 3], "hexahedron": [1, 2, 3, 0, 5, 6, 7, 4]},
+}
+"""The nodes of a cell that begins with its second corner, by type."""
+
+
+def renumbered(mesh: jm.Mesh, seed: int) -> tuple[jm.Mesh, np.ndarray]:
+    """Numbers nodes, cells and patches of a mesh at random, half of its cells the other way round.
+
+    The second value lists the old number of each node.
+    """
+    random = np.random.default_rng(seed)
+    old = random.permutation(len(mesh.points))
+    new, cells, patches = np.argsort(old), {}, {}
+    for kind, ids in reversed(mesh.cells.items()):
+        corners = random.permutation(new[ids])
+        for table in (REFLECTED, TURNED):
+            chosen = random.random(len(corners)) < 0.5
+            corners[chosen] = corners[chosen][:, table[kind]]
+        cells[kind] = corners
+    for name, ids in reversed(mesh.patches.items()):
+        patches[name] = random.permutation(new[ids])
+    return jm.Mesh(np.asarray(mesh.points)[old], cells, patches), old
+
+
+def with_hole(points: np.ndarray, cells: dict) -> jm.Mesh:
+    """Makes the unit square or cube without its middle third: the patches are `wall`, around the hole, and `far`."""
+    middle = {kind: np.abs(points[ids].mean(axis=1) - 0.5).max(axis=1) for kind, ids in cells.items()}
+    left = {kind: ids[middle[kind] > 1 / 6] for kind, ids in cells.items()}
+    used = np.unique(np.concatenate([ids.ravel() for ids in left.values()]))
+    points, away = points[used], np.abs(points[used] - 0.5).max(axis=1)
+    patches = {"wall": np.flatnonzero(away < 1 / 6 + 1e-9), "far": np.flatnonzero(away == 0.5)}
+    return jm.Mesh(points, {kind: np.searchsorted(used, ids) for kind, ids in left.items()}, patches)
+
+
+@functools.cache
+def even(kind: str) -> jm.Mesh:
+    """Makes a lattice with a hole, full of equal distances: `2-D` of quads and triangles, `3-D` of four types, or `tetra`."""
+    count = 12 if kind == "2-D" else 6
+    points = lattice(*[np.linspace(0, 1, count + 1)] * (2 if kind == "2-D" else 3))
+    ids = np.arange(len(points)).reshape([count + 1] * points.shape[1])
+    if kind == "tetra":
+        return with_hole(points, {"tetra": tetrahedra(ids)})
+    whole = blocks(ids)
+    column = np.floor(points[whole].mean(axis=1) * count)[:, :2].astype(int)  # cut whole columns: faces match
+    if kind == "2-D":
+        cut = whole[column.sum(axis=1) % 3 == 0]
+        triangles = np.concatenate([cut[:, [0, 1, 2]], cut[:, [0, 2, 3]]])
+        return with_hole(points, {"quad": whole[column.sum(axis=1) % 3 > 0], "triangle": triangles})
+    third = column.sum(axis=1) % 3
+    split, peaks, bricks = (whole[third == k] for k in range(3))
+    wedges = np.concatenate([split[:, [0, 1, 2, 4, 5, 6]], split[:, [0, 2, 3, 4, 6, 7]]])
+    tip = len(points) + np.arange(len(peaks))
+    pyramids = np.concatenate([np.column_stack([peaks[:, list(face)], tip]) for face in INWARD])
+    points = np.concatenate([points, points[peaks].mean(axis=1)])
+    return with_hole(points, {"hexahedron": bricks, "wedge": wedges, "pyramid": pyramids})
+
+
+def half(mesh: jm.Mesh, bent: float = 0.0, is_passage: bool = False) -> jm.Mesh:
+    """Makes the upper half of a lattice with a hole, on a floor `plane`, bent by some height.
+
+    In a passage the sides `left` and `right` are not of the patch `far`.
+    """
+    points = np.asarray(mesh.points)
+    cells = {kind: ids[points[ids].mean(axis=1)[:, -1] > 0.5] for kind, ids in mesh.cells.items()}
+    used = np.unique(np.concatenate([ids.ravel() for ids in cells.values()]))
+    cells = {kind: np.searchsorted(used, ids) for kind, ids in cells.items()}
+    x = points[used]
+    side = {"left": x[:, 0] == 0, "right": x[:, 0] == 1, "plane": x[:, -1] == 0.5}
+    side["wall"], side["far"] = np.isin(used, mesh.patches["wall"]), np.isin(used, mesh.patches["far"])
+    if is_passage:
+        side["far"] &= (np.abs(x[:, 1:] - 0.5) == 0.5).any(axis=1)
+    x = x + bent * np.eye(x.shape[1])[-1] * (np.sin(3 * x[:, 0]) * np.sin(4 * x[:, 1]) * (1 - x[:, -1]))[:, None]
+    return jm.Mesh(x, cells, {name: np.flatnonzero(mask) for name, mask in side.items()})
+
+
+def slit(count: int) -> jm.Mesh:
+    """Makes a square of quads with a slit in the middle, the `wall`, whose two sides have nodes of their own."""
+    axis = np.linspace(-1, 1, count + 1)
+    mesh = grid(axis, axis)
+    points = np.asarray(mesh.points)
+    inner = np.flatnonzero((points[:, 1] == 0) & (np.abs(points[:, 0]) < 0.5))
+    twin = np.arange(len(points))
+    twin[inner] = len(points) + np.arange(len(inner))
+    quads = mesh.cells["quad"].copy()
+    above = points[quads].mean(axis=1)[:, 1] > 0
+    quads[above] = twin[quads[above]]
+    ends = np.flatnonzero((points[:, 1] == 0) & (np.abs(np.abs(points[:, 0]) - 0.5) < 1e-9))
+    wall, far = np.concatenate([inner, twin[inner], ends]), np.flatnonzero(np.abs(points).max(axis=1) == 1)
+    return jm.Mesh(np.concatenate([points, points[inner]]), {"quad": quads}, {"wall": wall, "far": far})
+
+
+def thin(around: int) -> jm.Mesh:
+    """Makes rings of quads about an ellipse 50 times as long as high."""
+    wall, far, share = circle(around) * [0.5, 0.01], 6 * circle(around), np.linspace(0, 1, 12)[:, None, None] ** 2
+    ids = np.arange(12 * around).reshape(12, around)
+    quads = blocks(np.concatenate([ids, ids[:, :1]], axis=1))
+    return jm.Mesh((wall + share * (far - wall)).reshape(-1, 2), {"quad": quads}, {"wall": ids[0], "far": ids[-1]})
 
 
 def circle(count: int) -> np.ndarray:

@@ -13,6 +13,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from cases import BY_NAME, NAMES, body, motion
+from hypothesis import given as given_by
+from hypothesis import settings, strategies
+from meshes import even, half, renumbered, slit, thin
+from runs import runs
 from scipy.spatial.transform import Rotation
 
 import jaxmorph as jm
@@ -283,6 +287,69 @@ def test_the_order_of_the_points_does_not_matter(name, dimension):
     plan = case.prepared(mesh.points[order], place[mesh.moving][rows], place[mesh.fixed][::-1], order=order)
     moved = jm.deform(plan, u[rows])
     np.testing.assert_allclose(moved, jm.deform(planned(name, dimension), u)[order], rtol=0, atol=1e-11)
+
+
+def change_by_numbers(mesh, make, seeds, alone=False, **boundaries):
+    """Measures the largest change of the displacements as numbers change, relative to the largest displacement."""
+
+    def moved(mesh):
+        # the displacement of a node on one of two sides in one place is that of its side
+        wall, points = mesh.patch("wall"), np.asarray(mesh.points)
+        around = np.zeros_like(points)
+        for corners in mesh.cells.values():
+            np.add.at(around, corners, points[corners].mean(axis=1)[:, None])
+        u = motion(2 * points[wall]) + 0.01 * np.sign(np.round(around[wall], 9))
+        plan = jm.prepare(points if alone else mesh, wall, mesh.patch("far"), method=make(), **boundaries)
+        return np.asarray(jm.deform(plan, u)) - points, np.abs(u).max()
+
+    (still, size), changes = moved(mesh), []
+    for seed in seeds:
+        numbered, old = renumbered(mesh, seed)
+        changes.append(np.abs(moved(numbered)[0] - still[old]).max() / size)
+    return max(changes)
+
+
+@every_method_cheaply
+def test_numbering_does_not_matter(name, dimension):
+    """On a lattice all distances are equal many times over; half of the cells are listed the other way round."""
+    case = BY_NAME[name]
+    for kind in ["2-D"] if dimension == 2 else ["3-D", "tetra"]:
+        for alone in [False] if case.faces or case.make(1.0).needs_cells else [False, True]:
+            assert change_by_numbers(even(kind), lambda: case.make(0.3), [0], alone) < 1e-9, (kind, alone)
+
+
+SLIT = functools.cache(lambda: slit(12))
+NUMBERED = {
+    "lattice": (lambda: even("2-D"), {}),
+    "ellipse": (lambda: thin(48), {}),
+    "slit": (SLIT, {}),
+    "bricks": (lambda: even("3-D"), {}),
+    "tetrahedra": (lambda: even("tetra"), {}),
+    "half": (lambda: half(even("tetra")), {"symmetry": "plane"}),
+    "sliding": (lambda: half(even("3-D"), bent=0.05), {"sliding": "plane"}),
+    "periodic": (
+        lambda: half(even("3-D"), is_passage=True),
+        {"symmetry": "plane", "periodic": jm.Periodic("left", "right")},
+    ),
+}
+
+
+WITH_FACES = [("lattice", False), ("ellipse", False), ("slit", False), ("half", False)]
+BREADTH = [("bricks", False), ("tetrahedra", False), ("sliding", False), ("periodic", False)]
+ALONE = [("lattice", True), ("ellipse", True), ("bricks", True), ("tetrahedra", True)]
+
+
+@pytest.mark.parametrize(("kind", "alone"), runs(WITH_FACES, slow=BREADTH + ALONE))
+def test_numbering_does_not_matter_to_prepares_own_default(kind, alone):
+    make, boundaries = NUMBERED[kind]
+    assert change_by_numbers(make(), lambda: None, range(3), alone, **boundaries) < 1e-9
+
+
+@pytest.mark.slow
+@given_by(strategies.sampled_from(["lattice", "ellipse", "slit", "tetrahedra"]), strategies.integers(0, 2**32 - 1))
+@settings(max_examples=20, deadline=None)
+def test_no_numbering_is_found_that_matters(kind, seed):
+    assert change_by_numbers(NUMBERED[kind][0](), lambda: None, [seed]) < 1e-9
 
 
 @every_piece

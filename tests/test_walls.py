@@ -6,8 +6,7 @@ from runs import runs
 
 import jaxmorph as jm
 from jaxmorph import cases
-from jaxmorph._host.cells.pieces import boundary_faces
-from jaxmorph._host.surface.walls import seen_from_outside, walls
+from jaxmorph._host.surface.walls import walls
 
 
 def parts(mesh, moving, fixed=(), with_faces=True):
@@ -18,7 +17,7 @@ def parts(mesh, moving, fixed=(), with_faces=True):
     if with_faces:
         row = np.full(len(mesh.points), -1)
         row[nodes] = np.arange(len(nodes))
-        outer = seen_from_outside(mesh.points, boundary_faces(mesh.cells, len(mesh.points)))
+        outer = jm.boundary_faces(mesh)
         rows = {kind: row[corners] for kind, corners in outer.items()}
         faces = {kind: corners[(corners >= 0).all(axis=1)] for kind, corners in rows.items()}
     label = walls(mesh.points[nodes], len(ids), faces)

@@ -149,7 +149,7 @@ def _resolving(leaves: Sequence[int], points: np.ndarray, motions: np.ndarray) -
     return (*leaves, enough) if enough > max(leaves) else leaves
 
 
-def _columns(motions: np.ndarray, nodes: int, images: Images | None) -> np.ndarray:
+def _columns(motions: np.ndarray, nodes: int, images: Images) -> np.ndarray:
     """Lists the displacements of all rows of the surface, with images, motion after motion.
 
     They are scaled to a largest component of 1.
@@ -158,7 +158,7 @@ def _columns(motions: np.ndarray, nodes: int, images: Images | None) -> np.ndarr
     for motion in motions:
         vectors = np.zeros((nodes, motion.shape[1]))
         vectors[: len(motion)] = motion
-        columns.append(vectors if images is None else np.asarray(images.extended(jnp.asarray(vectors))))
+        columns.append(np.asarray(images.extended(jnp.asarray(vectors))))
     joined = np.concatenate(columns, axis=1)
     return joined / np.abs(joined).max()
 

@@ -138,5 +138,6 @@ def _curved(wall: Faceted, mesh: Mesh) -> AbstractWall:
     place = np.full(len(mesh.points), -1)
     place[nodes] = np.arange(len(nodes))
     rows = place[ids].astype(np.int32)
+    rows = rows[np.lexsort(np.sort(rows, axis=1).T)]
     near = faces_around(rows, len(nodes))
     return CurvedFaces(wall.nodes, wall.vertices, wall.faces, wall.around, rows, near, kind)

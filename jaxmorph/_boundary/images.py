@@ -1,4 +1,4 @@
-"""Images of the surface, mirrored or periodic, made before a method sees it."""
+"""The rows of a surface as a method sees them: in an order of places, with images."""
 
 import dataclasses
 import itertools
@@ -17,11 +17,13 @@ from .symmetry import Plane, facing, tolerance
 
 
 class Images(eqx.Module):
-    """The own rows of a surface, extended by their images.
+    """The own rows of a surface in canonical order, extended by their images.
 
-    Extended row i is the image of own row `rows[i]` by the transform `kind[i]`: x -> `matrices` x +
-    `shifts`. Kind 0 is the identity. Own row j lies on plane k where `on_plane[j, k]`. `pairings`
-    pair own rows; `powers[t, q]` is the power of periodic transform q in transform t.
+    Methods see extended rows alone, and take the first of equals. So no result depends on how nodes
+    are numbered or listed. Extended row i is the image of own row `rows[i]` by the transform
+    `kind[i]`: x -> `matrices` x + `shifts`. Kind 0 is the identity. Own row j lies on plane k where
+    `on_plane[j, k]`. `pairings` pair own rows; `powers[t, q]` is the power of periodic transform q
+    in transform t.
     """
 
     normals: Float[Array, "p d"]
@@ -45,10 +47,13 @@ class Images(eqx.Module):
 
     def points(self, points: Float[Array, "o d"]) -> Float[Array, "b d"]:
         """Computes the coordinates of all rows, also of the images."""
-        return self.vectors(points) + self.shifts.astype(points.dtype)[self.kind]
+        rows = self.vectors(points)
+        return rows if len(self.shifts) == 1 else rows + self.shifts.astype(points.dtype)[self.kind]
 
     def vectors(self, u: Float[Array, "o d"]) -> Float[Array, "b d"]:
         """Computes the displacements of all rows, also of the images."""
+        if len(self.matrices) == 1:
+            return u[self.rows]
         turns = self.matrices.astype(u.dtype)[self.kind]
         image = jnp.einsum("bij,bj->bi", turns, u[self.rows], precision="highest")
         return jnp.where(self.kind[:, None] == 0, u[self.rows], image)
@@ -142,7 +147,7 @@ def copies(
         itertools.product(itertools.product(*powers), flags), key=lambda element: sum(map(abs, element[0]))
     )
     matrices, shifts = map(
-        np.stack, zip(*(_transform(planes, pairings, *element) for element in elements), strict=True)
+        np.stack, zip(*(_transform(planes, pairings, *element, points.shape[1]) for element in elements), strict=True)
     )
     places, roots = _numbered(elements, pairings, on_plane)
     if pairings:
@@ -209,9 +214,10 @@ def _once(places: Int[np.ndarray, "t o"], moving: int) -> tuple[np.ndarray, np.n
     return rows[order], kind[order]
 
 
-def _transform(planes: Sequence[Plane], pairings: Sequence[Pairing], powers, flags) -> tuple[np.ndarray, np.ndarray]:
+def _transform(
+    planes: Sequence[Plane], pairings: Sequence[Pairing], powers, flags, dimension: int
+) -> tuple[np.ndarray, np.ndarray]:
     """Composes the transform of one image: first periodic transforms, then reflections."""
-    dimension = len(planes[0].normal) if planes else len(pairings[0].shift)
     matrix, shift = np.eye(dimension), np.zeros(dimension)
     for pairing, k in zip(pairings, powers, strict=True):
         turn, by = pairing.power(k)
@@ -230,15 +236,21 @@ def images_of(
     nodes: np.ndarray,
     moving: int,
     points: Float[np.ndarray, "n d"],
+    order: np.ndarray,
 ) -> tuple[Images, Copies]:
-    """Makes the images of `nodes`, and the list of their places; the first `moving` nodes move."""
-    place = np.full(len(on_plane), -1, dtype=np.int32)
-    place[nodes] = np.arange(len(nodes))
-    rows = tuple(pairing.renumbered(place) for pairing in pairings)
-    found = copies(planes, rows, on_plane[nodes], moving, points[nodes])
+    """Makes the images of `nodes`, and the list of their places; the first `moving` nodes move.
+
+    The own rows of the `Copies` are those of `nodes` in an `order` (o,), which keeps moving nodes
+    first.
+    """
+    rows, ordered = np.full((2, len(on_plane)), -1, dtype=np.int32)
+    rows[nodes], ordered[nodes[order]] = np.arange(len(nodes)), np.arange(len(nodes))
+    pairs = tuple(pairing.renumbered(ordered) for pairing in pairings)
+    found = copies(planes, pairs, on_plane[nodes[order]], moving, points[nodes[order]])
     normals, origins = np.zeros((2, 0, points.shape[1]))
     if planes:
         normals, origins = (np.stack(vectors) for vectors in zip(*((p.normal, p.origin) for p in planes), strict=True))
-    kind, own = found.kind.astype(np.int32), found.rows.astype(np.int32)
-    parts = normals, origins, on_plane[nodes], own, kind, found.matrices, found.shifts, found.powers, rows
+    kind, own = found.kind.astype(np.int32), order[found.rows].astype(np.int32)
+    own_pairs = tuple(pairing.renumbered(rows) for pairing in pairings)
+    parts = normals, origins, on_plane[nodes], own, kind, found.matrices, found.shifts, found.powers, own_pairs
     return Images(*as_jax(parts)), found

@@ -8,9 +8,9 @@ import numpy as np
 
 from .._host.cells import topology
 from .._host.cells.pairs import is_among
-from .._host.cells.pieces import boundary_sides, linear_cells, owners
+from .._host.cells.pieces import linear_cells, owned_sides, owners
 from .._host.package.arguments import checked
-from .._host.surface.walls import seen_from_outside
+from .._host.surface.walls import outward
 from .._mesh.mesh import Mesh
 from .._mesh.polyhedra import Polyhedra, triangles
 
@@ -77,10 +77,38 @@ def outer_faces(mesh: Mesh) -> OuterFaces | None:
         return None
     if mesh.polyhedra is not None and points.shape[1] == 3:
         return _of_polyhedra(mesh.polyhedra, points, mesh.between)
-    sides = boundary_sides(cells, len(points))
-    if mesh.between is not None:
-        sides = {kind: corners[~is_among(corners, mesh.between)] for kind, corners in sides.items()}
-    return OuterFaces(seen_from_outside(points, linear_cells(sides)), owners(sides))
+    sides, outwards = {}, [np.zeros(0)]
+    for kind, (nodes, owner) in owned_sides(cells, len(points)).items():
+        if mesh.between is not None:
+            is_outer = ~is_among(nodes, mesh.between)
+            nodes, owner = nodes[is_outer], owner[is_outer]
+        sides[kind] = nodes
+        corners = nodes[:, : topology.CORNERS[topology.SHAPES[kind]]]
+        outwards.append(_outwards(points[corners], _middles(cells, points, owner)))
+    ids = owners(sides)
+    return OuterFaces(_seen_from_outside(linear_cells(sides), ids, np.concatenate(outwards)), ids)
+
+
+def _middles(cells: Mapping[str, np.ndarray], points: np.ndarray, owner: np.ndarray) -> np.ndarray:
+    """Computes the middles (f, d) of the corners of some cells, numbered as in `cells`."""
+    middle, first = np.empty((len(owner), points.shape[1])), 0
+    for kind, ids in cells.items():
+        here = (owner >= first) & (owner < first + len(ids))
+        middle[here] = points[ids[owner[here] - first, : topology.CORNERS[topology.SHAPES[kind]]]].mean(axis=1)
+        first += len(ids)
+    return middle
+
+
+def _outwards(corners: np.ndarray, middle: np.ndarray) -> np.ndarray:
+    """Computes values (f,) for faces (f, c, d): negative for a face that points to its cell."""
+    return np.einsum("kd,kd->k", outward(corners), corners.mean(axis=1) - middle)
+
+
+def _seen_from_outside(
+    corners: Mapping[str, np.ndarray], ids: Mapping[str, np.ndarray], outwards: np.ndarray
+) -> dict[str, np.ndarray]:
+    """Reverses faces that point to their cell, each for itself: its cell runs clockwise."""
+    return {kind: np.where(outwards[ids[kind], None] < 0, rows[:, ::-1], rows) for kind, rows in corners.items()}
 
 
 def _of_polyhedra(whole: Polyhedra, points: np.ndarray, between: np.ndarray | None) -> OuterFaces:
@@ -95,7 +123,11 @@ def _of_polyhedra(whole: Polyhedra, points: np.ndarray, between: np.ndarray | No
     quads, others = (rows[is_quad] for is_quad in (faces.sizes[rows] == 4, faces.sizes[rows] != 4))
     cut, owner = triangles(faces, others, points) if len(others) else (np.zeros((0, 3), np.int64), np.zeros(0, int))
     corners = {"triangle": cut, "quad": faces.corners(quads, 4) if len(quads) else np.zeros((0, 4), np.int64)}
-    corners, ids = seen_from_outside(points, corners), {"triangle": others[owner], "quad": quads}
+    ids = {"triangle": others[owner], "quad": quads}
+    middle, outwards = whole.middles(points, faces.owner[rows]), np.zeros(len(outer))
+    for kind, numbers in ids.items():
+        np.add.at(outwards, numbers, _outwards(points[corners[kind]], middle[faces.owner[numbers]]))
+    corners = _seen_from_outside(corners, ids, outwards)
     if between is not None:
         inner = rows[is_among(faces.padded(rows), between)]
         is_outer = {kind: ~np.isin(numbers, inner) for kind, numbers in ids.items()}

@@ -11,7 +11,9 @@ from scipy.sparse import csr_array
 from .._host.cells.adjacency import parts_of
 from .._host.package.arguments import check_patch, finite_array
 from .._host.package.errors import MeshError, place_of, worst_first
+from .._host.package.orders import canonical_order
 from .._host.surface.simplices import normals
+from .._host.surface.walls import in_order
 from .facets import Faceted, FlatFaces
 from .holes import CONTINUES, filled
 from .symmetry import Plane
@@ -105,6 +107,7 @@ def walls_of_patch(
     exact, dimension = points.astype(float), points.shape[1]
     if not len(nodes):
         raise ValueError(f"{slide.name} has no nodes.")
+    nodes = nodes[canonical_order(exact[nodes])]
     if slide.on is None:
         return _of_faces(slide, nodes, exact, faces, np.isin(nodes, moving))
     if isinstance(slide.on, Plane):
@@ -181,7 +184,8 @@ def _of_faces(
     row[nodes] = np.arange(len(nodes))
     pieces = [np.zeros((0, dimension), dtype=np.int64)]
     for corners in faces.values():
-        of_patch = row[corners][(row[corners] >= 0).all(axis=1)]  # then quads are cut into triangles
+        # quads are cut into triangles about the node that comes first by place
+        of_patch = in_order(row[corners][(row[corners] >= 0).all(axis=1)])
         pieces += [of_patch[:, [0, k, k + 1][:dimension]] for k in range(1, max(2, of_patch.shape[1] - 1))]
     elements = np.concatenate(pieces)
     if not len(elements):

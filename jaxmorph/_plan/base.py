@@ -36,7 +36,7 @@ def carry(
 def _fitted(plan: Plan, points: Any, surface: Float[Array, "o d"] | None = None, *, carried: bool = False) -> Plan:
     method, old, whole = plan.method, plan.surface, base_points(plan, points)
     own = whole[old.nodes] if surface is None else surface
-    rows = own if old.images is None else old.images.points(own)
+    rows = old.images.points(own)
     guide = old.guide
     if guide is not None:
         guide = eqx.tree_at(lambda guide: guide.plan, guide, _fitted(guide.plan, own, carried=carried))

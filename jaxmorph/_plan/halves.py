@@ -130,7 +130,8 @@ class SurfaceHalf:
         if self.faces is not None:
             faces = {kind: boundary.nodes[rows] for kind, rows in self.faces.items()}
             boundary = changed(boundary, faces=faces)
-        surface, _, on_plane = surface_of(boundary)
+        images = self.plan.images  # their order is that of the places in double precision
+        surface, _, on_plane = surface_of(boundary, np.asarray(images.rows)[np.asarray(images.kind) == 0])
         return surface, on_plane
 
     def _places(self, nodes: Any, points: np.ndarray) -> np.ndarray:

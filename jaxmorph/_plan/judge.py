@@ -77,7 +77,7 @@ def boundary_quality(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any])
 
 def deviations(plan: Plan, points: np.ndarray) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
     """Yields distances of moved points by plane, wall and pairing: field, nodes, distances."""
-    if plan.images is not None:
+    if plan.volume.on_plane is not None:
         for plane, is_on in zip(plan.images.planes, np.asarray(plan.volume.on_plane)[: len(points)].T, strict=True):
             yield "off_plane", np.flatnonzero(is_on), np.abs(plane.height(points[is_on]))
     guide, surface = plan.surface.guide, np.asarray(plan.surface_nodes)

@@ -32,14 +32,14 @@ class SurfacePart(eqx.Module):
 
     points: Float[Array, "b d"]
     nodes: Int[Array, " o"]
-    images: Images | None
+    images: Images
     ids: PyTree
     factors: PyTree
     guide: "Guide | None" = None
 
     def with_images(self, vectors: Float[Array, "o d"]) -> Float[Array, "b d"]:
-        """Appends the images' displacements to the displacements of the own rows."""
-        return vectors if self.images is None else self.images.vectors(vectors)
+        """Computes the displacements of all rows from those of the own rows."""
+        return self.images.vectors(vectors)
 
 
 class Guide(Module):
@@ -65,7 +65,7 @@ class Guide(Module):
     def __call__(self, vectors: Float[Array, "o d"]) -> Float[Array, "o d"]:
         """Computes displacements of all own rows from the moving and the fixed rows."""
         plan, known = self.plan, len(self.plan.surface.nodes)
-        displacement = vectors[:known] if plan.images is None else plan.images.kept(vectors[:known])
+        displacement = plan.images.kept(vectors[:known])
         u = self._on_walls(jnp.concatenate([displacement, jnp.zeros_like(vectors[known:])]))
         moved = deform_surface(plan, u[:known]) - plan.points
         u = self._alike(jnp.concatenate([u[:known], moved[known:]]))
@@ -149,10 +149,11 @@ class Plan(Module):
         """What moves, stays, slides and repeats, on the host; a plan keeps no faces."""
         points, moving, fixed, guided = map(np.asarray, (self.points, self.moving, self.fixed, self.guided))
         nodes, guide = np.concatenate([moving, fixed, guided]), self.surface.guide
-        planes = () if self.images is None else self.images.planes
         pairings, tracks = ((), ()) if guide is None else jax.tree.map(np.asarray, (guide.pairings, guide.tracks))
         pairings, tracks = renumbered(pairings, tracks, nodes)
-        return boundary_of_lists(points, moving, fixed, guided, planes=planes, pairings=pairings, tracks=tracks)
+        return boundary_of_lists(
+            points, moving, fixed, guided, planes=self.images.planes, pairings=pairings, tracks=tracks
+        )
 
     @property
     def is_linear(self) -> bool:
@@ -178,14 +179,12 @@ class Plan(Module):
         A source is a control point of the field: the centre of one radial basis function.
         """
         rows = np.asarray(self.method.control(self.surface.ids).sources, dtype=np.int64)
-        if self.images is not None:
-            rows = rows[np.asarray(self.images.kind)[rows] == 0]
-            rows = np.asarray(self.images.rows)[rows]
-        return np.asarray(self.surface.nodes)[rows]
+        rows = rows[np.asarray(self.images.kind)[rows] == 0]
+        return np.asarray(self.surface.nodes)[np.asarray(self.images.rows)[rows]]
 
     @property
-    def images(self) -> Images | None:
-        """Images of the surface by planes and periodic pairs; None without them."""
+    def images(self) -> Images:
+        """The rows of the surface: own rows, and images by planes and periodic pairs."""
         return self.surface.images
 
     @property
@@ -193,8 +192,6 @@ class Plan(Module):
         """Base coordinates of `surface_nodes`, also of nodes that other pieces have."""
         if not self.is_piece:
             return taken(self.points, self.surface.nodes)
-        if self.images is None:
-            return self.surface.points
         rows = jnp.zeros((len(self.surface.nodes), self.points.shape[1]), self.points.dtype)
         return rows.at[_rows_of_originals(self.images, len(rows))].set(self.surface.points, mode="drop")
 
@@ -244,8 +241,6 @@ def _offset(plan: Plan, u: Any) -> Float[Array, "o d"]:
     if not isinstance(plan.method, SurfaceReconstruction):
         return jnp.zeros_like(vectors)  # nothing is left to a correction
     offset = plan.method.offset(surface.ids, surface.factors, surface.points, surface.with_images(vectors))
-    if surface.images is None:
-        return offset
     rows = _rows_of_originals(surface.images, len(vectors))
     return jnp.zeros_like(vectors).at[rows].set(offset, mode="drop")
 
@@ -286,7 +281,7 @@ class Shared(eqx.Module):
     field: AbstractField
     assigned: Float[Array, "a d"]
     nodes: Int[Array, " a"]
-    images: Images | None
+    images: Images
     are_places: bool = eqx.field(static=True)
 
 
@@ -316,7 +311,7 @@ def shared_by(plan: Plan, vectors: Float[Array, "o d"]) -> Shared:
 def move(shared: Shared, volume: VolumePart, at: Int[Array, " a"]) -> Float[Array, "n d"]:
     """Moves points of some rows; `at` are rows of assigned nodes, beyond the last if absent."""
     displacement = map_points(shared.field, volume.points, volume.placed)
-    if shared.images is not None and volume.on_plane is not None:
+    if volume.on_plane is not None:
         displacement = shared.images.within(displacement, volume.on_plane)
     moved = volume.points + displacement
     if not len(at):
@@ -339,4 +334,4 @@ def kept(plan: Plan, vectors: Float[Array, "o d"]) -> Float[Array, "o d"]:
     surface = plan.surface
     if surface.guide is not None:
         vectors = surface.guide(vectors)
-    return vectors if surface.images is None else surface.images.kept(vectors)
+    return surface.images.kept(vectors)

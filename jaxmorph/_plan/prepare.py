@@ -15,6 +15,7 @@ from .._boundary.periodic import Periodic
 from .._boundary.slide import Slide
 from .._boundary.symmetry import Plane, check_planes, on_facing
 from .._host.package.errors import warn
+from .._host.surface.walls import ordered_rows
 from .._kernels.compile import compiled, quickly_compiled
 from .._kernels.kept import kept_in_jaxs_folder
 from .._kernels.values import as_jax
@@ -154,34 +155,36 @@ def _placed(method: AbstractMethod, shared: SurfacePart, points: Array, ids: PyT
     return place_points(method, points, ids, shared.factors, shared.points)
 
 
-def _cells(boundary: Boundary, on_plane: Bool[np.ndarray, "n p"] | None) -> Cells:
+def _cells(boundary: Boundary, on_plane: Bool[np.ndarray, "n p"]) -> Cells:
     """Returns the cells and planes that a method sees."""
-    n, d = boundary.points.shape
-    normals = np.stack([plane.normal for plane in boundary.planes]) if boundary.planes else np.zeros((0, d))
-    return Cells(boundary.cells or {}, normals, np.zeros((n, 0), dtype=bool) if on_plane is None else on_plane)
+    dimension = boundary.points.shape[1]
+    normals = np.stack([plane.normal for plane in boundary.planes]) if boundary.planes else np.zeros((0, dimension))
+    return Cells(boundary.cells or {}, normals, on_plane)
 
 
-def surface_of(boundary: Boundary) -> tuple[Surface, Images | None, Bool[np.ndarray, "n p"] | None]:
-    """Returns the surface that a method sees, its images, and a mask (n, p) of points on planes."""
+def surface_of(
+    boundary: Boundary, order: np.ndarray | None = None
+) -> tuple[Surface, Images, Bool[np.ndarray, "n p"] | None]:
+    """Returns the surface that a method sees, its images, and a mask (n, p) of points on planes.
+
+    The mask is None without planes. The `order` (o,) of the surface's nodes follows from their
+    places, unless it is known.
+    """
     points, nodes, moving, faces = boundary.points, boundary.nodes, len(boundary.moving), boundary.surface_faces
-    if not boundary.planes and not boundary.pairings:
-        rows = np.arange(len(nodes))
-        cells = None if boundary.cells is None else _cells(boundary, None)
-        return (
-            Surface(points[nodes], nodes, moving, rows, faces=faces, is_open=boundary.is_open, cells=cells),
-            None,
-            None,
-        )
+    order = ordered_rows(points[nodes], moving, faces) if order is None else order
     on_plane = np.zeros((len(points), len(boundary.planes)), dtype=bool)
     for k, plane in enumerate(boundary.planes):
         on_plane[:, k] = plane.holds(points)
-    images, copies = images_of(boundary.planes, boundary.pairings, on_plane, nodes, moving, points)
-    everything = np.asarray(images.points(jnp.asarray(points[nodes])))
-    faces = None if faces is None else {kind: copies.faces(corners) for kind, corners in faces.items()}
-    ids = np.where(copies.kind == 0, nodes[copies.rows], -1)
+    images, copies = images_of(boundary.planes, boundary.pairings, on_plane, nodes, moving, points, order)
+    everything = points[nodes[order]]
+    if len(copies.matrices) > 1:
+        everything = np.asarray(images.points(jnp.asarray(points[nodes])))
+    place, own = np.argsort(order), order[copies.rows]
+    faces = None if faces is None else {kind: copies.faces(place[corners]) for kind, corners in faces.items()}
+    ids = np.where(copies.kind == 0, nodes[own], -1)
     cells = None if boundary.cells is None else _cells(boundary, on_plane)
     listed = len(boundary.moving) + len(boundary.fixed)
-    in_planes = (copies.rows >= listed) & np.asarray(on_plane[nodes].any(axis=1))[copies.rows]
+    in_planes = (own >= listed) & np.asarray(on_plane[nodes].any(axis=1))[own]
     surface = Surface(
         *(everything, ids, copies.moving, copies.first),
         faces=faces,
@@ -189,7 +192,7 @@ def surface_of(boundary: Boundary) -> tuple[Surface, Images | None, Bool[np.ndar
         cells=cells,
         in_planes=in_planes if in_planes.any() else None,
     )
-    return surface, images, on_plane
+    return surface, images, on_plane if boundary.planes else None
 
 
 def _guide_of(boundary: Boundary, method: AbstractMethod) -> Guide | None:
@@ -207,11 +210,9 @@ def _guide_of(boundary: Boundary, method: AbstractMethod) -> Guide | None:
 
 def _trial(plan: Plan) -> Float[Array, "b d"]:
     """Makes a smooth displacement of the moving nodes, of size one, no polynomial; others rest."""
-    points, images = np.asarray(plan.points)[np.asarray(plan.surface.nodes)], plan.images
+    points = np.asarray(plan.points)[np.asarray(plan.surface.nodes)]
     moving = points[: plan.n_moving]
     arms = moving - moving.mean(axis=0)
     u = np.zeros_like(points)
     u[: plan.n_moving] = np.cos(2 * arms / (np.abs(arms).max() or 1))
-    if images is None:
-        return as_jax(u)
-    return images.extended(as_jax(u))
+    return plan.images.extended(as_jax(u))

@@ -65,7 +65,7 @@ def refit(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Plan:
     guide = plan.surface.guide
     if guide is not None:
         plan = _with(plan, *_boundary_at(guide.tracks, guide.pairings, points[plan.surface.nodes]))
-    if (guide is not None or plan.images is not None) and is_readable((points, plan)):
+    if (guide is not None or plan.images.planes) and is_readable((points, plan)):
         _check_boundary(plan, np.asarray(points))
     refit = refitted(plan, points)
     if is_readable((points, plan)):
@@ -83,10 +83,9 @@ def _with(plan: Plan, tracks: tuple[Track, ...], pairings: tuple[Pairing, ...]) 
     guide = plan.surface.guide
     if guide is None:
         return plan
-    images = guide.plan.images
+    images = guide.plan.images.at(pairings)
     guide = eqx.tree_at(lambda guide: (guide.tracks, guide.pairings), guide, (tracks, pairings))
-    if images is not None:
-        guide = eqx.tree_at(lambda guide: guide.plan.surface.images, guide, images.at(pairings))
+    guide = eqx.tree_at(lambda guide: guide.plan.surface.images, guide, images)
     return eqx.tree_at(lambda plan: plan.surface.guide, plan, guide)
 
 

@@ -24,7 +24,7 @@ from .halves import SurfaceHalf
 from .known import known_classes
 from .plan import Plan
 
-FORMAT, VERSION = "jaxmorph plan", 1
+FORMAT, VERSION = "jaxmorph plan", 2
 _HEADER = "description"
 _DAMAGED = (ValueError, KeyError, TypeError, IndexError, AttributeError, RecursionError, OverflowError)
 

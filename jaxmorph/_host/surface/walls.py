@@ -1,11 +1,11 @@
-"""Walls of a surface: by faces between its nodes, or by chains of nearest neighbours."""
+"""Walls of a surface: by faces between its nodes, or by chains of nearest neighbours; its order."""
 
 from collections.abc import Mapping
 
 import numpy as np
 
 from ..cells.adjacency import parts_of
-from ..package.rounding import SAME, distinct, nearest_of
+from ..package.rounding import SAME, distinct, nearest_of, ranked
 from ..package.trees import Tree
 from ..sources.farthest import farthest
 from .simplices import normals
@@ -46,7 +46,7 @@ def walls(
     the wall of the nearest other node.
     """
     label = np.full(len(points), -1)
-    groups = [_in_order(np.asarray(group)) for _, group in sorted((faces or {}).items()) if len(group)]
+    groups = [in_order(np.asarray(group)) for _, group in sorted((faces or {}).items()) if len(group)]
     if groups:
         label = _by_faces(points, moving, groups)
     else:
@@ -60,21 +60,40 @@ def walls(
     return np.unique(label, return_inverse=True)[1].astype(np.int32)
 
 
-def _in_order(faces: np.ndarray) -> np.ndarray:
-    """Sorts faces (k, c) by their nodes: walls do not depend on the order of the faces."""
-    if faces.shape[1] > 2:  # a turned edge would be seen from inside
+def in_order(faces: np.ndarray) -> np.ndarray:
+    """Sorts faces (k, c) by their nodes, each from its first node on: nothing depends on their order.
+
+    Edges (k, 2) keep their direction, which tells the side.
+    """
+    if faces.shape[1] > 2:
         turn = faces.argmin(axis=1)[:, None] + np.arange(faces.shape[1])
         faces = np.take_along_axis(faces, turn % faces.shape[1], axis=1)
     return faces[np.lexsort(faces.T[::-1])]
 
 
-def seen_from_outside(points: np.ndarray, faces: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Reverses all faces of a closed boundary around a negative volume: cells run clockwise."""
-    origin, enclosed = points.mean(axis=0), 0.0
+def ordered_rows(points: np.ndarray, moving: int, faces: Mapping[str, np.ndarray] | None) -> np.ndarray:
+    """Sorts nodes (b, d) by place, the first `moving` nodes before all others.
+
+    Of nodes in one place, such as those on two sides of a slit, the directions of their `faces`
+    decide.
+    """
+    columns = [ranked(column, SAME * float(np.ptp(points, axis=0).max(initial=0))) for column in points.T]
+    is_still = np.arange(len(points)) >= moving
+    order = np.lexsort([*columns[::-1], is_still])
+    repeated = np.logical_and.reduce([np.diff(column[order]) == 0 for column in columns])
+    if not repeated.any() or not faces:
+        return order
+    about = np.zeros((len(points), 2 * points.shape[1]))
     for corners in faces.values():
-        x = points[corners] - origin
-        enclosed += np.einsum("kd,kd->", outward(x), x.mean(axis=1))
-    return {kind: corners[:, ::-1] for kind, corners in faces.items()} if enclosed < 0 else dict(faces)
+        x = points[corners]
+        for node, place in zip(corners.T, x.swapaxes(0, 1), strict=True):
+            np.add.at(about, node, np.concatenate([_unit(outward(x)), _unit(x.mean(axis=1) - place)], axis=1))
+    columns += [ranked(column, SAME) for column in about.T]
+    return np.lexsort([*columns[::-1], is_still])
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=1), 1e-300)[:, None]
 
 
 def _by_faces(points: np.ndarray, moving: int, groups: list[np.ndarray]) -> np.ndarray:
@@ -82,7 +101,7 @@ def _by_faces(points: np.ndarray, moving: int, groups: list[np.ndarray]) -> np.n
     normal = np.concatenate([outward(points[group]) for group in groups])
     middle = np.concatenate([points[group].mean(axis=1) for group in groups])
     first, second, agree = _beside(groups)
-    unit = normal / np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, None]
+    unit = _unit(normal)
     closing = np.einsum("kd,kd->k", unit[first], middle[second] - middle[first]) < 0
     sharp = agree & closing & (np.einsum("kd,kd->k", unit[first], unit[second]) < SHARP * (1 - SAME))
     fixed = np.concatenate([(group >= moving).any(axis=1) for group in groups])
