@@ -102,11 +102,11 @@ from ._quality.proof.report import Proof as Proof
 from ._quality.quality import inverted as inverted
 from ._quality.quality import quality as quality
 from ._quality.report import QualityReport as QualityReport
-from ._quality.verdict import Limits as Limits
-from ._quality.verdict import Verdict as Verdict
-from ._quality.verdict import judge as judge
 from ._quality.smooth import soft_maximum as soft_maximum
 from ._quality.smooth_quality import SmoothQuality as SmoothQuality
 from ._quality.smooth_quality import smooth_quality as smooth_quality
+from ._quality.verdict import Limits as Limits
+from ._quality.verdict import Verdict as Verdict
+from ._quality.verdict import judge as judge
 from ._quality.wall_quality import WallQuality as WallQuality
 from ._quality.wall_quality import wall_quality as wall_quality

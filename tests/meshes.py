@@ -9,6 +9,7 @@ import pytest
 
 import jaxmorph as jm
 from jaxmorph import io
+from jaxmorph._host.cells.lagrange import lagrange_types
 from jaxmorph._host.cells.topology import FACES
 from jaxmorph._quality.distortion import IDEAL
 
@@ -210,6 +211,51 @@ def thin(around: int) -> jm.Mesh:
     ids = np.arange(12 * around).reshape(12, around)
     quads = blocks(np.concatenate([ids, ids[:, :1]], axis=1))
     return jm.Mesh((wall + share * (far - wall)).reshape(-1, 2), {"quad": quads}, {"wall": ids[0], "far": ids[-1]})
+def filled(kind: str, count: int = 3) -> jm.Mesh:
+    """Makes the unit square or cube of right-handed cells of any one type; edges of `count` steps."""
+    cell = lagrange_types()[kind]
+    axes = [np.linspace(0, 1, count + 1)] * cell.dimension
+    points = lattice(*axes)
+    ids = np.arange(len(points)).reshape([count + 1] * cell.dimension)
+    cubes = blocks(ids)
+    if cell.shape == "pyramid":  # six in each cube, about its middle
+        faces = [cubes[:, list(face[::-1])] for face in FACES["hexahedron"]]
+        apex = len(points) + np.arange(len(cubes))
+        points = np.concatenate([points, points[cubes].mean(axis=1)])
+        cells = np.concatenate([np.column_stack([face, apex]) for face in faces])
+    elif cell.shape == "tetra":
+        cells = tetrahedra(ids)
+    else:
+        rows = {"triangle": [[0, 1, 2], [0, 2, 3]], "wedge": [[0, 1, 2, 4, 5, 6], [0, 2, 3, 4, 6, 7]]}
+        cells = np.concatenate([cubes[:, row] for row in rows.get(cell.shape, [range(cubes.shape[1])])])
+    if cell.shape == "tetra":  # the list of six is right-handed up to a turn
+        edges = points[cells[:, 1:]] - points[cells[:, :1]]
+        cells = np.where((np.linalg.det(edges) < 0)[:, None], cells[:, [0, 2, 1, 3]], cells)
+    mesh = jm.Mesh(
+        points, {cell.shape: cells}, {"boundary": np.flatnonzero(np.any((points == 0) | (points == 1), axis=1))}
+    )
+    return mesh if cell.order == 1 else jm.elevate(mesh, cell.order)
+
+
+def renumbered(mesh: jm.Mesh, seed: int = 0) -> jm.Mesh:
+    """Lists about half of the cells of a mesh the other way round."""
+    rng, cells = np.random.default_rng(seed), {}
+    for kind, ids in mesh.cells.items():
+        lattice = lagrange_types()[kind].lattice
+        place = {tuple(at): row for row, at in enumerate(lattice.tolist())}
+        mirror = [place[tuple(at)] for at in lattice[:, [1, 0, *range(2, lattice.shape[1])]].tolist()]
+        cells[kind] = np.where(rng.random((len(ids), 1)) < 0.5, np.asarray(ids)[:, mirror], ids)
+    return jm.Mesh(mesh.points, cells, mesh.patches)
+
+
+def with_folds(mesh: jm.Mesh, count: int = 1, seed: int = 0) -> np.ndarray:
+    """Moves inner nodes of a `filled` mesh past the cells around them: points on which some cells are folded."""
+    points, rng = np.array(mesh.points), np.random.default_rng(seed)
+    inner = np.flatnonzero(np.all((points > 0) & (points < 1), axis=1))
+    nodes = rng.choice(inner, count, replace=False)
+    way = rng.normal(size=(count, points.shape[1]))
+    points[nodes] += 0.45 * way / np.linalg.norm(way, axis=1, keepdims=True)
+    return points
 
 
 def circle(count: int) -> np.ndarray:

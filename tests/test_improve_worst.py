@@ -6,11 +6,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from meshes import unit_grid
+from meshes import filled, renumbered, unit_grid, with_folds
+from oracles import jacobians_inside, samples_inside
 from runs import runs
 
 import jaxmorph as jm
 from jaxmorph import cases
+from jaxmorph._host.cells.lagrange import lagrange_types
 from jaxmorph._quality.distortion import IDEAL, Bounds, energy, energy_of_cells, stiffened, target
 from jaxmorph._quality.vector import corners
 
@@ -197,3 +199,35 @@ def test_a_word_is_no_answer_to_worst():
     mesh = unit_grid(2)
     with pytest.raises(ValueError, match="`worst` must be"):
         jm.improve(mesh, mesh.points, worst="yes")
+
+
+@pytest.mark.parametrize(
+    "kind", runs(["triangle"], slow=["quad", "tetra"], nightly=["pyramid", "wedge", "hexahedron", "triangle6", "quad9"])
+)
+def test_a_mesh_that_arrives_folded_is_unfolded(kind):
+    """Nothing but the folded mesh is known; samples of det J of the cells, as they were before some were turned, decide."""
+    mesh, cell = filled(kind), lagrange_types()[kind]
+    ids, places = np.asarray(mesh.cells[kind]), samples_inside(cell.shape, 2)
+
+    def folded(points):
+        values = jacobians_inside(cell.shape, cell.order, cell.lattice, np.asarray(points)[ids], places)
+        return int((values.min(axis=1) < 0).sum())
+
+    for seed in range(3):
+        start = with_folds(mesh, seed=seed)
+        assert folded(start) > 0
+        result = jm.improve(renumbered(mesh.moved(start), seed), start)
+        assert int(result.before) > 0
+        assert int(result.after) == folded(result.points) == 0
+        assert " are now" in str(result)
+
+
+def test_what_stays_folded_is_counted():
+    """A held node of the boundary lies inside of the mesh: no motion of others unfolds the cells at it."""
+    mesh = filled("triangle", 2)
+    points = np.array(mesh.points)
+    points[0] = [0.9, 0.9]
+    result = jm.improve(renumbered(mesh.moved(points)), points)
+    assert int(result.before) > 0
+    assert int(result.after) > 0
+    assert f"{int(result.after)} are now" in str(result)

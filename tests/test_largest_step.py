@@ -6,7 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
 import pytest
-from meshes import bricks, write_ring
+from meshes import bricks, filled, renumbered, with_folds, write_ring
+from runs import runs
 
 import jaxmorph as jm
 from jaxmorph._advice.first_roots import first_roots
@@ -42,6 +43,50 @@ def test_the_bound_is_met_exactly_in_the_cell_that_is_told(tmp_path, bound):
     assert ratios.argmin() == result.cell
     for share in np.linspace(0, 0.999, 8):
         assert jm.quality(mesh, jm.deform(plan, u + share * result.step * direction)).jacobian_ratio.min() > bound
+
+
+@pytest.mark.parametrize(
+    "kind", runs(["triangle", "quad"], slow=["tetra", "wedge", "pyramid", "hexahedron", "triangle6"])
+)
+@pytest.mark.parametrize("bound", [0.0, 0.2])
+def test_the_step_that_is_proven_proves(kind, bound):
+    """However cells are numbered. A step a little longer breaks the bound: nothing is given away."""
+    mesh = filled(kind)
+    points, d = np.asarray(mesh.points), mesh.points.shape[1]
+    moving, turned = np.flatnonzero(points[:, 0] == 0), renumbered(mesh)
+    fixed = np.setdiff1d(mesh.patch("boundary"), moving)
+    for seed in range(3):
+        plan = jm.prepare(points, moving, fixed, method=jm.DelaunayGraph())
+        direction = 3 * np.random.default_rng(seed).normal(size=(len(moving), d))
+        result = jm.largest_step(plan, 0 * direction, direction, turned, min_jacobian_ratio=bound, proven=True)
+        assert 0 < result.step < 1
+        at = jm.deform(plan, result.step * direction)
+        report = jm.proof(turned, at)
+        assert report.valid == report.count
+        if mesh.points.shape[1] == len(mesh.cells[kind][0]) - 1:  # of a simplex the margin is the ratio
+            margin = np.asarray(jm.proven_margin(turned, at))
+            assert margin.min() >= bound
+            assert margin.min() == pytest.approx(bound, abs=1e-9)
+            assert margin.argmin() == result.cell
+            longer = jm.proven_margin(turned, jm.deform(plan, result.step * (1 + 1e-6) * direction))
+            assert longer.min() < bound
+        corners = jm.largest_step(plan, 0 * direction, direction, mesh, min_jacobian_ratio=bound)
+        assert 0.5 * corners.step < result.step <= corners.step
+
+
+def test_cells_that_arrive_folded_end_no_step_and_are_no_proof():
+    """A folded triangle that the motion unfolds breaks no bound by that."""
+    mesh = filled("triangle")
+    mesh = renumbered(mesh.moved(with_folds(mesh)))
+    points = np.asarray(mesh.points)
+    moving = np.flatnonzero(points[:, 0] == 0)
+    plan = jm.prepare(points, moving, np.flatnonzero(points[:, 0] == 1), method=jm.SurfaceReconstruction())
+    u = np.tile([0.01, 0.0], (len(moving), 1))
+    assert jm.largest_step(plan, 0 * u, u, mesh) == jm.LargestStep(1.0, -1)
+    with pytest.raises(ValueError, match="of the undeformed mesh are not proven valid"):
+        jm.largest_step(plan, 0 * u, u, mesh, proven=True)
+    with pytest.raises(ValueError, match="of the undeformed mesh are not proven valid"):
+        jm.ValidSteps(plan, mesh, lambda y: y, proven=True)
 
 
 @pytest.mark.slow

@@ -7,7 +7,7 @@ from fractions import Fraction
 import jax
 import numpy as np
 import pytest
-from meshes import gmsh_session
+from meshes import filled, gmsh_session, renumbered, with_folds
 from oracles import cells_near_the_limit, jacobians_inside, samples_inside
 from runs import runs
 
@@ -281,3 +281,80 @@ def test_quality_finds_the_curved_cells_that_the_bounds_call_invalid(shape, orde
     ratio = jax.jit(lambda t: jm.quality(mesh, points + t * way).jacobian_ratio[hidden[:5]])
     slope = jax.jit(jax.jacrev(ratio))(0.0)
     np.testing.assert_allclose(slope, (ratio(1e-4) - ratio(-1e-4)) / 2e-4, rtol=0.02, atol=1e-5)
+
+
+FILLED = runs(
+    ["triangle", "quad", "tetra"],
+    slow=["pyramid", "wedge", "hexahedron", "triangle6"],
+    nightly=["quad16", "triangle15", "tetra10", "wedge18", "pyramid14", "hexahedron27"],
+)
+
+
+@pytest.mark.parametrize("kind", FILLED)
+def test_a_mesh_that_arrives_folded_is_folded_however_its_cells_are_numbered(kind):
+    """Samples of det J of the cells as they were listed before some were turned round decide who is folded."""
+    mesh, cell = filled(kind), lagrange_types()[kind]
+    for seed in range(3):
+        start = with_folds(mesh, 1 + seed % 2, seed)
+        before, turned = mesh.moved(start), renumbered(mesh.moved(start), seed)
+        ids = np.asarray(mesh.cells[kind])
+        values = jacobians_inside(cell.shape, cell.order, cell.lattice, start[ids], samples_inside(cell.shape, 5))
+        least, largest = values.min(axis=1), values.max(axis=1)
+        folded, inside_out = least < -1e-9, largest < -1e-9
+        assert 0 < folded.sum() < len(ids) / 2
+        for report in (jm.proof(turned), jm.proof(turned, start), jm.proof(turned, start, base=start)):
+            assert not report.is_valid[folded].any()
+            assert report.is_valid[least > 0.05 * report.size].all()
+        assert (jm.proof(turned).is_invalid >= folded).all()
+        margin = np.asarray(jm.proven_margin(turned, start, depth=2))
+        assert (margin[folded] < 0).all()
+        alone, relative = jm.quality(turned), jm.quality(turned, start)
+        assert (np.asarray(alone.is_inverted) <= (least < 1e-9)).all()
+        assert np.asarray(alone.is_inverted)[inside_out].all()
+        assert np.asarray(relative.is_inverted)[inside_out].all()
+        np.testing.assert_array_equal(jm.inverted(turned, start), relative.is_inverted)
+        assert int(relative.from_start) == int(relative.inverted)
+        assert jm.proof(turned, mesh.points).valid == len(ids)
+        assert int(jm.quality(turned, mesh.points).inverted) == 0
+        # the places inside of a curved cell where it is measured are other ones from the other side
+        for measure in (jm.quality, jm.smooth_quality)[: 1 + (cell.order == 1)]:
+            for name in ("jacobian_ratio", "non_orthogonality"):
+                expected, found = (getattr(measure(either, start), name) for either in (before, turned))
+                np.testing.assert_allclose(found, expected, rtol=1e-7, atol=1e-7)
+        np.testing.assert_allclose(jm.proof(turned).margin, jm.proof(before).margin, rtol=1e-9, atol=1e-9)
+        np.testing.assert_array_equal(alone.is_inverted, jm.quality(before).is_inverted)
+        if cell.order == 1:
+            np.testing.assert_allclose(
+                jm.distortion(turned, mesh.points), jm.distortion(before, mesh.points), rtol=1e-6
+            )
+
+
+def test_cells_are_the_same_for_a_mesh_that_is_traced():
+    mesh = filled("triangle")
+    start = with_folds(mesh)
+    turned = renumbered(mesh.moved(start))
+    expected = np.asarray(jm.quality(turned, start).is_inverted)
+    assert expected.any()
+    np.testing.assert_array_equal(jax.jit(lambda mesh: jm.inverted(mesh, mesh.points))(turned), expected)
+    np.testing.assert_array_equal(jax.jit(lambda mesh: jm.quality(mesh).is_inverted)(turned), expected)
+    margin = jax.jit(lambda mesh: jm.proven_margin(mesh, mesh.points))(turned)
+    np.testing.assert_array_equal(margin < 0, expected)
+
+
+def test_cells_around_a_pole_have_one_handedness():
+    """Hexahedra about an axis repeat its nodes; faces that repeat a node still tell how cells are numbered."""
+    around, up = 6, 3
+    angle = np.linspace(0, 1.2, around)
+    ids = np.arange(2 * around * up).reshape(2, around, up)
+    rim = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    points = np.array([[*(r * rim[j]), k] for r in (0.0, 1.0) for j in range(around) for k in range(up)])
+    ids[0] = ids[0, 0]  # the axis
+    low, high = slice(0, -1), slice(1, None)
+    corners = [(0, low, low), (1, low, low), (1, high, low), (0, high, low)]
+    cells = np.stack([ids[i, j, k] for layer in (low, high) for i, j, _ in corners for k in (layer,)], axis=-1)
+    mesh = renumbered(jm.Mesh(points, {"hexahedron": cells.reshape(-1, 8)}))
+    assert int(jm.quality(mesh).inverted) == 0
+    points[ids[1, 2, 1]] = [0.3, -0.6, 1]  # past its neighbour
+    found = [np.asarray(jm.quality(renumbered(mesh.moved(points), seed)).is_inverted) for seed in range(4)]
+    assert all((other == found[0]).all() for other in found)
+    assert 0 < found[0].sum() <= 4

@@ -17,7 +17,7 @@ from .._methods.base import AbstractMethod
 from .._plan.deform import deform
 from .._plan.plan import Plan
 from .._quality import measures
-from .._quality.quality import places, standards_of
+from .._quality.quality import places, signs_of, standards_of
 from .._quality.vector import corners
 from .first_roots import first_roots
 from .proven_step import least_undeformed, proven_share
@@ -51,7 +51,8 @@ def largest_step(
     Corner Jacobians are polynomials in the step, of degree 2 in 2-D and 3 in 3-D, whose first roots
     are found. A line search shortens its step by it before the flow is solved. With `proven` the
     Bernstein coefficients of det J take the corners' place, as in `proof`: whole cells keep the
-    bound, at each instant up to the step.
+    bound, at each instant up to the step, and `proof` says so of the points at its end. Corners of
+    cells that are folded on the undeformed mesh end no step.
 
     **Arguments:**
 
@@ -81,10 +82,17 @@ def largest_step(
     between("max_step", max_step, 0)
     shape = plan.n_moving, plan.points.shape[1]
     u, direction = finite_array("u", u, shape), finite_array("direction", direction, shape)
-    start = np.asarray(places(mesh, deform(plan, u)))
-    end = np.asarray(deform(plan, jnp.asarray(u) + max_step * jnp.asarray(direction)))
-    share, cell = Bounds(mesh, plan.points.dtype, min_jacobian_ratio, proven).share(start, end)
-    return LargestStep(share * max_step, cell)
+    bounds = Bounds(mesh, plan.points.dtype, min_jacobian_ratio, proven)
+
+    def at(step: float) -> np.ndarray:
+        return np.asarray(places(mesh, deform(plan, jnp.asarray(u) + step * jnp.asarray(direction))))
+
+    share, cell = bounds.share(at(0.0), at(max_step))
+    step, less = share * max_step, float(np.finfo(plan.points.dtype).eps)
+    # the points at the step have a round-off of their own
+    while step > 0 and (broken := bounds.broken(at(step))) >= 0:
+        step, cell, less = step * max(1 - less, 0.0), broken, 4 * less
+    return LargestStep(step, cell)
 
 
 def _nonlinear(plan: Plan) -> str:
@@ -104,9 +112,15 @@ class Bounds:
 
     def __init__(self, mesh: Mesh, dtype: Any, min_jacobian_ratio: float, proven: bool = False):
         self.mesh, self.of_cells = mesh, min_jacobian_ratio * least_undeformed(mesh) if proven else None
-        standards = jax.tree.map(np.asarray, standards_of(mesh, dtype))
+        standards, self.signs = jax.tree.map(np.asarray, (standards_of(mesh, dtype), signs_of(mesh)))
         self.parts = [
-            (kind, np.asarray(ids), standard.sign, standard.is_judged, min_jacobian_ratio * standard.jacobian)
+            (
+                kind,
+                np.asarray(ids),
+                standard.sign,
+                standard.is_judged & ~standard.is_folded,
+                min_jacobian_ratio * standard.jacobian,
+            )
             for (kind, ids), standard in zip(mesh.cells.items(), standards, strict=True)
         ]
 
@@ -120,8 +134,15 @@ class Bounds:
             return share, cell
         # Never beyond what the corners allow, so that round-off is that of the step itself.
         begin, way = np.asarray(start, float), np.asarray(end, float) - np.asarray(start, float)
-        part, ends_it = proven_share(self.mesh, begin, begin + share * way, self.of_cells)
+        part, ends_it = proven_share(self.mesh, self.signs, (begin, begin + share * way), self.of_cells)
         return (share * part, ends_it) if part < 1 else (share, cell)
+
+    def broken(self, points: Float[np.ndarray, "n d"]) -> int:
+        """Finds a whole cell that is not proven to keep its bound; -1 if all are, or corners count."""
+        if self.of_cells is None:
+            return -1
+        x = np.asarray(points, float)
+        return proven_share(self.mesh, self.signs, (x, x), self.of_cells)[1]
 
     def _of_corners(self, start: np.ndarray, end: np.ndarray) -> tuple[float, int]:
         best, worst, offset = 1.0, -1, 0

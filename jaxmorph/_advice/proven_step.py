@@ -30,11 +30,12 @@ def least_undeformed(mesh: Mesh) -> Float[np.ndarray, " k"]:
 
 
 def proven_share(
-    mesh: Mesh, start: Float[np.ndarray, "n d"], end: Float[np.ndarray, "n d"], bounds: Float[np.ndarray, " k"]
+    mesh: Mesh, signs: dict[str, np.ndarray], ends: tuple[np.ndarray, np.ndarray], bounds: Float[np.ndarray, " k"]
 ) -> tuple[float, int]:
     """Finds the share of the straight way on which all cells keep their bound, at most 1.
 
-    Also finds the cell that ends it, or -1. At each instant the least coefficient is a lower bound
+    Also finds the cell that ends it, or -1. `ends` are the points (n, d) at both, `signs` those of
+    `signs_of`. At each instant the least coefficient is a lower bound
     on det J, so the step ends where the first coefficient falls below. Only cells that would end it
     are cut.
     """
@@ -42,18 +43,18 @@ def proven_share(
     for kind, ids in mesh.cells.items():
         if DIMENSION[kind] == mesh.points.shape[1]:
             bound = bounds[offset : offset + len(ids)]
-            search.through(_Cells(kind, np.asarray(ids).T, np.asarray(mesh.points, float), (start, end), bound), offset)
+            search.through(_Cells(kind, np.asarray(ids).T, signs[kind], ends, bound), offset)
         offset += len(ids)
     return search.step, search.cell
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Cells:
-    """Cells of one type, ids (nodes, k), with the bound (k,) of each between two `ends`."""
+    """Cells of one type, ids (nodes, k), with sign and bound (k,) of each between two `ends`."""
 
     kind: str
     ids: np.ndarray
-    undeformed: np.ndarray
+    sign: np.ndarray
     ends: tuple[np.ndarray, np.ndarray]
     bound: np.ndarray
 
@@ -63,11 +64,10 @@ class _Cells:
 
     def excess(self, cells: Int[np.ndarray, " c"]) -> Float[np.ndarray, "t n c"]:
         """Computes Bernstein coefficients, in time by space, of det J less the bound."""
-        form, still, ids = form_of(self.kind, True), form_of(self.kind), self.ids[:, cells]
-        sign = np.where(still.mean(still.coefficients(nodes_of(self.undeformed, ids))) < 0, -1.0, 1.0)
+        form, ids = form_of(self.kind, True), self.ids[:, cells]
         x = [np.concatenate(parts) for parts in zip(*(nodes_of(end, ids) for end in self.ends), strict=True)]
         columns = form.columns(x)
-        values = sign * form.determinant(columns) - form.round_off(x, columns) - self.bound[cells]
+        values = self.sign[cells] * form.determinant(columns) - form.round_off(x, columns) - self.bound[cells]
         return values.reshape(-1, bernstein.count(self.space), len(cells))
 
 

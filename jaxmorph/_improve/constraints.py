@@ -19,8 +19,7 @@ from .._host.linear.hessians import Pattern, pattern
 from .._kernels.compile import compiled
 from .._kernels.values import as_jax
 from .._mesh.mesh import Mesh
-from .._quality.distortion import node_scales, target
-from .._quality.vector import corners
+from .._quality.distortion import node_scales, signs_of_pieces, targets
 from .motion import Distortion
 from .ways import Ways
 
@@ -65,6 +64,7 @@ def prepared(
     distortion = _energy(
         {kind: jnp.asarray(ids) for kind, ids in cells.items()},
         jnp.asarray(mesh.points, dtype),
+        signs_of_pieces(mesh),
         jnp.asarray(free),
         Ways(*as_jax((tracks, pairings, leads != np.arange(n), np.zeros((n, d - 1, d))))) if has_ways else None,
         ideal,
@@ -88,10 +88,10 @@ def _leads(pairings: Sequence[Pairing], free: Bool[np.ndarray, " n"]) -> Int[np.
 
 
 @compiled
-def _energy(cells: dict[str, Array], reference: Float[Array, "n d"], free: Bool[Array, " n"], ways, ideal: bool, size):
-    targets = {kind: target(kind, corners(reference, ids), ideal) for kind, ids in cells.items()}
-    scale = node_scales(cells, targets, len(reference))
-    return Distortion(cells, targets, scale, free, jnp.ones((), reference.dtype), ways, float(size))
+def _energy(cells: dict[str, Array], reference: Float[Array, "n d"], signs, free: Bool[Array, " n"], ways, ideal, size):
+    goals = targets(cells, reference, signs, ideal)
+    scale = node_scales(cells, goals, len(reference))
+    return Distortion(cells, goals, scale, free, jnp.ones((), reference.dtype), ways, float(size))
 
 
 def _cells(mesh: Mesh) -> dict[str, np.ndarray]:

@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float, Int, Real
+from jaxtyping import Array, ArrayLike, Bool, Float, Int, Real
 
 from .._boundary.boundary import Boundary
 from .._boundary.names import check_finite
@@ -39,7 +39,8 @@ class Improvement(Module):
     """Result of `improve`: traced arrays, and a line about them by `str`.
 
     - `points`: the improved points (n, d).
-    - `before`, `after`: number of inverted cells before and after, as `quality` counts them.
+    - `before`, `after`: number of inverted cells before and after, as `quality` counts them. Cells
+      that are inverted on the undeformed mesh by itself count while they are by themselves.
     - `unproven`: number of cells that may fold inside: `proven_margin` at depth 1 is not positive.
     - `from_start`: number of unproven cells that are not proven on the undeformed mesh either, and
       whose margin there was no larger: the motion has not harmed them.
@@ -109,7 +110,9 @@ def improve(
     """Moves inner nodes to where cells are least distorted, and untangles inverted cells.
 
     The target of a cell is its shape on the undeformed mesh, `mesh.points`, so that boundary layers
-    keep their anisotropy. The energy of a cell is the mean over its corners of
+    keep their anisotropy. Cells that are folded there, or have a folded corner, have none to keep:
+    their target is the nearest parallelogram, parallelepiped or the like, else the equilateral cell
+    of the size around. So a mesh that arrives folded is unfolded, too. The energy of a cell is the mean over its corners of
 
         (1 - size_weight) |T|^2 / (d chi^(2/d)) + size_weight (1 + det^2 T) / (2 chi) - 1,
 
@@ -207,19 +210,30 @@ def _ended(mesh: Mesh, start: Array, plain: Minimum, minimum: Minimum) -> tuple[
     energy, slope, improved, fixed = judged(distortion, minimum, start.astype(minimum.y.dtype))
     moved = jnp.where(distortion.free[:, None], improved.astype(start.dtype), start)
     moved = moved if distortion.ways is None else distortion.ways.matched(start, moved)
-    before, after = (quality(mesh, at) for at in (start, moved))
+    report = quality(mesh, moved)
+    before, is_inverted = (_inverted(mesh, *pair) for pair in ((start, quality(mesh, start)), (moved, report)))
     margin = proven_margin(mesh, moved, depth=1)
     with jax.ensure_compile_time_eval():
         own = proven_margin(mesh, mesh.points, depth=1)
         owner = owners({kind: np.asarray(ids) for kind, ids in mesh.cells.items()})
-    lost = jnp.zeros_like(after.is_inverted)
+    lost = jnp.zeros_like(is_inverted)
     for kind, is_fixed in fixed.items():
         lost = lost.at[owner[kind]].max(is_fixed)
     unproven, as_before = ~(margin > 0), (own <= 0) & (margin >= own - SAME)
     steps, residual = jnp.asarray(minimum.steps), jnp.max(jnp.abs(slope))
-    counts = jnp.sum(unproven), jnp.sum(unproven & as_before), jnp.sum(lost & after.is_inverted)
+    counts = jnp.sum(unproven), jnp.sum(unproven & as_before), jnp.sum(lost & is_inverted)
     energy = energy / sum(map(len, distortion.cells.values()))
-    return Improvement(moved, before.inverted, after.inverted, *counts, energy, residual, steps, after.count), after
+    return Improvement(
+        moved, jnp.sum(before), jnp.sum(is_inverted), *counts, energy, residual, steps, report.count
+    ), report
+
+
+def _inverted(mesh: Mesh, points: Array, report: QualityReport) -> Bool[Array, " k"]:
+    """Marks inverted cells: by the mesh on these points alone where they are so from the start."""
+    with jax.ensure_compile_time_eval():
+        old = quality(mesh).is_inverted
+    now = jnp.where(old, quality(mesh.moved(points)).is_inverted, report.is_inverted)
+    return now & report.counted
 
 
 def _check(mesh: Mesh, points, options: Options) -> None:

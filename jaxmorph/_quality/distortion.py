@@ -24,7 +24,7 @@ from .._host.package.arguments import between, checked
 from .._kernels.values import is_known
 from .._mesh.mesh import Mesh
 from . import measures
-from .quality import places
+from .quality import places, standards_of
 from .smooth import positive_part
 from .vector import Vector, cofactors, corners, determinant, dot
 
@@ -48,6 +48,10 @@ IDEAL = {
 """Corners of the ideal cell of each type, edges of length one."""
 
 
+NEAR = 0.1
+"""Content of an affine cell, over that of an ideal one of the size around, that makes it a target."""
+
+
 class Target(NamedTuple):
     """Inverse target matrices W^-1 by row, and samples that count: a sign beyond round-off."""
 
@@ -56,26 +60,74 @@ class Target(NamedTuple):
     counts: Scalar
 
 
-def target(kind: str, x: list[Vector], ideal: bool) -> Target:
+def targets(
+    cells: dict[str, Any], points: Float[Array, "n d"], signs: dict[str, Any], ideal: bool
+) -> dict[str, Target]:
+    """Makes the targets of all linear cells, in the handedness `signs` of the undeformed mesh."""
+    volumes = {kind: jnp.abs(_volume(kind, corners(points, ids))) for kind, ids in cells.items()}
+    total, count = jnp.zeros(len(points), points.dtype), jnp.zeros(len(points), points.dtype)
+    for kind, ids in cells.items():
+        total, count = total.at[ids].add(volumes[kind][:, None]), count.at[ids].add(1)
+    around = total / jnp.maximum(count, 1)
+    return {
+        kind: target(kind, corners(points, ids), ideal, signs[kind], jnp.mean(around[ids], axis=1))
+        for kind, ids in cells.items()
+    }
+
+
+def target(kind: str, x: list[Vector], ideal: bool, sign: Any = None, around: Any = None) -> Target:
     """Makes targets of the corners of undeformed cells.
 
     With `ideal` the targets are cells of ideal shape with the volume and handedness of the
-    undeformed ones.
+    undeformed ones. So are the targets of cells with a folded corner, but for the volume: it is
+    that of the cells `around`. Where a parallelogram or another affine image of the ideal cell is
+    near, that is the target. Without a `sign` each cell has its own handedness.
     """
-    edges, noise = measures.frames(kind, x), _noise(kind, x)
-    volume = measures.volume(kind, [corner - x[0] for corner in x])
-    sign = jnp.where(volume < 0, -1.0, 1.0)
-    counts = sign[None] * determinant(edges) > noise
+    edges, noise, volume = measures.frames(kind, x), _noise(kind, x), _volume(kind, x)
+    sign = jnp.where(volume < 0 if sign is None else sign < 0, -1.0, 1.0).astype(volume.dtype)
+    content = sign[None] * determinant(edges)
+    folded = jnp.any(content < -noise, axis=0)
+    size = jnp.where(folded, jnp.abs(volume) if around is None else around, jnp.abs(volume))
+    right = _ideal(kind, sign, size)
     if ideal:
-        shape = [Vector([jnp.full_like(volume, c) for c in corner]) for corner in IDEAL[kind]]
-        size = jnp.abs(volume) / jnp.abs(measures.volume(kind, shape))
-        size = jnp.where(size > 0, size, 1) ** (1 / DIMENSION[kind])
-        # the mirror image of the ideal cell, where cells are numbered left-handed
-        edges = measures.frames(kind, [Vector([c[0] * sign, *c.components[1:]]) * size for c in shape])
+        edges = right
+    else:
+        affine = _affine(kind, edges)
+        is_near = jnp.min(sign[None] * determinant(affine) / jnp.abs(determinant(right)), axis=0) > NEAR
+        mended = [_where(is_near, a, b) for a, b in zip(affine, right, strict=True)]
+        edges = [_where(folded, new, edge) for new, edge in zip(mended, edges, strict=True)]
+    counts = (content > noise) | folded[None]
     content = jnp.where(counts, determinant(edges), 1)
     rows = [row * (1 / content) for row in cofactors(edges)]
     inverse = tuple(tuple(jnp.where(counts, c, 0) for c in row.components) for row in rows)
     return Target(inverse, 1 / content, counts.astype(content.dtype))
+
+
+def _volume(kind: str, x: list[Vector]) -> Float[Array, " k"]:
+    return measures.volume(kind, [corner - x[0] for corner in x])
+
+
+def _ideal(kind: str, sign: Float[Array, " k"], volume: Float[Array, " k"]) -> list[Vector]:
+    """Computes frames of ideal cells; left-handed ones are their mirror images."""
+    shape = [Vector([jnp.full_like(volume, c) for c in corner]) for corner in IDEAL[kind]]
+    size = volume / jnp.abs(measures.volume(kind, shape))
+    size = jnp.where(size > 0, size, 1) ** (1 / DIMENSION[kind])
+    return measures.frames(kind, [Vector([c[0] * sign, *c.components[1:]]) * size for c in shape])
+
+
+def _affine(kind: str, edges: list[Vector]) -> list[Vector]:
+    """Computes frames of the image of the ideal cell by the mean of the corners' affine maps."""
+    unit = measures.frames(kind, [Vector([np.full(1, float(c)) for c in corner]) for corner in IDEAL[kind]])
+    ideal = np.array([edge.components for edge in unit])[..., 0].transpose(2, 0, 1)  # samples, edges, axes
+    share = np.linalg.inv(ideal) / len(ideal)
+    columns = jnp.stack([jnp.stack(edge.components) for edge in edges])
+    axes = jnp.einsum("sab,bcsk->ack", share, columns, precision="highest").astype(columns.dtype)
+    means = jnp.einsum("sba,ack->bcsk", ideal, axes, precision="highest").astype(columns.dtype)
+    return [Vector(list(edge)) for edge in means]
+
+
+def _where(is_first: Array, a: Vector, b: Vector) -> Vector:
+    return Vector([jnp.where(is_first, c, e) for c, e in zip(a.components, b.components, strict=True)])
 
 
 def _noise(kind: str, x: list[Vector]) -> Scalar:
@@ -160,6 +212,14 @@ def node_scales(kinds: dict[str, Any], targets: dict[str, Target], n: int) -> Fl
     return jnp.where(stiffness > 0, jnp.where(stiffness > 0, stiffness, 1) ** -0.5, 0)
 
 
+def signs_of_pieces(mesh: Mesh) -> dict[str, Any]:
+    """Finds the sign of each piece of `linear_cells` by type: that by which its cell is judged."""
+    dtype = jax.dtypes.canonicalize_dtype(mesh.points.dtype)
+    with jax.ensure_compile_time_eval():
+        signs = jnp.concatenate([standard.sign for standard in standards_of(mesh, dtype)])
+    return {kind: signs[cell] for kind, cell in owners(mesh.cells).items()}
+
+
 @checked
 def distortion(
     mesh: Mesh,
@@ -171,7 +231,8 @@ def distortion(
 ) -> Float[Array, " k"]:
     """Measures the distortion of each cell that fills the space, the term of `improve`'s sum.
 
-    The distortion is 0 for a cell like its target, and finite on inverted cells. There it is large,
+    The distortion is 0 for a cell like its target, and finite on inverted cells. The target of a
+    cell that is folded on the undeformed mesh is one that is not, see `improve`. There it is large,
     as (1 / softness)^2 in 2-D, with a derivative that turns cells round again. Traced in `points`.
     A curved cell has the mean of its linear pieces, see `Mesh.linear`.
 
@@ -201,10 +262,11 @@ def distortion(
         between("softness", softness, 0)
     current = places(mesh, points)
     reference = jnp.asarray(mesh.points, current.dtype)
-    parts = []
-    for kind, ids in linear_cells(cells, jnp.concatenate).items():
-        goal = target(kind, corners(reference, ids), ideal)
-        parts.append(energy_of_cells(kind, corners(current, ids), goal, softness, size_weight))
+    linear = linear_cells(cells, jnp.concatenate)
+    goals = targets(linear, reference, signs_of_pieces(mesh), ideal)
+    parts = [
+        energy_of_cells(kind, corners(current, ids), goals[kind], softness, size_weight) for kind, ids in linear.items()
+    ]
     if not mesh.is_curved:
         return jnp.concatenate(parts)
     owner = np.concatenate(list(owners(cells).values()))

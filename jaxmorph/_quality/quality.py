@@ -35,24 +35,30 @@ def quality(mesh: Mesh, points: Real[ArrayLike, "n d"] | Sequence[Any] | None = 
     Traced: `jit`, `grad` and `vmap` work over `points`, and over a mesh given as an argument.
     Derivatives are finite on degenerate cells too.
 
-    With `points`, a cell is inverted where its volume, or the Jacobian at one of its corners, has
-    lost the sign it had on the undeformed mesh. Curved cells have a lattice of places, and the
-    place where bounds on their Jacobian find it least, instead of corners. So a curved cell that
-    folds anywhere is found. A linear hexahedron that folds between its corners is not: `proof`
-    finds it. Cells of mixed handedness are fine. So are corners
-    that had no sign, or the wrong one (a quad not convex from the start). A corner has no sign
-    within the round-off of the coordinates. One of a cell that is no simplex has none either where
-    it is flat or collapsed: its Jacobian is 1e-4 of the product of its edges or less.
+    The sign that a volume should have is that of the mesh, whichever way round its cells are
+    numbered. Cells numbered the other way round than their neighbours (a matter of ids, not of
+    coordinates) are turned. The sign is then that of the volume which the connected part of the
+    mesh encloses. So a cell on the wrong side of a face that it shares is folded, and cells of
+    mixed handedness are fine. `inverted`, `smooth_quality`, `proof`, `proven_margin`, `distortion`,
+    `improve` and `largest_step` take the same sign. A part of a single cell has that cell's own.
 
-    Without `points`, the mesh is judged by itself. Cells numbered the other way round than their
-    neighbours (a matter of ids, not of coordinates) are turned. A cell is then inverted where its
-    volume or a corner's Jacobian has another sign than the volume that the connected part of the
-    mesh encloses. For cells that are themselves traced (a mesh given to `jit` as an argument)
-    numbering is taken as it is.
+    With `points`, a cell is inverted where its volume, or the Jacobian at one of its corners, has
+    not the sign of the undeformed mesh. Curved cells have a lattice of places, and the place where
+    bounds on their Jacobian find it least, instead of corners. So a curved cell that folds anywhere
+    is found. A linear hexahedron that folds between its corners is not: `proof` finds it. A cell
+    that is folded on the undeformed mesh already is inverted until a motion unfolds it, and counts
+    in `from_start`. Not judged are corners that had no sign, or had the wrong one in a cell that
+    was not folded (a quad not convex from the start: without `points` it is inverted). A corner has
+    no sign within the round-off of the coordinates. One of a cell that is no simplex has none
+    either where it is flat or collapsed: its Jacobian is 1e-4 of the product of its edges or less.
+    Of a polyhedron that is not folded, pieces that are were cut so.
+
+    Without `points`, the mesh is judged by itself. A cell is then inverted where its volume or a
+    corner's Jacobian has not the sign of the mesh.
 
     Neighbours are found on the host from the ids, under `jit` when it traces: 0.2 s for 350,000
-    tetrahedra. With traced cells the device finds them, which takes ten times longer on a CPU:
-    close over the mesh instead.
+    tetrahedra. For traced cells (a mesh given to `jit` as an argument) the host finds them in each
+    call: close over the mesh instead.
 
     **Arguments:**
 
@@ -70,8 +76,8 @@ def quality(mesh: Mesh, points: Real[ArrayLike, "n d"] | Sequence[Any] | None = 
     # what is known when a caller traces is computed there and then, not folded into the caller's
     # program
     with jax.ensure_compile_time_eval():
-        links = link(mesh.cells, signs=points is None)
-        standards = None if points is None else standards_of(mesh, current.dtype)
+        links = link(mesh.cells)
+        standards = None if points is None else standards_of(mesh, current.dtype, links)
     if on_host(cells, links, current, standards):
         with np.errstate(all="ignore"), jax.ensure_compile_time_eval():  # cells may have no size
             columns = _columns(kinds, *jax.tree.map(np.asarray, (cells, links, current, standards)))
@@ -122,37 +128,48 @@ def places(
 
 
 class Links(NamedTuple):
-    """Holds ids: the cell behind each face, and how the cells are numbered."""
+    """Holds ids: the cell behind each face, each cell's sign by numbering, and its part."""
 
-    neighbour: Any
-    sign: Any
-    part: Any
-
-
-def link(cells: dict[str, Any], signs: bool) -> Links:
-    if not is_known(*cells.values()):
-
-        def behind(*corners):
-            return neighbours(dict(zip(cells, corners, strict=True)))[0]
-
-        faces = sum(len(FACES[kind]) * len(corners) for kind, corners in cells.items())
-        found = host_call(behind, jax.ShapeDtypeStruct((faces,), np.int32), *cells.values())
-        return Links(found, None, None)
-    cells = {kind: np.asarray(corners) for kind, corners in cells.items()}
-    neighbour, flipped = neighbours(cells)
-    return Links(neighbour, *(handedness(cells, neighbour, flipped) if signs else (None, None)))
+    neighbour: Int[Either, " f"]
+    sign: Int[Either, " k"]
+    part: Int[Either, " k"]
 
 
-def own_signs(mesh: Mesh) -> dict[str, np.ndarray]:
-    """Finds on the host the sign that each cell's volume should have, by numbering alone."""
-    cells = {kind: np.asarray(ids) for kind, ids in mesh.cells.items()}
-    points = np.asarray(mesh.points, dtype=float)
-    volumes = {kind: in_blocks(np, functools.partial(_volume, kind, points), ids.T) for kind, ids in cells.items()}
-    return _enclosed_signs(volumes, link(cells, signs=True), points.shape[1])
+def link(cells: dict[str, Any]) -> Links:
+    def linked(*corners: np.ndarray) -> list[np.ndarray]:
+        known = dict(zip(cells, corners, strict=True))
+        found = neighbours(known)
+        return [found[0], *handedness(known, *found)]
+
+    if is_known(*cells.values()):
+        return Links(*linked(*(np.asarray(corners) for corners in cells.values())))
+    faces, count = sum(len(FACES[kind]) * len(ids) for kind, ids in cells.items()), sum(map(len, cells.values()))
+    structure = jax.ShapeDtypeStruct((faces + 2 * count,), np.int32)
+    found = host_call(lambda *corners: np.concatenate(linked(*corners)), structure, *cells.values())
+    return Links(*jnp.split(found, (faces, faces + count)))
+
+
+def signs_of(mesh: Mesh, links: Links | None = None) -> dict[str, Int[Either, " k"]]:
+    """Finds the sign that each cell's volume should have, by type; see `quality`."""
+    arguments = tuple(mesh.cells.values()), links or link(mesh.cells), mesh.points
+    if not on_host(arguments):
+        return _signs(tuple(mesh.cells), *arguments)
+    with np.errstate(all="ignore"):
+        return _signs_by(tuple(mesh.cells), *jax.tree.map(np.asarray, arguments))
+
+
+def _signs_by(kinds: tuple[str, ...], cells: tuple[Any, ...], links: Links, points: Float[Either, "n d"]) -> dict:
+    return _enclosed_signs(_volumes(kinds, cells, points), links, points.shape[1])
+
+
+_signs = compiled(_signs_by)
 
 
 class Standard(NamedTuple):
-    """Holds the state of the cells of one type on the undeformed mesh, by which they are judged."""
+    """Holds the state of the cells of one type on the undeformed mesh, by which they are judged.
+
+    `sign` is that of the mesh, `is_folded` marks cells whose volume has another one.
+    """
 
     sign: Int[Either, " k"]
     volume: Float[Either, " k"]
@@ -160,42 +177,52 @@ class Standard(NamedTuple):
     jacobian: Float[Either, " k"]
     is_judged: Bool[Either, "s k"]
     is_degenerate: Bool[Either, " k"]
+    is_folded: Bool[Either, " k"]
 
 
-def standards_of(mesh: Mesh, dtype: Any) -> tuple[Standard, ...]:
+def standards_of(mesh: Mesh, dtype: Any, links: Links | None = None) -> tuple[Standard, ...]:
     """Computes the undeformed state, one `Standard` a type of cells, in precision `dtype`."""
     kinds, cells, points = tuple(mesh.cells), tuple(mesh.cells.values()), jnp.asarray(mesh.points, dtype)
-    if not on_host(cells, points):
-        return _standards(kinds, cells, points)
+    signs = signs_of(mesh, links)
+    if mesh.polyhedra is not None:
+        signs = _of_pieces(mesh, signs, mesh.polyhedra.cut)
+    if not on_host(cells, points, signs):
+        return _standards(kinds, cells, points, signs)
     with np.errstate(all="ignore"):
-        return _standards_by(np, kinds, *jax.tree.map(np.asarray, (cells, points)))
+        return _standards_by(kinds, *jax.tree.map(np.asarray, (cells, points, signs)))
 
 
-@compiled
-def _standards(kinds: tuple[str, ...], cells: tuple[Any, ...], points: Float[Either, "n d"]) -> tuple[Standard, ...]:
-    return _standards_by(jnp, kinds, cells, points)
-
-
-def _standards_by(xp: Any, kinds, cells, points) -> tuple[Standard, ...]:
+def _standards_by(kinds, cells, points, signs) -> tuple[Standard, ...]:
     pairs = zip(kinds, cells, strict=True)
-    return tuple(in_blocks(xp, functools.partial(_standard, kind, points), ids.T) for kind, ids in pairs)
+    return tuple(
+        in_blocks(namespace(points), functools.partial(_standard, kind, points), ids.T, signs[kind])
+        for kind, ids in pairs
+    )
 
 
-def _standard(kind: str, points: Float[Either, "n d"], ids: Shaped[Either, "c k"]) -> Standard:
+_standards = compiled(_standards_by)
+
+
+def _of_pieces(mesh: Mesh, signs: dict[str, Any], cut: np.ndarray) -> dict[str, Any]:
+    """Takes the signs that pieces have, where the polyhedron or polygon as a whole is not folded."""
+    volumes = _volumes(tuple(mesh.cells), tuple(mesh.cells.values()), jnp.asarray(mesh.points))
+    volume, sign = (jnp.concatenate([part[kind] for kind in volumes]) for part in (volumes, signs))
+    ids = mesh.cell_ids
+    whole = jax.ops.segment_sum(sign * volume, ids, num_segments=int(ids.max()) + 1)[ids]
+    is_sound = np.isin(ids, cut) & (whole > 0)
+    return _split(jnp.where(is_sound, jnp.where(volume < 0, -1, 1), sign).astype(jnp.int8), volumes)
+
+
+def _standard(kind: str, points: Float[Either, "n d"], ids: Shaped[Either, "c k"], sign: Int[Either, " k"]) -> Standard:
     xp, (volume, jacobians, noise) = namespace(points), _sizes(kind, corners(points, ids.T))
-    sign = xp.where(volume < 0, -1, 1).astype(np.int8)  # a factor that keeps float32
     openings = _with_largest(measures.openings(kind, corners(points, ids.T)), len(jacobians))
-    judged = sign[None] * jacobians > xp.maximum(noise, FLAT * openings)
-    none = ~xp.any(judged, axis=0)
-    least = _least(jacobians, sign, judged)
     flat = math.factorial(DIMENSION[kind]) * xp.abs(volume) <= xp.max(noise, axis=0)
-    return Standard(sign, xp.where(flat, 1, volume), flat, xp.where(none, 1, least), judged, none)
-
-
-def _least(jacobians: Float[Either, "s k"], sign: Either, judged: Bool[Either, "s k"]) -> Float[Either, " k"]:
-    """Computes the least Jacobian, in the cell's handedness, of the corners judged."""
-    xp = namespace(jacobians)
-    return smallest(xp.where(judged, sign[None] * jacobians, xp.inf))
+    folded = ~flat & (sign * volume < 0)
+    sizes = xp.where(folded, xp.abs(jacobians), sign[None] * jacobians)  # of a folded cell all corners count
+    judged = sizes > xp.maximum(noise, FLAT * openings)
+    none, least = ~xp.any(judged, axis=0), smallest(xp.where(judged, sizes, xp.inf))
+    size = xp.where(flat, 1, sign * xp.abs(volume))
+    return Standard(sign, size, flat, xp.where(none, 1, least), judged, none, folded)
 
 
 def _columns(
@@ -208,8 +235,7 @@ def _columns(
     xp = namespace(points)
     rows = {kind: ids.T for kind, ids in zip(kinds, cells, strict=True)}
     if standards is None:
-        volumes = {kind: in_blocks(xp, functools.partial(_volume, kind, points), ids) for kind, ids in rows.items()}
-        by_kind: dict[str, Any] = _enclosed_signs(volumes, links, points.shape[1])
+        by_kind: dict[str, Any] = _signs_by(kinds, cells, links, points)
         signs = by_kind
     else:
         by_kind = dict(zip(kinds, standards, strict=True))
@@ -242,8 +268,12 @@ def _flags(
 _flagged = compiled(_flags)
 
 
-def _volume(kind: str, points: Float[Either, "n d"], ids: Shaped[Either, "c k"]) -> Float[Either, " k"]:
-    return measures.volume(kind, measures.relative_corners(corners(points, ids.T))[0])
+def _volumes(kinds: tuple[str, ...], cells: tuple[Any, ...], points: Float[Either, "n d"]) -> dict[str, Either]:
+    def volume(kind: str, ids: Shaped[Either, "c k"]) -> Float[Either, " k"]:
+        return measures.volume(kind, measures.relative_corners(corners(points, ids.T))[0])
+
+    pairs = zip(kinds, cells, strict=True)
+    return {kind: in_blocks(namespace(points), functools.partial(volume, kind), ids.T) for kind, ids in pairs}
 
 
 def _judged(
@@ -296,24 +326,24 @@ def _enclosed_signs(volumes: dict[str, Either], links: Links, d: int) -> dict[st
     """
     xp = namespace(next(iter(volumes.values())))
     volume = xp.concatenate(list(volumes.values()))
-    if links.sign is None:
-        signs = xp.where(xp.sum(volume) < 0, -1, 1) * xp.ones(len(volume), dtype=int)
-    elif xp is np:
+    if xp is np:
         enclosed = np.bincount(links.part, links.sign * volume, len(volume))
-        signs = links.sign * np.where(enclosed < 0, -1, 1)[links.part]
     else:
         enclosed = jax.ops.segment_sum(links.sign * volume, links.part, num_segments=len(volume))
-        signs = links.sign * jnp.where(enclosed < 0, -1, 1)[links.part]
-    ends = np.cumsum([len(part) for part in volumes.values()])[:-1]
-    parts = zip(volumes, xp.split(signs.astype(np.int8), ends), strict=True)
-    return {kind: part if DIMENSION[kind] == d else xp.ones_like(part) for kind, part in parts}
+    parts = _split((links.sign * xp.where(enclosed < 0, -1, 1)[links.part]).astype(np.int8), volumes)
+    return {kind: part if DIMENSION[kind] == d else xp.ones_like(part) for kind, part in parts.items()}
+
+
+def _split(values: Either, by_kind: dict[str, Either]) -> dict[str, Either]:
+    ends = np.cumsum([len(part) for part in by_kind.values()])[:-1]
+    return dict(zip(by_kind, namespace(values).split(values, ends), strict=True))
 
 
 def _judge(volume: Either, jacobians: Either, standard: Standard) -> dict[str, Either]:
     """Judges cells relative to the undeformed mesh, by corners with their cell's sign there."""
     xp = namespace(volume)
     volume_ratio = xp.where(standard.is_flat, 1, volume) / standard.volume
-    least = _least(jacobians, standard.sign, standard.is_judged)
+    least = smallest(xp.where(standard.is_judged, standard.sign[None] * jacobians, xp.inf))
     jacobian_ratio = xp.where(standard.is_degenerate, 1, least) / standard.jacobian
     return {
         "volume": volume,
@@ -322,6 +352,7 @@ def _judge(volume: Either, jacobians: Either, standard: Standard) -> dict[str, E
         "jacobian_ratio": jacobian_ratio,
         "is_inverted": ~((volume_ratio > 0) & (jacobian_ratio > 0)),
         "is_degenerate": standard.is_degenerate,
+        "was_inverted": standard.is_folded,
     }
 
 
@@ -335,4 +366,5 @@ def _judge_alone(volume: Either, jacobians: Either, noise: Either, sign: Either)
         "jacobian_ratio": xp.ones_like(volume),
         "is_inverted": ~xp.all(turned >= -noise, axis=0),
         "is_degenerate": xp.all(xp.abs(turned) <= noise, axis=0),
+        "was_inverted": xp.zeros_like(volume, dtype=bool),
     }

@@ -126,6 +126,8 @@ class QualityReport(Module):
       cell is not judged. In float32 the round-off of the coordinates hides the sign of the thinnest
       cells at a wall.
     - `centroid`: mean of the corners (k, d): where the cell is.
+    - `was_inverted`: the cell's volume had the wrong sign on the undeformed mesh already; False
+      without `points`.
 
     Counts, means and extremes (`inverted`, `mean_skewness`, `max_skewness`, ...) are traced numbers
     over the cells of the highest dimension alone; boundary elements have entries but do not count.
@@ -147,6 +149,7 @@ class QualityReport(Module):
     centroid: Float[Array, "k d"]
     types: tuple[tuple[str, int], ...] = eqx.field(static=True)
     relative: bool = eqx.field(static=True, default=True)
+    was_inverted: Bool[Array, " k"] | None = None
 
     @property
     def area(self) -> Float[Array, "*batch k"]:
@@ -157,6 +160,12 @@ class QualityReport(Module):
     def inverted(self) -> Int[Array, "..."]:
         """Number of inverted cells."""
         return self._over_cells(lambda xp, flags: xp.sum(flags, axis=-1), self.is_inverted)
+
+    @property
+    def from_start(self) -> Int[Array, "..."]:
+        """Number of inverted cells that were folded on the undeformed mesh already."""
+        was = jnp.zeros_like(self.is_inverted) if self.was_inverted is None else self.was_inverted
+        return self._over_cells(lambda xp, flags, was: xp.sum(flags & was, axis=-1), self.is_inverted, was)
 
     @property
     def degenerate(self) -> Int[Array, "..."]:
@@ -247,7 +256,8 @@ class QualityReport(Module):
         if not is_known(self.volume) or self.volume.ndim > 1:
             return repr(self)
         counted = ", ".join(f"{count} {kind}" for kind, count in self._top())
-        heading = f"{counted}: {int(self.inverted)} inverted, {int(self.degenerate)} degenerate from the start"
+        old = f" ({int(self.from_start)} of them from the start)" if int(self.from_start) else ""
+        heading = f"{counted}: {int(self.inverted)} inverted{old}, {int(self.degenerate)} degenerate from the start"
         return table_of(self, heading, MEASURES if self.relative else MEASURES[:-2])
 
     def _measure(self, name: str) -> Float[Array, "*batch k"]:

@@ -81,10 +81,10 @@ def smooth_quality(
             between(name, value, 0)
     kinds, cells = tuple(mesh.cells), tuple(mesh.cells.values())
     with jax.ensure_compile_time_eval():
-        behind = link(mesh.cells, signs=False).neighbour
-        standards = standards_of(mesh, current.dtype)
+        links = link(mesh.cells)
+        standards = standards_of(mesh, current.dtype, links)
     options = jnp.asarray(sharpness, current.dtype), jnp.asarray(softness, current.dtype)
-    return _measured(kinds, cells, behind, current, standards, options)
+    return _measured(kinds, cells, links.neighbour, current, standards, options)
 
 
 @compiled

@@ -1,5 +1,6 @@
 """Neighbours of cells, the handedness of their numbering, and parts that pairs connect."""
 
+import itertools
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -24,7 +25,8 @@ def neighbours(cells: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]
     Two arrays with one entry a face: cells in the order of `cells`, faces of a cell in the order of
     `FACES`.
 
-    - The id of the neighbour, -1 on the boundary and where more than two cells meet.
+    - The id of the neighbour, -1 on the boundary and where more than two cells meet. Also -1 at a
+      face that repeats nodes until it has no extent, as at the pole of a grid of hexahedra.
     - True where the neighbour is numbered with the opposite handedness.
     """
     # A face becomes a row of its sorted nodes, with its cell and its sense of rotation. `twins`
@@ -43,7 +45,8 @@ def neighbours(cells: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]
     if not columns:
         return np.zeros(0, dtype=np.int32), np.zeros(0, dtype=bool)
     turn, owner = np.concatenate(turns), np.concatenate(owners)
-    twin = twins([np.concatenate(parts) for parts in zip(*columns, strict=True)])
+    rows = [np.concatenate(parts) for parts in zip(*columns, strict=True)]
+    twin = np.where(_has_extent(rows), twins(rows), -1)
     neighbour, flipped = np.where(twin < 0, -1, owner[twin]), (twin >= 0) & (turn == turn[twin])
     return _by_cell(neighbour, cells), _by_cell(flipped, cells)
 
@@ -54,8 +57,16 @@ def _turns(nodes: Sequence[np.ndarray], ordered: Sequence[np.ndarray]) -> np.nda
         return nodes[0] < nodes[1]
     turns = np.zeros(len(nodes[0]), dtype=bool)
     for corner, node in enumerate(nodes):
-        turns |= (node == ordered[0]) & (nodes[(corner + 1) % len(nodes)] < nodes[corner - 1])
+        after, before = nodes[(corner + 1) % len(nodes)], nodes[corner - 1]
+        before = np.where(before == node, nodes[corner - 2], before)  # the lowest node may be repeated
+        turns |= (node == ordered[0]) & (after != node) & (after < before)
     return turns
+
+
+def _has_extent(rows: Sequence[np.ndarray]) -> np.ndarray:
+    """Marks faces of three different nodes or more, edges of two: their sorted nodes by column."""
+    steps = [(a != b) & (b >= 0) for a, b in itertools.pairwise(rows)]
+    return np.sum(steps, axis=0, dtype=np.int8) >= np.where(rows[2] < 0, 1, 2) if len(rows) > 2 else steps[0]
 
 
 def _by_cell(values: np.ndarray, cells: Mapping[str, np.ndarray]) -> np.ndarray:
@@ -90,6 +101,8 @@ def handedness(
     owner = np.repeat(np.arange(count), np.concatenate([np.zeros(0, dtype=int), *faces]))
     inner = (neighbour >= 0) & (owner < neighbour)
     a, b, other = owner[inner], neighbour[inner], flipped[inner] * count
+    if not other.any():
+        return np.ones(count, dtype=int), parts_of(a, b, count)
     # A cell stands on two sheets, one for each sign. A face between cells of opposite handedness
     # connects different sheets. The sheets of an orientable part stay two parts.
     start = np.concatenate([a, a + count])

@@ -15,7 +15,7 @@ from ..._kernels.compile import compiled
 from ..._kernels.values import Either, as_jax, constant, is_known, namespace, on_host, smallest
 from ..._mesh.mesh import Mesh
 from ..batches import in_blocks
-from ..quality import places
+from ..quality import places, signs_of
 from . import bernstein
 from .form import form_of, nodes_of
 from .proof import check_solid
@@ -36,7 +36,8 @@ def proven_margin(
 ) -> Float[Array, " k"]:
     """Bounds det J of whole cells from below, over its undeformed mean: above 0 no cell folds.
 
-    It is the least Bernstein coefficient, `Proof.margin` but for round-off. Traced: `jit`, `grad`
+    It is the least Bernstein coefficient, `Proof.margin` but for round-off. A cell that is folded on
+    the undeformed mesh has a negative margin until it is unfolded. Traced: `jit`, `grad`
     and `vmap` work over `points` and `base`. All cells are cut alike, since what is traced cannot
     depend on the sign.
 
@@ -65,7 +66,9 @@ def proven_margin(
     kinds, cells = tuple(mesh.cells), tuple(mesh.cells.values())
     ends = (now,) if start is None else (start, now)
     with jax.ensure_compile_time_eval():
-        sizes = _sizes(kinds, cells, jnp.asarray(mesh.points, now.dtype))
+        means = _means(kinds, cells, jnp.asarray(mesh.points, now.dtype))
+        signs = signs_of(mesh).values()
+        sizes = tuple(abs(mean) * sign for mean, sign in zip(means, signs, strict=True))
     if on_host(cells, sizes, ends, sharpness):
         with np.errstate(all="ignore"), jax.ensure_compile_time_eval():
             cells, sizes, ends = jax.tree.map(np.asarray, (cells, sizes, ends))
@@ -73,7 +76,7 @@ def proven_margin(
     return _measured(kinds, cells, sizes, ends, depth, None if sharpness is None else jnp.asarray(sharpness))
 
 
-def _sizes(kinds: tuple[str, ...], cells: tuple[Any, ...], points: Float[Array, "n d"]) -> tuple[Either, ...]:
+def _means(kinds: tuple[str, ...], cells: tuple[Any, ...], points: Float[Array, "n d"]) -> tuple[Either, ...]:
     """Computes the mean of det J over each undeformed cell, here and not in the caller's program.
 
     Else XLA would compute it from constants while it compiles, which takes many seconds.

@@ -12,7 +12,7 @@ from ..._host.package.arguments import checked, whole
 from ..._kernels.values import is_known
 from ..._mesh.mesh import Mesh
 from ..batches import in_blocks
-from ..quality import own_signs, places
+from ..quality import places, signs_of
 from . import bernstein
 from .form import form_of, nodes_of
 from .report import Proof
@@ -37,8 +37,8 @@ def proof(
     negative and no corner is, the cell is cut into parts, whose bounds are closer. A bound includes
     round-off, so that `valid` is a proof for the coordinates as they are.
 
-    A cell counts in the handedness that it has on the undeformed mesh, `mesh.points`. Without
-    `points` and `base` that mesh is judged by itself, with the handedness that `quality` takes.
+    The handedness of all cells is that of the undeformed mesh, `mesh.points`, as `quality` finds it,
+    however cells are numbered. A cell that is folded on that mesh is invalid until it is unfolded.
 
     It runs on the host, in double precision. `proven_margin` is traced.
 
@@ -68,8 +68,8 @@ def proof(
     check_solid(mesh)
     reference, ends = np.asarray(mesh.points, float), tuple(np.asarray(x, float) for x in list(states.values())[::-1])
     with np.errstate(all="ignore"):  # coordinates may be NaN
-        signs = own_signs(mesh) if points is None and base is None else {}
-        columns = [_proven(kind, ids, reference, ends, depth, signs.get(kind)) for kind, ids in mesh.cells.items()]
+        signs = signs_of(mesh)
+        columns = [_proven(kind, ids, reference, ends, depth, signs[kind]) for kind, ids in mesh.cells.items()]
     joined = {name: np.concatenate([part[name] for part in columns], axis=-1) for name in columns[0]}
     types = tuple((kind, len(ids)) for kind, ids in mesh.cells.items())
     return _report(mesh, joined, types, depth, base is not None)
@@ -117,16 +117,15 @@ def _proven(kind: str, ids: Any, reference: np.ndarray, ends: tuple, depth: int,
         return rows | {"counted": np.zeros(k), "reference": np.full((d, k), np.nan), "near": np.full((d, k), np.nan)}
     size = max(1, ROOM // bernstein.count(form_of(kind, len(ends) == 2).space))
     prove = functools.partial(_bounded, kind, reference, ends, depth)
-    return in_blocks(np, prove, np.asarray(ids).T, *([] if sign is None else [np.asarray(sign)]), size=size)
+    return in_blocks(np, prove, np.asarray(ids).T, np.asarray(sign, float), size=size)
 
 
 def _bounded(
-    kind: str, reference: np.ndarray, ends: tuple, depth: int, ids: Int[np.ndarray, "c k"], sign: Any = None
+    kind: str, reference: np.ndarray, ends: tuple, depth: int, ids: Int[np.ndarray, "c k"], sign: Any
 ) -> dict[str, np.ndarray]:
     """Proves some cells."""
     still, form = form_of(kind), form_of(kind, len(ends) == 2)
     mean = still.mean(still.coefficients(nodes_of(reference, ids)))
-    sign = np.where(mean < 0, -1.0, 1.0) if sign is None else sign.astype(float)
     x = [np.concatenate(parts) for parts in zip(*(nodes_of(end, ids) for end in ends), strict=True)]
     columns = form.columns(x)
     found = bounds(form.space, sign * form.determinant(columns), form.round_off(x, columns), depth)

@@ -17,7 +17,7 @@ WORST = 5
 class Proof:
     """Proves of each of k cells that it folds nowhere inside, or shows where it folds.
 
-    det J is that of the map from the reference cell, in the cell's own handedness: positive where
+    det J is that of the map from the reference cell, in the handedness of the mesh: positive where
     the cell is not folded. Cells stand one type after another, as in `mesh.cells`.
 
     - `lower`, `upper`: the least det J of the cell is between these, round-off included.
