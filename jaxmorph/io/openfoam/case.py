@@ -12,6 +12,7 @@ import os
 import pathlib
 import re
 import shutil
+import zlib
 from collections.abc import Iterator
 
 import numpy as np
@@ -114,6 +115,7 @@ def read(path: pathlib.Path) -> Parts:
     kinds = {patch.name: patch.type for patch in boundary} | {name: name for name in planes if name == "axis"}
     nodes = None if plane is None else plane.file_nodes()
     known = {"symmetry": tuple(planes), "kinds": kinds, "file_nodes": nodes, "in_file": content.in_file}
+    known["notes"] = tuple(_notes(topology, [*empty, *wedges]))
     source = Source(file.path, NAME, content, whole, ids, groups, pairs, between, **known)
     return mesh._replace(source=source)
 
@@ -327,6 +329,27 @@ def _folders(path: pathlib.Path) -> tuple[pathlib.Path, pathlib.Path]:
     # points alone are those of a time: the faces have the same place in the case's constant
     time = next((folder for folder in here.absolute().parents if _is_time(folder)), here.absolute().parent)
     return here, time.parent / "constant" / here.absolute().relative_to(time)
+
+
+def _notes(topology: pathlib.Path, planes: list[Patch]) -> Iterator[str]:
+    """Yields sentences on zones, on other regions of the case, and on the planes of a 2-D case."""
+    zones = [f"{size} {name}" for name in ("cellZones", "faceZones", "pointZones") if (size := _size(topology, name))]
+    if zones:
+        yield f"{', '.join(zones)} are not read: zones are no patches, and stay in the case."
+    if topology.parent.name == "constant" and (others := regions(topology.parent)):
+        yield f"the regions {', '.join(others)} have meshes of their own: {topology.parent / others[0]} is the first."
+    if planes:
+        names = ", ".join(f"{patch.name} ({patch.type})" for patch in planes)
+        yield f"the planes {names} are no patches: the mesh lies in one of them."
+
+
+def _size(topology: pathlib.Path, name: str) -> int:
+    """Reads the length of the list in a file from its first lines; 0 without the file."""
+    for path, opening in ((topology / name, open), (topology / f"{name}.gz", gzip.open)):
+        with contextlib.suppress(OSError, EOFError, zlib.error), opening(path, "rb") as file:
+            found = re.search(rb"^\s*(\d{1,18})\s*(\(|$)", file.read(1 << 13).rpartition(b"FoamFile")[2], re.MULTILINE)
+            return int(found[1]) if found else 0
+    return 0
 
 
 def regions(folder: pathlib.Path) -> list[str]:
