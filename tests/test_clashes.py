@@ -274,3 +274,36 @@ def test_a_condition_called_unnamed_stays_by_itself(tmp_path):
     mesh = io.read(of_cgns(tmp_path / "a", name="unnamed"))
     assert list(mesh.patches) == ["unnamed", "unnamed_faces"]
     assert (mesh.points[mesh.patch("unnamed"), 2] == 0).all()
+
+
+def test_what_a_cgns_file_has_beside_its_mesh_is_told(tmp_path):
+    """Another base, a section of no condition, later coordinates, an interface without equal nodes; faces without a name."""
+    cgns.unstructured(tmp_path / "a.cgns")
+    with h5py.File(tmp_path / "a.cgns", "r+", track_order=True) as file:
+        skin = cgns.node(file, "Surface", "CGNSBase_t", np.array([2, 3], np.int32))
+        cgns.elements(cgns.zone(skin, "wall", tuple(np.eye(3)), 1), "faces", 5, [1, 2, 3], 1, 1)
+        zone = file["Base/all"]
+        cgns.elements(zone, "fan", 7, [2, 9, 10, 6], 6, 1)
+        file.copy(zone["GridCoordinates"], zone, "GridCoordinates2")
+        zone["GridCoordinates2"].attrs["name"] = np.bytes_("GridCoordinates2")
+        found = cgns.node(zone, "ZoneGridConnectivity", "ZoneGridConnectivity_t")
+        cgns.node(found, "slip", "GridConnectivity_t", "all")
+    notes = " ".join(io.read(tmp_path / "a.cgns").source.notes)
+    for part in ("the base Surface of 2-D cells", "the sections fan", "of the zones all the first", "all/slip"):
+        assert part in notes, notes
+
+
+def test_faces_without_names_are_told():
+    mesh = jm.Mesh.from_meshio(of_meshio([]))
+    assert list(mesh.patches) == ["boundary"]
+    assert mesh.source.notes == ("8 faces, edges or points of the file have no names, and are no patches.",)
+
+
+@pytest.mark.parametrize(("form", "width"), [("records", 8), ("plain", 4)])
+def test_blank_nodes_of_binary_grids_are_told(tmp_path, form, width):
+    plot3d.write(tmp_path / "a.xyz", plot3d.box(3, 3, 3), form, ">", width, blank=True)
+    assert io.read(tmp_path / "a.xyz").source.notes == ()
+    data = (tmp_path / "a.xyz").read_bytes()
+    at = data.rindex(b"\0\0\0\1" * 27)
+    (tmp_path / "a.xyz").write_bytes(data[:at] + b"\0" * 12 + data[at + 12 :])
+    assert io.read(tmp_path / "a.xyz").source.notes == ("3 nodes are blank (IBLANK 0), and are read as all others.",)

@@ -233,7 +233,9 @@ def parts(grid: Grid, more: Iterable[Patch] = ()) -> Parts:
     if not patches:
         outer = boundary_faces(cells, len(points))
         patches = {"boundary": np.concatenate([corners.ravel() for corners in outer.values()])}
-    notes = (*notes, *_left(grid, taken))
+        faces = sum(len(corners) for kind, corners in grid.blocks if kind not in cells)
+        notes += (f"{faces} faces, edges or points of the file have no names, and are no patches.",) * bool(faces)
+    notes += tuple(_left(grid, taken))
     return Parts(np.ascontiguousarray(points), cells, patches, Origin(grid.content, numbers_of_cells(cells), notes))
 
 
@@ -314,15 +316,17 @@ def _left(grid: Grid, taken: str) -> Iterator[str]:
         )
     ]
     yield from regions_note(regions)
-    for what, name, numbers in _numbers(grid):
-        if name not in (taken, "gmsh:physical", "gmsh:geometrical") and not name.startswith(PREFIX):
-            listed = ", ".join(map(str, numbers[:SHOWN])) + " ..." * (len(numbers) > SHOWN)
-            way = " They are where it is called patch and nothing else names patches." * (what != "cells")
-            yield f"the array {name} numbers {what} ({listed}): these are no patches.{way}"
+    for what, name, numbers in _numbers(grid, (taken, "gmsh:physical", "gmsh:geometrical")):
+        listed = ", ".join(map(str, numbers[:SHOWN])) + " ..." * (len(numbers) > SHOWN)
+        way = " They are where it is called patch and nothing else names patches." * (what != "cells")
+        yield f"the array {name} numbers {what} ({listed}): these are no patches.{way}"
 
 
-def _numbers(grid: Grid) -> Iterator[tuple[str, str, list[int]]]:
-    """Yields what arrays number, their names and their numbers, without ids, which come once each."""
+def _numbers(grid: Grid, known: tuple[str, ...]) -> Iterator[tuple[str, str, list[int]]]:
+    """Yields what arrays number, their names and their numbers, without ids, which come once each.
+
+    Arrays `known` by their names are left out.
+    """
     full = [level == max(grid.levels) for level in grid.levels]
     arrays = [("nodes", name, [np.asarray(values)]) for name, values in grid.point_data.items()]
     for name, of_blocks in grid.cell_data.items():
@@ -332,6 +336,8 @@ def _numbers(grid: Grid) -> Iterator[tuple[str, str, list[int]]]:
                 (what, name, [np.asarray(values) for values, is_full in chosen if is_full == (what == "cells")])
             )
     for what, name, parts in arrays:
+        if name in known or name.startswith(PREFIX):
+            continue
         if parts and all(values.ndim == 1 and values.dtype.kind in "iu" for values in parts):
             values = np.concatenate(parts)
             numbers = np.unique(values).tolist()

@@ -126,7 +126,7 @@ def _other_bases(file: Any, dimension: int) -> Iterator[str]:
 def _left(
     zones: list[Zone], contents: list[Content], patches: dict[str, list[np.ndarray]], several: list[Condition]
 ) -> Iterator[str]:
-    """Yields sentences on sections of faces beyond all conditions, and on interfaces not read."""
+    """Yields sentences on sections beyond all conditions, interfaces and coordinates not read."""
     donors = {zone.name: (zone, content) for zone, content in zip(zones, contents, strict=True)}
     inside = np.zeros(sum(zone.count for zone in zones), bool)
     for nodes in patches.values():
@@ -138,6 +138,9 @@ def _left(
             is_face = section.dimension == content.dimension - 1 and not isinstance(section.vertices, Ragged)
             if several and is_face and not inside[section.vertices].all():
                 sections[section.section] = None
+    steps = [zone.name for zone in zones if len(list(children(zone.group, "GridCoordinates_t"))) > 1]
+    if steps:
+        yield f"of several GridCoordinates of the zones {', '.join(steps)} the first are read, and moved."
     if sections:
         yield f"no boundary condition has all faces of the sections {', '.join(sections)}: they are in unnamed."
     if interfaces:
