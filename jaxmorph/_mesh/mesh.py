@@ -173,9 +173,9 @@ class Mesh(Module):
     def from_meshio(mesh: Any) -> "Mesh":
         """Makes a mesh of a `meshio.Mesh`: cells of highest dimension, 2-D if all z are equal.
 
-        Patches are point sets, cell sets of lower dimension, gmsh's physical groups and point arrays
-        `patch:NAME`. Without them, the whole numbers of an array `patch`, `marker`, `boundary` ...,
-        on the boundary's cells or on points, name patches. Without such an array the one patch is
+        Patches are point sets, cell sets of lower dimension, gmsh's physical groups and point
+        arrays `patch:NAME`. Without them, the whole numbers of an array `patch`, `marker`,
+        `boundary` ..., on the boundary's cells or on points, name patches. Without such an array the one patch is
         `boundary`. Point ids stay. `to_meshio` of the result knows the `meshio.Mesh`.
 
         **Raises:** `ValueError` for types of cells that are not supported (polyhedra, cells with

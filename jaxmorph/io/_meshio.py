@@ -67,8 +67,9 @@ def load(path: pathlib.Path, name: str, reader: Callable[[str], Any]) -> meshio.
 def to_mesh(path: pathlib.Path, mesh: Any, source: Source, patches: Iterable[Patch] = ()) -> Parts:
     """Makes a mesh as `Mesh.from_meshio` does, with more `patches`; errors name the file."""
     with faults_of(path):
-        *arrays, origin = exchange.parts(exchange.of_meshio(mesh), patches)
-        return checked_parts(*arrays, dataclasses.replace(source, notes=(*source.notes, *origin.notes)))
+        points, cells, found, origin = exchange.parts(exchange.of_meshio(mesh), patches)
+        notes = (*source.notes, *origin.notes)
+        return checked_parts(points, cells, found, dataclasses.replace(source, notes=notes))
 
 
 def of_mesh(mesh: MeshLike, point_data: Arrays | None = None, cell_data: Arrays | None = None) -> meshio.Mesh:

@@ -67,7 +67,7 @@ def _place(parts: Mapping[str, Any]) -> str:
 
 
 def left_interfaces(zone: Zone, contents: Mapping[str, tuple[Zone, Content]]) -> Iterator[str]:
-    """Yields the names of interfaces that are not read: without equal nodes, or holes of overset."""
+    """Yields the names of interfaces that are not read: without equal nodes, or overset holes."""
     known = {interface.name for interface in connections(zone, contents)}
     known |= {name for name, _, turns in _interfaces(zone, "GridConnectivity1to1_t") if not turns}
     for name, *_ in _interfaces(zone, "GridConnectivity1to1_t", "GridConnectivity_t", "OversetHoles_t"):
@@ -91,7 +91,7 @@ def conditions(zones: list[Zone]) -> tuple[dict[str, list[Condition]], list[str]
     """Lists each zone's boundary conditions, and sentences on those of one name.
 
     Conditions of one family are one patch, and so are those of one name and type without a family.
-    Another type, or a name that a family has too, makes a patch with the zone's name behind its own.
+    Another type, or a name that a family has too, makes a patch of its own, called by the zone too.
     """
     found: dict[str, list[Condition]] = {zone.name: [] for zone in zones}
     alone, families = [], set()

@@ -135,8 +135,8 @@ def _left(
     for zone, content in donors.values():
         interfaces += left_interfaces(zone, donors)
         for section in content.elements.values():
-            is_face = section.dimension == content.dimension - 1 and not isinstance(section.vertices, Ragged)
-            if several and is_face and not inside[section.vertices].all():
+            nodes = section.vertices.values if isinstance(section.vertices, Ragged) else section.vertices
+            if several and section.dimension == content.dimension - 1 and not inside[nodes].all():
                 sections[section.section] = None
     steps = [zone.name for zone in zones if len(list(children(zone.group, "GridCoordinates_t"))) > 1]
     if steps:

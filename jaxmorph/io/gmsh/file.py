@@ -37,8 +37,8 @@ class _GmshContent(FilePoints):
 def read(path: pathlib.Path) -> Parts:
     """Reads points, cells and patches: the physical groups of lower dimension than the mesh.
 
-    A group without a name is `physical_` and its tag. Of several groups of one name the first of the
-    highest dimension has it, others add their dimension and tag.
+    A group without a name is `physical_` and its tag. Of several groups of one name the first of
+    the highest dimension has it, others add their dimension and tag.
     """
     data = path.read_bytes()
     form, names, groups, vertices, cells, others = form_of(path, data), {}, {}, None, [], {}

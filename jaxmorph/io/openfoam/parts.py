@@ -76,8 +76,8 @@ class Decomposed:
     - `path`: the folder of the case, which has folders `processor0` to `processorN`. Of a case of
       several regions `case/constant/REGION`.
 
-    **Raises:** `ValueError` where these are missing, or are not all there, and for a case of several
-    regions without the name of one.
+    **Raises:** `ValueError` where these are missing, or are not all there, and for a case of
+    several regions without the name of one.
     """
 
     @checked
