@@ -73,7 +73,8 @@ def test_two_dimensions(tmp_path, form):
     exodus.write(tmp_path / "a.e", points, blocks, sets, [("", [3])], form=form, types=types)
     mesh = io.read(tmp_path / "a.e")
     assert {name: nodes.tolist() for name, nodes in mesh.patches.items()} == {
-        "wall": [0, 1, 4],
+        "wall": [0, 1],
+        "wall_sides_10": [1, 4],
         "sides_20": [0, 2, 3, 4],
         "nodes_10": [3],
     }

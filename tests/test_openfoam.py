@@ -1,6 +1,7 @@
 """OpenFOAM's polyMesh: every form of the files, every shape of cell, and OpenFOAM's and VTK's own view of the result."""
 
 import json
+import shutil
 
 import foam
 import numpy as np
@@ -336,3 +337,50 @@ def test_sensitivities_that_are_none(tmp_path):
         file.write_text(text.replace(old, new))
         with pytest.raises(ValueError, match=message):
             io.read_sensitivity(file, mesh)
+
+
+def two_regions(case):
+    """A case of two regions: constant/fluid/polyMesh and constant/solid/polyMesh."""
+    for name in ("fluid", "solid"):
+        foam.write_case(case.parent / name, *mixed(), PATCHES)
+        shutil.move(case.parent / name / "constant", case / "constant" / name)
+    shutil.move(case.parent / "fluid" / "system", case / "system")
+
+
+@pytest.mark.parametrize("region", ["fluid", "solid"])
+def test_the_points_of_a_region_go_to_the_region(tmp_path, capsys, region):
+    """Into a time, which is read again, and into a new case; by Python and by the command line."""
+    case = tmp_path / "case"
+    two_regions(case)
+    before = foam.tree(case)
+    mesh = io.read(case / "constant" / region)
+    points = mesh.points + 0.25
+    io.write(case / "1", mesh.moved(points))
+    again = io.read(case / "1" / region)
+    np.testing.assert_array_equal(again.points, points)
+    assert again.patches.keys() == mesh.patches.keys()
+    with pytest.raises(ValueError, match="the mesh was read from this folder"):
+        io.write(case / "1", again)
+    io.write(case / "2", again.moved(points + 1))
+    words = [str(case / "constant" / region), str(case / "3"), "--moving", ".*", "--translate", "0", "0", "1"]
+    assert main(["deform", *words]) == 0
+    capsys.readouterr()
+    new = {name for name in foam.tree(case) if name not in before}
+    assert new == {f"{time}/{region}/polyMesh/points" for time in "123"}
+    np.testing.assert_array_equal(io.read(case / "2" / region).points, points + 1)
+    io.write(tmp_path / "new", mesh.moved(points))
+    after = {name: text for name, text in foam.tree(tmp_path / "new").items() if before[name] != text}
+    assert list(after) == [f"constant/{region}/polyMesh/points"]
+    np.testing.assert_array_equal(io.read(tmp_path / "new" / "constant" / region).points, points)
+
+
+def test_a_case_of_regions_names_them(tmp_path, capsys):
+    two_regions(tmp_path / "case")
+    io.write(tmp_path / "case" / "1", io.read(tmp_path / "case" / "constant" / "fluid"))
+    told = r"case: no OpenFOAM case.* It has 2 regions, fluid, solid, each .*: \S+case/constant/fluid\."
+    with pytest.raises(ValueError, match=told):
+        io.read(tmp_path / "case")
+    assert main(["info", str(tmp_path / "case")]) == 2
+    assert "fluid, solid" in capsys.readouterr().err
+    with pytest.raises(ValueError, match=r"It has one region, fluid, .*: \S+case/1/fluid\."):
+        io.read(tmp_path / "case" / "1")

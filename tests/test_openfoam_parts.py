@@ -67,6 +67,36 @@ def test_a_part_has_no_boundary_to_other_parts(divided):
     assert left.total == 20  # of 24 around these eight cubes
 
 
+def test_parts_of_a_region_are_those_of_a_case(divided, tmp_path):
+    """The parts of a region, constant/fluid in each processor's folder, move into the region's folders."""
+    plain = io.Decomposed(divided)
+    shutil.copytree(divided, tmp_path / "regions")
+    for part in ("", "processor0", "processor1"):
+        constant = tmp_path / "regions" / part / "constant"
+        for region in ("fluid", "solid"):
+            shutil.copytree(constant / "polyMesh", constant / region / "polyMesh")
+        shutil.rmtree(constant / "polyMesh")
+    fluid = tmp_path / "regions" / "constant" / "fluid"
+    with pytest.raises(ValueError, match=rf"name one of the regions fluid, solid, as {re.escape(str(fluid))}"):
+        io.Decomposed(tmp_path / "regions")
+    shutil.rmtree(tmp_path / "regions" / "constant")
+    with pytest.raises(
+        ValueError, match=r"It is decomposed, and has the regions fluid, solid: .*--decomposed \S+fluid"
+    ):
+        io.read(tmp_path / "regions")
+    case = io.Decomposed(fluid)
+    surface = case.surface()
+    np.testing.assert_array_equal(surface.points, plain.surface().points)
+    before = foam.tree(tmp_path / "regions")
+    with case.writing(tmp_path / "new") as writer:
+        for k in range(len(case)):
+            writer.add(k, case.read(k).moved(case.read(k).points * 2))
+    after = foam.tree(tmp_path / "new")
+    changed = [name for name in before if name in after and after[name] != before[name]]
+    assert changed == [f"processor{k}/constant/fluid/polyMesh/points" for k in range(2)]
+    np.testing.assert_array_equal(io.Decomposed(tmp_path / "new/constant/fluid").surface().points, surface.points * 2)
+
+
 def test_the_surface_is_that_of_the_whole(divided):
     whole, case = io.read(divided), io.Decomposed(divided)
     surface = case.surface()

@@ -3,7 +3,7 @@
 import dataclasses
 import importlib
 import urllib.parse
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,6 +17,7 @@ PREFIX = "patch:"
 """Point arrays of this name and a patch's hold 1 at the nodes of the patch and 0 elsewhere."""
 
 MARKERS = ("patch", "patch_id", "patchid", "marker", "boundary", "boundary_id", "cellentityids", "medit:ref")
+MARKERS += ("modelfaceid", "facet_tags", "name_to_read")
 """Names in lower case of arrays whose numbers name patches."""
 
 BOUNDING = "gmsh:bounding_entities"
@@ -28,6 +29,12 @@ LAGRANGE = {
 }
 """meshio's names of VTK's cells of any order, of which the number of nodes tells the order."""
 
+LEVELS = ("point", "curve", "surface", "volume")
+"""gmsh's names of the dimensions."""
+
+SHOWN = 6
+"""Numbers of an array that a sentence lists."""
+
 Arrays = Mapping[str, Any]
 
 
@@ -35,11 +42,40 @@ Arrays = Mapping[str, Any]
 class Origin:
     """The mesh of another library that a mesh came from, and numbers of the mesh's cells by type.
 
-    It is compared by identity, as a static field of a pytree must be.
+    `notes` are sentences on what was left, or has another name. It is compared by identity, as a
+    static field of a pytree must be.
     """
 
     content: Any
     cells: Mapping[str, int]
+    notes: tuple[str, ...] = ()
+
+
+class Patch(NamedTuple):
+    """A set of nodes called `name`, and what it is by itself, `nodes_10` for node set 10."""
+
+    name: str
+    own: str
+    nodes: np.ndarray
+
+
+def distinct(patches: Iterable[Patch]) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
+    """Gives each set of nodes a name, and says in sentences where two had one.
+
+    The first one keeps it, others add what they are. Sets of the same name and nodes are one.
+    """
+    found: dict[str, np.ndarray] = {}
+    notes = []
+    for name, own, nodes in patches:
+        new, nodes = name, np.unique(nodes)
+        while new in found and not np.array_equal(found[new], nodes):
+            new = f"{new}_{own}"
+        if new in found:
+            notes.append(f"{own} has the name and the nodes of the patch {new}: the two are one patch.")
+        elif new != name:
+            notes.append(f"{own} is called {name}, as another patch with other nodes: it is the patch {new}.")
+        found[new] = nodes
+    return found, tuple(notes)
 
 
 def numbers_of_cells(cells: Mapping[str, Any]) -> dict[str, int]:
@@ -55,14 +91,19 @@ def intact_source(mesh: Any) -> Any:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Grid:
-    """A mesh of another library: `blocks` of one cell type; `cell_data` has one array a block."""
+    """A mesh of another library, `content`, which `parts` reads.
 
+    `blocks` have one cell type each, `cell_data` one array a block.
+    """
+
+    content: Any
     points: np.ndarray
     blocks: list[tuple[str, np.ndarray]]
     point_data: Arrays
     cell_data: Mapping[str, list[np.ndarray]]
     cell_sets: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     field_data: Arrays = dataclasses.field(default_factory=dict)
+    point_sets: Arrays = dataclasses.field(default_factory=dict)
 
     @property
     def levels(self) -> list[int]:
@@ -78,7 +119,8 @@ def of_meshio(mesh: Any) -> Grid:
         raise ValueError(f"`mesh` must be a meshio.Mesh, not {shown(mesh)}. Call Mesh.from_meshio(meshio.read(path)).")
     blocks = [kind_of_block(block.type, np.asarray(block.data)) for block in mesh.cells]
     _refuse_unknown(kind for kind, ids in blocks if len(ids))
-    return Grid(np.asarray(mesh.points), blocks, mesh.point_data, mesh.cell_data, mesh.cell_sets, mesh.field_data)
+    arrays = mesh.point_data, mesh.cell_data, mesh.cell_sets, mesh.field_data, getattr(mesh, "point_sets", {})
+    return Grid(mesh, np.asarray(mesh.points), blocks, *arrays)
 
 
 def of_pyvista(grid: Any) -> Grid:
@@ -97,7 +139,7 @@ def of_pyvista(grid: Any) -> Grid:
         nodes = ids[starts[:-1][masks[-1]][:, None] + np.arange(size)]
         blocks.append((kind, reordered(kind, nodes, VTK_ORDER, None) if kind in NODES else nodes))
     cell_data = {name: [np.asarray(values)[mask] for mask in masks] for name, values in grid.cell_data.items()}
-    return Grid(np.asarray(grid.points), blocks, dict(grid.point_data), cell_data)
+    return Grid(grid, np.asarray(grid.points), blocks, dict(grid.point_data), cell_data)
 
 
 def kind_of_vtk(number: int, size: int) -> str:
@@ -160,12 +202,13 @@ class Parts(NamedTuple):
     source: Any = None
 
 
-def parts(grid: Grid) -> Parts:
+def parts(grid: Grid, more: Iterable[Patch] = ()) -> Parts:
     """Makes points, cells and patches of a grid: highest dimension, without z if all z are equal.
 
-    Patches are named sets of cells of lower dimension, gmsh's physical groups, and point arrays
-    `patch:NAME`. Without them, the numbers of an array of `MARKERS` name patches. Without such an
-    array, the nodes of faces that belong to one cell only are the patch `boundary`.
+    Patches are `more`, point arrays `patch:NAME`, named sets of points and of cells of lower
+    dimension, and gmsh's physical groups. Without them, the numbers of an array of `MARKERS` name
+    patches. Without such an array, the nodes of faces that belong to one cell only are the patch
+    `boundary`.
     """
     cells = _cells(grid)
     points = grid.points.astype(float)
@@ -179,15 +222,21 @@ def parts(grid: Grid) -> Parts:
         outside = corners[(corners < 0) | (corners >= len(points))]
         if len(outside):
             raise ValueError(f"a {kind} names node {outside[0]}, but there are {len(points)} points.")
-    patches = _sets(grid) | _physical(grid)
-    for name, values in grid.point_data.items():
-        if name.startswith(PREFIX) and np.ndim(values) == 1:
-            patches[urllib.parse.unquote(name.removeprefix(PREFIX))] = np.flatnonzero(values)
-    patches = patches or _marked(grid)
+    flags = [
+        Patch(urllib.parse.unquote(name.removeprefix(PREFIX)), "array", np.flatnonzero(values))
+        for name, values in grid.point_data.items()
+        if name.startswith(PREFIX) and np.ndim(values) == 1
+    ]
+    patches, notes = distinct([*more, *flags, *_sets(grid), *_physical(grid)])
+    taken, marked = ("", {}) if patches else _marked(grid)
+    patches = patches or marked
     if not patches:
         outer = boundary_faces(cells, len(points))
         patches = {"boundary": np.concatenate([corners.ravel() for corners in outer.values()])}
-    return Parts(np.ascontiguousarray(points), cells, patches)
+        faces = sum(len(corners) for kind, corners in grid.blocks if kind not in cells)
+        notes += (f"{faces} faces, edges or points of the file have no names, and are no patches.",) * bool(faces)
+    notes += tuple(_left(grid, taken))
+    return Parts(np.ascontiguousarray(points), cells, patches, Origin(grid.content, numbers_of_cells(cells), notes))
 
 
 def _cells(grid: Grid) -> dict[str, np.ndarray]:
@@ -201,32 +250,39 @@ def _cells(grid: Grid) -> dict[str, np.ndarray]:
     return {kind: np.concatenate(parts) for kind, parts in cells.items()}
 
 
-def _sets(grid: Grid) -> dict[str, np.ndarray]:
-    """Makes patches of named cell sets, without sets of full dimension: regions of the volume."""
-    levels, patches = grid.levels, {}
+def _sets(grid: Grid) -> Iterator[Patch]:
+    """Yields named sets of cells, without those of full dimension: regions; and sets of points."""
+    levels = grid.levels
     for name, members in grid.cell_sets.items():
-        for (_, corners), level, inside in zip(grid.blocks, levels, members, strict=True):
-            if inside is not None and np.size(inside) and level < max(levels) and name != BOUNDING:
-                patches.setdefault(name, []).append(corners[np.asarray(inside, dtype=np.int64)].ravel())
-    return _joined(patches)
+        nodes = [
+            corners[np.asarray(inside, dtype=np.int64)].ravel()
+            for (_, corners), level, inside in zip(grid.blocks, levels, members, strict=True)
+            if inside is not None and np.size(inside) and level < max(levels) and name != BOUNDING
+        ]
+        if nodes:
+            yield Patch(name, "cells", np.concatenate(nodes))
+    for name, members in grid.point_sets.items():
+        yield Patch(name, "points", np.asarray(members, dtype=np.int64))
 
 
-def _physical(grid: Grid) -> dict[str, np.ndarray]:
-    """Makes patches of gmsh's physical groups; an unnamed group is `physical_` and its tag."""
-    levels, patches = grid.levels, {}
+def _physical(grid: Grid) -> Iterator[Patch]:
+    """Yields gmsh's physical groups; an unnamed group is `physical_` and its tag."""
+    levels = grid.levels
     names = {(int(info[0]), int(info[1])): name for name, info in grid.field_data.items() if np.size(info) == 2}
+    nodes: dict[tuple[int, int], list[np.ndarray]] = {}
     for (_, corners), level, tags in zip(grid.blocks, levels, grid.cell_data.get("gmsh:physical", []), strict=False):
         for tag in np.unique(tags).tolist() if level < max(levels) else []:
             if tag > 0:
-                name = names.get((int(tag), level), f"physical_{int(tag)}")
-                patches.setdefault(name, []).append(corners[np.asarray(tags) == tag].ravel())
-    return _joined(patches)
+                nodes.setdefault((int(tag), level), []).append(corners[np.asarray(tags) == tag].ravel())
+    for (tag, level), members in nodes.items():
+        name = names.get((tag, level), f"physical_{tag}")
+        yield Patch(name, f"{LEVELS[level]}_{tag}", np.concatenate(members))
 
 
-def _marked(grid: Grid) -> dict[str, np.ndarray]:
+def _marked(grid: Grid) -> tuple[str, dict[str, np.ndarray]]:
     """Makes patches by the first array of `MARKERS`, on cells of lower dimension or points.
 
-    On points, 0 means inside.
+    On points, 0 means inside. The name of the array comes first.
     """
     levels = grid.levels
     for name in _markers(grid.cell_data):
@@ -236,16 +292,64 @@ def _marked(grid: Grid) -> dict[str, np.ndarray]:
                 for number in np.unique(values).tolist():
                     patches.setdefault(f"{name}_{int(number)}", []).append(corners[values == number].ravel())
         if patches:
-            return _joined(patches)
+            return name, {name: np.concatenate(nodes) for name, nodes in patches.items()}
     for name in _markers(grid.point_data):
         values = np.asarray(grid.point_data[name])
         if _are_whole(values) and values.any():
-            return {f"{name}_{int(v)}": np.flatnonzero(values == v) for v in np.unique(values[values != 0]).tolist()}
-    return {}
+            numbers = np.unique(values[values != 0]).tolist()
+            return name, {f"{name}_{int(number)}": np.flatnonzero(values == number) for number in numbers}
+    return "", {}
 
 
-def _joined(patches: dict[str, list[np.ndarray]]) -> dict[str, np.ndarray]:
-    return {name: np.concatenate(nodes) for name, nodes in patches.items()}
+def _left(grid: Grid, taken: str) -> Iterator[str]:
+    """Yields sentences on sets of cells of full dimension, and on numbers that are no patches.
+
+    `taken` is the array that has become patches.
+    """
+    full = [level == max(grid.levels) for level in grid.levels]
+    regions = [
+        name
+        for name, members in grid.cell_sets.items()
+        if name != BOUNDING
+        and any(
+            np.size(inside) for is_full, inside in zip(full, members, strict=True) if is_full and inside is not None
+        )
+    ]
+    yield from regions_note(regions)
+    for what, name, numbers in _numbers(grid, (taken, "gmsh:physical", "gmsh:geometrical")):
+        listed = ", ".join(map(str, numbers[:SHOWN])) + " ..." * (len(numbers) > SHOWN)
+        way = " They are where it is called patch and nothing else names patches." * (what != "cells")
+        yield f"the array {name} numbers {what} ({listed}): these are no patches.{way}"
+
+
+def _numbers(grid: Grid, known: tuple[str, ...]) -> Iterator[tuple[str, str, list[int]]]:
+    """Yields what arrays number, their names and their numbers, without ids, which come once each.
+
+    Arrays `known` by their names are left out.
+    """
+    full = [level == max(grid.levels) for level in grid.levels]
+    arrays = [("nodes", name, [np.asarray(values)]) for name, values in grid.point_data.items()]
+    for name, of_blocks in grid.cell_data.items():
+        for what in ("faces", "cells") if name.lower() in MARKERS else ("faces",):
+            chosen = zip(of_blocks, full, strict=True)
+            arrays.append(
+                (what, name, [np.asarray(values) for values, is_full in chosen if is_full == (what == "cells")])
+            )
+    for what, name, parts in arrays:
+        if name in known or name.startswith(PREFIX):
+            continue
+        if parts and all(values.ndim == 1 and values.dtype.kind in "iu" for values in parts):
+            values = np.concatenate(parts)
+            numbers = np.unique(values).tolist()
+            if any(numbers) and len(numbers) < max(len(values), 2):
+                yield what, name, numbers
+
+
+def regions_note(names: Iterable[str]) -> Iterator[str]:
+    """Yields a sentence on sets of cells, if there are any."""
+    listed = ", ".join(dict.fromkeys(names))
+    if listed:
+        yield f"regions, sets of cells, are no patches and move as one mesh: {listed}."
 
 
 def _markers(arrays: Arrays) -> list[str]:

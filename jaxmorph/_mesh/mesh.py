@@ -173,17 +173,16 @@ class Mesh(Module):
     def from_meshio(mesh: Any) -> "Mesh":
         """Makes a mesh of a `meshio.Mesh`: cells of highest dimension, 2-D if all z are equal.
 
-        Patches are cell sets of lower dimension, gmsh's physical groups and point arrays
-        `patch:NAME`. Without them, the whole numbers of an array `patch`, `marker`, `boundary` ...,
-        on the boundary's cells or on points, name patches. Without such an array the one patch is
+        Patches are point sets, cell sets of lower dimension, gmsh's physical groups and point
+        arrays `patch:NAME`. Without them, the whole numbers of an array `patch`, `marker`,
+        `boundary` ..., on the boundary's cells or on points, name patches. Without such an array the one patch is
         `boundary`. Point ids stay. `to_meshio` of the result knows the `meshio.Mesh`.
 
         **Raises:** `ValueError` for types of cells that are not supported (polyhedra, cells with
         nodes between corners). Also for points that are not finite, and for a mesh without area or
         volume.
         """
-        parts = exchange.parts(exchange.of_meshio(mesh))
-        return Mesh(*parts[:3], exchange.Origin(mesh, exchange.numbers_of_cells(parts.cells)))
+        return Mesh(*exchange.parts(exchange.of_meshio(mesh)))
 
     @checked
     def to_meshio(
@@ -216,8 +215,7 @@ class Mesh(Module):
                     f"`grid` must be a single grid of PyVista, not {shown(grid)}; one of several blocks has `combine`."
                 )
             grid = grid.cast_to_unstructured_grid()
-        parts = exchange.parts(exchange.of_pyvista(grid))
-        return Mesh(*parts[:3], exchange.Origin(grid, exchange.numbers_of_cells(parts.cells)))
+        return Mesh(*exchange.parts(exchange.of_pyvista(grid)))
 
     @checked
     def to_pyvista(

@@ -93,6 +93,13 @@ def _described(mesh: Mesh, name: str) -> tuple[list[str], dict[str, Any]]:
     for box in boxes:
         nodes = sum(len(ids) for ids, _ in box.surface.values())
         lines.append(f"  {box.name}  degrees {' x '.join(map(str, degrees[box.name]))}, {nodes:>9} nodes")
+    notes = getattr(mesh.source, "notes", ())
+    if notes:
+        facts["notes"] = list(notes)
+        lines.append("notes")
+    for note in notes:
+        text = f"  {note}"
+        lines.append(textwrap.fill(text, 80, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False))
     return lines, facts
 
 

@@ -2,14 +2,13 @@
 
 import dataclasses
 import pathlib
-import urllib.parse
 from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
 from jaxmorph._host.cells.topology import DIMENSION
-from jaxmorph._mesh.exchange import PREFIX, Parts
+from jaxmorph._mesh.exchange import Parts, Patch, regions_note
 
 from ._format import Arrays, MeshLike, Source, StampedPoints, stamp_of
 from ._meshio import meshio, to_mesh
@@ -39,9 +38,13 @@ TYPES |= {(name, 1): ("vertex", []) for name in ("SPH", "CIR", "POI", "NOD")}
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Block:
-    """Elements of one type between `corners`, called `name`, and the corners of their sides."""
+    """Elements of one type between `corners`, called `name`, and the corners of their sides.
+
+    Without a name it is called `own`.
+    """
 
     name: str
+    own: str
     kind: str
     corners: np.ndarray
     sides: list[list[int]]
@@ -50,8 +53,8 @@ class _Block:
 def read(path: pathlib.Path) -> Parts:
     """Reads points, cells and patches: side sets, node sets, blocks of lower dimension.
 
-    Sets and blocks of one name are one patch. A set without a name is called by its kind and its
-    number.
+    A set without a name is called by its kind and its number. Of several sets and blocks of one
+    name the first one has it, others add their kind and number.
     """
     path.open("rb").close()
     with opened(path, what=WHAT) as file:
@@ -59,15 +62,14 @@ def read(path: pathlib.Path) -> Parts:
         _check_count(file, "num_nodes", len(points))
         blocks = list(_blocks(path, file, points.shape[1]))
         _check_count(file, "num_elem", sum(len(block.corners) for block in blocks))
-        flags: dict[str, Any] = {}
-        for name, nodes in _sets(file, blocks):
+        patches = list(_sets(file, blocks))
+        for name, _, nodes in patches:
             if len(nodes) and not 0 <= nodes.min() <= nodes.max() < len(points):
                 raise ValueError(f"{name} has nodes {nodes.min() + 1} to {nodes.max() + 1} of {len(points)}")
-            flag = flags.setdefault(PREFIX + urllib.parse.quote(name), np.zeros(len(points), np.uint8))
-            flag[nodes] = 1
+        notes = tuple(_notes(file, blocks))
     content = StampedPoints(points, stamp_of(path))
-    mesh = meshio.Mesh(points, [(block.kind, block.corners) for block in blocks], point_data=flags)
-    return to_mesh(path, mesh, Source(path, NAME, content, in_file=content.in_file))
+    mesh = meshio.Mesh(points, [(block.kind, block.corners) for block in blocks])
+    return to_mesh(path, mesh, Source(path, NAME, content, in_file=content.in_file, notes=notes), patches)
 
 
 def write(path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arrays) -> None:
@@ -115,15 +117,29 @@ def _blocks(path: pathlib.Path, file: Mapping[str, Any], dimension: int) -> Iter
         ours, sides = TYPES[kind.upper()[:3], width]
         # triangles of a mesh in space have sides as shells have, quads have not
         is_shell = ours == "triangle" and dimension == 3
-        yield _Block(name or f"block_{_number(numbers, at)}", ours, corners, _SHELLS[3] if is_shell else sides)
+        own = f"block_{_number(numbers, at)}"
+        yield _Block(name or own, own, ours, corners, _SHELLS[3] if is_shell else sides)
 
 
-def _sets(file: Mapping[str, Any], blocks: list[_Block]) -> Iterator[tuple[str, np.ndarray]]:
-    """Yields the name and the nodes of what patches are made of."""
+def _notes(file: Mapping[str, Any], blocks: list[_Block]) -> Iterator[str]:
+    """Yields sentences on what does not become patches."""
+    levels = [DIMENSION.get(block.kind, 0) for block in blocks]
+    solid = [block for block, level in zip(blocks, levels, strict=True) if level == max(levels)]
+    if len(solid) > 1 or any(block.name != block.own for block in solid):
+        yield from regions_note(block.name for block in solid)
+    others = {"num_edge_sets": "edge sets", "num_face_sets": "face sets", "num_elem_sets": "element sets"}
+    others |= {"num_ed_blk": "blocks of edges", "num_fa_blk": "blocks of faces"}
+    for dimension, what in others.items():
+        if dimension in file:
+            yield f"{file[dimension].shape[0]} {what} are not read, and stay in the file."
+
+
+def _sets(file: Mapping[str, Any], blocks: list[_Block]) -> Iterator[Patch]:
+    """Yields what patches are made of."""
     levels = [DIMENSION.get(block.kind, 0) for block in blocks]
     for block, level in zip(blocks, levels, strict=True):
         if level < max(levels):
-            yield block.name, np.unique(block.corners)
+            yield Patch(block.name, block.own, block.corners)
     for what, dimension, array in (("ss", "num_side_sets", "elem_ss"), ("ns", "num_node_sets", "node_ns")):
         numbers, names = _names(file, what, file[dimension].shape[0] if dimension in file else 0)
         for at, name in enumerate(names, start=1):
@@ -131,7 +147,8 @@ def _sets(file: Mapping[str, Any], blocks: list[_Block]) -> Iterator[tuple[str, 
             rows = np.zeros(0, np.int64) if members is None else members[()].astype(np.int64) - 1
             if what == "ss" and len(rows):
                 rows = _nodes(blocks, rows, file[f"side_ss{at}"][()].astype(np.int64) - 1)
-            yield name or f"{'sides' if what == 'ss' else 'nodes'}_{_number(numbers, at)}", rows
+            own = f"{'sides' if what == 'ss' else 'nodes'}_{_number(numbers, at)}"
+            yield Patch(name or own, own, rows)
 
 
 def _array(file: Mapping[str, Any], name: str, at: int, what: str) -> Any:

@@ -31,6 +31,7 @@ class Source:
     - `in_file`: takes points (n, d) of the mesh to points (N, 3) of the file; None where a mesh has
       the nodes of its file.
     - `cells`: numbers of the file's cells by type, by which changed cells are seen; None: unknown.
+    - `notes`: sentences on what of the file is not in the mesh, or has another name there.
     """
 
     path: pathlib.Path
@@ -47,6 +48,7 @@ class Source:
     file_nodes: np.ndarray | None = None
     in_file: Callable[[np.ndarray], np.ndarray] | None = None
     cells: Mapping[str, int] | None = None
+    notes: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         return f"Source({str(self.path)!r}, {self.format})"

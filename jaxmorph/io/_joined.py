@@ -69,13 +69,16 @@ def _join_nodes(zones: Zones) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndar
     """Finds the nodes that stay, the mesh node of each file node, and the mesh's patches.
 
     Where no patch lies, nodes at one place are one. Faces that are then alone and in no patch are
-    the patch `unnamed`, or `boundary` where there is no other, unless they have a name.
+    the patch `unnamed`, or `boundary` where there is no other, unless they have a name. Where the
+    file has a patch `unnamed` they are `unnamed_faces`.
     """
     covers = [nodes for parts in zones.patches.values() for nodes in parts]
     faces = open_faces(zones.faces, covers, len(zones.points))
     original, node = np.unique(shared_nodes(zones.points, faces), return_inverse=True)
     patches = {name: np.concatenate([node[nodes] for nodes in parts]) for name, parts in zones.patches.items()}
     rest = "unnamed" if patches else "boundary"
+    while rest in patches:
+        rest += "_faces"
     shared = [node[corners] for corners in faces]
     for number, (corners, mask) in enumerate(zip(shared, _single(shared), strict=True)):
         if mask.any():

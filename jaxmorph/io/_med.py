@@ -1,13 +1,13 @@
 """MED files of Salome and Code_Aster, in HDF5: copies with other coordinates."""
 
 import pathlib
-import urllib.parse
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
-from jaxmorph._mesh.exchange import PREFIX, Parts
+from jaxmorph._host.cells.topology import DIMENSION
+from jaxmorph._mesh.exchange import Parts, Patch, regions_note
 
 from ._format import Arrays, MeshLike, Source, StampedPoints, stamp_of
 from ._meshio import meshio, to_mesh
@@ -30,7 +30,10 @@ TYPES = {
 
 
 def read(path: pathlib.Path) -> Parts:
-    """Reads points, cells and patches: groups of nodes, and of elements of lower dimension."""
+    """Reads points, cells and patches: groups of elements of lower dimension, and of nodes.
+
+    A group of nodes that is called as one of elements, and has other nodes, is `NAME_nodes`.
+    """
     path.open("rb").close()
     with opened(path, what=WHAT) as file:
         name, step = _step(file)
@@ -44,17 +47,25 @@ def read(path: pathlib.Path) -> Parts:
             blocks.append((ours, corners))
             families.append(group["FAM"][()] if "FAM" in group else np.zeros(len(corners), int))
         of_nodes = step["NOE"]["FAM"][()] if "FAM" in step["NOE"] else np.zeros(len(points), int)
-        sets: dict[str, Any] = {}
-        for group, numbers in _groups(file, name, "ELEME"):
-            sets[group] = [np.flatnonzero(np.isin(family, numbers)) for family in families]
-        flags = {}
-        for group, numbers in _groups(file, name, "NOEUD"):
-            flags[PREFIX + urllib.parse.quote(group)] = np.isin(of_nodes, numbers).astype(int)
+        of_elements, groups = dict(_groups(file, name, "ELEME")), dict(_groups(file, name, "NOEUD"))
     if any(len(family) != len(corners) for family, (_, corners) in zip(families, blocks, strict=True)):
         raise ValueError(f"{path}: not {WHAT}, or a damaged one (families of other elements than there are).")
-    content = StampedPoints(points, stamp_of(path))
-    mesh = meshio.Mesh(points, blocks, point_data=flags, cell_sets=sets)
-    return to_mesh(path, mesh, Source(path, NAME, content, in_file=content.in_file))
+    levels, patches, regions = [DIMENSION.get(kind, 0) for kind, _ in blocks], [], []
+    for group, numbers in of_elements.items():
+        chosen = [np.isin(family, numbers) for family in families]
+        nodes = [
+            corners[inside].ravel()
+            for (_, corners), level, inside in zip(blocks, levels, chosen, strict=True)
+            if level < max(levels) and inside.any()
+        ]
+        if nodes:
+            patches.append(Patch(group, "elements", np.concatenate(nodes)))
+        if any(inside.any() for level, inside in zip(levels, chosen, strict=True) if level == max(levels)):
+            regions.append(group)
+    patches += [Patch(group, "nodes", np.flatnonzero(np.isin(of_nodes, ids))) for group, ids in groups.items()]
+    content, notes = StampedPoints(points, stamp_of(path)), tuple(regions_note(regions))
+    source = Source(path, NAME, content, in_file=content.in_file, notes=notes)
+    return to_mesh(path, meshio.Mesh(points, blocks), source, patches)
 
 
 def write(path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arrays) -> None:

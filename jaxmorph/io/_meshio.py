@@ -9,16 +9,16 @@ import contextlib
 import dataclasses
 import io
 import pathlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from jaxmorph._mesh import exchange, export
 from jaxmorph._mesh.arrays import checked_parts
-from jaxmorph._mesh.exchange import Parts
+from jaxmorph._mesh.exchange import Parts, Patch
 
-from ._format import Arrays, MeshLike, faults_of
+from ._format import Arrays, MeshLike, Source, faults_of
 
 for _kind in ("pyramid13", "wedge15"):  # types that meshio reads and writes, and whose dimension it lacks
     meshio._mesh.topological_dimension.setdefault(_kind, 3)
@@ -64,10 +64,12 @@ def load(path: pathlib.Path, name: str, reader: Callable[[str], Any]) -> meshio.
     return mesh
 
 
-def to_mesh(path: pathlib.Path, mesh: Any, source: Any) -> Parts:
-    """Makes a mesh as `Mesh.from_meshio` does; errors name the file."""
+def to_mesh(path: pathlib.Path, mesh: Any, source: Source, patches: Iterable[Patch] = ()) -> Parts:
+    """Makes a mesh as `Mesh.from_meshio` does, with more `patches`; errors name the file."""
     with faults_of(path):
-        return checked_parts(*exchange.parts(exchange.of_meshio(mesh))[:3], source)
+        points, cells, found, origin = exchange.parts(exchange.of_meshio(mesh), patches)
+        notes = (*source.notes, *origin.notes)
+        return checked_parts(points, cells, found, dataclasses.replace(source, notes=notes))
 
 
 def of_mesh(mesh: MeshLike, point_data: Arrays | None = None, cell_data: Arrays | None = None) -> meshio.Mesh:

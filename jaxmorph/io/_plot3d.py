@@ -31,6 +31,7 @@ class FileLayout:
     shapes: tuple[tuple[int, ...], ...]
     starts: tuple[int, ...]
     dtype: np.dtype | None
+    has_blank: bool
 
     def coordinates(self, numbers: np.ndarray) -> list[np.ndarray]:
         """Returns views (d, nodes) of each block's coordinates in a text's numbers or bytes."""
@@ -42,6 +43,19 @@ class FileLayout:
             else:
                 views.append(np.ndarray((d, count), self.dtype, numbers.data, start))
         return views
+
+    def blank(self, numbers: np.ndarray) -> int:
+        """Counts the nodes whose IBLANK, behind each block's coordinates, is 0."""
+        total = 0
+        for shape, start in zip(self.shapes, self.starts, strict=True) if self.has_blank else ():
+            count = int(np.prod(shape))
+            if self.dtype is None:
+                values = numbers[start + len(shape) * count :][:count]
+            else:
+                at = start + len(shape) * count * self.dtype.itemsize
+                values = np.ndarray((count,), self.dtype.str[0] + "i4", numbers.data, at)
+            total += int((values == 0).sum())
+        return total
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -72,7 +86,9 @@ def read(path: pathlib.Path) -> Parts:
     with faults_of(path):
         mesh, joined = join(_zones(path, layout.shapes, points))
         content = _Content(data, layout, joined)
-        source = Source(path, NAME, content, file_nodes=joined.node, in_file=joined.in_file)
+        blank = layout.blank(numbers)
+        notes = (f"{blank} nodes are blank (IBLANK 0), and are read as all others.",) if blank else ()
+        source = Source(path, NAME, content, file_nodes=joined.node, in_file=joined.in_file, notes=notes)
         return mesh._replace(source=source)
 
 
@@ -118,7 +134,7 @@ def _text_layout(numbers: np.ndarray) -> FileLayout | None:
                 ]
                 if width > d and any((blank != np.floor(blank)).any() for blank in blanks):
                     continue  # IBLANK is whole numbers
-                return FileLayout(shapes, tuple(starts.tolist()), None)
+                return FileLayout(shapes, tuple(starts.tolist()), None, width > d)
     return None
 
 
@@ -155,7 +171,7 @@ def _binary_layout(data: bytes) -> FileLayout | None:
                 data, kind, [4 * is_multiple, 4 * d * len(shapes), *(sizes - 8).astype(int).tolist()]
             ):
                 continue
-            return FileLayout(shapes, tuple(starts.tolist()), np.dtype(f"{order}f{width}"))
+            return FileLayout(shapes, tuple(starts.tolist()), np.dtype(f"{order}f{width}"), has_blank)
     return None
 
 

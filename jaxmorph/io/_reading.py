@@ -2,6 +2,7 @@
 
 import dataclasses
 import pathlib
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -53,8 +54,16 @@ def file_mesh(path: pathlib.Path) -> Parts:
     """Reads and checks the mesh in a file or a case, as `jaxmorph.io.read` describes it."""
     mesh = format_of(path).codec().read(path)
     check_nodes(path, mesh)
-    source = dataclasses.replace(mesh.source, cells=numbers_of_cells(mesh.cells))
+    notes = (*mesh.source.notes, *_hidden_groups(mesh))
+    source = dataclasses.replace(mesh.source, cells=numbers_of_cells(mesh.cells), notes=notes)
     return mesh._replace(source=source)
+
+
+def _hidden_groups(mesh: Parts) -> Iterator[str]:
+    """Yields a sentence on each group whose name is that of a patch, which goes before it."""
+    for group, names in mesh.source.groups.items():
+        if group in mesh.patches and set(names) != {group}:
+            yield f"the group {group} ({', '.join(names)}) has the name of a patch: {group} is the patch alone."
 
 
 def check_nodes(path: pathlib.Path, mesh: Parts) -> None:

@@ -38,6 +38,9 @@ def read(path: str | os.PathLike[str]) -> Mesh:
     - in VTK files the point arrays called `patch:NAME`;
     - the one patch `boundary` for a file that names none.
 
+    Where two have one name and other nodes, the second one's name has what it is at its end,
+    `wall_nodes_20`. `mesh.source.notes` says so, and what of the file is not in the mesh.
+
     **Arguments:**
 
     - `path`: the file, or the folder of a case.

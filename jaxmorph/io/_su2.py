@@ -29,6 +29,8 @@ Type 1 is the single node of a SEND_RECEIVE marker.
 """
 DIALECT = {"MARKERTAG": "MARKER_TAG", "MARKERELEMS": "MARKER_ELEMS"}
 """Other spellings of keywords that files have."""
+HALO = "SEND_RECEIVE"
+"""The tag of all markers between the parts of a mesh in parts."""
 ROWS = 1 << 16
 """Rows of a new file formatted together."""
 
@@ -62,7 +64,7 @@ class SU2Content:
 def read(path: pathlib.Path) -> Parts:
     """Reads points in the order of the file; `patches` are the markers, joined by name.
 
-    With `NMARK= 0` the patch is `boundary`.
+    With `NMARK= 0` the patch is `boundary`. Markers of one tag are one boundary to SU2, too.
 
     Index columns after coordinates and corners are not looked at, as SU2 itself does not; all rows
     have them or none. `MARKERTAG=` and `MARKERELEMS=` are read as `MARKER_TAG=` and
@@ -106,10 +108,13 @@ def mesh_of(path: pathlib.Path, text: bytes, keywords: list[Keyword]) -> Parts:
     cells = _joined(_elements(_only(path, keywords, "NELEM"), len(points)))
     content = SU2Content(text, rows.section.start, rows.section.stop, points.shape)
     patches = _markers(path, keywords, len(points))
+    tags = [keyword.value for keyword in keywords if keyword.name == "MARKER_TAG"]
+    again = dict.fromkeys(tag for tag in tags if tags.count(tag) > 1 and tag != HALO)
+    notes = tuple(f"the {tags.count(tag)} markers {tag} are one patch, as they are to SU2." for tag in again)
     if not patches:
         outer = boundary_faces(cells, len(points)).values()
         patches = {"boundary": np.concatenate([corners.ravel() for corners in outer])}
-    return checked_parts(points, cells, patches, Source(path, NAME, content))
+    return checked_parts(points, cells, patches, Source(path, NAME, content, notes=notes))
 
 
 def check(path: pathlib.Path, mesh: MeshLike) -> None:

@@ -3,7 +3,7 @@
 import contextlib
 import dataclasses
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -66,23 +66,70 @@ def _place(parts: Mapping[str, Any]) -> str:
     return word(parts["GridLocation"]) if "GridLocation" in parts else "Vertex"
 
 
-def conditions(zone: Zone) -> Iterator[tuple[str, str, Any]]:
-    """Yields each boundary condition's patch (its family, if any), its name and its node."""
-    for _, zone_bc in children(zone.group, "ZoneBC_t"):
-        for name, condition in children(zone_bc, "BC_t"):
-            family = [word(child) for _, child in children(condition, "FamilyName_t")]
-            yield (family[0] if family else name), name, condition
+def left_interfaces(zone: Zone, contents: Mapping[str, tuple[Zone, Content]]) -> Iterator[str]:
+    """Yields the names of interfaces that are not read: without equal nodes, or overset holes."""
+    known = {interface.name for interface in connections(zone, contents)}
+    known |= {name for name, _, turns in _interfaces(zone, "GridConnectivity1to1_t") if not turns}
+    for name, *_ in _interfaces(zone, "GridConnectivity1to1_t", "GridConnectivity_t", "OversetHoles_t"):
+        if name not in known:
+            yield f"{zone.name}/{name}"
 
 
-def patches(zone: Zone, content: Content) -> Iterator[tuple[str, np.ndarray]]:
-    """Yields the patch and the nodes of each boundary condition.
+class Condition(NamedTuple):
+    """A boundary condition: the patch that it is of, its own name, and its node in the file."""
 
-    Conditions on cells, which gmsh writes for volumes, are left out, and conditions where the zone
-    goes on in another zone. A zone without any condition or interface has its sections of faces as
-    patches, as SU2 reads them.
+    patch: str
+    name: str
+    node: Any
+
+    @property
+    def kind(self) -> str:
+        return word(self.node) if " data" in self.node else ""
+
+
+def conditions(zones: list[Zone]) -> tuple[dict[str, list[Condition]], list[str]]:
+    """Lists each zone's boundary conditions, and sentences on those of one name.
+
+    Conditions of one family are one patch, and so are those of one name and type without a family.
+    Another type, or a name that a family has too, makes a patch of its own, called by the zone too.
+    """
+    found: dict[str, list[Condition]] = {zone.name: [] for zone in zones}
+    alone, families = [], set()
+    for zone in zones:
+        for _, zone_bc in children(zone.group, "ZoneBC_t"):
+            for name, node in children(zone_bc, "BC_t"):
+                family = [word(child) for _, child in children(node, "FamilyName_t")]
+                families |= {*family[:1]}
+                found[zone.name].append(Condition(family[0] if family else name, name, node))
+                alone += [] if family else [(zone.name, len(found[zone.name]) - 1)]
+    notes, kinds, members = [], {}, {}
+    for zone_name, at in alone:
+        condition = found[zone_name][at]
+        name = condition.name
+        if name not in families and kinds.setdefault(name, condition.kind) == condition.kind:
+            members.setdefault(name, []).append(zone_name)
+            continue
+        patch = f"{name}_{zone_name}"
+        while patch in families | kinds.keys():
+            patch = f"{patch}_{zone_name}"
+        found[zone_name][at], kinds[patch] = condition._replace(patch=patch), condition.kind
+        other = "family" if name in families else "condition of another type"
+        notes.append(
+            f"the boundary condition {name} of zone {zone_name} is called as a {other}: it is the patch {patch}."
+        )
+    for name, of_zones in members.items():
+        if len(of_zones) > 1:
+            notes.append(f"the boundary conditions {name} of {len(of_zones)} zones, of one type, are one patch.")
+    return found, notes
+
+
+def patches(zone: Zone, content: Content, several: list[Condition]) -> Iterator[tuple[str, np.ndarray | None]]:
+    """Yields the patch and the nodes of each boundary condition; None for a condition on cells.
+
+    gmsh writes these for volumes. Conditions where the zone goes on in another zone are left out. A
+    zone without any condition or interface has its sections of faces as patches, as SU2 reads them.
     """
     joined = {nodes.tobytes() for nodes in joints(zone, content)}
-    several = list(conditions(zone))
     for patch, name, condition in several:
         parts = dict(condition.items())
         places = [part for part in ("PointRange", "PointList", "ElementRange", "ElementList") if part in parts]
@@ -92,7 +139,7 @@ def patches(zone: Zone, content: Content) -> Iterator[tuple[str, np.ndarray]]:
         if "InwardNormalIndex" in parts and place in ("FaceCenter", "CellCenter"):
             place = list(NORMAL)[int(np.argmax(np.abs(data(parts["InwardNormalIndex"]))))]
         nodes = _nodes((zone, content), name, place, data(parts[places[0]]), places[0].endswith("Range"))
-        if nodes is not None and np.unique(nodes).tobytes() not in joined:
+        if nodes is None or np.unique(nodes).tobytes() not in joined:
             yield patch, nodes
     if not several and not list(children(zone.group, "ZoneGridConnectivity_t")):
         for section in content.elements.values():

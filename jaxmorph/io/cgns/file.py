@@ -2,21 +2,22 @@
 
 import dataclasses
 import pathlib
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
 from jaxmorph._boundary.periodic import Periodic
 from jaxmorph._host.cells.pieces import boundary_faces
-from jaxmorph._mesh.exchange import Parts
+from jaxmorph._mesh.exchange import Parts, regions_note
 from jaxmorph._mesh.faces import faces_of_cells, joined_faces
 from jaxmorph._mesh.polyhedra import Polyhedra
 
 from .._format import Arrays, MeshLike, Source, faults_of, stamp_of
 from .._joined import Joined, Zones, join
-from .conditions import Connection, connections, patches
+from .conditions import Condition, Connection, conditions, connections, left_interfaces, patches
 from .kinds import groups_of, kinds_of, symmetry_of
-from .polyhedra import Block
+from .polyhedra import Block, Ragged
 from .tree import opened, write_points
 from .zone import DIMENSION, TYPES, Content, Zone, children, data, word
 
@@ -86,24 +87,64 @@ def open_zones(path: pathlib.Path, file: Any) -> tuple[list[Zone], int]:
 def _zones(
     path: pathlib.Path, file: Any
 ) -> tuple[Zones, list[Content], list[tuple[str, str, Connection]], dict[str, Any]]:
-    """Reads all zones; the last value are the patches' `kinds` and `groups`."""
+    """Reads all zones; the last value are the patches' `kinds` and `groups`, and `notes`."""
     zones, dimension = open_zones(path, file)
-    points, contents, of_patch, faces = [], [], {}, []
-    for zone in zones:
-        points.append(np.stack([values[()].ravel() for values in zone.coordinates()], axis=1).astype(float))
-        content = zone.cells(points[-1])
-        solid = [block for block in content.blocks if LEVEL[block.kind] == dimension and len(block.corners)]
-        if not solid:
+    points = [np.stack([values[()].ravel() for values in zone.coordinates()], axis=1).astype(float) for zone in zones]
+    contents = [zone.cells(places) for zone, places in zip(zones, points, strict=True)]
+    levels = [LEVEL[block.kind] for content in contents for block in content.blocks if len(block.corners)]
+    notes = list(_other_bases(file, dimension))
+    if max(levels, default=0) == 2 < dimension:  # a surface alone in a base of volumes
+        dimension = 2
+    of_zones, said = conditions(zones)
+    of_patch, faces, regions = {}, [], []
+    for at, zone in enumerate(zones):
+        blocks = [block for block in contents[at].blocks if LEVEL[block.kind] == dimension and len(block.corners)]
+        if not blocks:
             raise zone.error(f"no cells of {dimension} dimensions")
-        contents.append(dataclasses.replace(content, blocks=solid, dimension=dimension))
-        for name, nodes in patches(zone, contents[-1]):
+        contents[at] = dataclasses.replace(contents[at], blocks=blocks, dimension=dimension)
+        for name, nodes in patches(zone, contents[at], of_zones[zone.name]):
+            if nodes is None:
+                regions.append(name)
+                continue
             of_patch.setdefault(name, []).append(nodes)
-        faces += content.sides or _outer(zone, points[-1], solid)
+        faces += contents[at].sides or _outer(zone, points[at], blocks)
+    several = [condition for of_zone in of_zones.values() for condition in of_zone]
+    notes += [*said, *regions_note(regions), *_left(zones, contents, of_patch, several)]
     pairs = pairs_of(zones, contents, of_patch)
     cells = [(block.kind, block.corners) for content in contents for block in content.blocks]
-    kinds = {name: kind for name, kind in kinds_of(file, zones).items() if name in of_patch}
-    known = {"kinds": kinds, "groups": groups_of(file, zones, of_patch)}
+    kinds = {name: kind for name, kind in kinds_of(file, several).items() if name in of_patch}
+    known = {"kinds": kinds, "groups": groups_of(file, several, of_patch), "notes": tuple(notes)}
     return Zones(np.concatenate(points), cells, of_patch, faces), contents, pairs, known
+
+
+def _other_bases(file: Any, dimension: int) -> Iterator[str]:
+    for name, base in children(file, "CGNSBase_t"):
+        if any(children(base, "Zone_t")) and int(data(base)[0]) < dimension:
+            yield f"the base {name} of {int(data(base)[0])}-D cells is not read, and stays in the file."
+
+
+def _left(
+    zones: list[Zone], contents: list[Content], patches: dict[str, list[np.ndarray]], several: list[Condition]
+) -> Iterator[str]:
+    """Yields sentences on sections beyond all conditions, interfaces and coordinates not read."""
+    donors = {zone.name: (zone, content) for zone, content in zip(zones, contents, strict=True)}
+    inside = np.zeros(sum(zone.count for zone in zones), bool)
+    for nodes in patches.values():
+        inside[np.concatenate(nodes)] = True
+    sections, interfaces = {}, []
+    for zone, content in donors.values():
+        interfaces += left_interfaces(zone, donors)
+        for section in content.elements.values():
+            nodes = section.vertices.values if isinstance(section.vertices, Ragged) else section.vertices
+            if several and section.dimension == content.dimension - 1 and not inside[nodes].all():
+                sections[section.section] = None
+    steps = [zone.name for zone in zones if len(list(children(zone.group, "GridCoordinates_t"))) > 1]
+    if steps:
+        yield f"of several GridCoordinates of the zones {', '.join(steps)} the first are read, and moved."
+    if sections:
+        yield f"no boundary condition has all faces of the sections {', '.join(sections)}: they are in unnamed."
+    if interfaces:
+        yield f"interfaces without equal nodes on both sides are not read: {', '.join(interfaces)}."
 
 
 def pairs_of(

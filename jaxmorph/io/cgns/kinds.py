@@ -3,21 +3,20 @@
 from collections.abc import Iterable
 from typing import Any
 
-from .conditions import conditions
-from .zone import Zone, children, word
+from .conditions import Condition
+from .zone import children, word
 
 SYMMETRY = "BCSymmetryPlane"
 UNSAID = ("", "Null", "FamilySpecified")
 
 
-def kinds_of(file: Any, zones: list[Zone]) -> dict[str, str]:
+def kinds_of(file: Any, conditions: list[Condition]) -> dict[str, str]:
     """Finds each patch's type: its conditions' or family's; several in turn, if they differ."""
     families = _of_families(file, "FamilyBC_t")
     types: dict[str, list[str]] = {}
-    for zone in zones:
-        for patch, _, condition in conditions(zone):
-            kind = word(condition) if " data" in condition else ""
-            types.setdefault(patch, []).extend(families.get(patch, []) if kind in UNSAID else [kind])
+    for condition in conditions:
+        kind = condition.kind
+        types.setdefault(condition.patch, []).extend(families.get(condition.patch, []) if kind in UNSAID else [kind])
     kinds = {
         patch: ", ".join(dict.fromkeys(kind for kind in several if kind not in UNSAID))
         for patch, several in types.items()
@@ -36,18 +35,17 @@ def symmetry_of(kinds: dict[str, str]) -> tuple[str, ...]:
     return tuple(patch for patch, kind in kinds.items() if kind == SYMMETRY)
 
 
-def groups_of(file: Any, zones: list[Zone], names: Iterable[str]) -> dict[str, tuple[str, ...]]:
+def groups_of(file: Any, conditions: list[Condition], names: Iterable[str]) -> dict[str, tuple[str, ...]]:
     """Lists patches by the families that their family is part of, and by additional families.
 
     gmsh names physical groups so. Names of patches are no groups.
     """
     above = _of_families(file, "FamilyName_t")
     groups: dict[str, dict[str, None]] = {}
-    for zone in zones:
-        for patch, _, condition in conditions(zone):
-            more = [word(family) for _, family in children(condition, "AdditionalFamilyName_t")]
-            for group in [*above.get(patch, []), *more]:
-                groups.setdefault(group, {})[patch] = None
+    for patch, _, condition in conditions:
+        more = [word(family) for _, family in children(condition, "AdditionalFamilyName_t")]
+        for group in [*above.get(patch, []), *more]:
+            groups.setdefault(group, {})[patch] = None
     known = set(names)
     groups = {name: {patch: None for patch in several if patch in known} for name, several in groups.items()}
     return {name: tuple(several) for name, several in groups.items() if name not in known and several}

@@ -137,11 +137,15 @@ class Zone:
                 if "ParentElements" in parts:
                     sides.append(self._parents(name, start, rows, data(parts["ParentElements"])))
                 continue
+            after = start
             for begin, number, corners in self._section(name, kind, connectivity, start):
                 self._check(name, corners)
                 corners = reordered(TYPES[number], corners, CGNS_ORDER, None) - 1 + self.first
                 elements[begin] = Elements(name, DIMENSION[number], corners)
                 blocks.append(Block(TYPES[number], corners))
+                after = begin + len(corners)
+            if after != (end := int(data(parts["ElementRange"]).ravel()[-1]) + 1):
+                raise self.error(f"section {name} has {after - start} elements, and the range of {end - start}")
         volumes = volumes or _cells_of(sides)
         if not volumes or not polygons:
             return Content(blocks, elements=elements)

@@ -9,14 +9,14 @@ import numpy as np
 
 from jaxmorph._host.cells.orders import GMSH, MESHIO, reordered
 from jaxmorph._host.cells.topology import DIMENSION
-from jaxmorph._mesh.exchange import Parts
+from jaxmorph._mesh.exchange import LEVELS, Parts, Patch, regions_note
 
 from .._boundary import patch_faces
 from .._format import Arrays, FilePoints, MeshLike, Source, faults_of, source_of
 from .._meshio import Block, Blocks, meshio, of_mesh, to_mesh
 from ..text.sections import Section, replace_numbers
 from .parts import TYPES, Elements, elements, entities, nodes
-from .sections import Form, Stream, form_of, physical_names, runs, sections
+from .sections import Form, Names, Stream, form_of, physical_names, runs, sections
 
 NAME = "gmsh"
 NODES, ELEMENTS = ("Nodes", "ParametricNodes", "NOD"), ("Elements", "ELM")
@@ -37,14 +37,15 @@ class _GmshContent(FilePoints):
 def read(path: pathlib.Path) -> Parts:
     """Reads points, cells and patches: the physical groups of lower dimension than the mesh.
 
-    A group without a name is `physical_` and its tag.
+    A group without a name is `physical_` and its tag. Of several groups of one name the first of
+    the highest dimension has it, others add their dimension and tag.
     """
     data = path.read_bytes()
-    form, names, groups, vertices, cells = form_of(path, data), {}, {}, None, []
+    form, names, groups, vertices, cells, others = form_of(path, data), {}, {}, None, [], {}
     for name, section in sections(path, data, form):
         try:
             if name == "PhysicalNames":
-                names = physical_names(section)
+                names = physical_names(section, form)
             elif name in ("Entities", "PartitionedEntities") and form.version >= 4:
                 is_partitioned = name == "PartitionedEntities"
                 groups |= entities(Stream(section, form, np.float64), is_partitioned=is_partitioned)
@@ -56,6 +57,8 @@ def read(path: pathlib.Path) -> Parts:
                 vertices = tags, _GmshContent(stream.points(places), section, form, places)
             elif name in ELEMENTS:
                 cells = elements(Stream(section, form), groups)
+            elif name not in ("MeshFormat", "Comments"):
+                others[f"${name[:40]}"] = None
         except (ValueError, IndexError, OverflowError) as error:
             if str(path) in str(error):
                 raise
@@ -64,8 +67,16 @@ def read(path: pathlib.Path) -> Parts:
         raise ValueError(f"{path}: no mesh, the file holds no $Nodes or no $Elements, or none in them.")
     tags, content = vertices
     with faults_of(path):
-        mesh = _mesh(content.points, _numbered(cells, tags), names)
-    return to_mesh(path, mesh, Source(path, NAME, content, in_file=content.in_file))
+        cells = _numbered(cells, tags)
+    blocks = [Block(block.kind, reordered(block.kind, block.corners, GMSH, MESHIO)) for block in cells]
+    found = _groups(cells, names)
+    top = max(DIMENSION.get(block.kind, 0) for block in cells)
+    patches = [patch for (level, _), patch in sorted(found.items(), key=lambda item: -item[0][0]) if level < top]
+    notes = tuple(regions_note(patch.name for (level, _), patch in found.items() if level == top))
+    if others:
+        notes += (f"sections {', '.join(others)} are not read, and stay in the file.",)
+    source = Source(path, NAME, content, in_file=content.in_file, notes=notes)
+    return to_mesh(path, Blocks(content.points, blocks), source, patches)
 
 
 def _numbered(cells: list[Elements], tags: np.ndarray) -> list[Elements]:
@@ -92,16 +103,18 @@ def _numbered(cells: list[Elements], tags: np.ndarray) -> list[Elements]:
     return numbered
 
 
-def _mesh(points: np.ndarray, cells: list[Elements], names: dict[tuple[int, int], str]) -> Blocks:
-    """Makes a mesh with a set of cells for each physical group."""
-    sets: dict[str, Any] = {}
-    for k, block in enumerate(cells):
+def _groups(cells: list[Elements], names: Names) -> dict[tuple[int, int], Patch]:
+    """Collects the nodes of each physical group by its dimension and tag."""
+    nodes: dict[tuple[int, int], list[np.ndarray]] = {}
+    for block in cells:
         for tag, rows in block.groups.items():
-            name = names.get((DIMENSION.get(block.kind, 0), tag), f"physical_{tag}")
-            members = sets.setdefault(name, [None] * len(cells))
-            members[k] = np.arange(len(block.corners)) if rows is None else rows
-    blocks = [Block(block.kind, reordered(block.kind, block.corners, GMSH, MESHIO)) for block in cells]
-    return Blocks(points, blocks, cell_sets=sets)
+            members = block.corners if rows is None else block.corners[rows]
+            nodes.setdefault((DIMENSION.get(block.kind, 0), tag), []).append(members.ravel())
+    groups = {}
+    for (level, tag), members in nodes.items():
+        name = names.get((level, tag)) or names.get((None, tag)) or f"physical_{tag}"
+        groups[level, tag] = Patch(name, f"{LEVELS[level]}_{tag}", np.concatenate(members))
+    return groups
 
 
 def check(path: pathlib.Path, mesh: MeshLike) -> None:

@@ -14,17 +14,24 @@ from ..text.sections import Section
 WHOLE = 2.0**53
 """Numbers of a text beyond it may not be whole."""
 
-_NAME = re.compile(rb'\s*(\d+)\s+(\d+)\s+(?:"(.*)"|(\S+))\s*')
+_NAME = re.compile(rb'\s*(?:(\d+)\s+)?(\d+)\s+(?:"(.*)"|(\S+))\s*')
+
+Names = dict[tuple[int | None, int], str]
+"""Names of physical groups by dimension and tag; None: of any dimension."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Form:
-    """A file's version (1, 2, 4.0, 4.1), text or binary, byte order and bytes of a size."""
+    """A file's version (1, 2, 4.0, 4.1), text or binary, byte order and bytes of a size.
+
+    In version 2.0 itself, without `has_levels`, names of groups may come without a dimension.
+    """
 
     version: float
     is_text: bool
     order: str
     size: int
+    has_levels: bool = True
 
     def dtype(self, kind: str) -> np.dtype:
         """Returns the type of a binary number: `i` for an int, `n` for a size, `d` for a double."""
@@ -62,7 +69,8 @@ def form_of(path: pathlib.Path, data: bytes) -> Form:
     one = {b"\x01\0\0\0": "<", b"\0\0\0\x01": ">"}.get(data[stop : stop + 4])
     if binary and one is None:
         raise ValueError(f"{path}: a binary .msh file without the number 1 that tells its byte order.")
-    return Form(known, not binary, one if binary and one else "<", size if known == 4.1 else 8)
+    order = one if binary and one else "<"
+    return Form(known, not binary, order, size if known == 4.1 else 8, has_levels=version > 2)
 
 
 def sections(path: pathlib.Path, data: bytes, form: Form) -> Iterator[tuple[str, Section]]:
@@ -80,7 +88,7 @@ def sections(path: pathlib.Path, data: bytes, form: Form) -> Iterator[tuple[str,
         at = stop + 4 + len(name)
 
 
-def physical_names(section: Section) -> dict[tuple[int, int], str]:
+def physical_names(section: Section, form: Form) -> Names:
     """Reads the names of physical groups by dimension and tag."""
     rows = [row for row in section.text[section.start : section.stop].split(b"\n") if row.strip()]
     matches = [_NAME.fullmatch(row) for row in rows[1:]]
@@ -88,10 +96,12 @@ def physical_names(section: Section) -> dict[tuple[int, int], str]:
         raise section.error(
             f"{len(rows) - 1} lines in $PhysicalNames that name a group, or not; as many as announced expected."
         )
-    names = {}
-    for match in filter(None, matches):
+    names: Names = {}
+    for row, match in enumerate(filter(None, matches), start=1):
+        if form.has_levels and match[1] is None:
+            raise section.error("a dimension, a tag and a name expected.", row)
         text = match[3] if match[3] is not None else match[4]
-        names[int(match[1]), int(match[2])] = decoded(text)
+        names[None if match[1] is None else int(match[1]), int(match[2])] = decoded(text)
     return names
 
 

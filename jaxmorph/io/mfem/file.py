@@ -8,13 +8,13 @@ at equal steps: the coordinates of the file are computed anew where cells have c
 import dataclasses
 import pathlib
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
 from jaxmorph._host.cells.topology import CORNERS, DIMENSION
 from jaxmorph._mesh.arrays import checked_parts
-from jaxmorph._mesh.exchange import Parts
+from jaxmorph._mesh.exchange import Parts, regions_note
 
 from .._format import Arrays, MeshLike, Source, faults_of, own_source
 from ..text.sections import Section, blanked, replace_numbers
@@ -113,8 +113,11 @@ def read(path: pathlib.Path) -> Parts:
     content = _Content(section, space, values, node, points, curved)
     ids = np.concatenate([element.rows for element in cells])
     patches = _patches(sides, of_sides)
-    groups = _groups(parts.get("boundary_attribute_sets"), patches)
-    source = Source(path, NAME, content, groups=groups, cell_ids=None if (np.diff(ids) == 1).all() else ids)
+    with faults_of(path):
+        groups = _groups(parts.get("boundary_attribute_sets"), patches)
+    notes = tuple(_notes(cells, parts))
+    ids = None if (np.diff(ids) == 1).all() else ids
+    source = Source(path, NAME, content, groups=groups, cell_ids=ids, notes=notes)
     with faults_of(path):  # a caller may change the mesh's points in place, and the file's must stay
         return checked_parts(points.copy(), nodes, patches, source)
 
@@ -204,14 +207,25 @@ def _patches(sides: list[Elements], nodes: list[np.ndarray]) -> dict[str, np.nda
 
 
 def _groups(section: Section | None, patches: Iterable[str]) -> dict[str, tuple[str, ...]]:
-    """Reads the named sets of attributes: a name in quotes, a number, and as many attributes."""
+    """Makes groups of the patches of named sets of attributes; `ValueError` for a name twice."""
+    groups: dict[str, tuple[str, ...]] = {}
+    for name, numbers in _named_sets(section):
+        attributes = {f"boundary_{number}" for number in numbers}
+        if name in groups:
+            raise ValueError(f"two sets of boundary attributes are called {name!r}.")
+        groups[name] = tuple(patch for patch in patches if patch in attributes)
+    return {name: members for name, members in groups.items() if members}
+
+
+def _named_sets(section: Section | None) -> list[tuple[str, list[str]]]:
+    """Reads named sets: a name in quotes, a number, and as many attributes."""
     text = "" if section is None else section.text[section.start : section.stop].decode(errors="replace")
-    sets = {
-        name: {f"boundary_{word}" for word in words.split()[1:]}
-        for name, words in re.findall(r'"([^"]*)"([\s\d]*)', text)
-    }
-    return {
-        name: members
-        for name, attributes in sets.items()
-        if (members := tuple(patch for patch in patches if patch in attributes))
-    }
+    return [(name, words.split()[1:]) for name, words in re.findall(r'"([^"]*)"([\s\d]*)', text)]
+
+
+def _notes(cells: list[Elements], parts: dict[str, Section]) -> Iterator[str]:
+    """Yields a sentence on the attributes of cells, and on their named sets."""
+    attributes = np.unique(np.concatenate([element.attributes for element in cells])).tolist()
+    names = [name for name, _ in _named_sets(parts.get("attribute_sets"))]
+    if len(attributes) > 1 or names:
+        yield from regions_note([*(f"attribute {number}" for number in attributes), *names])

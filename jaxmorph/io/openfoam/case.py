@@ -12,6 +12,7 @@ import os
 import pathlib
 import re
 import shutil
+import zlib
 from collections.abc import Iterator
 
 import numpy as np
@@ -114,6 +115,7 @@ def read(path: pathlib.Path) -> Parts:
     kinds = {patch.name: patch.type for patch in boundary} | {name: name for name in planes if name == "axis"}
     nodes = None if plane is None else plane.file_nodes()
     known = {"symmetry": tuple(planes), "kinds": kinds, "file_nodes": nodes, "in_file": content.in_file}
+    known["notes"] = tuple(_notes(topology, [*empty, *wedges]))
     source = Source(file.path, NAME, content, whole, ids, groups, pairs, between, **known)
     return mesh._replace(source=source)
 
@@ -133,7 +135,8 @@ def check(path: pathlib.Path, mesh: MeshLike) -> None:
         raise ValueError(f"{path}: exists; name a new folder, or a time folder of the case such as {case / '1'}.")
     elif case.resolve() in path.resolve().parents:
         raise ValueError(f"{path}: a new case cannot be inside of the case that the mesh was read from.")
-    if _is_time(path) and any(_is_file(path / "polyMesh" / name, source.path) for name in ("points", "points.gz")):
+    folder = path / _region_of(source.content.topology) / "polyMesh"
+    if _is_time(path) and any(_is_file(folder / name, source.path) for name in ("points", "points.gz")):
         raise ValueError(f"{path}: the mesh was read from this folder; write to another one.")
 
 
@@ -164,10 +167,10 @@ def write_points(path: pathlib.Path, mesh: MeshLike, points: np.ndarray) -> None
     source = source_of(mesh, NAME)
     assert source is not None
     content: _CaseContent = source.content
-    case = _case_of(content.topology)
+    case, region = _case_of(content.topology), _region_of(content.topology)
     if _is_time(path):
-        folder = path / "polyMesh"
-        made = [directory for directory in (path, folder) if not directory.exists()]
+        folder = path / region / "polyMesh"
+        made = [directory for directory in dict.fromkeys((path, folder.parent, folder)) if not directory.exists()]
         with _removed_on_failure(made):
             folder.mkdir(parents=True, exist_ok=True)
             with complete(folder / content.file.path.name) as partial:
@@ -180,8 +183,7 @@ def write_points(path: pathlib.Path, mesh: MeshLike, points: np.ndarray) -> None
         for name in COPIED:
             if (case / name).is_dir():
                 shutil.copytree(case / name, partial / name)
-        where = content.topology.resolve().relative_to(case)
-        folder = partial / (where if where.parts[0] == "constant" else pathlib.Path("constant", "polyMesh"))
+        folder = partial / "constant" / region / "polyMesh"
         shutil.copytree(content.topology, folder, dirs_exist_ok=True)
         for name in ("points", "points.gz"):
             (folder / name).unlink(missing_ok=True)
@@ -321,15 +323,58 @@ def _folders(path: pathlib.Path) -> tuple[pathlib.Path, pathlib.Path]:
     elif (path / "polyMesh").is_dir():
         here = path / "polyMesh"
     else:
-        parts = len(list(path.glob("processor*/constant/polyMesh")))
-        raise ValueError(
-            f"{path}: no OpenFOAM case, there is no folder constant/polyMesh in it."
-            + f" It is decomposed: take one of its {parts} folders processor*, jaxmorph deform --decomposed, or reconstruct it."
-            * bool(parts)
-        )
+        raise ValueError(f"{path}: no OpenFOAM case, there is no folder constant/polyMesh in it.{_hint(path)}")
     if any((here / name).is_file() for name in ("faces", "faces.gz")):
         return here, here
-    return here, here.parent.parent / "constant" / "polyMesh"
+    # points alone are those of a time: the faces have the same place in the case's constant
+    time = next((folder for folder in here.absolute().parents if _is_time(folder)), here.absolute().parent)
+    return here, time.parent / "constant" / here.absolute().relative_to(time)
+
+
+def _notes(topology: pathlib.Path, planes: list[Patch]) -> Iterator[str]:
+    """Yields sentences on zones, on other regions of the case, and on the planes of a 2-D case."""
+    zones = [f"{size} {name}" for name in ("cellZones", "faceZones", "pointZones") if (size := _size(topology, name))]
+    if zones:
+        yield f"{', '.join(zones)} are not read: zones are no patches, and stay in the case."
+    if topology.parent.name == "constant" and (others := regions(topology.parent)):
+        yield f"the regions {', '.join(others)} have meshes of their own: {topology.parent / others[0]} is the first."
+    if planes:
+        names = ", ".join(f"{patch.name} ({patch.type})" for patch in planes)
+        yield f"the planes {names} are no patches: the mesh lies in one of them."
+
+
+def _size(topology: pathlib.Path, name: str) -> int:
+    """Reads the length of the list in a file from its first lines; 0 without the file."""
+    for path, opening in ((topology / name, open), (topology / f"{name}.gz", gzip.open)):
+        with contextlib.suppress(OSError, EOFError, zlib.error), opening(path, "rb") as file:
+            found = re.search(rb"^\s*(\d{1,18})\s*(\(|$)", file.read(1 << 13).rpartition(b"FoamFile")[2], re.MULTILINE)
+            return int(found[1]) if found else 0
+    return 0
+
+
+def regions(folder: pathlib.Path) -> list[str]:
+    """Lists the regions whose meshes are in `constant` or in a folder of a time."""
+    return sorted(mesh.parent.name for mesh in folder.glob("*/polyMesh") if mesh.is_dir())
+
+
+def _hint(path: pathlib.Path) -> str:
+    """Says where the meshes are in a folder without one: in those of regions, or of processors."""
+    here = path if _is_time(path) else path / "constant"
+    found, divided = regions(here), list(path.glob("processor*/constant/polyMesh"))
+    if found:
+        several = "one region" if len(found) == 1 else f"{len(found)} regions"
+        return f" It has {several}, {', '.join(found)}, each with a mesh that is read by itself: {here / found[0]}."
+    if divided:
+        parts = f"one of its {len(divided)} folders processor*"
+        return f" It is decomposed: take {parts}, jaxmorph deform --decomposed, or reconstruct it."
+    found = sorted({region for part in path.glob("processor*/constant") for region in regions(part)})
+    if found:
+        first = path / "constant" / found[0]
+        return (
+            f" It is decomposed, and has the regions {', '.join(found)}: jaxmorph deform --decomposed {first}, "
+            f"or take {path / 'processor0' / 'constant' / found[0]}."
+        )
+    return ""
 
 
 def _case_of(topology: pathlib.Path) -> pathlib.Path | None:
@@ -337,6 +382,12 @@ def _case_of(topology: pathlib.Path) -> pathlib.Path | None:
     above = topology.resolve().parents
     cases = [folder.parent for folder in above if folder.name == "constant"]
     return cases[0] if cases else next((folder.parent for folder in above if _is_time(folder)), None)
+
+
+def _region_of(topology: pathlib.Path) -> pathlib.Path:
+    """Returns the folder of the region that a polyMesh is of, in `constant` or a time; else "."."""
+    case = _case_of(topology)
+    return pathlib.Path() if case is None else pathlib.Path(*topology.resolve().relative_to(case).parts[1:-1])
 
 
 def _is_time(path: pathlib.Path) -> bool:

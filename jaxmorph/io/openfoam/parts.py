@@ -18,7 +18,7 @@ from jaxmorph._host.package.files import complete, named, output_path
 from jaxmorph._host.package.ranks import Agreement, Alone, Ranks, together
 
 from .._format import Source, source_of
-from .case import COPIED, NAME, file_points, read, write_points
+from .case import COPIED, NAME, file_points, read, regions, write_points
 from .file import Patch, load, patches
 
 REMEDY = "Run decomposePar, or leave --decomposed away"
@@ -73,14 +73,18 @@ class Decomposed:
 
     **Arguments:**
 
-    - `path`: the folder of the case, which has folders `processor0` to `processorN`.
+    - `path`: the folder of the case, which has folders `processor0` to `processorN`. Of a case of
+      several regions `case/constant/REGION`.
 
-    **Raises:** `ValueError` where these are missing, or are not all there.
+    **Raises:** `ValueError` where these are missing, or are not all there, and for a case of
+    several regions without the name of one.
     """
 
     @checked
     def __init__(self, path: str | os.PathLike[str]):
-        self.path = pathlib.Path(path)
+        self.path, self.region = pathlib.Path(path), ""
+        if self.path.parent.name == "constant":
+            self.path, self.region = self.path.parent.parent, self.path.name
         if not self.path.is_dir():
             raise ValueError(f"{self.path}: no folder of an OpenFOAM case.")
         names = {folder.name.removeprefix("processor") for folder in self.path.glob("processor*") if folder.is_dir()}
@@ -98,6 +102,11 @@ class Decomposed:
             )
             raise ValueError(f"{self.path}: the case is not decomposed, {lacks}. {REMEDY}.")
         self.count = len(names)
+        found = regions(self.path / "processor0" / "constant")
+        is_there = self.region in found if self.region else (self.path / "processor0/constant/polyMesh").is_dir()
+        if found and not is_there:
+            first = self.path / "constant" / found[0]
+            raise ValueError(f"{path}: name one of the regions {', '.join(found)}, as {first}.")
         self._last: tuple[int, Mesh] | None = None
 
     def __len__(self) -> int:
@@ -105,6 +114,10 @@ class Decomposed:
 
     def __repr__(self) -> str:
         return f"Decomposed({str(self.path)!r}, {self.count} parts)"
+
+    def _mesh_folder(self, k: int) -> pathlib.Path:
+        """Returns the folder `polyMesh` of part `k`."""
+        return self.folder(k) / "constant" / self.region / "polyMesh"
 
     def folder(self, k: int) -> pathlib.Path:
         """Returns the folder of part `k`. Raises `ValueError` for a part that is not there."""
@@ -114,7 +127,7 @@ class Decomposed:
 
     def read(self, k: int) -> Mesh:
         """Reads part `k` as `io.read` does; the last one is kept."""
-        folder = self.folder(k)
+        folder = self._mesh_folder(k).parent if self.region else self.folder(k)
         if self._last is None or self._last[0] != k:
             self._last = None  # before the next one is read
             self._last = k, Mesh(*read(folder))
@@ -246,7 +259,7 @@ class Decomposed:
 
     def _copy(self, folder: pathlib.Path) -> None:
         """Copies what the parts share, without the undivided mesh."""
-        mesh = self.path / "constant"
+        mesh = self.path / "constant" / self.region
 
         def left_out(here: str, names: list[str]) -> set[str]:
             return {"polyMesh"} & {*names} if pathlib.Path(here) == mesh else set()
@@ -256,7 +269,7 @@ class Decomposed:
                 shutil.copytree(self.path / name, folder / name, ignore=left_out)
 
     def _boundary(self, k: int) -> list[Patch]:
-        return patches(load(self.folder(k) / "constant" / "polyMesh", "boundary"))
+        return patches(load(self._mesh_folder(k), "boundary"))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -286,7 +299,7 @@ class Writer:
             content = None if source_of(moved, NAME) is None else moved.source.content
             if k is None:
                 raise ValueError("`k` is None; it is the number of the part that `moved` is.")
-            mesh = self.case.folder(k) / "constant" / "polyMesh"
+            mesh = self.case._mesh_folder(k)
             if content is None or content.topology.resolve() != mesh.resolve():
                 raise ValueError(f"`moved` is not part {k} as `read({k})` gives it: write each part by its own number.")
             if k in self.written:
