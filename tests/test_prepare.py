@@ -50,6 +50,36 @@ def test_a_node_in_both_moves():
     assert len(plan.fixed) == 24 - len(mesh.patch("half"))
 
 
+def with_loose(mesh, places):
+    """A mesh with nodes of no cell at `places`, the first ones of the list."""
+    cells = {kind: np.asarray(corners) + len(places) for kind, corners in mesh.cells.items()}
+    patches = {name: np.asarray(nodes) + len(places) for name, nodes in mesh.patches.items()}
+    return jm.Mesh(np.concatenate([places, mesh.points]), cells, patches)
+
+
+@pytest.mark.parametrize("planes", [(), ("y0",), ("y0", "y1"), ("x0", "x1", "y0", "y1")])
+def test_nodes_of_no_cell_stay_beside_planes_in_chunks_and_in_steps(planes):
+    box = unit_box()
+    fixed = [name for name in box.patches if name not in (*planes, "z0")]
+    odd = with_loose(box, [[0.5, 0.0, 0.5], [0.5, -9.0, 0.5], [90.0, 1.0, 0.3]])
+    u = np.random.default_rng(1).normal(size=(16, 3)) * 0.02
+    u[:, :2] *= not planes
+    plans = [jm.prepare(mesh, "z0", fixed, symmetry=planes) for mesh in (box, odd)]
+    whole, more = (np.asarray(jm.deform(plan, u)) for plan in plans)
+    np.testing.assert_allclose(more[3:], whole, rtol=0, atol=1e-12)
+    assert (more[:3] == odd.points[:3]).all()
+    refit = np.asarray(jm.deform(jm.refit(plans[1], odd.points + 1.0), u)) if not planes else more + 1
+    np.testing.assert_allclose(refit, more + 1, rtol=0, atol=1e-12)
+    pieces = np.array(odd.points)
+    for nodes, plan in jm.prepare_in_chunks(odd, "z0", fixed, size=3, symmetry=planes):
+        pieces[nodes] = jm.deform(plan, u)
+    np.testing.assert_allclose(pieces, more, rtol=0, atol=1e-12)
+    for rebuild in (False, True):
+        ends = [np.asarray(jm.march(plan, [u / 2, u], rebuild=rebuild)[1]) for plan in plans]
+        np.testing.assert_allclose(ends[1][3:], ends[0], rtol=0, atol=1e-12)
+        assert (ends[1][:3] == odd.points[:3]).all()
+
+
 def test_boundary_faces_in_no_list_are_told():
     mesh = rings()
     with pytest.warns(UserWarning, match=r"12 of 48 boundary faces are neither .* in patch 'far'"):

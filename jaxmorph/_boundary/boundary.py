@@ -29,8 +29,9 @@ class Boundary:
     - `left`: the boundary faces in no list.
     - `is_open`: whether some boundary faces are neither on the surface nor on a plane.
     - `cells`: node ids (k, corners) of the cells by type; None also for a part of a mesh.
+    - `loose`: ids of the nodes of no cell and in no list, which stay where they are.
 
-    The last four are None where no cells are known.
+    `faces`, `left`, `is_open` and `cells` are None where no cells are known.
     """
 
     points: np.ndarray
@@ -44,6 +45,12 @@ class Boundary:
     left: FreeFaces | None = None
     is_open: bool | None = None
     cells: Mapping[str, np.ndarray] | None = None
+    loose: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+
+    @property
+    def of_cells(self) -> np.ndarray:
+        """Coordinates of all nodes but the loose ones."""
+        return np.delete(self.points, self.loose, axis=0) if len(self.loose) else self.points
 
     @property
     def nodes(self) -> np.ndarray:
@@ -73,7 +80,8 @@ class Boundary:
         is_listed[np.asarray(free, dtype=int)] = True
         cells = {kind: np.asarray(corners) for kind, corners in solid(mesh.linear.cells, self.points.shape[1]).items()}
         left = free_faces(mesh, outer, is_listed)
-        return dataclasses.replace(self, faces=outer.corners, left=left, is_open=is_open, cells=cells)
+        loose = np.setdiff1d(of_no_cell(mesh), self.nodes) if cells else self.loose
+        return dataclasses.replace(self, faces=outer.corners, left=left, is_open=is_open, cells=cells, loose=loose)
 
     def warn_of_free_faces(self) -> None:
         """Warns about boundary faces in no list."""
@@ -100,6 +108,16 @@ class Boundary:
             is_open = bool(self.tracks)
         lists = rows[:m], rows[m:], rows[:0], self.planes, *renumbered(self.pairings, self.tracks, place)
         return Boundary(self.points[self.nodes], *lists, faces, None, is_open)
+
+
+def of_no_cell(mesh: Mesh) -> np.ndarray:
+    """Lists the nodes of no cell, such as gmsh's points of the geometry with `SaveAll`."""
+    is_loose = np.ones(len(mesh.points), dtype=bool)
+    for corners in mesh.cells.values():
+        is_loose[np.asarray(corners)] = False
+    if mesh.polyhedra is not None:
+        is_loose[mesh.polyhedra.faces.labels] = False
+    return np.flatnonzero(is_loose)
 
 
 def renumbered(

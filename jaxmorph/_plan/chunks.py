@@ -44,6 +44,8 @@ def prepare_in_chunks(
         points[nodes] = jm.deform(plan, u)
     ```
 
+    Nodes of no cell, which stay, are in no chunk of a `size`.
+
     **Arguments:**
 
     - `mesh`, `moving`, `fixed`, `method`, `symmetry`, `periodic`, `sliding`, `free`: as `prepare`
@@ -75,7 +77,7 @@ def chunks_of(
         return
     boundary = between_planes(boundary, method)
     half, surface = half_of(boundary, method, np.arange(len(points))), np.unique(boundary.nodes)
-    others = np.setdiff1d(np.arange(len(points)), surface, assume_unique=True)
+    others = np.setdiff1d(np.arange(len(points)), np.union1d(surface, boundary.loose), assume_unique=True)
     count = max(1, -(-len(others) // size))
     steps = count * np.arange(-(-len(others) // count))
     for k in range(count):

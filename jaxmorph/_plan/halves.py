@@ -244,6 +244,6 @@ def has_open_side(boundary: Boundary) -> bool:
 
 def fence(boundary: Boundary) -> np.ndarray:
     """Lists the outermost nodes, and one node of every symmetry plane: they set the tolerances."""
-    points = boundary.points
+    points, place = boundary.of_cells, np.delete(np.arange(len(boundary.points)), boundary.loose)
     on_planes = (np.flatnonzero(plane.holds(points))[:1] for plane in boundary.planes)
-    return np.unique(np.concatenate([points.argmin(axis=0), points.argmax(axis=0), *on_planes]))
+    return place[np.unique(np.concatenate([points.argmin(axis=0), points.argmax(axis=0), *on_planes]))]

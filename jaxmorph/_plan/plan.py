@@ -92,13 +92,19 @@ class Guide(Module):
 class VolumePart(eqx.Module):
     """Per-point arrays, split over devices.
 
-    Every leaf has one row per mesh point, except tables of transposes.
+    Every leaf has one row per mesh point, except tables of transposes. `rests` marks nodes of no
+    cell.
     """
 
     points: Float[Array, "n d"]
     on_plane: Bool[Array, "n p"] | None
     ids: PyTree
     placed: PyTree
+    rests: Bool[Array, " n"] | None = None
+
+    def seen(self, at: Float[Array, " d"]) -> Float[Array, "n d"]:
+        """Returns the points as a method sees them: nodes of no cell are `at` one place."""
+        return self.points if self.rests is None else jnp.where(self.rests[:, None], at[None], self.points)
 
 
 class Plan(Module):
@@ -307,6 +313,8 @@ def move(shared: Shared, volume: VolumePart, at: Int[Array, " a"]) -> Float[Arra
     displacement = map_points(shared.field, volume.points, volume.placed)
     if shared.images is not None and volume.on_plane is not None:
         displacement = shared.images.within(displacement, volume.on_plane)
+    if volume.rests is not None:
+        displacement = jnp.where(volume.rests[:, None], 0, displacement)
     moved = volume.points + displacement
     if not len(at):
         return moved

@@ -106,16 +106,16 @@ def between_planes(boundary: Boundary, method: AbstractMethod | None) -> Boundar
     as around one layer of cells, guided nodes that face each other move alike.
     """
     if boundary.planes:
-        check_planes(boundary.planes, boundary.points)
+        check_planes(boundary.planes, boundary.of_cells)
     if method is not None and method.needs_cells:
         return boundary
     others = np.setdiff1d(np.flatnonzero(on_facing(boundary.planes, boundary.points)), boundary.nodes)
+    others = np.setdiff1d(others, boundary.loose)
     if not len(others):
         return boundary
-    free, place = np.zeros(len(boundary.points), bool), np.arange(len(boundary.points))
-    free[others] = True
-    layer = across_one_layer(boundary.planes, boundary.points)
-    layer = tuple(pairing.renumbered(np.where(free, place, -1)) for pairing in layer)
+    place = np.delete(np.arange(len(boundary.points)), boundary.loose)
+    layer = across_one_layer(boundary.planes, boundary.of_cells)
+    layer = tuple(pairing.renumbered(np.where(np.isin(place, others), place, -1)) for pairing in layer)
     guided, pairings = np.union1d(boundary.guided, others), (*boundary.pairings, *layer)
     return dataclasses.replace(boundary, guided=guided, pairings=pairings)
 
@@ -130,13 +130,20 @@ def refuse_cells(method: AbstractMethod) -> None:
 
 def _plan_of(boundary: Boundary, method: AbstractMethod, guide: Guide | None = None) -> Plan:
     surface, images, on_plane = surface_of(boundary)
-    surface_ids, volume_ids = as_jax(method.connect(surface, boundary.points))
+    points, like, rests = boundary.points, np.arange(len(boundary.points)), None
+    if len(boundary.loose):
+        # nodes of no cell may lie anywhere: methods see them at the first moving node, with its ids
+        like[boundary.loose] = boundary.moving[0]
+        points, rests = points[like], as_jax(np.isin(np.arange(len(points)), boundary.loose))
+    surface_ids, volume_ids = as_jax(method.connect(surface, points))
+    if rests is not None:
+        volume_ids = jax.tree.map(lambda leaf: leaf[like], volume_ids)
     nodes = as_jax(boundary.nodes.astype(np.int32))
     on_plane = None if on_plane is None else as_jax(on_plane)
     plan = Plan(
         method=method,
         surface=SurfacePart(as_jax(surface.points), nodes, images, surface_ids, None, guide),
-        volume=VolumePart(as_jax(boundary.points), on_plane, volume_ids, None),
+        volume=VolumePart(as_jax(boundary.points), on_plane, volume_ids, None, rests),
         n_moving=len(boundary.moving),
         n_guided=len(boundary.guided),
     )
@@ -220,7 +227,8 @@ def boundary_of(plan: Plan) -> Boundary:
     planes = () if plan.images is None else plan.images.planes
     pairings, tracks = ((), ()) if guide is None else jax.tree.map(np.asarray, (guide.pairings, guide.tracks))
     joined = renumbered(pairings, tracks, nodes)
-    return Boundary(points, moving, fixed, guided, planes, *joined, None, None, None)
+    loose = np.zeros(0, int) if plan.volume.rests is None else np.flatnonzero(plan.volume.rests)
+    return Boundary(points, moving, fixed, guided, planes, *joined, loose=loose)
 
 
 def _trial(plan: Plan) -> Float[Array, "b d"]:
