@@ -6,7 +6,9 @@ import re
 import jax
 import numpy as np
 import pytest
-from meshes import lattice, ring, unit_box
+from meshes import lattice, ring, square, unit_box
+from runs import runs
+from scipy.spatial.transform import Rotation
 
 import jaxmorph as jm
 
@@ -57,7 +59,7 @@ def with_loose(mesh, places):
     return jm.Mesh(np.concatenate([places, mesh.points]), cells, patches)
 
 
-@pytest.mark.parametrize("planes", [(), ("y0",), ("y0", "y1"), ("x0", "x1", "y0", "y1")])
+@pytest.mark.parametrize("planes", runs([()], slow=[("y0", "y1")], nightly=[("y0",), ("x0", "x1", "y0", "y1")]))
 def test_nodes_of_no_cell_stay_beside_planes_in_chunks_and_in_steps(planes):
     box = unit_box()
     fixed = [name for name in box.patches if name not in (*planes, "z0")]
@@ -78,6 +80,38 @@ def test_nodes_of_no_cell_stay_beside_planes_in_chunks_and_in_steps(planes):
         ends = [np.asarray(jm.march(plan, [u / 2, u], rebuild=rebuild)[1]) for plan in plans]
         np.testing.assert_allclose(ends[1][3:], ends[0], rtol=0, atol=1e-12)
         assert (ends[1][:3] == odd.points[:3]).all()
+
+
+@pytest.mark.parametrize("part", runs(["whole"], slow=["half", "layer"]))
+def test_a_body_in_a_free_boundary_takes_its_grid_along(part):
+    mesh = ring(24, np.linspace(0.5, 1.5, 6), ("body", "overset"))
+    quads, symmetry, count = np.asarray(mesh.cells["quad"]), (), len(mesh.points)
+    if part == "half":  # the half above a symmetry plane
+        quads = quads[(mesh.points[quads, 1] > -1e-9).all(axis=1)]
+        symmetry = jm.Plane((0, 1), (0, 0))
+        used, quads = np.unique(quads, return_inverse=True)
+        patches = {name: np.flatnonzero(np.isin(used, nodes)) for name, nodes in mesh.patches.items()}
+        mesh = jm.Mesh(mesh.points[used], {"quad": quads.reshape(-1, 4)}, patches)
+    if part == "layer":  # one layer of cells between two planes
+        points = np.concatenate([np.insert(mesh.points, 2, z, axis=1) for z in (0.0, 0.1)])
+        patches = {name: np.concatenate([nodes, nodes + count]) for name, nodes in mesh.patches.items()}
+        symmetry = [jm.Plane((0, 0, 1), (0, 0, z)) for z in (0.0, 0.1)]
+        mesh = jm.Mesh(points, {"hexahedron": np.concatenate([quads, quads + count], axis=1)}, patches)
+    angle = 0.0 if part == "half" else 1.0
+    shift = np.array([0.3, 0.0, 0.0][: mesh.points.shape[1]])
+    there = mesh.points @ Rotation.from_rotvec([0, 0, angle]).as_matrix().T[: len(shift), : len(shift)] + shift
+    u = (there - mesh.points)[mesh.patch("body")]
+    plan = jm.prepare(mesh, "body", free="overset", symmetry=symmetry)
+    np.testing.assert_allclose(jm.deform(plan, u), there, rtol=0, atol=1e-12)
+    chunks = jm.prepare_in_chunks(mesh, "body", free="overset", symmetry=symmetry, size=40)
+    for nodes, piece in chunks:
+        np.testing.assert_allclose(jm.deform(piece, u), there[nodes], rtol=0, atol=1e-12)
+
+
+def test_a_channel_between_moving_wall_and_plane_keeps_the_default():
+    mesh = square(4)
+    plan = jm.prepare(mesh, "wall", symmetry=jm.Plane((0, 1), (0, 1)), free="far")
+    assert isinstance(plan.method, jm.SurfaceReconstruction)
 
 
 def test_boundary_faces_in_no_list_are_told():

@@ -18,7 +18,7 @@ from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod, check_kind
 from .halves import half_of
 from .plan import Plan
-from .prepare import between_planes, plan_of, refuse_cells
+from .prepare import between_planes, default_for, plan_of, refuse_cells
 
 
 def prepare_in_chunks(
@@ -75,6 +75,7 @@ def chunks_of(
     if size is None:
         yield np.arange(len(points)), plan_of(boundary, method)
         return
+    method = default_for(boundary) if method is None else method
     boundary = between_planes(boundary, method)
     half, surface = half_of(boundary, method, np.arange(len(points))), np.unique(boundary.nodes)
     others = np.setdiff1d(np.arange(len(points)), np.union1d(surface, boundary.loose), assume_unique=True)

@@ -26,7 +26,7 @@ from .._methods.base import AbstractMethod, check_kind
 from .._methods.reconstruction import SurfaceReconstruction, sees_free_sides
 from .._methods.surface import Surface
 from .plan import Plan
-from .prepare import between_planes, boundary_of, laid_out, plan_of, refuse_cells, surface_of
+from .prepare import between_planes, default_for, boundary_of, laid_out, plan_of, refuse_cells, surface_of
 
 SAME = 1e-12
 """Largest difference of a surface node's place in piece and half, as a share of the extent."""
@@ -223,7 +223,7 @@ def prepare_surface(
 def half_of(boundary: Boundary, method: AbstractMethod | None, ids: np.ndarray) -> SurfaceHalf:
     """Prepares the surface of a checked boundary; `ids` (n,) name its points in the whole mesh."""
     check_kind(method, AbstractMethod, "method", "jm.RBF()", optional=True)
-    method = SurfaceReconstruction() if method is None else method
+    method = default_for(boundary) if method is None else method
     refuse_cells(method)
     boundary = between_planes(boundary, method)
     is_open = has_open_side(boundary) if boundary.is_open is None else boundary.is_open

@@ -19,6 +19,7 @@ from .._boundary.periodic import Periodic
 from .._boundary.slide import Slide
 from .._boundary.symmetry import Plane, check_planes, on_facing
 from .._host.package.errors import warn
+from .._host.package.rounding import SAME
 from .._kernels.compile import compiled, quickly_compiled
 from .._kernels.kept import kept_in_jaxs_folder
 from .._kernels.values import as_jax
@@ -26,6 +27,7 @@ from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod, check_kind
 from .._methods.blocks import place_points
 from .._methods.guiding import guiding
+from .._methods.inverse_distance import InverseDistance
 from .._methods.reconstruction import SurfaceReconstruction
 from .._methods.surface import Cells, Surface
 from .base import refitted
@@ -56,7 +58,8 @@ def prepare(
     - `moving`, `fixed`: node ids, (m,) and (f,), or names of patches. A node in both lists moves.
       Nodes in no list follow. If nothing but moving patches is named, the `kinds` of the other
       patches decide: symmetry planes slide, all others are fixed. A warning names them.
-    - `method`: `SurfaceReconstruction()` by default.
+    - `method`: `SurfaceReconstruction()` by default. Where nothing is fixed and nodes lie beyond
+      the moving ones, as in an overset grid, it is `InverseDistance(rotations=True)`.
     - `symmetry`: planes, or names of patches that lie in one or several planes. Nodes on a plane
       stay in it, also moving nodes.
     - `periodic`: pairs of patches of which one repeats the other. The two nodes of a pair move
@@ -82,9 +85,9 @@ def prepare(
 def plan_of(boundary: Boundary, method: AbstractMethod | None) -> Plan:
     """Prepares the plan of a checked boundary; warns of free faces and of lost precision."""
     boundary.warn_of_free_faces()
+    method = default_for(boundary) if method is None else method
     boundary = between_planes(boundary, method)
     check_pairings(boundary.pairings, boundary.planes, float(np.ptp(boundary.points, axis=0).max()))
-    method = SurfaceReconstruction() if method is None else method
     if boundary.cells is None:
         refuse_cells(method)
     guide = _guide_of(boundary, method)
@@ -97,7 +100,20 @@ def plan_of(boundary: Boundary, method: AbstractMethod | None) -> Plan:
     return plan
 
 
-def between_planes(boundary: Boundary, method: AbstractMethod | None) -> Boundary:
+def default_for(boundary: Boundary) -> AbstractMethod:
+    """Chooses the default method, which IDWarp's replaces where nothing holds an outer boundary."""
+    if len(boundary.fixed) or not boundary.surface_faces:
+        return SurfaceReconstruction()
+    surface, points = (
+        surface_of(dataclasses.replace(between_planes(boundary), pairings=()))[0].points,
+        boundary.of_cells,
+    )
+    slack = SAME * np.ptp(points, axis=0).max()
+    is_beyond = (points < surface.min(axis=0) - slack) | (points > surface.max(axis=0) + slack)
+    return InverseDistance(rotations=True) if is_beyond.any() else SurfaceReconstruction()
+
+
+def between_planes(boundary: Boundary, method: AbstractMethod | None = None) -> Boundary:
     """Checks the planes, and guides the nodes of parallel planes, except for methods on cells.
 
     Two parallel mirrors have endless images. A field with some of the images has a step beside the

@@ -79,7 +79,7 @@ def _described(mesh: Mesh, name: str) -> tuple[list[str], dict[str, Any]]:
     loose = of_no_cell(mesh)
     if len(loose):
         first = ", ".join(map(str, loose[:5].tolist())) + (", ..." if len(loose) > 5 else "")
-        lines.append(f"no cell  {count(len(loose), 'node')} of no cell, which stay where they are: {first}")
+        lines.append(f"no cell  {count(len(loose), 'node')}, at rest: {first}")
         facts["of_no_cell"] = loose.tolist()
     lines.append("patches" if patches else "patches  none")
     width = max(map(len, patches), default=0)
