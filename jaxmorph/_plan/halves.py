@@ -23,10 +23,10 @@ from .._host.surface.skin import has_free_sides
 from .._kernels.values import as_jax
 from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod, check_kind
-from .._methods.reconstruction import SurfaceReconstruction, sees_free_sides
+from .._methods.reconstruction import sees_free_sides
 from .._methods.surface import Surface
 from .plan import Plan
-from .prepare import between_planes, default_for, boundary_of, laid_out, plan_of, refuse_cells, surface_of
+from .prepare import between_planes, boundary_of, default_for, laid_out, plan_of, refuse_cells, surface_of
 
 SAME = 1e-12
 """Largest difference of a surface node's place in piece and half, as a share of the extent."""
