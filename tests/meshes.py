@@ -211,6 +211,8 @@ def thin(around: int) -> jm.Mesh:
     ids = np.arange(12 * around).reshape(12, around)
     quads = blocks(np.concatenate([ids, ids[:, :1]], axis=1))
     return jm.Mesh((wall + share * (far - wall)).reshape(-1, 2), {"quad": quads}, {"wall": ids[0], "far": ids[-1]})
+
+
 def filled(kind: str, count: int = 3) -> jm.Mesh:
     """Makes the unit square or cube of right-handed cells of any one type; edges of `count` steps."""
     cell = lagrange_types()[kind]
@@ -237,7 +239,7 @@ def filled(kind: str, count: int = 3) -> jm.Mesh:
     return mesh if cell.order == 1 else jm.elevate(mesh, cell.order)
 
 
-def renumbered(mesh: jm.Mesh, seed: int = 0) -> jm.Mesh:
+def reflected(mesh: jm.Mesh, seed: int = 0) -> jm.Mesh:
     """Lists about half of the cells of a mesh the other way round."""
     rng, cells = np.random.default_rng(seed), {}
     for kind, ids in mesh.cells.items():

@@ -279,6 +279,11 @@ def test_info(here, capsys):
     said = capsys.readouterr().out
     for expected in ("2-D, 216 points", "192 quad", "x        -5 to 5", "wall         24 nodes"):
         assert expected in said
+    assert "no cell" not in said
+    mesh = io.read("ring.su2")
+    io.write("loose.su2", jm.Mesh([*mesh.points, [50.0, 50.0]], mesh.cells, mesh.patches))
+    assert main(["info", "loose.su2"]) == 0
+    assert "no cell  1 node, at rest: 216" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("name", runs(["."], nightly=["../case"]))

@@ -107,6 +107,40 @@ def test_every_class_of_fields_has_a_case_with_all_laws():
 
 
 @every_method_cheaply
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_a_few_nodes_move(name, dimension, count):
+    mesh = body(dimension)
+    few = mesh.moving[
+        np.argsort(np.linalg.norm(mesh.points[mesh.moving] - mesh.points[mesh.moving[0]], axis=1))[:count]
+    ]
+    if name == "rigid-blend" and count < dimension:
+        return  # they turn about their line in any way
+    plan = BY_NAME[name].prepared(mesh.points, few, np.setdiff1d(mesh.boundary, few))
+    moved = np.asarray(jm.deform(plan, np.full((count, dimension), 0.01))) - mesh.points
+    assert np.abs(moved).max() < 0.1
+    if BY_NAME[name].exact:
+        np.testing.assert_allclose(moved[few], 0.01, rtol=1e-9)
+
+
+@every_method_cheaply
+def test_nodes_of_no_cell_stay_and_change_nothing(name, dimension):
+    mesh, (u, weights) = body(dimension), given(dimension)
+    method, kind = BY_NAME[name].make(1.0), "triangle" if dimension == 2 else "tetra"
+    cells = {kind: mesh.cells if method.needs_cells else mesh.outside}
+    loose = np.array([[50.0] * dimension, [0.0] * dimension, mesh.points[mesh.moving[3]]])
+    plans = [
+        jm.prepare(jm.Mesh(points, cells), mesh.moving, mesh.fixed, method=method, free=np.arange(len(points)))
+        for points in (mesh.points, np.concatenate([mesh.points, loose]))
+    ]
+    moved, more = (np.asarray(jm.deform(plan, u)) for plan in plans)
+    np.testing.assert_allclose(more[:-3], moved, rtol=0, atol=1e-12)
+    assert (more[-3:] == loose).all()
+    expected = jm.pullback(plans[0], u, weights)
+    found = jm.pullback(plans[1], u, np.concatenate([weights, np.ones_like(loose)]))
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10 * np.abs(expected).max())
+
+
+@every_method_cheaply
 def test_the_surface_goes_where_it_is_told(name, dimension):
     plan, (u, _) = planned(name, dimension), given(dimension)
     mesh, moved = body(dimension), np.asarray(jm.deform(plan, u))

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from meshes import filled, renumbered, unit_grid, with_folds
+from meshes import filled, reflected, unit_grid, with_folds
 from oracles import jacobians_inside, samples_inside
 from runs import runs
 
@@ -216,7 +216,7 @@ def test_a_mesh_that_arrives_folded_is_unfolded(kind):
     for seed in range(3):
         start = with_folds(mesh, seed=seed)
         assert folded(start) > 0
-        result = jm.improve(renumbered(mesh.moved(start), seed), start)
+        result = jm.improve(reflected(mesh.moved(start), seed), start)
         assert int(result.before) > 0
         assert int(result.after) == folded(result.points) == 0
         assert " are now" in str(result)
@@ -227,7 +227,7 @@ def test_what_stays_folded_is_counted():
     mesh = filled("triangle", 2)
     points = np.array(mesh.points)
     points[0] = [0.9, 0.9]
-    result = jm.improve(renumbered(mesh.moved(points)), points)
+    result = jm.improve(reflected(mesh.moved(points)), points)
     assert int(result.before) > 0
     assert int(result.after) > 0
     assert f"{int(result.after)} are now" in str(result)

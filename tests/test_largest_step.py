@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
 import pytest
-from meshes import bricks, filled, renumbered, with_folds, write_ring
+from meshes import bricks, filled, reflected, with_folds, write_ring
 from runs import runs
 
 import jaxmorph as jm
@@ -53,7 +53,7 @@ def test_the_step_that_is_proven_proves(kind, bound):
     """However cells are numbered. A step a little longer breaks the bound: nothing is given away."""
     mesh = filled(kind)
     points, d = np.asarray(mesh.points), mesh.points.shape[1]
-    moving, turned = np.flatnonzero(points[:, 0] == 0), renumbered(mesh)
+    moving, turned = np.flatnonzero(points[:, 0] == 0), reflected(mesh)
     fixed = np.setdiff1d(mesh.patch("boundary"), moving)
     for seed in range(3):
         plan = jm.prepare(points, moving, fixed, method=jm.DelaunayGraph())
@@ -77,7 +77,7 @@ def test_the_step_that_is_proven_proves(kind, bound):
 def test_cells_that_arrive_folded_end_no_step_and_are_no_proof():
     """A folded triangle that the motion unfolds breaks no bound by that."""
     mesh = filled("triangle")
-    mesh = renumbered(mesh.moved(with_folds(mesh)))
+    mesh = reflected(mesh.moved(with_folds(mesh)))
     points = np.asarray(mesh.points)
     moving = np.flatnonzero(points[:, 0] == 0)
     plan = jm.prepare(points, moving, np.flatnonzero(points[:, 0] == 1), method=jm.SurfaceReconstruction())

@@ -6,7 +6,9 @@ import re
 import jax
 import numpy as np
 import pytest
-from meshes import lattice, ring, unit_box
+from meshes import lattice, ring, square, unit_box
+from runs import runs
+from scipy.spatial.transform import Rotation
 
 import jaxmorph as jm
 
@@ -48,6 +50,68 @@ def test_a_node_in_both_moves():
     plan = jm.prepare(mesh, ("body", "half"), "far", method=jm.InverseDistance())
     assert plan.n_moving == 24 + len(mesh.patch("half"))
     assert len(plan.fixed) == 24 - len(mesh.patch("half"))
+
+
+def with_loose(mesh, places):
+    """A mesh with nodes of no cell at `places`, the first ones of the list."""
+    cells = {kind: np.asarray(corners) + len(places) for kind, corners in mesh.cells.items()}
+    patches = {name: np.asarray(nodes) + len(places) for name, nodes in mesh.patches.items()}
+    return jm.Mesh(np.concatenate([places, mesh.points]), cells, patches)
+
+
+@pytest.mark.parametrize("planes", runs([()], slow=[("y0", "y1")], nightly=[("y0",), ("x0", "x1", "y0", "y1")]))
+def test_nodes_of_no_cell_stay_beside_planes_in_chunks_and_in_steps(planes):
+    box = unit_box()
+    fixed = [name for name in box.patches if name not in (*planes, "z0")]
+    odd = with_loose(box, [[0.5, 0.0, 0.5], [0.5, -9.0, 0.5], [90.0, 1.0, 0.3]])
+    u = np.random.default_rng(1).normal(size=(16, 3)) * 0.02
+    u[:, :2] *= not planes
+    plans = [jm.prepare(mesh, "z0", fixed, symmetry=planes) for mesh in (box, odd)]
+    whole, more = (np.asarray(jm.deform(plan, u)) for plan in plans)
+    np.testing.assert_allclose(more[3:], whole, rtol=0, atol=1e-12)
+    assert (more[:3] == odd.points[:3]).all()
+    refit = np.asarray(jm.deform(jm.refit(plans[1], odd.points + 1.0), u)) if not planes else more + 1
+    np.testing.assert_allclose(refit, more + 1, rtol=0, atol=1e-12)
+    pieces = np.array(odd.points)
+    for nodes, plan in jm.prepare_in_chunks(odd, "z0", fixed, size=3, symmetry=planes):
+        pieces[nodes] = jm.deform(plan, u)
+    np.testing.assert_allclose(pieces, more, rtol=0, atol=1e-12)
+    for rebuild in (False, True):
+        ends = [np.asarray(jm.march(plan, [u / 2, u], rebuild=rebuild)[1]) for plan in plans]
+        np.testing.assert_allclose(ends[1][3:], ends[0], rtol=0, atol=1e-12)
+        assert (ends[1][:3] == odd.points[:3]).all()
+
+
+@pytest.mark.parametrize("part", runs(["whole"], slow=["half", "layer"]))
+def test_a_body_in_a_free_boundary_takes_its_grid_along(part):
+    mesh = ring(24, np.linspace(0.5, 1.5, 6), ("body", "overset"))
+    quads, symmetry, count = np.asarray(mesh.cells["quad"]), (), len(mesh.points)
+    if part == "half":  # the half above a symmetry plane
+        quads = quads[(mesh.points[quads, 1] > -1e-9).all(axis=1)]
+        symmetry = jm.Plane((0, 1), (0, 0))
+        used, quads = np.unique(quads, return_inverse=True)
+        patches = {name: np.flatnonzero(np.isin(used, nodes)) for name, nodes in mesh.patches.items()}
+        mesh = jm.Mesh(mesh.points[used], {"quad": quads.reshape(-1, 4)}, patches)
+    if part == "layer":  # one layer of cells between two planes
+        points = np.concatenate([np.insert(mesh.points, 2, z, axis=1) for z in (0.0, 0.1)])
+        patches = {name: np.concatenate([nodes, nodes + count]) for name, nodes in mesh.patches.items()}
+        symmetry = [jm.Plane((0, 0, 1), (0, 0, z)) for z in (0.0, 0.1)]
+        mesh = jm.Mesh(points, {"hexahedron": np.concatenate([quads, quads + count], axis=1)}, patches)
+    angle = 0.0 if part == "half" else 1.0
+    shift = np.array([0.3, 0.0, 0.0][: mesh.points.shape[1]])
+    there = mesh.points @ Rotation.from_rotvec([0, 0, angle]).as_matrix().T[: len(shift), : len(shift)] + shift
+    u = (there - mesh.points)[mesh.patch("body")]
+    plan = jm.prepare(mesh, "body", free="overset", symmetry=symmetry)
+    np.testing.assert_allclose(jm.deform(plan, u), there, rtol=0, atol=1e-12)
+    chunks = jm.prepare_in_chunks(mesh, "body", free="overset", symmetry=symmetry, size=40)
+    for nodes, piece in chunks:
+        np.testing.assert_allclose(jm.deform(piece, u), there[nodes], rtol=0, atol=1e-12)
+
+
+def test_a_channel_between_moving_wall_and_plane_keeps_the_default():
+    mesh = square(4)
+    plan = jm.prepare(mesh, "wall", symmetry=jm.Plane((0, 1), (0, 1)), free="far")
+    assert isinstance(plan.method, jm.SurfaceReconstruction)
 
 
 def test_boundary_faces_in_no_list_are_told():

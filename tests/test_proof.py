@@ -7,7 +7,7 @@ from fractions import Fraction
 import jax
 import numpy as np
 import pytest
-from meshes import filled, gmsh_session, renumbered, with_folds
+from meshes import filled, gmsh_session, reflected, with_folds
 from oracles import cells_near_the_limit, jacobians_inside, samples_inside
 from runs import runs
 
@@ -296,7 +296,7 @@ def test_a_mesh_that_arrives_folded_is_folded_however_its_cells_are_numbered(kin
     mesh, cell = filled(kind), lagrange_types()[kind]
     for seed in range(3):
         start = with_folds(mesh, 1 + seed % 2, seed)
-        before, turned = mesh.moved(start), renumbered(mesh.moved(start), seed)
+        before, turned = mesh.moved(start), reflected(mesh.moved(start), seed)
         ids = np.asarray(mesh.cells[kind])
         values = jacobians_inside(cell.shape, cell.order, cell.lattice, start[ids], samples_inside(cell.shape, 5))
         least, largest = values.min(axis=1), values.max(axis=1)
@@ -332,7 +332,7 @@ def test_a_mesh_that_arrives_folded_is_folded_however_its_cells_are_numbered(kin
 def test_cells_are_the_same_for_a_mesh_that_is_traced():
     mesh = filled("triangle")
     start = with_folds(mesh)
-    turned = renumbered(mesh.moved(start))
+    turned = reflected(mesh.moved(start))
     expected = np.asarray(jm.quality(turned, start).is_inverted)
     assert expected.any()
     np.testing.assert_array_equal(jax.jit(lambda mesh: jm.inverted(mesh, mesh.points))(turned), expected)
@@ -352,9 +352,9 @@ def test_cells_around_a_pole_have_one_handedness():
     low, high = slice(0, -1), slice(1, None)
     corners = [(0, low, low), (1, low, low), (1, high, low), (0, high, low)]
     cells = np.stack([ids[i, j, k] for layer in (low, high) for i, j, _ in corners for k in (layer,)], axis=-1)
-    mesh = renumbered(jm.Mesh(points, {"hexahedron": cells.reshape(-1, 8)}))
+    mesh = reflected(jm.Mesh(points, {"hexahedron": cells.reshape(-1, 8)}))
     assert int(jm.quality(mesh).inverted) == 0
     points[ids[1, 2, 1]] = [0.3, -0.6, 1]  # past its neighbour
-    found = [np.asarray(jm.quality(renumbered(mesh.moved(points), seed)).is_inverted) for seed in range(4)]
+    found = [np.asarray(jm.quality(reflected(mesh.moved(points), seed)).is_inverted) for seed in range(4)]
     assert all((other == found[0]).all() for other in found)
     assert 0 < found[0].sum() <= 4

@@ -26,7 +26,8 @@ from .walls import AbstractWall
 
 Nodes = str | Sequence[str] | Integer[ArrayLike, " _k"] | Sequence[int | np.integer]
 
-_EMPTY: dict[str, Any] = {"planes": (), "pairings": (), "tracks": (), "free": np.zeros(0, dtype=np.int64)}
+_EMPTY: dict[str, Any] = dict.fromkeys(("planes", "pairings", "tracks"), ())
+_EMPTY |= dict.fromkeys(("free", "loose"), np.zeros(0, dtype=np.int64))
 _EMPTY |= dict.fromkeys(("mesh", "faces", "left", "is_open", "cells"))
 
 
@@ -60,6 +61,7 @@ class Boundary:
     - `guided` (g,): ids of all other nodes on sliding and periodic patches, and on parallel planes.
     - `planes`: symmetry planes.
     - `left`: the boundary faces in no list, None where no cells are known.
+    - `loose`: ids of the nodes of no cell and in no list, which stay where they are.
 
     **Raises:** `ValueError` for ids out of range, ids that come twice in `moving`, and coordinates
     that are not finite. Also for periodic patches that do not match, and sliding patches that do
@@ -68,7 +70,7 @@ class Boundary:
 
     # `pairings`: nodes that move alike; `tracks`: nodes that stay on walls; `faces`: boundary faces
     # (k, corners) by type; `is_open`: whether some of them are neither on the surface nor on a
-    # plane. Of points alone the last four are None.
+    # plane. They, `left` and `cells` are None of points alone.
     mesh: Mesh | None
     points: np.ndarray
     moving: Int[np.ndarray, " m"]
@@ -82,6 +84,7 @@ class Boundary:
     left: FreeFaces | None
     is_open: bool | None
     cells: Mapping[str, np.ndarray] | None
+    loose: Int[np.ndarray, " l"]
 
     def __init__(
         self,
@@ -136,6 +139,11 @@ class Boundary:
         return f"Boundary({n} points in {d}-D, {lists})"
 
     @property
+    def of_cells(self) -> np.ndarray:
+        """Coordinates of all nodes but the loose ones."""
+        return np.delete(self.points, self.loose, axis=0) if len(self.loose) else self.points
+
+    @property
     def nodes(self) -> np.ndarray:
         """Ids of the surface's nodes: moving, fixed, then guided."""
         return np.concatenate([self.moving, self.fixed, self.guided])
@@ -162,6 +170,7 @@ class Boundary:
         place = _rows(nodes, len(self.points))
         pairings, tracks = renumbered(self.pairings, self.tracks, place)
         lists = {"moving": moving, "fixed": fixed, "guided": guided, "pairings": pairings, "tracks": tracks}
+        lists["loose"] = np.flatnonzero(np.isin(nodes, self.loose))
         cells = self.cells if len(nodes) == len(self.points) else None
         return changed(self, mesh=None, points=self.points[nodes], faces=faces, cells=cells, **lists)
 
@@ -175,7 +184,7 @@ class Boundary:
             is_open = bool(self.tracks)
         pairings, tracks = renumbered(self.pairings, self.tracks, place)
         lists = {"moving": rows[:m], "fixed": rows[m:], "guided": rows[:0], "pairings": pairings, "tracks": tracks}
-        points = self.points[self.nodes]
+        points, lists["loose"] = self.points[self.nodes], rows[:0]
         return changed(self, mesh=None, points=points, faces=faces, left=None, is_open=is_open, cells=None, **lists)
 
 
@@ -189,7 +198,8 @@ def changed(boundary: Boundary, **fields: Any) -> Boundary:
 def with_cells(boundary: Boundary, mesh: Mesh, outer: OuterFaces) -> Boundary:
     """Adds the cells of a mesh, and its boundary faces."""
     cells = {kind: np.asarray(corners) for kind, corners in solid(mesh.linear.cells, boundary.points.shape[1]).items()}
-    return with_faces(changed(boundary, mesh=mesh, cells=cells), mesh, outer)
+    loose = np.setdiff1d(of_no_cell(mesh), boundary.nodes) if cells else boundary.loose
+    return with_faces(changed(boundary, mesh=mesh, cells=cells, loose=loose), mesh, outer)
 
 
 def with_faces(boundary: Boundary, mesh: Mesh, outer: OuterFaces) -> Boundary:
@@ -298,6 +308,16 @@ def _guided(
     parts = [np.zeros(0, dtype=np.int64), *(pairing.nodes for pairing in pairings), *(track.rows for track in tracks)]
     nodes = np.unique(np.concatenate(parts))
     return nodes[role[nodes] == 0]
+
+
+def of_no_cell(mesh: Mesh) -> np.ndarray:
+    """Lists the nodes of no cell, such as gmsh's points of the geometry with `SaveAll`."""
+    is_loose = np.ones(len(mesh.points), dtype=bool)
+    for corners in mesh.cells.values():
+        is_loose[np.asarray(corners)] = False
+    if mesh.polyhedra is not None:
+        is_loose[mesh.polyhedra.faces.labels] = False
+    return np.flatnonzero(is_loose)
 
 
 def renumbered(

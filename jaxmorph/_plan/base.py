@@ -44,9 +44,10 @@ def _fitted(plan: Plan, points: Any, surface: Float[Array, "o d"] | None = None,
     factors = placing.carry(method, ids, before, rows, whole) if carried else method.fit(ids, rows, whole)
 
     def place(shared: PyTree, volume: VolumePart) -> PyTree:
+        points = volume.seen(shared[1][0])
         if carried:
-            return carry_points(method, (volume.points, volume.ids, volume.placed), *shared)
-        placed = place_points(method, volume.points, volume.ids, *shared)
+            return carry_points(method, (points, volume.ids, volume.placed), *shared)
+        placed = place_points(method, points, volume.ids, *shared)
         return placed if volume.placed is None else with_tables_of(volume.placed, placed)
 
     at = whole if plan.layout is None else pad_rows(whole, plan.layout)

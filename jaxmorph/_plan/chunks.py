@@ -12,7 +12,7 @@ from .._host.package.errors import MeshError
 from .._methods.base import AbstractMethod, check_kind
 from .halves import half_of
 from .plan import Plan
-from .prepare import between_planes, plan_of, refuse_cells
+from .prepare import between_planes, default_for, plan_of, refuse_cells
 
 
 def prepare_in_chunks(
@@ -28,6 +28,8 @@ def prepare_in_chunks(
     for nodes, plan in jm.prepare_in_chunks(jm.Boundary(mesh, "wing", "far"), size=1_000_000):
         points[nodes] = jm.deform(plan, u)
     ```
+
+    Nodes of no cell, which stay, are in no chunk of a `size`.
 
     **Arguments:**
 
@@ -57,9 +59,10 @@ def _chunks(
     if size is None:
         yield np.arange(len(points)), plan_of(boundary, method)
         return
+    method = default_for(boundary) if method is None else method
     boundary = between_planes(boundary, method)
     half, surface = half_of(boundary, method, np.arange(len(points))), np.unique(boundary.nodes)
-    others = np.setdiff1d(np.arange(len(points)), surface, assume_unique=True)
+    others = np.setdiff1d(np.arange(len(points)), np.union1d(surface, boundary.loose), assume_unique=True)
     count = max(1, -(-len(others) // size))
     steps = count * np.arange(-(-len(others) // count))
     for k in range(count):

@@ -19,10 +19,10 @@ from .._host.surface.skin import has_free_sides
 from .._kernels.values import as_jax
 from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod, check_kind
-from .._methods.reconstruction import SurfaceReconstruction, sees_free_sides
+from .._methods.reconstruction import sees_free_sides
 from .._methods.surface import Surface
 from .plan import Plan
-from .prepare import between_planes, laid_out, plan_of, refuse_cells, surface_of
+from .prepare import between_planes, default_for, laid_out, plan_of, refuse_cells, surface_of
 
 SAME = 1e-12
 """Largest difference of a surface node's place in piece and half, as a share of the extent."""
@@ -212,7 +212,7 @@ def prepare_surface(
 def half_of(boundary: Boundary, method: AbstractMethod | None, ids: np.ndarray) -> SurfaceHalf:
     """Prepares the surface of a checked boundary; `ids` (n,) name its points in the whole mesh."""
     check_kind(method, AbstractMethod, "method", "jm.RBF()", optional=True)
-    method = SurfaceReconstruction() if method is None else method
+    method = default_for(boundary) if method is None else method
     refuse_cells(method)
     boundary = between_planes(boundary, method)
     is_open = has_open_side(boundary) if boundary.is_open is None else boundary.is_open
@@ -233,6 +233,6 @@ def has_open_side(boundary: Boundary) -> bool:
 
 def fence(boundary: Boundary) -> np.ndarray:
     """Lists the outermost nodes, and one node of every symmetry plane: they set the tolerances."""
-    points = boundary.points
+    points, place = boundary.of_cells, np.delete(np.arange(len(boundary.points)), boundary.loose)
     on_planes = (np.flatnonzero(plane.holds(points))[:1] for plane in boundary.planes)
-    return np.unique(np.concatenate([points.argmin(axis=0), points.argmax(axis=0), *on_planes]))
+    return place[np.unique(np.concatenate([points.argmin(axis=0), points.argmax(axis=0), *on_planes]))]

@@ -93,13 +93,19 @@ class Guide(Module):
 class VolumePart(eqx.Module):
     """Per-point arrays, split over devices.
 
-    Every leaf has one row per mesh point, except tables of transposes.
+    Every leaf has one row per mesh point, except tables of transposes. `rests` marks nodes of no
+    cell.
     """
 
     points: Float[Array, "n d"]
     on_plane: Bool[Array, "n p"] | None
     ids: PyTree
     placed: PyTree
+    rests: Bool[Array, " n"] | None = None
+
+    def seen(self, at: Float[Array, " d"]) -> Float[Array, "n d"]:
+        """Returns the points as a method sees them: nodes of no cell are `at` one place."""
+        return self.points if self.rests is None else jnp.where(self.rests[:, None], at[None], self.points)
 
 
 class Plan(Module):
@@ -151,9 +157,9 @@ class Plan(Module):
         nodes, guide = np.concatenate([moving, fixed, guided]), self.surface.guide
         pairings, tracks = ((), ()) if guide is None else jax.tree.map(np.asarray, (guide.pairings, guide.tracks))
         pairings, tracks = renumbered(pairings, tracks, nodes)
-        return boundary_of_lists(
-            points, moving, fixed, guided, planes=self.images.planes, pairings=pairings, tracks=tracks
-        )
+        loose = np.zeros(0, int) if self.volume.rests is None else np.flatnonzero(self.volume.rests)
+        lists = {"planes": self.images.planes, "pairings": pairings, "tracks": tracks, "loose": loose}
+        return boundary_of_lists(points, moving, fixed, guided, **lists)
 
     @property
     def is_linear(self) -> bool:
@@ -313,6 +319,8 @@ def move(shared: Shared, volume: VolumePart, at: Int[Array, " a"]) -> Float[Arra
     displacement = map_points(shared.field, volume.points, volume.placed)
     if volume.on_plane is not None:
         displacement = shared.images.within(displacement, volume.on_plane)
+    if volume.rests is not None:
+        displacement = jnp.where(volume.rests[:, None], 0, displacement)
     moved = volume.points + displacement
     if not len(at):
         return moved

@@ -15,6 +15,7 @@ from .._boundary.periodic import Periodic
 from .._boundary.slide import Slide
 from .._boundary.symmetry import Plane, check_planes, on_facing
 from .._host.package.errors import warn
+from .._host.package.rounding import SAME
 from .._host.surface.walls import ordered_rows
 from .._kernels.compile import compiled, quickly_compiled
 from .._kernels.kept import kept_in_jaxs_folder
@@ -23,6 +24,7 @@ from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod, check_kind
 from .._methods.blocks import place_points
 from .._methods.guiding import guiding
+from .._methods.inverse_distance import InverseDistance
 from .._methods.reconstruction import SurfaceReconstruction
 from .._methods.surface import Cells, Surface
 from .base import refitted
@@ -53,7 +55,8 @@ def prepare(
       float64 needs JAX's x64 mode.
     - `moving`, `fixed`, `symmetry`, `periodic`, `sliding`, `free`: as `Boundary` takes them, which
       is then made. Not with a `Boundary`.
-    - `method`: `SurfaceReconstruction()` by default.
+    - `method`: `SurfaceReconstruction()` by default. Where nothing is fixed and nodes lie beyond
+      the moving ones, as in an overset grid, it is `InverseDistance(rotations=True)`.
 
     **Returns:** a `Plan`.
 
@@ -75,9 +78,9 @@ def plan_of(boundary: Boundary, method: AbstractMethod | None) -> Plan:
     if not len(boundary.moving):
         raise ValueError("`moving` is empty: name the nodes of the boundary that moves.")
     boundary.warn_of_free_faces()
+    method = default_for(boundary) if method is None else method
     boundary = between_planes(boundary, method)
     check_pairings(boundary.pairings, boundary.planes, float(np.ptp(boundary.points, axis=0).max()))
-    method = SurfaceReconstruction() if method is None else method
     if boundary.cells is None:
         refuse_cells(method)
     guide = _guide_of(boundary, method)
@@ -90,7 +93,17 @@ def plan_of(boundary: Boundary, method: AbstractMethod | None) -> Plan:
     return plan
 
 
-def between_planes(boundary: Boundary, method: AbstractMethod | None) -> Boundary:
+def default_for(boundary: Boundary) -> AbstractMethod:
+    """Chooses the default method, which IDWarp's replaces where nothing holds an outer boundary."""
+    if len(boundary.fixed) or not boundary.surface_faces:
+        return SurfaceReconstruction()
+    surface, points = surface_of(changed(between_planes(boundary), pairings=()))[0].points, boundary.of_cells
+    slack = SAME * np.ptp(points, axis=0).max()
+    is_beyond = (points < surface.min(axis=0) - slack) | (points > surface.max(axis=0) + slack)
+    return InverseDistance(rotations=True) if is_beyond.any() else SurfaceReconstruction()
+
+
+def between_planes(boundary: Boundary, method: AbstractMethod | None = None) -> Boundary:
     """Checks the planes, and guides the nodes of parallel planes, except for methods on cells.
 
     Two parallel mirrors have endless images. A field with some of the images has a step beside the
@@ -99,16 +112,16 @@ def between_planes(boundary: Boundary, method: AbstractMethod | None) -> Boundar
     as around one layer of cells, guided nodes that face each other move alike.
     """
     if boundary.planes:
-        check_planes(boundary.planes, boundary.points)
+        check_planes(boundary.planes, boundary.of_cells)
     if method is not None and method.needs_cells:
         return boundary
     others = np.setdiff1d(np.flatnonzero(on_facing(boundary.planes, boundary.points)), boundary.nodes)
+    others = np.setdiff1d(others, boundary.loose)
     if not len(others):
         return boundary
-    free, place = np.zeros(len(boundary.points), bool), np.arange(len(boundary.points))
-    free[others] = True
-    layer = across_one_layer(boundary.planes, boundary.points)
-    layer = tuple(pairing.renumbered(np.where(free, place, -1)) for pairing in layer)
+    place = np.delete(np.arange(len(boundary.points)), boundary.loose)
+    layer = across_one_layer(boundary.planes, boundary.of_cells)
+    layer = tuple(pairing.renumbered(np.where(np.isin(place, others), place, -1)) for pairing in layer)
     guided, pairings = np.union1d(boundary.guided, others), (*boundary.pairings, *layer)
     return changed(boundary, guided=guided, pairings=pairings)
 
@@ -123,13 +136,20 @@ def refuse_cells(method: AbstractMethod) -> None:
 
 def _plan_of(boundary: Boundary, method: AbstractMethod, guide: Guide | None = None) -> Plan:
     surface, images, on_plane = surface_of(boundary)
-    surface_ids, volume_ids = as_jax(method.connect(surface, boundary.points))
+    points, like, rests = boundary.points, np.arange(len(boundary.points)), None
+    if len(boundary.loose):
+        # nodes of no cell may lie anywhere: methods see them at the first moving node, with its ids
+        like[boundary.loose] = boundary.moving[0]
+        points, rests = points[like], as_jax(np.isin(np.arange(len(points)), boundary.loose))
+    surface_ids, volume_ids = as_jax(method.connect(surface, points))
+    if rests is not None:
+        volume_ids = jax.tree.map(lambda leaf: leaf[like], volume_ids)
     nodes = as_jax(boundary.nodes.astype(np.int32))
     on_plane = None if on_plane is None else as_jax(on_plane)
     plan = Plan(
         method=method,
         surface=SurfacePart(as_jax(surface.points), nodes, images, surface_ids, None, guide),
-        volume=VolumePart(as_jax(boundary.points), on_plane, volume_ids, None),
+        volume=VolumePart(as_jax(boundary.points), on_plane, volume_ids, None, rests),
         n_moving=len(boundary.moving),
         n_guided=len(boundary.guided),
     )

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from jaxmorph import Mesh, _demo, io
+from jaxmorph._boundary.boundary import of_no_cell
 
 from ._describe import mesh_of
 from ._judged import Judged
@@ -75,6 +76,11 @@ def _described(mesh: Mesh, name: str) -> tuple[list[str], dict[str, Any]]:
     ]
     for axis, least, most in zip("xyz", low, high, strict=False):
         lines.append(f"{axis:<9}{least:.6g} to {most:.6g}")
+    loose = of_no_cell(mesh)
+    if len(loose):
+        first = ", ".join(map(str, loose[:5].tolist())) + (", ..." if len(loose) > 5 else "")
+        lines.append(f"no cell  {count(len(loose), 'node')}, at rest: {first}")
+        facts["of_no_cell"] = loose.tolist()
     lines.append("patches" if patches else "patches  none")
     width = max(map(len, patches), default=0)
     for patch, number in patches.items():

@@ -13,6 +13,7 @@ from jaxmorph._advice.methods import METHODS, Entry, entry
 from jaxmorph._advice.rivals import Extent
 from jaxmorph._boundary.names import planes_of
 from jaxmorph._boundary.symmetry import check_planes
+from jaxmorph._plan.prepare import default_for
 
 from ._parts import Boundary, Method
 from ._requests import Deform, Modes, Sensitivity
@@ -101,7 +102,13 @@ class Patches:
     def method(self, request: Method, chunk: int | None = None) -> NamedMethod:
         """Makes the requested method. Raises what `named_method` does."""
         points = np.asarray(self.mesh.points)
-        return named_method(request, points[self.nodes], points[np.setdiff1d(self.fixed_nodes, self.nodes)], chunk)
+        walls = points[self.nodes], points[np.setdiff1d(self.fixed_nodes, self.nodes)]
+        choice = named_method(request, *walls, chunk)
+        if request.method == "default" and request.sources is None and not len(walls[1]):
+            with self._explaining():
+                if isinstance(default_for(self._boundary(choice)), jm.InverseDistance):
+                    return named_method(dataclasses.replace(request, method="turning"), *walls, chunk)
+        return choice
 
     def points(self, choice: NamedMethod) -> Float[np.ndarray, "n d"]:
         """Returns the mesh's points in the precision of the calculation."""

@@ -175,6 +175,6 @@ def _check_inside(points: np.ndarray, ids: np.ndarray, beyond: np.ndarray) -> No
         raise MeshError(
             f"{len(outside)} of {len(points)} points lie outside of the convex hull of the moving and fixed nodes; the worst is "
             f"node {{node}} at ({place_of(points[outside[0]])}), {beyond.max():.3g} beyond it. Add the missing boundary "
-            "(outlet, inlet, far field, channel wall) as fixed nodes.",
+            "(outlet, inlet, far field, channel wall) as fixed nodes, or take a method without a graph, such as jm.RBF().",
             outside,
         )

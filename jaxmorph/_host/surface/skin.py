@@ -157,7 +157,8 @@ def drawn_in(surface: np.ndarray, moving: np.ndarray, fixed: np.ndarray, images:
     centre = surface[moving].mean(axis=0)
     rings = np.array(RINGS)[:, None] * np.linalg.norm(surface[moving] - centre, axis=1).max()
     way = np.linalg.norm(surface - centre, axis=1)
-    far = fixed[(images[fixed] == fixed) & (way[fixed] > BEYOND * (1 + SAME) * rings.max())]
+    # one moving node has no size, and no rings
+    far = fixed[(images[fixed] == fixed) & (way[fixed] > BEYOND * (1 + SAME) * rings.max()) & (rings.max() > 0)]
     if len(far):
         far = far[canonical_order(surface[far])]
         far = far[farthest(surface[far], len(far), 0.0, reach=APART[surface.shape[1]] * way[far])]
