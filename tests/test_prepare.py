@@ -59,9 +59,9 @@ def with_loose(mesh, places):
     return jm.Mesh(np.concatenate([places, mesh.points]), cells, patches)
 
 
-@pytest.mark.parametrize("planes", runs([()], slow=[("y0", "y1")], nightly=[("y0",), ("x0", "x1", "y0", "y1")]))
+@pytest.mark.parametrize("planes", runs([""], slow=["y0 y1"], nightly=["y0", "x0 x1 y0 y1"]))
 def test_nodes_of_no_cell_stay_beside_planes_in_chunks_and_in_steps(planes):
-    box = unit_box()
+    planes, box = planes.split(), unit_box()
     fixed = [name for name in box.patches if name not in (*planes, "z0")]
     odd = with_loose(box, [[0.5, 0.0, 0.5], [0.5, -9.0, 0.5], [90.0, 1.0, 0.3]])
     u = np.random.default_rng(1).normal(size=(16, 3)) * 0.02
@@ -73,7 +73,7 @@ def test_nodes_of_no_cell_stay_beside_planes_in_chunks_and_in_steps(planes):
     refit = np.asarray(jm.deform(jm.refit(plans[1], odd.points + 1.0), u)) if not planes else more + 1
     np.testing.assert_allclose(refit, more + 1, rtol=0, atol=1e-12)
     pieces = np.array(odd.points)
-    for nodes, plan in jm.prepare_in_chunks(odd, "z0", fixed, size=3, symmetry=planes):
+    for nodes, plan in jm.prepare_in_chunks(jm.Boundary(odd, "z0", fixed, symmetry=planes), size=3):
         pieces[nodes] = jm.deform(plan, u)
     np.testing.assert_allclose(pieces, more, rtol=0, atol=1e-12)
     for rebuild in (False, True):
@@ -103,7 +103,7 @@ def test_a_body_in_a_free_boundary_takes_its_grid_along(part):
     u = (there - mesh.points)[mesh.patch("body")]
     plan = jm.prepare(mesh, "body", free="overset", symmetry=symmetry)
     np.testing.assert_allclose(jm.deform(plan, u), there, rtol=0, atol=1e-12)
-    chunks = jm.prepare_in_chunks(mesh, "body", free="overset", symmetry=symmetry, size=40)
+    chunks = jm.prepare_in_chunks(jm.Boundary(mesh, "body", free="overset", symmetry=symmetry), size=40)
     for nodes, piece in chunks:
         np.testing.assert_allclose(jm.deform(piece, u), there[nodes], rtol=0, atol=1e-12)
 
