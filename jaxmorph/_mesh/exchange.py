@@ -91,12 +91,11 @@ def intact_source(mesh: Any) -> Any:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Grid:
-    """A mesh of another library, `content`, which `parts` reads.
+    """A mesh of another library: `blocks` of one cell type; `cell_data` has one array a block.
 
-    `blocks` have one cell type each, `cell_data` one array a block.
+    `content` is the library's own mesh.
     """
 
-    content: Any
     points: np.ndarray
     blocks: list[tuple[str, np.ndarray]]
     point_data: Arrays
@@ -104,6 +103,7 @@ class Grid:
     cell_sets: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     field_data: Arrays = dataclasses.field(default_factory=dict)
     point_sets: Arrays = dataclasses.field(default_factory=dict)
+    content: Any = None
 
     @property
     def levels(self) -> list[int]:
@@ -120,7 +120,7 @@ def of_meshio(mesh: Any) -> Grid:
     blocks = [kind_of_block(block.type, np.asarray(block.data)) for block in mesh.cells]
     _refuse_unknown(kind for kind, ids in blocks if len(ids))
     arrays = mesh.point_data, mesh.cell_data, mesh.cell_sets, mesh.field_data, getattr(mesh, "point_sets", {})
-    return Grid(mesh, np.asarray(mesh.points), blocks, *arrays)
+    return Grid(np.asarray(mesh.points), blocks, *arrays, content=mesh)
 
 
 def of_pyvista(grid: Any) -> Grid:
@@ -139,7 +139,7 @@ def of_pyvista(grid: Any) -> Grid:
         nodes = ids[starts[:-1][masks[-1]][:, None] + np.arange(size)]
         blocks.append((kind, reordered(kind, nodes, VTK_ORDER, None) if kind in NODES else nodes))
     cell_data = {name: [np.asarray(values)[mask] for mask in masks] for name, values in grid.cell_data.items()}
-    return Grid(grid, np.asarray(grid.points), blocks, dict(grid.point_data), cell_data)
+    return Grid(np.asarray(grid.points), blocks, dict(grid.point_data), cell_data, content=grid)
 
 
 def kind_of_vtk(number: int, size: int) -> str:
@@ -236,7 +236,8 @@ def parts(grid: Grid, more: Iterable[Patch] = ()) -> Parts:
         faces = sum(len(corners) for kind, corners in grid.blocks if kind not in cells)
         notes += (f"{faces} faces, edges or points of the file have no names, and are no patches.",) * bool(faces)
     notes += tuple(_left(grid, taken))
-    return Parts(np.ascontiguousarray(points), cells, patches, Origin(grid.content, numbers_of_cells(cells), notes))
+    origin = Origin(grid.content, numbers_of_cells(cells), notes=notes)
+    return Parts(np.ascontiguousarray(points), cells, patches, origin)
 
 
 def _cells(grid: Grid) -> dict[str, np.ndarray]:

@@ -175,8 +175,9 @@ class Mesh(Module):
 
         Patches are point sets, cell sets of lower dimension, gmsh's physical groups and point
         arrays `patch:NAME`. Without them, the whole numbers of an array `patch`, `marker`,
-        `boundary` ..., on the boundary's cells or on points, name patches. Without such an array the one patch is
-        `boundary`. Point ids stay. `to_meshio` of the result knows the `meshio.Mesh`.
+        `boundary` ..., on the boundary's cells or on points, name patches. Without such an array
+        the one patch is `boundary`. Point ids stay. `to_meshio` of the result knows the
+        `meshio.Mesh`.
 
         **Raises:** `ValueError` for types of cells that are not supported (polyhedra, cells with
         nodes between corners). Also for points that are not finite, and for a mesh without area or

@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 
 from jaxmorph._host.cells.topology import DIMENSION
-from jaxmorph._mesh.exchange import Parts, Patch, regions_note
+from jaxmorph._mesh.exchange import Grid, Parts, Patch, regions_note
 
-from ._format import Arrays, MeshLike, Source, StampedPoints, stamp_of
-from ._meshio import meshio, to_mesh
+from ._format import Arrays, MeshLike, Source, StampedPoints, of_grid, stamp_of
 from .cgns.tree import opened, write_points
 from .text.digits import decoded
 
@@ -68,8 +67,8 @@ def read(path: pathlib.Path) -> Parts:
                 raise ValueError(f"{name} has nodes {nodes.min() + 1} to {nodes.max() + 1} of {len(points)}")
         notes = tuple(_notes(file, blocks))
     content = StampedPoints(points, stamp_of(path))
-    mesh = meshio.Mesh(points, [(block.kind, block.corners) for block in blocks])
-    return to_mesh(path, mesh, Source(path, NAME, content, in_file=content.in_file, notes=notes), patches)
+    grid = Grid(points, [(block.kind, block.corners) for block in blocks], {}, {})
+    return of_grid(path, grid, Source(path, NAME, content, in_file=content.in_file, notes=notes), patches)
 
 
 def write(path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arrays) -> None:

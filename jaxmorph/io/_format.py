@@ -4,14 +4,15 @@ import contextlib
 import dataclasses
 import importlib
 import pathlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, Protocol, cast, runtime_checkable
 
 import numpy as np
 
 from jaxmorph._boundary.periodic import Periodic
 from jaxmorph._host.cells.topology import SHAPES
-from jaxmorph._mesh.exchange import Parts, intact_source
+from jaxmorph._mesh.arrays import checked_parts
+from jaxmorph._mesh.exchange import Grid, Parts, Patch, intact_source, parts
 from jaxmorph._mesh.polyhedra import Polyhedra
 
 Arrays = Mapping[str, np.ndarray]
@@ -150,6 +151,14 @@ def faults_of(path: pathlib.Path) -> Iterator[None]:
         yield
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
+
+
+def of_grid(path: pathlib.Path, grid: Grid, source: Source, patches: Iterable[Patch] = ()) -> Parts:
+    """Makes the mesh of a grid with more `patches`; errors name the file."""
+    with faults_of(path):
+        points, cells, found, origin = parts(grid, patches)
+        notes = (*source.notes, *origin.notes)
+        return checked_parts(points, cells, found, dataclasses.replace(source, notes=notes))
 
 
 def stamp_of(path: pathlib.Path) -> tuple[int, int]:

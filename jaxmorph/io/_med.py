@@ -7,10 +7,9 @@ from typing import Any
 import numpy as np
 
 from jaxmorph._host.cells.topology import DIMENSION
-from jaxmorph._mesh.exchange import Parts, Patch, regions_note
+from jaxmorph._mesh.exchange import Grid, Parts, Patch, regions_note
 
-from ._format import Arrays, MeshLike, Source, StampedPoints, stamp_of
-from ._meshio import meshio, to_mesh
+from ._format import Arrays, MeshLike, Source, StampedPoints, of_grid, stamp_of
 from .cgns.tree import opened, write_points
 from .text.digits import decoded
 
@@ -65,7 +64,7 @@ def read(path: pathlib.Path) -> Parts:
     patches += [Patch(group, "nodes", np.flatnonzero(np.isin(of_nodes, ids))) for group, ids in groups.items()]
     content, notes = StampedPoints(points, stamp_of(path)), tuple(regions_note(regions))
     source = Source(path, NAME, content, in_file=content.in_file, notes=notes)
-    return to_mesh(path, meshio.Mesh(points, blocks), source, patches)
+    return of_grid(path, Grid(points, blocks, {}, {}), source, patches)
 
 
 def write(path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arrays) -> None:

@@ -6,41 +6,20 @@ except ImportError as error:
     raise ImportError("this file format needs meshio: pip install 'jaxmorph[io]'") from error
 
 import contextlib
-import dataclasses
 import io
 import pathlib
-from collections.abc import Callable, Iterable
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
 from jaxmorph._mesh import exchange, export
-from jaxmorph._mesh.arrays import checked_parts
-from jaxmorph._mesh.exchange import Parts, Patch
+from jaxmorph._mesh.exchange import Parts
 
-from ._format import Arrays, MeshLike, Source, faults_of
+from ._format import Arrays, MeshLike, Source, faults_of, of_grid
 
 for _kind in ("pyramid13", "wedge15"):  # types that meshio reads and writes, and whose dimension it lacks
     meshio._mesh.topological_dimension.setdefault(_kind, 3)
-
-
-class Block(NamedTuple):
-    """Holds cells of one type, as meshio's blocks do."""
-
-    type: str
-    data: np.ndarray
-
-
-@dataclasses.dataclass(frozen=True)
-class Blocks:
-    """A mesh as meshio has it, of any cell type: meshio's class refuses some of high order."""
-
-    points: np.ndarray
-    cells: list[Block]
-    point_data: dict[str, Any] = dataclasses.field(default_factory=dict)
-    cell_data: dict[str, Any] = dataclasses.field(default_factory=dict)
-    cell_sets: dict[str, Any] = dataclasses.field(default_factory=dict)
-    field_data: dict[str, Any] = dataclasses.field(default_factory=dict)
 
 
 def load(path: pathlib.Path, name: str, reader: Callable[[str], Any]) -> meshio.Mesh:
@@ -64,12 +43,11 @@ def load(path: pathlib.Path, name: str, reader: Callable[[str], Any]) -> meshio.
     return mesh
 
 
-def to_mesh(path: pathlib.Path, mesh: Any, source: Source, patches: Iterable[Patch] = ()) -> Parts:
-    """Makes a mesh as `Mesh.from_meshio` does, with more `patches`; errors name the file."""
+def to_mesh(path: pathlib.Path, mesh: Any, source: Source) -> Parts:
+    """Makes a mesh as `Mesh.from_meshio` does; errors name the file."""
     with faults_of(path):
-        points, cells, found, origin = exchange.parts(exchange.of_meshio(mesh), patches)
-        notes = (*source.notes, *origin.notes)
-        return checked_parts(points, cells, found, dataclasses.replace(source, notes=notes))
+        grid = exchange.of_meshio(mesh)
+    return of_grid(path, grid, source)
 
 
 def of_mesh(mesh: MeshLike, point_data: Arrays | None = None, cell_data: Arrays | None = None) -> meshio.Mesh:

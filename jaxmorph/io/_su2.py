@@ -4,6 +4,7 @@ A mesh that came from an SU2 file goes back into a copy of its text, with new co
 nothing else changed.
 """
 
+import collections
 import dataclasses
 import pathlib
 from collections.abc import Iterable, Iterator, Mapping
@@ -108,9 +109,9 @@ def mesh_of(path: pathlib.Path, text: bytes, keywords: list[Keyword]) -> Parts:
     cells = _joined(_elements(_only(path, keywords, "NELEM"), len(points)))
     content = SU2Content(text, rows.section.start, rows.section.stop, points.shape)
     patches = _markers(path, keywords, len(points))
-    tags = [keyword.value for keyword in keywords if keyword.name == "MARKER_TAG"]
-    again = dict.fromkeys(tag for tag in tags if tags.count(tag) > 1 and tag != HALO)
-    notes = tuple(f"the {tags.count(tag)} markers {tag} are one patch, as they are to SU2." for tag in again)
+    tags = collections.Counter(keyword.value for keyword in keywords if keyword.name == "MARKER_TAG")
+    again = {tag: count for tag, count in tags.items() if count > 1 and tag != HALO}
+    notes = tuple(f"the {count} markers {tag} are one patch, as they are to SU2." for tag, count in again.items())
     if not patches:
         outer = boundary_faces(cells, len(points)).values()
         patches = {"boundary": np.concatenate([corners.ravel() for corners in outer])}

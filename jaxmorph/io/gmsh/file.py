@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from jaxmorph._host.cells.orders import GMSH, MESHIO, reordered
+from jaxmorph._host.cells.orders import GMSH, reordered
 from jaxmorph._host.cells.topology import DIMENSION
-from jaxmorph._mesh.exchange import LEVELS, Parts, Patch, regions_note
+from jaxmorph._mesh.exchange import LEVELS, Grid, Parts, Patch, regions_note
 
 from .._boundary import patch_faces
-from .._format import Arrays, FilePoints, MeshLike, Source, faults_of, source_of
-from .._meshio import Block, Blocks, meshio, of_mesh, to_mesh
+from .._format import Arrays, FilePoints, MeshLike, Source, faults_of, of_grid, source_of
+from .._meshio import meshio, of_mesh
 from ..text.sections import Section, replace_numbers
 from .parts import TYPES, Elements, elements, entities, nodes
 from .sections import Form, Names, Stream, form_of, physical_names, runs, sections
@@ -68,7 +68,7 @@ def read(path: pathlib.Path) -> Parts:
     tags, content = vertices
     with faults_of(path):
         cells = _numbered(cells, tags)
-    blocks = [Block(block.kind, reordered(block.kind, block.corners, GMSH, MESHIO)) for block in cells]
+    blocks = [(block.kind, reordered(block.kind, block.corners, GMSH, None)) for block in cells]
     found = _groups(cells, names)
     top = max(DIMENSION.get(block.kind, 0) for block in cells)
     patches = [patch for (level, _), patch in sorted(found.items(), key=lambda item: -item[0][0]) if level < top]
@@ -76,7 +76,7 @@ def read(path: pathlib.Path) -> Parts:
     if others:
         notes += (f"sections {', '.join(others)} are not read, and stay in the file.",)
     source = Source(path, NAME, content, in_file=content.in_file, notes=notes)
-    return to_mesh(path, Blocks(content.points, blocks), source, patches)
+    return of_grid(path, Grid(content.points, blocks, {}, {}), source, patches)
 
 
 def _numbered(cells: list[Elements], tags: np.ndarray) -> list[Elements]:

@@ -1,5 +1,6 @@
 """OpenFOAM's files: header, lists of numbers and of faces, ascii or binary, plain or compressed."""
 
+import collections
 import dataclasses
 import gzip
 import io
@@ -292,10 +293,10 @@ def patches(file: FoamFile) -> list[Patch]:
             raise file.error(f"patch {words[at][:80]} has no entries between {{ and }}; is the file cut short?")
         entries.append(_patch(file, words[at], words[at + 2 : end]))
         at = end + 1
-    names = [entry.name for entry in entries]
-    again = [name for name in names if names.count(name) > 1]
-    if again:
-        raise file.error(f"{len(again)} patches are called {again[0]}; each needs a name of its own")
+    names = collections.Counter(entry.name for entry in entries)
+    name, count = (*names.most_common(1), ("", 0))[0]
+    if count > 1:
+        raise file.error(f"{count} patches are called {name}; each needs a name of its own")
     if at == len(words) or stated not in (None, len(entries)):
         end_of_list = "" if at < len(words) else " and no end of the list"
         raise file.error(f"{stated} patches announced, {len(entries)} read{end_of_list}")
