@@ -53,7 +53,7 @@ def _deform(request: Deform, mesh: Mesh, out: Output) -> int:
     _foresee(attempt, choice, out)
     nodes, plan, way = _moved(attempt, chunks, out)
     judging = Beside(attempt.judge, way)
-    with Writing(_write, attempt, way.ends[-1], judging) as writing:
+    with Writing(_write, attempt, way.moved, judging) as writing:
         inspection, boundary = _inspected(attempt, nodes, plan, way.ends[-1], out)
         with out.progress("judging the cells"):
             judgement = judging.result()

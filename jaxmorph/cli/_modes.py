@@ -59,7 +59,8 @@ def modes(request: Modes, out: Output) -> int:
     good, bad = [], 0
     with out.progress("moving") as stage:
         for case, points in _moved(mesh, plan, np.stack(shapes), cases):
-            judged = Judged(mesh, points, base, Way((points,), plan.is_linear))
+            way = Way.into(case.output, mesh, [points], plan.is_linear)
+            judged = Judged(mesh, way.ends[-1], base, way)
             after = Summary.from_judged(judged, limits)
             failed = faults(before, after)
             bad += bool(failed)

@@ -57,7 +57,7 @@ def _deform(request: SU2, config: su2.Config, out: Output) -> int:
             plan = jm.prepare(base, config.moving, config.fixed, method=choice.method, symmetry=config.symmetry)
         with out.progress(f"deforming in {count(config.steps, 'step')}"):
             points = np.asarray(jm.march(plan, config.path.astype(choice.dtype))[1], float)
-        status = _judge(request, mesh, points, output, out)
+        status = _judge(request, mesh, io.as_written(output, mesh.moved(points)), output, out)
     if status and not request.allow_inverted:
         return status
     moved = mesh.moved(points)

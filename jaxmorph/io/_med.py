@@ -35,6 +35,7 @@ def read(path: pathlib.Path) -> Parts:
     with opened(path, what=WHAT) as file:
         name, step = _step(file)
         points = _points(step)
+        dtype = step["NOE"]["COO"].dtype
         blocks, families = [], []
         for kind, group in step["MAI"].items():
             if kind not in TYPES:
@@ -54,7 +55,8 @@ def read(path: pathlib.Path) -> Parts:
         raise ValueError(f"{path}: not {WHAT}, or a damaged one (families of other elements than there are).")
     content = StampedPoints(points, stamp_of(path))
     mesh = meshio.Mesh(points, blocks, point_data=flags, cell_sets=sets)
-    return to_mesh(path, mesh, Source(path, NAME, content, in_file=content.in_file))
+    held = content.held([dtype] * points.shape[1])
+    return to_mesh(path, mesh, Source(path, NAME, content, in_file=content.in_file, held=held))
 
 
 def write(path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arrays) -> None:
@@ -64,7 +66,7 @@ def write(path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arr
 
 def _put(file: Any, points: np.ndarray, _: np.ndarray) -> None:
     coordinates = _step(file)[1]["NOE"]["COO"]
-    coordinates[...] = points.T.reshape(coordinates.shape)
+    coordinates[...] = points.T.reshape(coordinates.shape).astype(coordinates.dtype)
 
 
 def _step(file: Any) -> tuple[str, Any]:

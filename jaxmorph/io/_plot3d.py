@@ -15,6 +15,7 @@ from jaxmorph._mesh.exchange import Parts
 
 from ._format import Arrays, MeshLike, Source, faults_of, own_source
 from ._joined import Joined, Zones, join
+from ._rounding import EVERYTHING
 from ._structured import SIDES, block_cells, block_ids, block_sides
 from .text.sections import chunks, parse, replace_words
 
@@ -72,7 +73,9 @@ def read(path: pathlib.Path) -> Parts:
     with faults_of(path):
         mesh, joined = join(_zones(path, layout.shapes, points))
         content = _Content(data, layout, joined)
-        source = Source(path, NAME, content, file_nodes=joined.node, in_file=joined.in_file)
+        is_single = layout.dtype is not None and layout.dtype.itemsize == 4
+        held = joined.held(EVERYTHING if is_single else ())
+        source = Source(path, NAME, content, file_nodes=joined.node, in_file=joined.in_file, held=held)
         return mesh._replace(source=source)
 
 

@@ -39,12 +39,13 @@ def read(path: pathlib.Path) -> Parts:
     """
     path.open("rb").close()
     with opened(path) as file:
-        zones, cells, pairs, known = _zones(path, file)
+        zones, cells, pairs, singles, known = _zones(path, file)
     with faults_of(path):
         mesh, joined = join(zones)
         whole, ids = _whole(cells, joined.node)
         content = _CGNSContent(**vars(joined), stamp=stamp_of(path))
         known |= {"periodic": periodic_of(pairs, joined.is_flat), "symmetry": symmetry_of(known["kinds"])}
+        known |= {"held": joined.held(singles)}
         source = Source(path, NAME, content, whole, ids, file_nodes=joined.node, in_file=joined.in_file, **known)
         return mesh._replace(source=source)
 
@@ -57,7 +58,7 @@ def write(path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arr
             rows = slice(zone.first, zone.first + zone.count)
             for axis, values in enumerate(zone.coordinates()):
                 if not np.array_equal(points[rows, axis], old[rows, axis]):
-                    values[...] = points[rows, axis].reshape(values.shape)
+                    values[...] = points[rows, axis].reshape(values.shape).astype(values.dtype)
 
     write_points(path, mesh, NAME, put)
 
@@ -85,12 +86,15 @@ def open_zones(path: pathlib.Path, file: Any) -> tuple[list[Zone], int]:
 
 def _zones(
     path: pathlib.Path, file: Any
-) -> tuple[Zones, list[Content], list[tuple[str, str, Connection]], dict[str, Any]]:
-    """Reads all zones; the last value are the patches' `kinds` and `groups`."""
+) -> tuple[Zones, list[Content], list[tuple[str, str, Connection]], list[tuple[slice, int]], dict[str, Any]]:
+    """Reads all zones; the last values are what is in single precision, and the patches' `kinds` and `groups`."""
     zones, dimension = open_zones(path, file)
-    points, contents, of_patch, faces = [], [], {}, []
+    points, contents, of_patch, faces, singles = [], [], {}, [], []
     for zone in zones:
-        points.append(np.stack([values[()].ravel() for values in zone.coordinates()], axis=1).astype(float))
+        columns = [values[()].ravel() for values in zone.coordinates()]
+        points.append(np.stack(columns, axis=1).astype(float))
+        rows = slice(zone.first, zone.first + zone.count)
+        singles += [(rows, axis) for axis, values in enumerate(columns) if values.dtype.itemsize < 8]
         content = zone.cells(points[-1])
         solid = [block for block in content.blocks if LEVEL[block.kind] == dimension and len(block.corners)]
         if not solid:
@@ -103,7 +107,7 @@ def _zones(
     cells = [(block.kind, block.corners) for content in contents for block in content.blocks]
     kinds = {name: kind for name, kind in kinds_of(file, zones).items() if name in of_patch}
     known = {"kinds": kinds, "groups": groups_of(file, zones, of_patch)}
-    return Zones(np.concatenate(points), cells, of_patch, faces), contents, pairs, known
+    return Zones(np.concatenate(points), cells, of_patch, faces), contents, pairs, singles, known
 
 
 def pairs_of(
