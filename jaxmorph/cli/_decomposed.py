@@ -143,9 +143,6 @@ def _checked(request: Deform) -> io.Decomposed:
     """Opens the case. Raises `ValueError` for a request that is sure to fail, before any work."""
     case = io.Decomposed(request.file)
     case.check_output(request.output)
-    for name in ("picture", "chunk", "zone"):
-        if getattr(request, name) is not None:
-            raise ValueError(f"--{name} and --decomposed cannot be combined. Remove one of the two.")
     return case
 
 

@@ -92,8 +92,6 @@ def _cases(request: Modes) -> list[Case]:
 def _check(request: Modes, mesh: Mesh, cases: list[Case]) -> Patches:
     """Looks up the patches, before any work."""
     patches = patches_of(request, mesh)
-    if not np.isfinite(request.amplitude).all():
-        raise ValueError("--amplitude needs finite numbers.")
     for case in cases:
         io.check_output(case.output, mesh)
     outputs = [request.output, *(case.output for case in cases)]

@@ -14,6 +14,7 @@ from jaxmorph import Mesh, io, shapes
 from jaxmorph._host.package.errors import place_of, worst_first
 
 from ._airfoil import bumps, class_functions
+from ._early import lattice_files
 from ._groups import MOTIONS, Group, as_json
 from ._parser import flag_of
 from ._requests import Deform
@@ -53,11 +54,6 @@ class Motion:
                 files.append(place)
                 io.write_lattice(place, box.lattice(control))
         return files
-
-
-def lattice_files(file: Path) -> tuple[Path, Path]:
-    """Names the files of a lattice before and after its motion."""
-    return file.with_stem(f"{file.stem}_before"), file.with_stem(f"{file.stem}_after")
 
 
 def motion(request: Deform, mesh: Mesh, moving: Int[np.ndarray, " m"]) -> Motion:
@@ -179,9 +175,6 @@ def _key(group: Group, others: Mapping[str, Any]) -> str:
 
 def _parts(group: Group, mesh: Mesh, nodes: np.ndarray) -> Parts:
     surface, d = np.asarray(mesh.points)[nodes], mesh.points.shape[1]
-    if not group.mode and all(getattr(group, name) is None for name in MOTIONS if name != "mode"):
-        raise ValueError(f"no motion: give one of {', '.join(map(flag_of, MOTIONS))}.")
-    _check_used(group)
     about = vector_of("--about", group.about, d)
     return {
         **_displacement(group, mesh, nodes),
@@ -264,21 +257,6 @@ def _translate(group: Group, d: int) -> Parts:
     return {"translate": (shapes.Function(shapes.translate, np.zeros(d)), vector_of("--translate", group.translate, d))}
 
 
-def _check_used(group: Group) -> None:
-    """Raises `ValueError` for a flag without the flag that it belongs to."""
-    needs = {
-        "axis": ("rotate", "bend"),
-        "about": ("rotate", "scale", "bend", "twist"),
-        "along": ("bend", "twist"),
-        "length": ("bend", "twist"),
-        "displacement_from": ("displacement",),
-        "lattice": ("box",),
-    }
-    for name, owners in needs.items():
-        if getattr(group, name) is not None and all(getattr(group, owner) is None for owner in owners):
-            raise ValueError(f"{flag_of(name)} without {' or '.join(map(flag_of, owners))}.")
-
-
 def _displacement(group: Group, mesh: Mesh, nodes: np.ndarray) -> Parts:
     if group.displacement is None:
         return {}
@@ -291,8 +269,5 @@ def _modes(group: Group, mesh: Mesh, nodes: np.ndarray) -> Parts:
     """Reads mode shapes; each has an amplitude."""
     if not group.mode:
         return {}
-    for file, amplitude in group.mode:
-        if not np.isfinite(amplitude):
-            raise ValueError(f"--mode {file} needs an amplitude, found {amplitude}.")
     fields = [io.read_displacement(file, mesh, nodes, is_position=False) for file, _ in group.mode]
     return {"mode": (shapes.Modes(np.stack(fields)), np.array([amplitude for _, amplitude in group.mode]))}

@@ -23,8 +23,6 @@ from ._tables import faults, steepest, table
 
 def run(request: SU2, out: Output) -> int:
     """Reads the config file, and moves its mesh or projects sensitivities. Returns the status."""
-    if request.action == "def" and request.sensitivity is not None:
-        raise ValueError("--sensitivity is for su2 dot, and su2 def moves the mesh.")
     with out.progress(f"reading {title(request.file)}"):
         config = su2.read_config(request.file, definition=request.definition)
     mesh, nodes = config.mesh, config.mesh.patch(*config.moving)
