@@ -1,6 +1,7 @@
 """The command line, as a user calls it: what it writes, what it says, how it ends."""
 
 import json
+import os
 import re
 import subprocess
 import sys
@@ -10,7 +11,7 @@ import foam
 import numpy as np
 import pytest
 from foam import PATCHES, mixed
-from meshes import bricks, lattice, sides, tetrahedra, write_ring
+from meshes import bricks, lattice, ring, sides, tetrahedra, write_ring
 from runs import runs
 
 import jaxmorph as jm
@@ -461,3 +462,123 @@ def test_help_and_version_without_a_command(capsys):
         main(["--version"])
     assert ended.value.code == 0
     assert re.fullmatch(r"jaxmorph \d\S* \(jax .*, numpy .*, scipy .*, Python .*\)\n", capsys.readouterr().out)
+
+
+MOVE = "--moving wall --fixed far --translate 1 0"
+AT_ONCE = {
+    f"deform none.su2 out.su2 {MOVE}": "none.su2: No such file",
+    f"deform in.su2 in.su2 {MOVE}": "the mesh was read from this file",
+    f"deform in.su2 out.xyzzy {MOVE}": "unknown file ending '.xyzzy'",
+    f"deform in.su2 none/out.su2 {MOVE}": "there is no folder none",
+    f"deform in.su2 folder.su2 {MOVE}": "is a folder, which a file cannot replace",
+    f"deform in.su2 case {MOVE}": "case: exists; name a new folder",
+    f"deform nocase out {MOVE}": "nocase: no OpenFOAM case",
+    f"deform in.su2 out.su2 {MOVE} --steps 0": "--steps must be 1 or more",
+    f"deform in.su2 out.su2 {MOVE} --chunk 0": "--chunk must be 1 or more",
+    f"deform in.su2 out.su2 {MOVE} --zone 0": "--zone must be 1 or more",
+    f"deform in.su2 out.su2 {MOVE} --sources 1": "--sources must be 3 or more",
+    f"deform in.su2 out.su2 {MOVE} --sources 9 --method graph": "graph has no sources to choose",
+    f"deform in.su2 out.su2 {MOVE} --chunk 9 --method laplacian": "--chunk is not for laplacian",
+    f"deform in.su2 out.su2 {MOVE} --picture a.gif": "a picture ends in .png",
+    f"deform in.su2 out.su2 {MOVE} --picture none/a.png": "there is no such folder",
+    f"deform in.su2 out.su2 {MOVE} --save-job out.su2": "--save-job out.su2 is the file of OUT",
+    f"deform in.su2 out.su2 {MOVE} --periodic a": "name pairs of patches",
+    f"deform in.su2 out.su2 {MOVE} --decomposed --zone 1": "--zone and --decomposed cannot be combined",
+    "deform in.su2 out.su2 --moving wall --fixed wall --translate 1 0": "cannot be both --moving and --fixed",
+    "deform in.su2 out.su2 --moving wall": "no motion: give one of",
+    "deform in.su2 out.su2 --moving wall --rotate nan": "--rotate needs an angle in degrees",
+    "deform in.su2 out.su2 --moving wall --rotate": "argument --rotate: expected one argument",
+    "deform in.su2 out.su2 --moving wall --translate 1": "--translate needs 2 or 3 numbers, found: 1",
+    "deform in.su2 out.su2 --moving wall --translate 1 0 --axis 0 0 1": "--axis without --rotate or --bend",
+    "deform in.su2 out.su2 --moving wall --rotate 1 --axis 0 0 0": "--axis needs a direction",
+    "deform in.su2 out.su2 --moving wall --displacement none.csv": "none.csv: No such file",
+    "deform in.su2 out.su2 --moving wall --mode in.su2 inf": "needs an amplitude, found inf",
+    "deform in.su2 out.su2 --moving wall --mode in.su2 x": "the amplitude of in.su2 is a number",
+    "deform in.su2 out.su2 --moving wall --box {": "--box: not a table in JSON",
+    "deform in.su2 out.su2 --moving wall --box none.toml": "none.toml: No such file",
+    "deform in.su2 out.su2 --job bad.toml": "bad.toml: not TOML",
+    "deform in.su2 out.su2 --job none.toml": "none.toml: No such file",
+    "modes in.su2 out.xyzzy --moving wall --mode in.su2": "unknown file ending",
+    "modes in.su2 out.vtu --moving wall --mode none.csv": "none.csv: No such file",
+    "modes in.su2 out.vtu --moving wall --mode in.su2 --amplitude inf": "--amplitude needs finite numbers",
+    "sensitivity in.su2 none.csv out.csv --moving wall": "none.csv: No such file",
+    "sensitivity in.su2 in.su2 out.su2 --moving wall": "should end in .csv or .npz",
+    "sensitivity in.su2 bad.toml out.csv --moving wall --set a=1": "--set without --job",
+    "su2 def none.cfg": "none.cfg: No such file",
+    "su2 def bad.toml": "an option NAME= value expected",
+    "su2 def kind.cfg": "DV_KIND= TRANSLATIN is not taken",
+    "su2 def number.cfg": "DV_VALUE= a number expected, found 'x'",
+    "su2 def nomesh.cfg": "none.su2: No such file",
+    "su2 def good.cfg -o in.su2": "the mesh was read from this file",
+    "su2 def good.cfg --sensitivity bad.toml": "--sensitivity is for su2 dot",
+    "su2 dot good.cfg --sensitivity none.csv": "none.csv: No such file",
+    "quality none.su2": "none.su2: No such file",
+    "quality in.su2 none.su2": "none.su2: No such file",
+    "quality in.su2 --min-jacobian-ratio 0.1": "give FILE2",
+    "quality in.su2 --max-skewness nan": "--max-skewness needs a number",
+    "info none.su2": "none.su2: No such file",
+    "info in.xyzzy": "unknown file ending",
+    "demo nothing": "no demo is called 'nothing'",
+    "demo -o in.su2": "in.su2: is a file",
+}
+"""Requests that no mesh can fulfil, and what is told; `in.su2` is no mesh."""
+
+RUN = """
+import contextlib, io, json, sys
+from jaxmorph.cli import main
+told = []
+for words in json.load(sys.stdin):
+    with contextlib.redirect_stderr(io.StringIO()) as stream:
+        try:
+            status = main(words.split())
+        except SystemExit as end:
+            status = end.code
+    told.append([status, stream.getvalue(), "jax" in sys.modules])
+print(json.dumps(told))
+"""
+
+
+def test_what_no_mesh_can_fulfil_is_told_at_once(tmp_path):
+    """Before JAX is imported and the mesh is read, whatever the command."""
+    settings = "MESH_FILENAME= in.su2\nDV_KIND= {}\nDV_PARAM= (1, 0, 0)\nDV_MARKER= (wall)\nDV_VALUE= {}\n"
+    files = {"in.su2": "no mesh", "bad.toml": "[", "case/a": "", "folder.su2/a": ""}
+    files |= {"good.cfg": settings.format("TRANSLATION", 1), "kind.cfg": settings.format("TRANSLATIN", 1)}
+    files |= {"number.cfg": settings.format("TRANSLATION", "x")}
+    files |= {"nomesh.cfg": settings.format("TRANSLATION", 1).replace("in.su2", "none.su2")}
+    for name, content in files.items():
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(content)
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    words = json.dumps(list(AT_ONCE))
+    run = subprocess.run(
+        [sys.executable, "-c", RUN], input=words, env=environment, cwd=tmp_path, capture_output=True, text=True
+    )
+    assert not run.stderr
+    for (words, expected), (status, told, has_jax) in zip(AT_ONCE.items(), json.loads(run.stdout), strict=True):
+        assert status == 2, words
+        assert expected in told, words
+        assert told.count("\n") == 1, words
+        assert not has_jax, words
+
+
+@pytest.mark.parametrize("words", [["--moving", "-wall", "-heat"], ["--moving=-wall", "-heat"], ["--moving=-[wh].*"]])
+def test_names_that_begin_with_a_dash(tmp_path, capsys, words):
+    mesh = ring(names=("-wall", "--far"))
+    both = {"-wall": mesh.patch("-wall")[:12], "-heat": mesh.patch("-wall")[12:], "--far": mesh.patch("--far")}
+    io.write(tmp_path / "in.su2", jm.Mesh(mesh.points, mesh.cells, both))
+    job = ["--save-job", str(tmp_path / "job.toml"), "--method", "graph"]
+    paths = [str(tmp_path / name) for name in ("in.su2", "out.su2")]
+    assert main(["deform", *paths, *words, "--rotate", "-5", "--fixed=--far", *job]) == 0
+    wall = mesh.patch("-wall")
+    angle = np.radians(-5)
+    turned = np.asarray(mesh.points)[wall] @ [[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]
+    np.testing.assert_allclose(io.read(tmp_path / "out.su2").points[wall], turned, atol=1e-14)
+    with pytest.raises(SystemExit):
+        main(["deform", *paths, "--moving", "-wall", "--fixed", "--far"])
+    assert (
+        "there is no flag --far; a patch of this name is written with =, as in --moving=--far"
+        in capsys.readouterr().err
+    )
+    with pytest.raises(SystemExit):
+        main(["deform", *paths, "--moving", "-wall", "-fixed", "far"])
+    assert "there is no flag -fixed; did you mean --fixed?" in capsys.readouterr().err

@@ -5,13 +5,15 @@ import re
 
 import numpy as np
 import pytest
-from meshes import lattice, tetrahedra
+from meshes import lattice, ring, tetrahedra
 from scipy.integrate import trapezoid
 from scipy.spatial.transform import Rotation
 
 import jaxmorph as jm
 from jaxmorph import io
 from jaxmorph.cli import main
+from jaxmorph.cli._flags import request_of
+from jaxmorph.cli._motion import motion
 
 
 @pytest.fixture(scope="module")
@@ -63,6 +65,71 @@ def test_a_patch_named_again_goes_on_from_there(brick):
     shifted = x[high] + [0.5, 0, 0] - [2, 0, 0]
     expected = np.column_stack([2 - shifted[:, 1], shifted[:, 0], shifted[:, 2]])
     np.testing.assert_allclose(y[high], expected, atol=1e-14)
+
+
+def petals() -> jm.Mesh:
+    """A ring whose wall is three patches: neighbours share nodes, and one node is in all of them."""
+    mesh = ring(24, [1, 2, 5])
+    wall = mesh.patch("wall")
+    patches = {"one": wall[:10], "two": wall[8:17], "three": np.append(wall[16:], wall[[0, 8]])}
+    patches |= {"far": mesh.patch("far")}
+    return jm.Mesh(mesh.points, mesh.cells, patches)
+
+
+def path_of(mesh, words) -> np.ndarray:
+    """Displacements of the moving nodes, by node."""
+    request = request_of(["deform", "in.su2", "out.su2", "--fixed", "far", *words])
+    nodes = mesh.patch(*request.moving)
+    u = np.zeros(mesh.points.shape)
+    u[nodes] = motion(request, mesh, nodes).path(np.asarray(mesh.points)[nodes], 1)[-1]
+    return u
+
+
+MOTIONS = {
+    "rotate": "--rotate 5 --about 2 1",
+    "translate": "--translate 0 0.05",
+    "scale": "--scale 1.5 0.5 --about 1 1",
+    "bend": "--bend 20 --along 1 0 --about -1 0 --length 3",
+    "displacement": "--displacement FILE --displacement-is displacement",
+    "mode": "--mode FILE 2.5",
+    "box": '--box {"low":[-2,-2],"high":[2,2],"points":[2,2],"moved":[{"at":[1,1],"by":[0.1,0.2]}]}',
+    "several": "--mode FILE 0.5 --scale 1.1 --rotate 30",
+}
+
+
+@pytest.mark.parametrize("name", MOTIONS)
+def test_a_node_of_several_patches_moves_once(tmp_path, monkeypatch, name):
+    """Patches that move alike, by one --moving or by one each, in whichever order: one motion."""
+    monkeypatch.chdir(tmp_path)
+    mesh = petals()
+
+    def group(*patches):
+        u = np.sin(np.arange(2 * len(mesh.points))).reshape(-1, 2)
+        rows = [f"{node},{x},{y}" for node, (x, y) in zip(mesh.patch(*patches), u[mesh.patch(*patches)], strict=True)]
+        (tmp_path / f"{patches[0]}.csv").write_text("\n".join(["id,x,y", *rows]))
+        return ["--moving", *patches, *MOTIONS[name].replace("FILE", f"{patches[0]}.csv").split()]
+
+    together = path_of(mesh, group(".n.", "t.*"))
+    assert np.abs(together).max() > 0.01
+    for order in (("one", "two", "three"), ("three", "one", "two"), ("t.*", "o.*")):
+        apart = path_of(mesh, [word for patch in order for word in group(patch)])
+        np.testing.assert_allclose(apart, together, rtol=1e-13, atol=1e-15)
+    again = path_of(mesh, [*group(".n.", "t.*"), "--moving", "t.*", "one", "--translate", "1", "2"])
+    moving = np.isin(np.arange(len(mesh.points)), mesh.patch("one", "two", "three"))
+    np.testing.assert_allclose(again, together + np.outer(moving, [1, 2]), atol=1e-14)
+
+
+def test_patches_that_move_a_common_node_differently_are_told():
+    mesh = petals()
+    up, down = ("--translate", "0", "0.05"), ("--translate", "0", "-0.05")
+    with pytest.raises(
+        ValueError, match=r"--moving two --translate move 2 common nodes differently, by up to 0.1: nodes 8, 9,"
+    ):
+        path_of(mesh, ["--moving", "one", *up, "--moving", "two", *down])
+    with pytest.raises(
+        ValueError, match=r"--moving one three --translate, then --moving three --rotate move \d common"
+    ):
+        path_of(mesh, ["--moving", "one", "three", *up, "--moving", "three", "--rotate", "5"])
 
 
 def test_twist_grows_along_the_line_and_stops_at_its_ends(brick):

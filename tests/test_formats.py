@@ -1,11 +1,18 @@
 """Every format into every other one: what cannot be written is told before any work, in Python and on the command line."""
 
+import warnings
+
+import cgns
 import exodus
+import foam
 import h5py
+import mfem_meshes
 import numpy as np
 import pytest
-from formats import ENDINGS, written
+from formats import ENDINGS, SINGLE, written
 from meshes import bricks
+from plot3d import write as write_plot3d
+from test_openfoam_wedge import pipe_of
 
 import jaxmorph as jm
 from jaxmorph import io
@@ -31,6 +38,92 @@ def test_points_that_a_caller_changes_in_place_are_written(tmp_path, ending):
     change = np.asarray(io.read(tmp_path / f"out{ending}").points) - before
     assert np.count_nonzero(change.any(axis=1)) == 1
     np.testing.assert_allclose(change[0], 0.125)
+
+
+def of_two_columns(path):
+    """An Exodus file with z alone in single precision."""
+    exodus.solid(path, form="netcdf4")
+    with h5py.File(path, "r+") as file:
+        z = file["coordz"][()]
+        del file["coordz"]
+        file["coordz"] = z.astype(">f4")
+
+
+HELD = {f"double{ending}": (ending, lambda path, ending=ending: written(path.parent, ending)) for ending in ENDINGS}
+HELD |= {
+    f"single{ending}": (ending, lambda path, ending=ending: written(path.parent, ending, is_single=True))
+    for ending in SINGLE
+}
+HELD |= {
+    "cgns zones": (".cgns", lambda path: cgns.two_blocks(path, "<f4")),
+    "exodus z": (".e", of_two_columns),
+    "exodus joined": (".e", lambda path: exodus.solid(path, real="f4", is_joined=True)),
+    "openfoam plane": ("", lambda path: foam.write_case(path, *foam.strip(1), foam.FORMS["binary-32-scalars"])),
+    "openfoam wedge": ("", lambda path: foam.write_case(path, *pipe_of()[:3])),
+    "openfoam single wedge": ("", lambda path: foam.write_case(path, *pipe_of()[:3], foam.FORMS["binary-32-scalars"])),
+}
+HELD |= {
+    f"mfem {name}": (".mesh", lambda path, name=name: path.write_text(getattr(mfem_meshes, name)))
+    for name in ("SOLID", "FLAT", "TORN", "SOLID2")
+}
+
+
+@pytest.mark.parametrize("name", HELD)
+def test_points_as_written_are_the_points_of_the_written_file(tmp_path, name):
+    """Bit for bit, in every format and precision: what is judged is what a solver reads."""
+    ending, make = HELD[name]
+    make(tmp_path / f"in{ending}")
+    mesh = io.read(tmp_path / f"in{ending}")
+    points = np.array(mesh.points)
+    some = np.flatnonzero(np.abs(points[:, -1]) > 1e-3)[1:]  # a wedge's axis stays, and one node more
+    points[some] += 0.01 * np.sin(points[some] * 7 + 1)
+    out, moved = tmp_path / f"out{ending}", mesh.moved(points)
+    expected = io.as_written(out, moved)
+    np.testing.assert_allclose(expected, points, atol=3e-7)
+    io.write(out, moved)
+    np.testing.assert_array_equal(io.read(out).points, expected)
+    if ending != ".vtu":  # any other format takes the points as they are
+        np.testing.assert_array_equal(io.as_written(tmp_path / "other.vtu", moved), points)
+
+
+@pytest.mark.parametrize("ending", ["", ".cgns", ".e", ".med", ".xyz"])
+def test_rounding_that_takes_the_motion_or_small_cells_is_told(tmp_path, ending):
+    """A motion is lost far from the origin, and cells are where their edges shrink to the rounding."""
+    mesh = io.read(written(tmp_path, ending, is_single=True))
+    base, out = np.asarray(mesh.points), tmp_path / f"out{ending}"
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        io.write(out, mesh.moved(base + 0.125))
+        io.as_written(tmp_path / "far.su2", mesh.moved(base + 1e-9))
+    with pytest.warns(UserWarning, match="a tenth of the motion, which is 1.*another format"):
+        np.testing.assert_allclose(io.as_written(out, mesh.moved(base + 1e-9)), base, atol=1e-7)
+    squeezed = mesh.moved(1e-8 * base + 0.3)
+    with pytest.warns(UserWarning, match=r"a tenth of \d+ edges of cells, the shortest"):
+        io.as_written(out, squeezed)
+
+
+@pytest.mark.filterwarnings("default:.*single precision")
+@pytest.mark.parametrize("command", ["deform", "modes"])
+def test_a_command_judges_the_rounded_mesh(tmp_path, capsys, command):
+    """First cells of 1e-7, moved by 0.4 in single precision, have no height in the file."""
+    heights = 1e-7 * 1.9 ** np.arange(25)
+    block = np.stack(np.meshgrid(np.linspace(0, 1, 4), np.r_[0, heights[heights < 1]], indexing="ij"))
+    write_plot3d(tmp_path / "layer.xyz", [block], "plain", width=4, is_multiple=False)
+    np.savez(tmp_path / "up.npz", displacement=np.tile([0, 0.4], (4, 1)), nodes=np.arange(4))
+    words = [command, str(tmp_path / "layer.xyz"), str(tmp_path / "out.xyz"), "--moving", "jmin", "--fixed", "jmax"]
+    words += (
+        ["--translate", "0", "0.4", "--no-dry-run"] if command == "deform" else ["--mode", str(tmp_path / "up.npz")]
+    )
+    assert main([*words, "--free", "imin", "imax"]) == 1
+    told = capsys.readouterr()
+    assert "the file holds single precision. Rounding moves nodes by up to 1" in told.err
+    assert "3 of 75 cells are inverted" in told.err
+    assert not list(tmp_path.glob("out*"))
+    assert main([*words, "--free", "imin", "imax", "--allow-inverted"]) == 1
+    assert capsys.readouterr().err.count("single precision") == 1
+    (written_file,) = tmp_path.glob("out*")
+    y = np.frombuffer(written_file.read_bytes()[8:], "<f4").reshape(2, -1, 4)[1]
+    assert (y[0] == y[1]).any()
 
 
 @pytest.mark.parametrize("ending", ["", ".su2", ".msh", ".mesh", ".xyz"])

@@ -7,6 +7,12 @@ CASES = {"naca0015": "_airfoil", "agard445": "_wing"}
 """Name of a case, and the module whose `run` shows it."""
 
 
+def check(case: str) -> None:
+    """Raises `ValueError` for a case that is not known."""
+    if case not in CASES:
+        raise ValueError(f"no demo is called {case!r}; there are: {', '.join(CASES)}.")
+
+
 def run(case: str, output: pathlib.Path, *, points: int | None = None) -> int:
     """Shows a case: tables on the terminal, pictures and meshes in the folder `output`.
 
@@ -16,7 +22,6 @@ def run(case: str, output: pathlib.Path, *, points: int | None = None) -> int:
     Raises `ValueError` for a case that is not known, `ImportError` where an extra (`plot`, `io`) is
     missing.
     """
-    if case not in CASES:
-        raise ValueError(f"no demo is called {case!r}; there are: {', '.join(CASES)}.")
+    check(case)
     module = importlib.import_module(f"{__name__}.{CASES[case]}")
     return module.run(pathlib.Path(output), points=points)

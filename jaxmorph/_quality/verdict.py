@@ -279,8 +279,8 @@ def judge(
     """Judges a mesh by itself, or after a motion, by the rule of the solvers that read its format.
 
     OpenFOAM's cases and meshes with polyhedra or polygons are judged by volumes and face pyramids,
-    as checkMesh does; others by the Jacobians at the corners of their cells, relative to the
-    undeformed mesh. A motion is not blamed for cells that were inverted before.
+    as checkMesh does. Others are judged by the Jacobians at the corners of their cells, relative to
+    the undeformed mesh. A motion is not blamed for cells that were inverted before.
 
     ```python
     verdict = jm.judge(mesh, jm.deform(plan, u), jm.Limits(max_skewness=0.9, proven=True))

@@ -82,7 +82,7 @@ class Attempt:
             is_straight &= plan.is_linear
             if done is not None:
                 done(is_moved.mean())
-        return Way(tuple(ends.values()), is_straight)
+        return Way.into(self.request.output, self.patches.mesh, list(ends.values()), is_straight)
 
     def judge(self, way: Way) -> tuple[Judged, Summary, list[str]]:
         """Judges the moved mesh, sums it up, and writes one sentence for each fault."""

@@ -3,6 +3,7 @@
 import dataclasses
 import os
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -54,7 +55,7 @@ def deform_parts(request: Deform, out: Output) -> int:
         return _prepared(request, case.surface([by_part[k] for k in range(len(case))]), out)
 
     half, path, dtype = ranks.bcast(together(ranks, prepared))  # pyright: ignore[reportGeneralTypeIssues]
-    parts = Parts(half, path, dtype, largest, request.gates.limits)
+    parts = Parts(half, path, dtype, largest, request.gates.limits, request.output)
     try:
         with case.writing(request.output, ranks) as writer, out.progress("moving and judging the parts") as stage:
             by_part = _moved(parts, case, ranks, writer, stage)
@@ -142,9 +143,6 @@ def _checked(request: Deform) -> io.Decomposed:
     """Opens the case. Raises `ValueError` for a request that is sure to fail, before any work."""
     case = io.Decomposed(request.file)
     case.check_output(request.output)
-    for name in ("picture", "chunk", "zone"):
-        if getattr(request, name) is not None:
-            raise ValueError(f"--{name} and --decomposed cannot be combined. Remove one of the two.")
     return case
 
 
@@ -182,23 +180,24 @@ class Parts:
     dtype: str
     largest: int
     limits: Mapping[str, float]
+    output: Path
 
     def moved(self, case: io.Decomposed, k: int) -> tuple[jm.Mesh, Summary, Summary]:
         """Moves part `k`, and judges it before and after."""
         mesh = case.read(k)
         base = np.asarray(mesh.points)
-        way = self._way(base, io.global_nodes(mesh), f"processor{k}")
-        undeformed, points = Judged(mesh, base), way.ends[-1]
-        after = Summary.from_judged(Judged(mesh, points, undeformed, way), self.limits, k)
-        return mesh.moved(points), Summary.from_judged(undeformed, self.limits, k), after
+        way = self._way(mesh, io.global_nodes(mesh), f"processor{k}")
+        undeformed = Judged(mesh, base)
+        after = Summary.from_judged(Judged(mesh, way.ends[-1], undeformed, way), self.limits, k)
+        return mesh.moved(way.moved), Summary.from_judged(undeformed, self.limits, k), after
 
-    def _way(self, base: np.ndarray, ids: np.ndarray, name: str) -> Way:
-        """Moves points (k, d) of a part, whose nodes are `ids` (k,) of the whole mesh.
+    def _way(self, mesh: jm.Mesh, ids: np.ndarray, name: str) -> Way:
+        """Moves the points of a part, whose nodes are `ids` (k,) of the whole mesh.
 
         Errors begin with `name`. The part is filled up with copies of a node to the size of the
         largest part, so that all parts share compiled code.
         """
-        half, path = self.half, self.path
+        half, path, base = self.half, self.path, np.asarray(mesh.points)
         is_inner = ~np.isin(ids, half.surface_nodes)
         more = self.largest - len(ids)
         rows = np.append(np.arange(len(ids)), np.full(more, is_inner.argmax()))
@@ -214,4 +213,4 @@ class Parts:
             in_double(base, np.asarray(points)[: len(ids)], here, u[of_moving], plan.method.exact)
             for u, points in steps
         )
-        return Way(tuple(ends), plan.is_linear)
+        return Way.into(self.output / name, mesh, list(ends), plan.is_linear)

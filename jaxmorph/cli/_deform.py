@@ -53,7 +53,7 @@ def _deform(request: Deform, mesh: Mesh, out: Output) -> int:
     _foresee(attempt, choice, out)
     nodes, plan, way = _moved(attempt, chunks, out)
     judging = Beside(attempt.judge, way)
-    with Writing(_write, attempt, way.ends[-1], judging) as writing:
+    with Writing(_write, attempt, way.moved, judging) as writing:
         inspection, boundary = _inspected(attempt, nodes, plan, way.ends[-1], out)
         with out.progress("judging the cells"):
             judgement = judging.result()
@@ -86,8 +86,6 @@ def _attempt(request: Deform, mesh: Mesh, out: Output) -> tuple[Attempt, NamedMe
     undeformed = Judged(mesh, mesh.points)
     summing = Beside(Summary.from_judged, undeformed, request.gates.limits)
     patches = patches_of(request, mesh)
-    if request.chunk is not None and request.chunk < 1:
-        raise ValueError(f"--chunk must be 1 or more, found {request.chunk}.")
     wall = np.asarray(mesh.points)[patches.nodes]
     moves = motion(request, mesh, patches.nodes)
     with out.progress("choosing sources"):
@@ -239,6 +237,4 @@ def _check_picture(path: Path, mesh: Mesh) -> None:
     endings = (".png",) if mesh.points.shape[1] == 2 else (".png", ".html")
     if path.suffix.lower() not in endings:
         raise ValueError(f"--picture {path}: a picture of this mesh ends in {' or '.join(endings)}.")
-    if not path.parent.is_dir():
-        raise ValueError(f"--picture {path}: there is no such folder.")
     importlib.import_module("jaxmorph.plot")

@@ -6,11 +6,10 @@ from pathlib import Path
 import numpy as np
 
 from jaxmorph import Mesh, io
-from jaxmorph._host.package.files import check_apart, complete, output_path
+from jaxmorph._host.package.files import complete
 
 from ._job import text_of
 from ._method import NamedMethod, Patches
-from ._motion import lattice_files
 from ._output import Output
 from ._parts import PROVEN
 from ._requests import Deform
@@ -29,34 +28,12 @@ def mesh_of(path: Path, zone: int | None) -> Mesh:
 
 
 def check_files(request: Deform, mesh: Mesh) -> None:
-    """Raises `ValueError` for patches without nodes, and for files beside the meshes."""
-    outputs = [("OUT", request.output), ("--save-job", request.save_job), ("--picture", request.picture)]
-    outputs += [
-        ("--lattice", file) for group in request.groups if group.lattice for file in lattice_files(group.lattice)
-    ]
-    check_apart([(name, file) for name, file in outputs if file is not None], inputs_of(request))
+    """Raises `ValueError` for patches without nodes, `ImportError` for lattices without VTK."""
     for group in request.groups:
         if group.lattice is not None:
             io.check_lattice_output(group.lattice)
         if group.patches and not len(mesh.patch(*group.patches)):
             raise ValueError(f"--moving {' '.join(group.patches)}: there are no nodes in it.")
-    if request.steps < 1:
-        raise ValueError(f"--steps must be 1 or more, found {request.steps}.")
-    job = request.save_job
-    if job is not None:
-        try:
-            output_path(job)
-        except ValueError as error:
-            raise ValueError(f"--save-job {error}") from error
-
-
-def inputs_of(request: Deform) -> dict[str, list[Path | str | None]]:
-    """Lists the files that a request reads, by what is read from them."""
-    displacements: list[Path | str | None] = []
-    for group in request.groups:
-        tables = [group.box, group.hicks_henne, group.cst]
-        displacements += [group.displacement, group.displacement_from, *(file for file, _ in group.mode), *tables]
-    return {"the mesh is": [request.file], "the job is": [request.job], "the displacements are": displacements}
 
 
 def described(request: Deform, patches: Patches, choice: NamedMethod, u: np.ndarray, out: Output) -> None:

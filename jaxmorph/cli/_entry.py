@@ -31,7 +31,8 @@ def answer(words: Sequence[str], *, is_own: bool = False) -> int:
     with warnings.catch_warnings():
         warnings.showwarning = lambda message, *_: out.warn(one_line(message))
         try:
-            request = request_of(words, top)
+            request = request_of(words, top, parsers)
+            importlib.import_module("._early", __package__).check(request)
             with _without_collection() if is_own else contextlib.nullcontext():
                 run = _command(request, is_own)
             raise_again()

@@ -2,7 +2,7 @@
 
 import argparse
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from . import _help
 from ._job import with_job
@@ -56,12 +56,16 @@ class Version(argparse.Action):
         parser.exit()
 
 
-def request_of(words: Sequence[str], top: Parser | None = None) -> Request:
+def request_of(words: Sequence[str], top: Parser | None = None, parsers: Mapping[str, Parser] = {}) -> Request:
     """Makes the request of the words and of the job that they name.
 
-    `top` is the parser; by default it has all flags.
+    `top` is the parser, `parsers` those of the commands; by default they have all flags.
 
     Raises `ValueError` for a job that is none, `SystemExit` for words that make no sense.
     """
-    arguments = (top or parser()[0]).parse_args(quoted(with_job(words)))
+    if top is None:
+        top, parsers = parser()
+    words = with_job(words)
+    flags = parsers[words[0]].flags if words and words[0] in parsers else ()
+    arguments = top.parse_args(quoted(words, flags))
     return made(COMMANDS[arguments.command], arguments)

@@ -40,8 +40,9 @@ DEFORM = """\
 Each --moving begins a motion; the flags after it, up to the next --moving,
 describe that motion. The order is fixed: displacement file, modes, box,
 scaling, twist, bend, rotation, translation. A patch named by several --moving
-gets the motions in turn. With --steps N the mesh follows in N steps, each with
-1/N of every angle, factor, translation and displacement.
+gets the motions in turn. A node of several patches moves once, and they must
+agree there. With --steps N the mesh follows in N steps, each with 1/N of every
+angle, factor, translation and displacement.
 
 NAME is a patch, a regular expression for a whole name ("motorBike.*"), or a
 group of the file (inGroups of an OpenFOAM case). Every patch with boundary

@@ -22,8 +22,6 @@ def quality(request: Quality, out: Output) -> int:
     with out.progress("reading"):
         mesh = mesh_of(request.file, request.zone)
         moved = None if request.moved is None else mesh_of(request.moved, request.zone)
-    if moved is None and "min_jacobian_ratio" in limits:
-        raise ValueError("--min-jacobian-ratio compares two meshes: give FILE2.")
     with out.progress("judging the cells"):
         judged = Judged(mesh, mesh.points)
         before, after = None, Summary.from_judged(judged, limits)

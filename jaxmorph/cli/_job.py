@@ -164,7 +164,7 @@ def _words(path: Path, key: Key, value: Any) -> list[str]:
         what = f"{kinds[0]}, or a list of {kinds[1]}" if key.is_list else kinds[0]
         raise ValueError(f"{path}: {key.name} is {what}, found {reprlib.repr(value)}.")
     words = [str(word) for word in values]
-    wrong = [word for word in words if not is_number and (word.startswith("-") or "\0" in word)]
+    wrong = [word for word in words if not is_number and (word.startswith("--") or "\0" in word)]
     if wrong:
         raise ValueError(f"{path}: {key.name} cannot be {reprlib.repr(wrong[0])}; a job has no flags as values.")
     is_path = key.kind in ("path", "table") or key.name == "mode"

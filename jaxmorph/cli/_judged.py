@@ -148,7 +148,7 @@ class Judged:
 
     def write(self, path: Path) -> None:
         """Writes the mesh on its points, with the cells' quality where the format holds arrays."""
-        moved = self.mesh.moved(self.points)
+        moved = self.mesh.moved(self.points if self.way is None else self.way.moved)
         if io.check_output(path, self.mesh):
             io.write_moved(path, self.mesh, moved, self.corners)
         else:

@@ -9,7 +9,7 @@ from jaxtyping import ArrayLike, Float, Int
 
 import jaxmorph as jm
 from jaxmorph import io
-from jaxmorph._advice.methods import METHODS, Entry, entry
+from jaxmorph._advice.methods import Entry, entry
 from jaxmorph._advice.rivals import Extent
 from jaxmorph._boundary.names import planes_of
 from jaxmorph._boundary.symmetry import check_planes
@@ -39,15 +39,10 @@ def named_method(
     take.
     """
     listed = entry(request.method)
-    if request.sources is not None and listed.sources != "some":
-        free = " and ".join(method.name for method in METHODS if method.sources == "some")
-        raise ValueError(f"--sources is for the methods {free}; {request.method} has no sources to choose.")
     if request.sources is not None and request.sources <= wall.shape[1]:
         raise ValueError(
             f"--sources must be {wall.shape[1] + 1} or more in {wall.shape[1]}-D, found {request.sources}."
         )
-    if chunk is not None and listed.needs_cells:
-        raise ValueError(f"--chunk is not for {request.method}, which solves for all nodes at once.")
     method = listed.make(Extent(wall, fixed))
     if listed.sources != "some":
         return NamedMethod(method, listed, listed.sentence, len(wall) * (listed.sources == "all"), request.dtype)
@@ -218,8 +213,6 @@ def _symmetry(mesh: jm.Mesh, lists: set[str], planes: list[jm.Plane], file: obje
 
 def _periodic(surface: Boundary, mesh: jm.Mesh, lists: set[str]) -> tuple[jm.Periodic, ...]:
     """Lists the pairs of flags, and the file's pairs of which no patch is in another list."""
-    if len(surface.periodic) % 2:
-        raise ValueError(f"--periodic {' '.join(surface.periodic)}: name pairs of patches, one after the other.")
     pairs = list(zip(surface.periodic[::2], surface.periodic[1::2], strict=True))
     known = {*lists, *surface.periodic}
     of_file = [pair for pair in io.periodic(mesh) if not {str(pair.patch), str(pair.partner)} & known]

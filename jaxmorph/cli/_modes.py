@@ -59,7 +59,8 @@ def modes(request: Modes, out: Output) -> int:
     good, bad = [], 0
     with out.progress("moving") as stage:
         for case, points in _moved(mesh, plan, np.stack(shapes), cases):
-            judged = Judged(mesh, points, base, Way((points,), plan.is_linear))
+            way = Way.into(case.output, mesh, [points], plan.is_linear)
+            judged = Judged(mesh, way.ends[-1], base, way)
             after = Summary.from_judged(judged, limits)
             failed = faults(before, after)
             bad += bool(failed)
@@ -91,8 +92,6 @@ def _cases(request: Modes) -> list[Case]:
 def _check(request: Modes, mesh: Mesh, cases: list[Case]) -> Patches:
     """Looks up the patches, before any work."""
     patches = patches_of(request, mesh)
-    if not np.isfinite(request.amplitude).all():
-        raise ValueError("--amplitude needs finite numbers.")
     for case in cases:
         io.check_output(case.output, mesh)
     outputs = [request.output, *(case.output for case in cases)]

@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -11,8 +11,10 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxmorph import Mesh, io, shapes
+from jaxmorph._host.package.errors import place_of, worst_first
 
 from ._airfoil import bumps, class_functions
+from ._early import lattice_files
 from ._groups import MOTIONS, Group, as_json
 from ._parser import flag_of
 from ._requests import Deform
@@ -54,18 +56,18 @@ class Motion:
         return files
 
 
-def lattice_files(file: Path) -> tuple[Path, Path]:
-    """Names the files of a lattice before and after its motion."""
-    return file.with_stem(f"{file.stem}_before"), file.with_stem(f"{file.stem}_after")
-
-
 def motion(request: Deform, mesh: Mesh, moving: Int[np.ndarray, " m"]) -> Motion:
     """Makes the requested motion of the nodes `moving`.
 
-    Raises `ValueError` if there is none, or if it does not fit the mesh or the nodes.
+    A patch moves as the groups that name it, one after the other. A node of several patches moves
+    as the first of them.
+
+    Raises `ValueError` if there is none, if it does not fit the mesh or the nodes, and where
+    patches of a node move it differently.
     """
-    chains, parameters, boxes = {}, {}, []
-    for group in request.groups:
+    chains, owned, parameters, boxes = {}, {}, {}, []
+    sides = _sides(request.groups, mesh, moving)
+    for number, group in enumerate(request.groups):
         nodes = mesh.patch(*group.patches)
         try:
             parts = _parts(group, mesh, nodes)
@@ -74,10 +76,93 @@ def motion(request: Deform, mesh: Mesh, moving: Int[np.ndarray, " m"]) -> Motion
         key = _key(group, chains)
         chain = shapes.Chain({name: shape for name, (shape, _) in parts.items()})
         chains[key] = shapes.OnRows(chain, np.searchsorted(moving, nodes))
+        owned[key] = shapes.OnRows(_on_some(chain, _is_moved(sides, number, nodes)), chains[key].rows)
         parameters[key] = {name: values for name, (_, values) in parts.items()}
         if group.lattice is not None:
             boxes.append((group.lattice, parts["box"][0], (key, "box")))
-    return Motion(shapes.Chain(chains), parameters, tuple(boxes)).varied(dict(request.set))
+    made = Motion(shapes.Chain(owned), parameters, tuple(boxes)).varied(dict(request.set))
+    _check_agreement(request.groups, sides, chains, made, Wall(moving, np.asarray(mesh.points, float)[moving]))
+    return made
+
+
+@dataclasses.dataclass(frozen=True)
+class Side:
+    """Moving nodes that the same groups name: the `groups` by number, all `nodes`, and its `own`.
+
+    A node of several sides is the first one's own.
+    """
+
+    groups: tuple[int, ...]
+    nodes: np.ndarray
+    own: np.ndarray
+
+
+class Wall(NamedTuple):
+    """Ids and undeformed points of the moving nodes."""
+
+    nodes: np.ndarray
+    points: Points
+
+
+def _sides(groups: Sequence[Group], mesh: Mesh, moving: np.ndarray) -> list[Side]:
+    """Sorts the moving nodes by the groups that name their patches."""
+    names = [mesh.patch_names(*group.patches) for group in groups]
+    by_groups: dict[tuple[int, ...], list[str]] = {}
+    for patch in dict.fromkeys(name for patches in names for name in patches):
+        numbers = tuple(number for number, patches in enumerate(names) if patch in patches)
+        by_groups.setdefault(numbers, []).append(patch)
+    sides, left = [], moving
+    for numbers, patches in by_groups.items():
+        nodes = mesh.patch(*patches)
+        sides.append(Side(numbers, nodes, np.intersect1d(nodes, left)))
+        left = np.setdiff1d(left, nodes)
+    return sides
+
+
+def _is_moved(sides: list[Side], number: int, nodes: np.ndarray) -> np.ndarray:
+    """Marks the nodes of a group that move with it: those that are not another side's own."""
+    return np.isin(nodes, np.concatenate([side.own for side in sides if number in side.groups]))
+
+
+def _on_some(chain: shapes.Chain, is_moved: np.ndarray) -> shapes.AbstractShape:
+    if is_moved.all():
+        return chain
+    return shapes.Function(lambda x, values: jnp.where(is_moved[:, None], chain(x, values), x), chain.neutral())
+
+
+def _check_agreement(
+    groups: Sequence[Group], sides: list[Side], chains: Mapping[str, shapes.OnRows], made: Motion, wall: Wall
+) -> None:
+    """Raises `ValueError` where two sides move a common node differently, beyond round-off."""
+    keys = list(chains)
+    for side in sides:
+        rows = np.searchsorted(wall.nodes, np.setdiff1d(side.nodes, side.own))
+        if not len(rows):
+            continue
+        u = made.path(wall.points, 1)[-1]
+        alone = shapes.Chain({keys[number]: chains[keys[number]] for number in side.groups})
+        other = Motion(alone, {name: made.parameters[name] for name in alone.names}).path(wall.points, 1)[-1]
+        off = np.linalg.norm(u[rows] - other[rows], axis=1)
+        wrong = rows[worst_first(off, 1e-9 * np.abs(u).max() + 1e-13 * np.abs(wall.points).max())]
+        if not len(wrong):
+            continue
+        first = next(owner for owner in sides if wall.nodes[wrong[0]] in owner.own)
+        told = ", ".join(map(str, wall.nodes[wrong[:5]])) + (", ..." if len(wrong) > 5 else "")
+        raise ValueError(
+            f"{_flags(groups, first)} and {_flags(groups, side)} move {len(wrong)} common nodes differently, by up to "
+            f"{off.max():.3g}: nodes {told}, the first near ({place_of(wall.points[wrong[0]])}). Name both patches after one "
+            "--moving, or take the common nodes out of one of the patches."
+        )
+
+
+def _flags(groups: Sequence[Group], side: Side) -> str:
+    """Writes the flags that move a side."""
+    words = []
+    for number in side.groups:
+        group = groups[number]
+        flags = [flag_of(name) for name in MOTIONS if getattr(group, name) not in (None, ())]
+        words.append(" ".join(["--moving", *group.patches, *flags]))
+    return ", then ".join(words)
 
 
 def _key(group: Group, others: Mapping[str, Any]) -> str:
@@ -90,9 +175,6 @@ def _key(group: Group, others: Mapping[str, Any]) -> str:
 
 def _parts(group: Group, mesh: Mesh, nodes: np.ndarray) -> Parts:
     surface, d = np.asarray(mesh.points)[nodes], mesh.points.shape[1]
-    if not group.mode and all(getattr(group, name) is None for name in MOTIONS if name != "mode"):
-        raise ValueError(f"no motion: give one of {', '.join(map(flag_of, MOTIONS))}.")
-    _check_used(group)
     about = vector_of("--about", group.about, d)
     return {
         **_displacement(group, mesh, nodes),
@@ -175,21 +257,6 @@ def _translate(group: Group, d: int) -> Parts:
     return {"translate": (shapes.Function(shapes.translate, np.zeros(d)), vector_of("--translate", group.translate, d))}
 
 
-def _check_used(group: Group) -> None:
-    """Raises `ValueError` for a flag without the flag that it belongs to."""
-    needs = {
-        "axis": ("rotate", "bend"),
-        "about": ("rotate", "scale", "bend", "twist"),
-        "along": ("bend", "twist"),
-        "length": ("bend", "twist"),
-        "displacement_from": ("displacement",),
-        "lattice": ("box",),
-    }
-    for name, owners in needs.items():
-        if getattr(group, name) is not None and all(getattr(group, owner) is None for owner in owners):
-            raise ValueError(f"{flag_of(name)} without {' or '.join(map(flag_of, owners))}.")
-
-
 def _displacement(group: Group, mesh: Mesh, nodes: np.ndarray) -> Parts:
     if group.displacement is None:
         return {}
@@ -202,8 +269,5 @@ def _modes(group: Group, mesh: Mesh, nodes: np.ndarray) -> Parts:
     """Reads mode shapes; each has an amplitude."""
     if not group.mode:
         return {}
-    for file, amplitude in group.mode:
-        if not np.isfinite(amplitude):
-            raise ValueError(f"--mode {file} needs an amplitude, found {amplitude}.")
     fields = [io.read_displacement(file, mesh, nodes, is_position=False) for file, _ in group.mode]
     return {"mode": (shapes.Modes(np.stack(fields)), np.array([amplitude for _, amplitude in group.mode]))}

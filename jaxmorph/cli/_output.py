@@ -99,7 +99,9 @@ class Output:
             print(f"{self.name}: {text}", file=sys.stderr)
 
     def warn(self, text: str) -> None:
-        self.complain(f"warning: {text}", "warnings")
+        """Prints a warning, once."""
+        if f"warning: {text}" not in self.facts.get("warnings", []):
+            self.complain(f"warning: {text}", "warnings")
 
     @property
     def seconds(self) -> float:

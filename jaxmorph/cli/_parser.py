@@ -2,7 +2,7 @@
 
 import argparse
 import dataclasses
-import re
+import functools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, TypeVar
 
@@ -78,8 +78,8 @@ def made(fields: type[T], values: argparse.Namespace) -> T:
 class Parser(argparse.ArgumentParser):
     """Describes in one line what is wrong with the arguments, and guesses what was meant.
 
-    A short page of help leaves out all flags that are not for every day. `flags` are the long flags
-    of this command.
+    A short page of help leaves out all flags that are not for every day. `flags` are the flags of
+    this command.
     """
 
     def __init__(self, *, is_short: bool = False, **settings: Any):
@@ -89,7 +89,9 @@ class Parser(argparse.ArgumentParser):
 
     def add(self, names: Sequence[str], settings: dict[str, Any], *, section: str = "", everyday: bool = False):
         """Adds a flag, or a word without one, to a section of the page of help."""
-        self.flags += [name for name in names if name.startswith("--")]
+        self.flags += [name for name in names if name.startswith("-")]
+        if settings.get("nargs") != 0 and not str(settings.get("action")).startswith(("store_", "help")):
+            settings = settings | {"type": unquoted(settings.get("type", str))}
         if self.is_short and not everyday:
             settings = settings | {"help": argparse.SUPPRESS}
         if section not in self.sections:
@@ -114,7 +116,12 @@ class Parser(argparse.ArgumentParser):
             if word == "--":
                 return
             if name.startswith("--") and name not in self.flags:
-                self.error(f"there is no flag {name}{meant(name, self.flags)}")
+                hint = meant(name, self.flags) or f"; a patch of this name is written with =, as in --moving={name}"
+                self.error(f"there is no flag {name}{hint}")
+            if name not in self.flags and f"-{name}" in self.flags:
+                self.error(
+                    f"there is no flag {name}; did you mean -{name}? The patch {name} is written --moving={name}"
+                )
 
     def error(self, message: str):
         self.exit(2, f"{self.prog}: {message} (see {self.prog} --help)\n")
@@ -145,6 +152,28 @@ def meant(word: str, known: Iterable[str]) -> str:
     return f"; did you mean {near}?" if near else ""
 
 
-def quoted(words: Sequence[str]) -> list[str]:
-    """Puts a space before negative numbers: argparse takes -1e-3 for a flag."""
-    return [f" {word}" if re.match(r"-\.?\d", word) else word for word in words]
+def quoted(words: Sequence[str], flags: Iterable[str] = ()) -> list[str]:
+    """Puts a space before words that argparse would take for flags: numbers, and names as `-wall`.
+
+    `--moving=-wall` becomes two words, so that more names may follow. `flags` are the command's.
+    """
+    short = tuple({"-h", *(flag for flag in flags if not flag.startswith("--"))})
+    done: list[str] = []
+    for word in words:
+        name, equals, value = word.partition("=")
+        if name.startswith("--") and equals and value.startswith("-"):
+            done += [name, f" {value}"]
+        else:
+            is_flag = word.startswith("--") or word in ("-", *short) or word.startswith(tuple({*short} - {"-h"}))
+            done.append(f" {word}" if word.startswith("-") and not is_flag else word)
+    return done
+
+
+def unquoted(kind: Callable[[str], Any]) -> Callable[[str], Any]:
+    """Makes the type of a flag that takes the space away that `quoted` puts."""
+
+    @functools.wraps(kind, updated=())
+    def converted(word: str) -> Any:
+        return kind(word[1:] if word.startswith(" -") else word)
+
+    return converted

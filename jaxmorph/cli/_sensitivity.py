@@ -1,6 +1,5 @@
 """`jaxmorph sensitivity`: dJ/d(points) to dJ/d(moving nodes) or dJ/d(variables of a job)."""
 
-import dataclasses
 from typing import Any
 
 import jax
@@ -8,25 +7,19 @@ import numpy as np
 
 import jaxmorph as jm
 from jaxmorph import io, shapes
-from jaxmorph._host.package.files import check_apart
 
-from ._describe import inputs_of
-from ._flags import request_of
+from ._early import job_of
 from ._method import patches_of
 from ._motion import Motion, motion
 from ._output import Output, title
-from ._parts import Boundary, Method
-from ._requests import Deform, Sensitivity
+from ._requests import Sensitivity
 from ._summary import coordinates, count
 from ._tables import LISTED, steepest
 
 
 def sensitivity(request: Sensitivity, out: Output) -> int:
     """Reads, pulls back, writes. Returns the exit status."""
-    job = _job_of(request)
-    (io.check_sensitivity_output if job is None else io.check_gradient_output)(request.output)
-    inputs = inputs_of(job) | {"the job is": [request.job]} if job is not None else {"the mesh is": [request.file]}
-    check_apart([("OUT", request.output)], inputs | {"the sensitivities are": [request.sensitivity]})
+    job = job_of(request)
     with out.progress(f"reading {title(request.file)}"):
         mesh = io.read(request.file)
     patches = patches_of(job or request, mesh)
@@ -47,22 +40,6 @@ def sensitivity(request: Sensitivity, out: Output) -> int:
         _to_variables(request, plan, moves, job.steps, sensitivity, out)
     out.say(f"wrote {request.output} ({out.seconds:.1f} s)", output=str(request.output))
     return 0
-
-
-def _job_of(request: Sensitivity) -> Deform | None:
-    """Reads the job that the request names.
-
-    It raises `ValueError` for flags that make no sense with a job, or without one.
-    """
-    if request.job is None:
-        if request.set:
-            raise ValueError("--set without --job: it names design variables of a job.")
-        return None
-    if (request.moving, request.boundary, request.method) != ((), Boundary(), Method()):
-        raise ValueError("--job names patches and method. Remove the flags of patches and methods.")
-    job = request_of(["deform", str(request.file), str(request.file), "--job", str(request.job)])
-    assert isinstance(job, Deform)
-    return dataclasses.replace(job, set=(*job.set, *request.set))
 
 
 def _to_nodes(request: Sensitivity, plan: jm.Plan, sensitivity: np.ndarray, out: Output) -> None:

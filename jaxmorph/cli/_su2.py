@@ -23,8 +23,6 @@ from ._tables import faults, steepest, table
 
 def run(request: SU2, out: Output) -> int:
     """Reads the config file, and moves its mesh or projects sensitivities. Returns the status."""
-    if request.action == "def" and request.sensitivity is not None:
-        raise ValueError("--sensitivity is for su2 dot, and su2 def moves the mesh.")
     with out.progress(f"reading {title(request.file)}"):
         config = su2.read_config(request.file, definition=request.definition)
     mesh, nodes = config.mesh, config.mesh.patch(*config.moving)
@@ -57,7 +55,7 @@ def _deform(request: SU2, config: su2.Config, out: Output) -> int:
             plan = jm.prepare(base, config.moving, config.fixed, method=choice.method, symmetry=config.symmetry)
         with out.progress(f"deforming in {count(config.steps, 'step')}"):
             points = np.asarray(jm.march(plan, config.path.astype(choice.dtype))[1], float)
-        status = _judge(request, mesh, points, output, out)
+        status = _judge(request, mesh, io.as_written(output, mesh.moved(points)), output, out)
     if status and not request.allow_inverted:
         return status
     moved = mesh.moved(points)

@@ -1,7 +1,8 @@
 """The way of a motion: the points at which its steps end, and what is proven of it."""
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -9,18 +10,29 @@ import numpy as np
 from jaxtyping import Float
 
 import jaxmorph as jm
-from jaxmorph import Mesh
+from jaxmorph import Mesh, io
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Way:
     """Points (n, d) at which the steps of a motion end, the last one last.
 
-    `is_straight`: nodes move along straight lines from one end to the next, for the plan is linear.
+    The last ones are as the written file will hold them, rounded where it is in single precision.
+
+    - `is_straight`: nodes move along straight lines from one end to the next, for the plan is
+      linear.
+    - `moved` (n, d): the last points before they are written.
     """
 
     ends: tuple[Float[np.ndarray, "n d"], ...]
     is_straight: bool
+    moved: Float[np.ndarray, "n d"]
+
+    @classmethod
+    def into(cls, path: Path, mesh: Mesh, ends: Sequence[np.ndarray], is_straight: bool) -> "Way":
+        """Makes the way of a motion whose last points will be written to a file."""
+        stored = io.as_written(path, mesh.moved(ends[-1]))
+        return cls((*ends[:-1], stored), is_straight, ends[-1])
 
     def proofs(self, mesh: Mesh) -> list[jm.Proof]:
         """Proves each step at all of its instants; where it ends if nodes leave straight lines."""

@@ -57,7 +57,8 @@ def read(path: pathlib.Path) -> Parts:
     """
     path.open("rb").close()
     with opened(path, what=WHAT) as file:
-        points = np.stack([column.astype(float) for column in _columns(file)], axis=1)
+        columns = _columns(file)
+        points = np.stack([column.astype(float) for column in columns], axis=1)
         _check_count(file, "num_nodes", len(points))
         blocks = list(_blocks(path, file, points.shape[1]))
         _check_count(file, "num_elem", sum(len(block.corners) for block in blocks))
@@ -67,8 +68,10 @@ def read(path: pathlib.Path) -> Parts:
                 raise ValueError(f"{name} has nodes {nodes.min() + 1} to {nodes.max() + 1} of {len(points)}")
         notes = tuple(_notes(file, blocks))
     content = StampedPoints(points, stamp_of(path))
+    held = content.held([column.dtype for column in columns])
     grid = Grid(points, [(block.kind, block.corners) for block in blocks], {}, {})
-    return of_grid(path, grid, Source(path, NAME, content, in_file=content.in_file, notes=notes), patches)
+    source = Source(path, NAME, content, in_file=content.in_file, held=held, notes=notes)
+    return of_grid(path, grid, source, patches)
 
 
 def write(path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arrays) -> None:
@@ -78,11 +81,12 @@ def write(path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arr
 
 def _put(file: Any, points: np.ndarray, old: np.ndarray) -> None:
     if "coord" in file:
-        file["coord"][...] = points.T
+        file["coord"][...] = points.T.astype(file["coord"].dtype)
         return
     for axis, values in enumerate(points.T):
         if not np.array_equal(values, old[:, axis]):
-            file[f"coord{'xyz'[axis]}"][...] = values
+            column = file[f"coord{'xyz'[axis]}"]
+            column[...] = values.astype(column.dtype)
 
 
 def _columns(file: Mapping[str, Any]) -> list[np.ndarray]:

@@ -15,6 +15,8 @@ from jaxmorph._mesh.arrays import checked_parts
 from jaxmorph._mesh.exchange import Grid, Parts, Patch, intact_source, parts
 from jaxmorph._mesh.polyhedra import Polyhedra
 
+from ._rounding import Held
+
 Arrays = Mapping[str, np.ndarray]
 
 
@@ -31,6 +33,7 @@ class Source:
     - `node_ids` (n,): numbers of the nodes in other files, None for 0, 1, 2, ...
     - `in_file`: takes points (n, d) of the mesh to points (N, 3) of the file; None where a mesh has
       the nodes of its file.
+    - `held`: how the file holds the points; None where it keeps all of their digits.
     - `cells`: numbers of the file's cells by type, by which changed cells are seen; None: unknown.
     - `notes`: sentences on what of the file is not in the mesh, or has another name there.
     """
@@ -48,6 +51,7 @@ class Source:
     kinds: Mapping[str, str] = dataclasses.field(default_factory=dict)
     file_nodes: np.ndarray | None = None
     in_file: Callable[[np.ndarray], np.ndarray] | None = None
+    held: Held | None = None
     cells: Mapping[str, int] | None = None
     notes: tuple[str, ...] = ()
 
@@ -182,6 +186,16 @@ class FilePoints:
         """Returns points with the z of the file where they have none."""
         d = points.shape[1]
         return np.concatenate([as_in_file(points, self.points[:, :d]), self.points[:, d:]], axis=1)
+
+    def in_mesh(self, values: np.ndarray) -> np.ndarray:
+        """Returns the mesh's points from the file's, without z where all z of the file are equal."""
+        is_flat = self.points.shape[1] == 3 and np.ptp(self.points[:, 2]) == 0
+        return values[:, :2] if is_flat else values
+
+    def held(self, columns: list[np.dtype]) -> Held | None:
+        """Tells how a file with columns of these types holds the points; None: all digits."""
+        singles = [(slice(None), axis) for axis, dtype in enumerate(columns) if dtype.itemsize < 8]
+        return Held(self.points, self.in_file, self.in_mesh, singles) if singles else None
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -11,10 +11,9 @@ import numpy as np
 from jaxtyping import PyTree
 
 from jaxmorph._host.package.arguments import checked
+from jaxmorph._host.package.endings import GRADIENTS
 from jaxmorph._host.package.files import complete, output_path
 from jaxmorph.shapes import names
-
-ENDINGS = (".csv", ".json")
 
 
 @checked
@@ -56,4 +55,4 @@ def write_gradient(path: str | os.PathLike[str], parameters: PyTree, gradient: P
 @checked
 def check_gradient_output(path: str | os.PathLike[str]) -> pathlib.Path:
     """Raises `ValueError` for a file that `write_gradient` cannot write; returns its path."""
-    return output_path(path, *ENDINGS)
+    return output_path(path, *GRADIENTS)

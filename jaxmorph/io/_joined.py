@@ -2,6 +2,8 @@
 
 import dataclasses
 import itertools
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -10,6 +12,7 @@ from jaxmorph._host.cells.topology import DIMENSION
 from jaxmorph._mesh.arrays import checked_parts
 from jaxmorph._mesh.exchange import Parts
 
+from ._rounding import Held
 from ._structured import open_faces, shared_nodes
 
 
@@ -44,6 +47,14 @@ class Joined:
         moved = (points != self.points[first, :d].astype(points.dtype))[self.node]
         new[:, :d] = np.where(moved, points[self.node], self.points[:, :d])
         return new
+
+    def in_mesh(self, values: np.ndarray) -> np.ndarray:
+        """Returns the mesh's points from the file's: those of each node's first copy."""
+        return values[np.unique(self.node, return_index=True)[1], : 2 if self.is_flat else 3]
+
+    def held(self, singles: Sequence[tuple[slice, Any]]) -> Held | None:
+        """Tells how a file in single precision at `singles` holds the points; None: all digits."""
+        return Held(self.points, self.in_file, self.in_mesh, singles) if singles else None
 
 
 def join(zones: Zones) -> tuple[Parts, Joined]:

@@ -49,6 +49,6 @@ def _text(grid: Any) -> bytes:
 @checked
 def check_lattice_output(file: str | os.PathLike[str]) -> pathlib.Path:
     """Raises `ValueError` or `ImportError` where `write_lattice` cannot write; returns the path."""
-    path = output_path(file, ".vts")
+    path = output_path(file, *LATTICES)
     imported("pyvista", "plot")
     return path

@@ -37,6 +37,7 @@ def read(path: pathlib.Path) -> Parts:
     with opened(path, what=WHAT) as file:
         name, step = _step(file)
         points = _points(step)
+        dtype = step["NOE"]["COO"].dtype
         blocks, families = [], []
         for kind, group in step["MAI"].items():
             if kind not in TYPES:
@@ -63,7 +64,8 @@ def read(path: pathlib.Path) -> Parts:
             regions.append(group)
     patches += [Patch(group, "nodes", np.flatnonzero(np.isin(of_nodes, ids))) for group, ids in groups.items()]
     content, notes = StampedPoints(points, stamp_of(path)), tuple(regions_note(regions))
-    source = Source(path, NAME, content, in_file=content.in_file, notes=notes)
+    held = content.held([dtype] * points.shape[1])
+    source = Source(path, NAME, content, in_file=content.in_file, held=held, notes=notes)
     return of_grid(path, Grid(points, blocks, {}, {}), source, patches)
 
 
@@ -74,7 +76,7 @@ def write(path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arr
 
 def _put(file: Any, points: np.ndarray, _: np.ndarray) -> None:
     coordinates = _step(file)[1]["NOE"]["COO"]
-    coordinates[...] = points.T.reshape(coordinates.shape)
+    coordinates[...] = points.T.reshape(coordinates.shape).astype(coordinates.dtype)
 
 
 def _step(file: Any) -> tuple[str, Any]:

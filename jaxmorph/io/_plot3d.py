@@ -15,6 +15,7 @@ from jaxmorph._mesh.exchange import Parts
 
 from ._format import Arrays, MeshLike, Source, faults_of, own_source
 from ._joined import Joined, Zones, join
+from ._rounding import EVERYTHING
 from ._structured import SIDES, block_cells, block_ids, block_sides
 from .text.sections import chunks, parse, replace_words
 
@@ -88,7 +89,9 @@ def read(path: pathlib.Path) -> Parts:
         content = _Content(data, layout, joined)
         blank = layout.blank(numbers)
         notes = (f"{blank} nodes are blank (IBLANK 0), and are read as all others.",) if blank else ()
-        source = Source(path, NAME, content, file_nodes=joined.node, in_file=joined.in_file, notes=notes)
+        is_single = layout.dtype is not None and layout.dtype.itemsize == 4
+        known = {"in_file": joined.in_file, "held": joined.held(EVERYTHING if is_single else ()), "notes": notes}
+        source = Source(path, NAME, content, file_nodes=joined.node, **known)
         return mesh._replace(source=source)
 
 

@@ -12,6 +12,7 @@ from ._lattice import write_lattice as write_lattice
 from ._moved import cell_arrays as cell_arrays
 from ._moved import write_moved as write_moved
 from ._moved import write_pvd as write_pvd
+from ._registry import as_written as as_written
 from ._registry import check_output as check_output
 from ._registry import periodic as periodic
 from ._registry import read as read

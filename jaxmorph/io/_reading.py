@@ -7,21 +7,22 @@ from collections.abc import Iterator
 import numpy as np
 
 from jaxmorph._host.cells.topology import HIGH_ORDER, repeated_cells
+from jaxmorph._host.package.endings import MESHES, is_folder
 from jaxmorph._host.package.errors import place_of, warn
 from jaxmorph._mesh.exchange import Parts, numbers_of_cells
 
 from ._format import Format, Source
 
 FORMATS = (
-    Format("SU2", (".su2",), "_su2"),
-    Format("VTK", (".vtu", ".vtk"), "vtk.file", holds_arrays=True),
-    Format("gmsh", (".msh",), "gmsh.file"),
-    Format("CGNS", (".cgns",), "cgns.file"),
-    Format("MFEM", (".mesh",), "mfem.file"),
-    Format("MED", (".med",), "_med"),
-    Format("Exodus", (".e", ".exo", ".ex2", ".exoii", ".g"), "_exodus", magic=(b"CDF", b"\x89HDF")),
-    Format("PLOT3D", (".xyz", ".p3d", ".p3dfmt", ".x", ".g"), "_plot3d"),
-    Format("OpenFOAM", (), "openfoam.case", is_folder=True),
+    Format("SU2", MESHES["SU2"], "_su2"),
+    Format("VTK", MESHES["VTK"], "vtk.file", holds_arrays=True),
+    Format("gmsh", MESHES["gmsh"], "gmsh.file"),
+    Format("CGNS", MESHES["CGNS"], "cgns.file"),
+    Format("MFEM", MESHES["MFEM"], "mfem.file"),
+    Format("MED", MESHES["MED"], "_med"),
+    Format("Exodus", MESHES["Exodus"], "_exodus", magic=(b"CDF", b"\x89HDF")),
+    Format("PLOT3D", MESHES["PLOT3D"], "_plot3d"),
+    Format("OpenFOAM", MESHES["OpenFOAM"], "openfoam.case", is_folder=True),
 )
 
 
@@ -41,13 +42,8 @@ def format_of(path: pathlib.Path, source: object = None) -> Format:
         known = [candidate for candidate in found if first.startswith(candidate.magic)]
         found = known or [candidate for candidate in found if not candidate.magic]
     found += [candidate for candidate in FORMATS if candidate.is_folder]
-    if len(found) > 1 or path.is_dir() or path.suffix.strip(".0123456789") == "":
-        return found[0]
-    known = ", ".join(f"{candidate.name} ({', '.join(candidate.suffixes) or 'folders'})" for candidate in FORMATS)
-    raise ValueError(
-        f"{path}: unknown file ending {path.suffix!r}; known are {known}. Write one of them where the file was made. Or let "
-        "meshio, which knows more formats, make one: `meshio convert FILE FILE.vtu`, in Python jaxmorph.Mesh.from_meshio."
-    )
+    is_folder(path)  # it raises for unknown endings
+    return found[0]
 
 
 def file_mesh(path: pathlib.Path) -> Parts:

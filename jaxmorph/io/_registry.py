@@ -4,15 +4,16 @@ import os
 import pathlib
 
 import numpy as np
-from jaxtyping import Shaped
+from jaxtyping import Float, Shaped
 
 from jaxmorph import Mesh, Periodic
 from jaxmorph._host.package import files
 from jaxmorph._host.package.arguments import checked
 
 from . import _ahead
-from ._format import Checking, Format, Source, own_source
+from ._format import Checking, Format, Source, own_source, source_of
 from ._reading import file_mesh, format_of
+from ._rounding import warn_of_loss
 
 
 @checked
@@ -77,6 +78,9 @@ def write(
     `system`, `0` and `0.orig` with other points. The case stays as it is. 2-D cases (`empty`
     patches) are meshes in two coordinates, and both planes move alike.
 
+    A warning says where single precision takes much of the motion or of small cells; `as_written`
+    has the points that the file will hold.
+
     The file appears when it is complete, under a temporary name until then.
 
     **Arguments:**
@@ -102,11 +106,34 @@ def write(
         raise ValueError(
             f"{path}: {(~finite).sum()} of {len(finite)} points are not finite, first node {np.argmin(finite)}."
         )
+    as_written(path, mesh)
     if chosen.is_folder:
         chosen.codec().write(path, mesh, *arrays)
         return
     with files.complete(path) as partial:
         chosen.codec().write(partial, mesh, *arrays)
+
+
+@checked
+def as_written(path: str | os.PathLike[str], mesh: Mesh) -> Float[np.ndarray, "n d"]:
+    """Computes the points that reading a written file will give, bit for bit; writes nothing.
+
+    These are the points to judge: a file in single precision rounds them, and may lose a small
+    motion or the first cells at a wall.
+
+    **Arguments:**
+
+    - `path`: the file or folder to write, as for `write`.
+    - `mesh`: the mesh to write there.
+
+    **Returns:** points (n, d), those of `mesh` for a file that holds them as they are.
+
+    **Warns:** where rounding takes more than a tenth of the motion, or of an edge of a cell.
+    """
+    points, source = np.asarray(mesh.points), source_of(mesh, format_of(pathlib.Path(path), mesh.source).name)
+    if source is None or source.held is None:
+        return points
+    return warn_of_loss(pathlib.Path(path), mesh.cells, source.held, points)
 
 
 @checked

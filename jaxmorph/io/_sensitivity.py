@@ -9,6 +9,7 @@ from jaxtyping import Float, Int
 
 from jaxmorph import Mesh
 from jaxmorph._host.package.arguments import checked, finite_array, rows_of
+from jaxmorph._host.package.endings import SENSITIVITIES
 from jaxmorph._host.package.files import complete, input_path, output_path, read_arrays, real_array
 from jaxmorph._host.package.orders import rows_in
 
@@ -17,9 +18,6 @@ from .openfoam.field import is_foam_file, read_point_vectors
 
 NAMES = ("sensitivity_x", "sensitivity_y", "sensitivity_z")
 """SU2's names of the columns, in lower case."""
-
-ENDINGS = (".csv", ".npz")
-"""Endings of the files that `write_sensitivity` writes."""
 
 
 @checked
@@ -124,4 +122,4 @@ def write_sensitivity(
 @checked
 def check_sensitivity_output(path: str | os.PathLike[str]) -> pathlib.Path:
     """Raises `ValueError` for a file that `write_sensitivity` cannot write; returns its path."""
-    return output_path(path, *ENDINGS)
+    return output_path(path, *SENSITIVITIES)

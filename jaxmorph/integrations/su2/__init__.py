@@ -1,8 +1,31 @@
-"""SU2's config files: the shape that moves a wall, its design variables and its patches."""
+"""SU2's config files: the shape that moves a wall, its design variables and its patches.
 
-from ._config import Config as Config
-from ._config import read_config as read_config
-from ._motion import DesignVariables as DesignVariables
-from ._sensitivity import Sensitivity as Sensitivity
-from ._sensitivity import read_sensitivity as read_sensitivity
-from ._variables import write_gradient as write_gradient
+The first use of a name imports its module: the command line checks a config file without JAX.
+"""
+
+import importlib
+import typing
+
+if typing.TYPE_CHECKING:
+    from ._config import Config as Config
+    from ._config import read_config as read_config
+    from ._motion import DesignVariables as DesignVariables
+    from ._sensitivity import Sensitivity as Sensitivity
+    from ._sensitivity import read_sensitivity as read_sensitivity
+    from ._variables import write_gradient as write_gradient
+
+_MODULES = {
+    "Config": "_config",
+    "DesignVariables": "_motion",
+    "Sensitivity": "_sensitivity",
+    "read_config": "_config",
+    "read_sensitivity": "_sensitivity",
+    "write_gradient": "_variables",
+}
+__all__ = sorted(_MODULES)  # pyright: ignore[reportUnsupportedDunderAll]
+
+
+def __getattr__(name: str) -> typing.Any:
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(f"{__name__}.{_MODULES[name]}"), name)

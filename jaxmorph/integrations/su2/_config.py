@@ -18,10 +18,10 @@ from jaxmorph._host.package.arguments import checked
 from ._airfoil import SIDED, airfoil_parts
 from ._boxes import box_parts, boxes_of
 from ._control import BoxPart
-from ._motion import AbstractPart, DesignVariables, Displacement, check_alone, rigid_parts
+from ._motion import AbstractPart, DesignVariables, Displacement, rigid_parts
 from ._options import Options, read_options
 from ._planes import free_coordinates
-from ._variables import CONSTANT, LEFT, NOTHING, WHOLE, Variable, variables
+from ._variables import CONSTANT, LEFT, NOTHING, WHOLE, Variable, checked_variables
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -105,8 +105,8 @@ def read_config(path: str | os.PathLike[str], *, definition: bool = False) -> Co
     **Raises:** `ValueError` for kinds, words and numbers that are not taken, each with its option.
     """
     options = read_options(pathlib.Path(path))
-    listed, markers = variables(options, definition)
-    file = _mesh_file(options)
+    listed, markers = checked_variables(options, definition)
+    file = options.mesh_file
     mesh = io.read(file)
     is_setting = any(variable.kind == "FFD_SETTING" for variable in listed)
     is_whole = any(variable.kind in WHOLE for variable in listed)
@@ -116,7 +116,6 @@ def read_config(path: str | os.PathLike[str], *, definition: bool = False) -> Co
     if (moves or is_setting) and not moving:
         raise ValueError(f"{options.path}: DV_MARKER= names no marker of {file.name}: nothing would move.")
     try:
-        check_alone(listed)
         boxes = boxes_of(options, mesh, moving, is_setting)
         parts = _parts(options, listed, mesh, moving, boxes)
     except ValueError as error:
@@ -130,7 +129,7 @@ def read_config(path: str | os.PathLike[str], *, definition: bool = False) -> Co
             warnings.warn(f"{variable.kind} is left alone: it is the flow solver's, no wall moves by it.", stacklevel=3)
     return Config(
         mesh,
-        _with_ending(options.beside(options.text("MESH_OUT_FILENAME", "mesh_out.su2"))),
+        options.output,
         shape,
         _values(options, shape, definition),
         moving,
@@ -140,16 +139,6 @@ def read_config(path: str | os.PathLike[str], *, definition: bool = False) -> Co
         boxes,
         options,
     )
-
-
-def _mesh_file(options: Options) -> pathlib.Path:
-    file = options.beside(options.text("MESH_FILENAME", "mesh.su2"))
-    return file if file.exists() or file.suffix else file.with_suffix(".su2")
-
-
-def _with_ending(file: pathlib.Path) -> pathlib.Path:
-    """Returns a file's name with SU2's ending, whatever it read, unless it has one."""
-    return file if file.suffix else file.with_name(f"{file.name}.su2")
 
 
 def _values(options: Options, shape: DesignVariables, definition: bool) -> Float[np.ndarray, " n"]:

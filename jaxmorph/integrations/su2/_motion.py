@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxmorph import shapes
 
-from ._variables import CONSTANT, LEFT, WHOLE, Variable
+from ._variables import Variable
 
 
 class AbstractPart(eqx.Module):
@@ -114,16 +114,3 @@ def rigid_parts(listed: Sequence[Variable], first: Int[np.ndarray, " v"], d: int
         elif variable.kind in ("SCALE", "SCALE_GRID"):
             parts.append(Scale(rows))
     return parts
-
-
-def check_alone(listed: Sequence[Variable]) -> None:
-    """Raises `ValueError` for kinds that stand alone in SU2, and boxes beside other kinds."""
-    kinds = {variable.kind for variable in listed if variable.kind not in LEFT}
-    for kind in (*CONSTANT, *WHOLE):
-        if kind in kinds and len(listed) > 1:
-            raise ValueError(f"{kind} is taken alone; found {len(listed)} design variables.")
-    for sort in ({kind for kind in kinds if kind.startswith("FFD_")}, kinds & {"HICKS_HENNE_CAMBER"}):
-        if sort and sort != kinds:
-            raise ValueError(
-                f"{', '.join(sorted(sort))} beside {', '.join(sorted(kinds - sort))}: SU2 moves by one sort."
-            )

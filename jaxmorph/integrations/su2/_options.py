@@ -68,6 +68,18 @@ class Options:
         """Makes a `ValueError` that names the file and the option."""
         return ValueError(f"{self.path}: {name}= {message}.")
 
+    @property
+    def mesh_file(self) -> pathlib.Path:
+        """The file of the mesh; SU2 reads one without an ending where the file has `.su2`."""
+        file = self.beside(self.text("MESH_FILENAME", "mesh.su2"))
+        return file if file.exists() or file.suffix else file.with_suffix(".su2")
+
+    @property
+    def output(self) -> pathlib.Path:
+        """The file of the moved mesh: with SU2's ending, whatever it read, unless it has one."""
+        file = self.beside(self.text("MESH_OUT_FILENAME", "mesh_out.su2"))
+        return file if file.suffix else file.with_name(f"{file.name}.su2")
+
     def beside(self, name: str) -> pathlib.Path:
         """Returns a path relative to the folder of the config file."""
         return self.path.parent / name

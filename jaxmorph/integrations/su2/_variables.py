@@ -2,6 +2,7 @@
 
 import dataclasses
 import os
+from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -81,6 +82,35 @@ def variables(options: Options, definition: bool) -> tuple[list[Variable], list[
         raise options.error("DV_PARAM", f"{len(groups)} groups of parameters for {len(kinds)} of DV_KIND")
     listed = [_variable(options, "DV_PARAM", *entry) for entry in zip(kinds, groups, strict=True)]
     return listed, options.words("DV_MARKER")
+
+
+def checked_variables(options: Options, definition: bool) -> tuple[list[Variable], list[str]]:
+    """Lists design variables and markers as `variables` does, and reads every number beside them.
+
+    Raises `ValueError` also for kinds that SU2 does not combine.
+    """
+    listed, markers = variables(options, definition)
+    try:
+        check_alone(listed)
+    except ValueError as error:
+        raise ValueError(f"{options.path}: {error}") from None
+    options.number("OPT_RELAX_FACTOR", options.text("OPT_RELAX_FACTOR", "1"))
+    options.numbers("DV_VALUE_NEW" if definition else "DV_VALUE")
+    options.whole("DEFORM_NONLINEAR_ITER", options.text("DEFORM_NONLINEAR_ITER", "1"))
+    return listed, markers
+
+
+def check_alone(listed: Sequence[Variable]) -> None:
+    """Raises `ValueError` for kinds that stand alone in SU2, and boxes beside other kinds."""
+    kinds = {variable.kind for variable in listed if variable.kind not in LEFT}
+    for kind in (*CONSTANT, *WHOLE):
+        if kind in kinds and len(listed) > 1:
+            raise ValueError(f"{kind} is taken alone; found {len(listed)} design variables.")
+    for sort in ({kind for kind in kinds if kind.startswith("FFD_")}, kinds & {"HICKS_HENNE_CAMBER"}):
+        if sort and sort != kinds:
+            raise ValueError(
+                f"{', '.join(sorted(sort))} beside {', '.join(sorted(kinds - sort))}: SU2 moves by one sort."
+            )
 
 
 def _definition(options: Options) -> tuple[list[Variable], list[str]]:

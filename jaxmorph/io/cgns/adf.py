@@ -32,7 +32,7 @@ class Array:
     """A node's numbers, read and written in place: bytes `(at, count)` of the file, in pieces."""
 
     def __init__(self, file: BinaryIO, dtype: np.dtype, shape: tuple[int, ...], pieces: list[tuple[int, int]]):
-        self._file, self._dtype, self.pieces = file, dtype, pieces
+        self._file, self.dtype, self.pieces = file, dtype, pieces
         self.shape, self.size, self.ndim = shape, math.prod(shape), len(shape)
 
     def __len__(self) -> int:
@@ -44,18 +44,18 @@ class Array:
         for at, count, _ in self._spans(rows):
             self._file.seek(at)
             parts.append(self._file.read(count))
-        values = np.frombuffer(b"".join(parts), self._dtype).reshape(-1, *self.shape[1:])
-        return values.astype(self._dtype.newbyteorder("="))[key]
+        values = np.frombuffer(b"".join(parts), self.dtype).reshape(-1, *self.shape[1:])
+        return values.astype(self.dtype.newbyteorder("="))[key]
 
     def __setitem__(self, key: Any, values: np.ndarray) -> None:
-        raw = np.ascontiguousarray(values, self._dtype).tobytes()
+        raw = np.ascontiguousarray(values, self.dtype).tobytes()
         for at, count, first in self._spans(key if isinstance(key, slice) else slice(None)):
             self._file.seek(at)
             self._file.write(raw[first : first + count])
 
     def _spans(self, rows: slice) -> Iterator[tuple[int, int, int]]:
         """Yields where some rows' bytes stand in the file, their count, and the first's number."""
-        width = self._dtype.itemsize * math.prod(self.shape[1:])
+        width = self.dtype.itemsize * math.prod(self.shape[1:])
         start, stop, _ = rows.indices(len(self))
         first, last, before = start * width, stop * width, 0
         for at, count in self.pieces:

@@ -40,12 +40,13 @@ def read(path: pathlib.Path) -> Parts:
     """
     path.open("rb").close()
     with opened(path) as file:
-        zones, cells, pairs, known = _zones(path, file)
+        zones, cells, pairs, singles, known = _zones(path, file)
     with faults_of(path):
         mesh, joined = join(zones)
         whole, ids = _whole(cells, joined.node)
         content = _CGNSContent(**vars(joined), stamp=stamp_of(path))
         known |= {"periodic": periodic_of(pairs, joined.is_flat), "symmetry": symmetry_of(known["kinds"])}
+        known |= {"held": joined.held(singles)}
         source = Source(path, NAME, content, whole, ids, file_nodes=joined.node, in_file=joined.in_file, **known)
         return mesh._replace(source=source)
 
@@ -58,7 +59,7 @@ def write(path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arr
             rows = slice(zone.first, zone.first + zone.count)
             for axis, values in enumerate(zone.coordinates()):
                 if not np.array_equal(points[rows, axis], old[rows, axis]):
-                    values[...] = points[rows, axis].reshape(values.shape)
+                    values[...] = points[rows, axis].reshape(values.shape).astype(values.dtype)
 
     write_points(path, mesh, NAME, put)
 
@@ -86,10 +87,18 @@ def open_zones(path: pathlib.Path, file: Any) -> tuple[list[Zone], int]:
 
 def _zones(
     path: pathlib.Path, file: Any
-) -> tuple[Zones, list[Content], list[tuple[str, str, Connection]], dict[str, Any]]:
-    """Reads all zones; the last value are the patches' `kinds` and `groups`, and `notes`."""
+) -> tuple[Zones, list[Content], list[tuple[str, str, Connection]], list[tuple[slice, int]], dict[str, Any]]:
+    """Reads all zones.
+
+    The last values are what is in single precision, and the patches' `kinds`, `groups` and `notes`.
+    """
     zones, dimension = open_zones(path, file)
-    points = [np.stack([values[()].ravel() for values in zone.coordinates()], axis=1).astype(float) for zone in zones]
+    points, singles = [], []
+    for zone in zones:
+        columns = [values[()].ravel() for values in zone.coordinates()]
+        points.append(np.stack(columns, axis=1).astype(float))
+        rows = slice(zone.first, zone.first + zone.count)
+        singles += [(rows, axis) for axis, values in enumerate(columns) if values.dtype.itemsize < 8]
     contents = [zone.cells(places) for zone, places in zip(zones, points, strict=True)]
     levels = [LEVEL[block.kind] for content in contents for block in content.blocks if len(block.corners)]
     notes = list(_other_bases(file, dimension))
@@ -114,7 +123,7 @@ def _zones(
     cells = [(block.kind, block.corners) for content in contents for block in content.blocks]
     kinds = {name: kind for name, kind in kinds_of(file, several).items() if name in of_patch}
     known = {"kinds": kinds, "groups": groups_of(file, several, of_patch), "notes": tuple(notes)}
-    return Zones(np.concatenate(points), cells, of_patch, faces), contents, pairs, known
+    return Zones(np.concatenate(points), cells, of_patch, faces), contents, pairs, singles, known
 
 
 def _other_bases(file: Any, dimension: int) -> Iterator[str]:

@@ -58,7 +58,8 @@ def write_points(
     """Copies the file that a mesh was read from, and puts the mesh's points into the copy.
 
     `put` takes the root of the copy's tree, the points in the file's order, and the old points. It
-    is not called where no point has moved. A file with data in another one is refused before it is
+    is not called where no point has moved, and rounds by NumPy, since HDF5 has a rule of its own
+    for ties. A file with data in another one is refused before it is
     copied.
     """
     source = own_source(path, mesh, format_name)

@@ -17,6 +17,7 @@ from jaxmorph._mesh.arrays import checked_parts
 from jaxmorph._mesh.exchange import Parts, regions_note
 
 from .._format import Arrays, MeshLike, Source, faults_of, own_source
+from .._rounding import Held
 from ..text.sections import Section, blanked, replace_numbers
 from .nodes import Elements, at_places, from_lobatto, lexicographic, numbered, to_lobatto
 
@@ -76,12 +77,18 @@ class _Content:
     points: np.ndarray
     cells: dict[str, np.ndarray]
 
-    def words(self, points: np.ndarray) -> np.ndarray:
-        """Computes the file's numbers in its order; unchanged where points have not changed."""
+    def in_file(self, points: np.ndarray) -> np.ndarray:
+        """Computes the file's coordinates (m, d); unchanged where points have not changed."""
         new, old = (at_places(self.cells, coordinates, to_lobatto) for coordinates in (points, self.points))
         rows, d = self.values.copy(), points.shape[1]
         rows[:, :d] = np.where((new != old.astype(new.dtype))[self.node], new[self.node], rows[:, :d])
-        return rows.T.ravel() if self.space.by_nodes else rows.ravel()
+        return rows
+
+    def in_mesh(self, values: np.ndarray) -> np.ndarray:
+        """Computes the mesh's points of the file's coordinates, the first of several."""
+        lobatto = np.empty((len(self.points), self.values.shape[1]))
+        lobatto[self.node[::-1]] = values[::-1]
+        return at_places(self.cells, lobatto[:, : self.points.shape[1]], from_lobatto)
 
 
 def read(path: pathlib.Path) -> Parts:
@@ -117,7 +124,8 @@ def read(path: pathlib.Path) -> Parts:
         groups = _groups(parts.get("boundary_attribute_sets"), patches)
     notes = tuple(_notes(cells, parts))
     ids = None if (np.diff(ids) == 1).all() else ids
-    source = Source(path, NAME, content, groups=groups, cell_ids=ids, notes=notes)
+    held = Held(values, content.in_file, content.in_mesh) if curved else None
+    source = Source(path, NAME, content, groups=groups, cell_ids=ids, held=held, notes=notes)
     with faults_of(path):  # a caller may change the mesh's points in place, and the file's must stay
         return checked_parts(points.copy(), nodes, patches, source)
 
@@ -125,7 +133,8 @@ def read(path: pathlib.Path) -> Parts:
 def write(path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arrays) -> None:
     """Writes the mesh's own file with new coordinates."""
     content: _Content = own_source(path, mesh, NAME).content
-    section, words = content.section, content.words(np.asarray(mesh.points))
+    section, rows = content.section, content.in_file(np.asarray(mesh.points))
+    words = rows.T.ravel() if content.space.by_nodes else rows.ravel()
     at = np.arange(len(words)) + content.space.skipped
     with path.open("wb") as file:
         part = slice(section.start, section.stop)

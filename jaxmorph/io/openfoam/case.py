@@ -25,6 +25,7 @@ from jaxmorph._mesh.exchange import Parts
 from jaxmorph._mesh.polyhedra import Polyhedra, tetrahedra
 
 from .._format import Arrays, MeshLike, Source, as_in_file, source_of
+from .._rounding import EVERYTHING, Held
 from ..text.sections import replace_words
 from .cyclic import check_cyclic, cyclic_pairs
 from .file import PARENTHESES, FoamFile, Patch, load, patches
@@ -57,6 +58,18 @@ class _CaseContent:
         """
         in_space = points if self.plane is None else self.plane.in_space(self.points, points)
         return as_in_file(in_space, self.points)
+
+    def in_mesh(self, values: np.ndarray) -> np.ndarray:
+        """Computes the points of the mesh from those of the file."""
+        plane = self.plane.fitted(values) if isinstance(self.plane, Sector) else self.plane
+        return values if plane is None else plane.in_plane(values)
+
+    def held(self) -> Held | None:
+        """Tells how the file holds the points; None: all digits, in planes that are not tilted."""
+        is_single = self.file.is_binary and self.file.dtype("scalar").itemsize == 4
+        if not is_single and not isinstance(self.plane, Sector):
+            return None
+        return Held(self.points, self.in_file, self.in_mesh, EVERYTHING if is_single else ())
 
     @functools.cached_property
     def point_ids(self) -> np.ndarray:
@@ -115,7 +128,7 @@ def read(path: pathlib.Path) -> Parts:
     kinds = {patch.name: patch.type for patch in boundary} | {name: name for name in planes if name == "axis"}
     nodes = None if plane is None else plane.file_nodes()
     known = {"symmetry": tuple(planes), "kinds": kinds, "file_nodes": nodes, "in_file": content.in_file}
-    known["notes"] = tuple(_notes(topology, [*empty, *wedges]))
+    known |= {"held": content.held(), "notes": tuple(_notes(topology, [*empty, *wedges]))}
     source = Source(file.path, NAME, content, whole, ids, groups, pairs, between, **known)
     return mesh._replace(source=source)
 
@@ -297,8 +310,8 @@ def _in_sector(
 ) -> tuple[Parts, np.ndarray | None, Polyhedra | None, Sector]:
     faces = topology.faces
     assert faces is not None
-    plane, is_first = sector(faces, topology.nodes[wedges[0].name], topology.nodes[wedges[1].name], points)
-    patch = wedges[0 if is_first else 1]
+    plane = sector(faces, topology.nodes[wedges[0].name], topology.nodes[wedges[1].name], points)
+    patch = wedges[0 if plane.is_first else 1]
     front = np.arange(patch.start, patch.start + patch.count)
     if (faces.sizes[front] > 4).any():
         raise ValueError("patches of type wedge with faces of more than four corners are not supported.")

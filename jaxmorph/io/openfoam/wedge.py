@@ -23,7 +23,7 @@ class Sector(Front):
 
     Node i of the 2-D mesh is `front[i]`, at its place along the `axis` and its distance from it,
     along `out` in front and `out_behind` behind, from the point `origin`. Ids ascend, so nodes keep
-    the order of the file.
+    the order of the file. `is_first` tells that the front is the first of the file's two planes.
     """
 
     front: np.ndarray
@@ -32,11 +32,19 @@ class Sector(Front):
     origin: np.ndarray
     out: np.ndarray
     out_behind: np.ndarray
+    is_first: bool
     patch_type: ClassVar[str] = "wedge"
 
     def in_plane(self, points: np.ndarray) -> np.ndarray:
         arms = points[self.front] - self.origin
         return np.stack([arms @ self.axis, np.where(self.on_axis, 0, arms @ self.out)], axis=1)
+
+    def fitted(self, points: np.ndarray) -> "Sector":
+        """Finds the axis and both planes in other points (N, 3) of the file, as reading them does."""
+        front, back = self.front, np.unique(self.back)
+        axis, origin, outward = _frame((front, back) if self.is_first else (back, front), points)
+        out, out_behind = outward if self.is_first else outward[::-1]
+        return dataclasses.replace(self, axis=axis, origin=origin, out=out, out_behind=out_behind)
 
     @property
     def on_axis(self) -> np.ndarray:
@@ -68,8 +76,8 @@ class Sector(Front):
         return np.stack([(front + back) @ self.axis, front @ self.out + back @ self.out_behind], axis=1)
 
 
-def sector(faces: Faces, first: np.ndarray, second: np.ndarray, points: np.ndarray) -> tuple[Sector, bool]:
-    """Finds the planes of two wedge patches by their nodes, and whether the first is in front.
+def sector(faces: Faces, first: np.ndarray, second: np.ndarray, points: np.ndarray) -> Sector:
+    """Finds the planes of two wedge patches by their nodes.
 
     It raises `ValueError` where they are not planes at an angle, or their nodes are not pairs that
     edges join.
@@ -78,12 +86,7 @@ def sector(faces: Faces, first: np.ndarray, second: np.ndarray, points: np.ndarr
     first, second = np.unique(first), np.unique(second)
     if len(np.union1d(first, second)) < len(points):
         raise ValueError("patches of type wedge, but there are nodes off both: there is more than one layer of cells.")
-    axis, origin = _axis((first, second), points, size)
-    outward = []
-    for nodes in (first, second):
-        arm = points[nodes].mean(axis=0) - origin
-        arm = arm - (arm @ axis) * axis
-        outward.append(arm / np.linalg.norm(arm))
+    axis, origin, outward = _frame((first, second), points)
     # the plane farther around the axis is in front: seen from outside, (x, r) is right-handed
     is_first = np.cross(outward[1], outward[0]) @ axis > 0
     front, back = (first, second) if is_first else (second, first)
@@ -103,7 +106,20 @@ def sector(faces: Faces, first: np.ndarray, second: np.ndarray, points: np.ndarr
     distance = np.linalg.norm(places[0] - places[1], axis=1).max()
     if distance > APART * size:
         raise ValueError(f"patches of type wedge, but nodes of their planes are up to {distance:.3g} apart along them.")
-    return Sector(front, partner, axis, origin, out, out_behind), bool(is_first)
+    return Sector(front, partner, axis, origin, out, out_behind, bool(is_first))
+
+
+def _frame(
+    patches: tuple[np.ndarray, np.ndarray], points: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, list[np.ndarray]]:
+    """Finds the axis of two patches, a point on it, and the direction in which each leaves it."""
+    axis, origin = _axis(patches, points, np.ptp(points, axis=0).max())
+    outward = []
+    for nodes in patches:
+        arm = points[nodes].mean(axis=0) - origin
+        arm = arm - (arm @ axis) * axis
+        outward.append(arm / np.linalg.norm(arm))
+    return axis, origin, outward
 
 
 def _axis(patches: tuple[np.ndarray, np.ndarray], points: np.ndarray, size: float) -> tuple[np.ndarray, np.ndarray]:
