@@ -189,6 +189,7 @@ class MeshGuard(Module):
 
         return guard
 
+    @checked
     def callback(self, function: Callable[[Any], Any]) -> Callable[..., Any]:
         """Makes the `callback` of `scipy.optimize.minimize`, for a history of valid designs.
 

@@ -83,7 +83,7 @@ class Config:
 
     @property
     def share(self) -> float:
-        """`largest` over the largest extent of the moving nodes along an axis: of an airfoil, chords."""
+        """`largest` over the length of the moving nodes along an axis: for an airfoil, in chords."""
         x = np.asarray(self.mesh.points)[self.mesh.patch(*self.moving)]
         length = np.ptp(x, axis=0).max() if len(x) else 0
         return float(self.largest / length) if length else 0.0
@@ -159,7 +159,7 @@ def read_config(path: str | os.PathLike[str], *, definition: bool = False) -> Co
 def _present(
     options: Options, mesh: Mesh, name: str, markers: Sequence[str], is_needed: bool = False
 ) -> tuple[str, ...]:
-    """Lists the patches of the markers that the mesh has; warns of the others, or raises where none is there."""
+    """Lists the patches of the markers that the mesh has, and warns of the others."""
     present, absent = [], []
     for marker in markers:
         try:
@@ -176,7 +176,7 @@ def _present(
 
 
 def _warn_of_results(config: Config, listed: Sequence[Variable]) -> None:
-    """Warns of what SU2 would do otherwise, and of a wall that moves further than its shape can mean."""
+    """Warns of what SU2 would do otherwise, and of a wall that moves suspiciously far."""
     options, kinds = config.options, [variable.kind for variable in listed]
     for kind in dict.fromkeys(kind for kind in kinds if kind in LEFT):
         warn(f"{kind} is left alone: it is the flow solver's, no wall moves by it.")

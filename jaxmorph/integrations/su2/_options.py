@@ -16,7 +16,7 @@ LEFT_OUT = {
     **{"MARKER_PERIODIC": (), "MARKER_DEFORM_MESH_SYM_PLANE": (), "CONFIG_LIST": ()},
     **{"MESH_FORMAT": ("SU2", "CGNS"), "DV_SENSITIVITY_FORMAT": ("SU2_NATIVE",), "SMOOTH_GRADIENT": ("NO",)},
 }
-"""Options that change what SU2_DEF or SU2_DOT do, and are not honoured here; SU2's defaults of each."""
+"""Options that SU2_DEF or SU2_DOT honour and this package does not, with SU2's defaults."""
 
 SEPARATORS = re.compile(r"[\s()\[\]{}:,]+")
 """Separators between the words of a value; a semicolon ends a group of them."""
@@ -94,7 +94,7 @@ class Options:
 
 
 def _plain(text: str) -> str | float:
-    """Returns a value as a number, or as a word in capitals; of YES and NO there are two spellings."""
+    """Returns a value as a number, or as a word in capitals; TRUE is YES, FALSE is NO."""
     try:
         return float(text)
     except ValueError:
