@@ -83,7 +83,7 @@ class Config:
 
     @property
     def share(self) -> float:
-        """`largest` over the length of the moving nodes along an axis: for an airfoil, in chords."""
+        """`largest` over the length of the moving patches: for an airfoil, in chords."""
         x = np.asarray(self.mesh.points)[self.mesh.patch(*self.moving)]
         length = np.ptp(x, axis=0).max() if len(x) else 0
         return float(self.largest / length) if length else 0.0
