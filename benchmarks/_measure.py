@@ -6,7 +6,7 @@ import pathlib
 import platform
 import statistics
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import jax
 
@@ -49,8 +49,8 @@ def _processor() -> str:
     return ", ".join([*sorted(names), platform.machine()])
 
 
-def table(rows: Sequence[Sequence[str]], heads: Sequence[str] = ("what", "measured", "goal")) -> None:
-    """As Markdown."""
+def table(rows: Iterable[Sequence[str]], heads: Sequence[str] = ("what", "measured", "goal")) -> None:
+    """As Markdown, each row as it comes."""
     print("\n| " + " | ".join(heads) + " |\n" + "|---" * len(heads) + "|")
     for row in rows:
-        print("| " + " | ".join(row) + " |")
+        print("| " + " | ".join(row) + " |", flush=True)

@@ -1,13 +1,13 @@
 """Large and awkward motions: how far each method takes them before a cell inverts, in one step, in many, and improved.
 
-    python benchmarks/awkward.py [--points 4000] [--motion store ...] [--method default ...]
+    python benchmarks/awkward.py [--points 1200] [--motion store ...] [--method default ...]
 
 Shares of the motion, to 1 %, or the smallest Jacobian ratio at its end where all of it is reached. `improve` is `jm.improve` of
 the last step's mesh. Walls that nearly touch, a valve that closes among them, are those of gaps.py.
 """
 
 import argparse
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import jax
 import numpy as np
@@ -86,37 +86,43 @@ def share(case: Case, plan: jm.Plan, steps: int, mend: bool) -> tuple[float, flo
     return low, best
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--points", type=int, default=4000)
-    parser.add_argument("--motion", nargs="+", default=[""], help="words that begin a motion's name")
-    parser.add_argument("--method", nargs="+", choices=METHODS, default=list(METHODS))
-    asked = parser.parse_args()
-    jax.config.update("jax_enable_x64", True)
-    about(points=asked.points)
-    rows = []
-    for name, make in motions(asked.points).items():
-        if not name.startswith(tuple(asked.motion)):
+def rows(
+    points: int = 1200, begins: tuple[str, ...] = ("",), methods: Sequence[str] = tuple(METHODS)
+) -> Iterator[list[str]]:
+    """Makes the table, its heads first; of the motions whose names begin with one of some words."""
+    yield ["motion", "method", "one step", "several", "several, improved"]
+    for name, make in motions(points).items():
+        if not name.startswith(begins):
             continue
         case = make()
         mesh, moving, fixed, _, steps = case
-        for method in asked.method:
-            line = [name, method]
+        for method in methods:
+            line = [f"{name}; {steps} steps" if method == methods[0] else "", method]
             try:
                 plan = jm.prepare(mesh, moving, fixed, method=METHODS[method]())
             except ValueError as error:
-                rows.append([*line, str(error)[:60], "", ""])
+                yield [*line, str(error)[:60], "", ""]
                 continue
             for count, mend in ((1, False), (steps, False), (steps, True)):
                 if mend and method not in IMPROVED:
                     line.append("")
                     continue
                 reached, ratio = share(case, plan, count, mend)
-                line.append(f"all, {ratio:.2f}" if reached == 1 else f"{reached:.2f}")
-            rows.append(line)
-            print(*line, flush=True)
+                line.append(f"all, {ratio:.2f}" if reached == 1 else f"{100 * reached:.0f} %")
+            yield line
         jax.clear_caches()
-    table(rows, ("motion", "method", "one step", "several", "several, improved"))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--points", type=int, default=1200)
+    parser.add_argument("--motion", nargs="+", default=[""], help="words that begin a motion's name")
+    parser.add_argument("--method", nargs="+", choices=METHODS, default=list(METHODS))
+    asked = parser.parse_args()
+    jax.config.update("jax_enable_x64", True)
+    about(points=asked.points)
+    lines = rows(asked.points, tuple(asked.motion), asked.method)
+    table(lines, next(lines))
 
 
 if __name__ == "__main__":

@@ -13,8 +13,9 @@ import argparse
 import gc
 import json
 import pathlib
+import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 
 import equinox as eqx
 import jax
@@ -102,8 +103,10 @@ def summed(rows: dict[str, dict[str, float]]) -> dict[str, dict[str, float]]:
     return result
 
 
-def part_of(name: str, points: int, methods: list[str], only: list[str]) -> dict[str, dict[str, dict[str, float]]]:
-    """Rows by motion and method, of all cases or of some by name."""
+def part_of(
+    name: str, points: int, methods: list[str], only: list[str], motions: Sequence[str] = ()
+) -> dict[str, dict[str, dict[str, float]]]:
+    """Rows by motion and method, of all cases or of some by name, of all motions or of some."""
     rows: dict[str, dict[str, dict[str, float]]] = {method: {} for method in methods}
     for case in PARTS[name](points):
         if only and case.name not in only:
@@ -113,14 +116,16 @@ def part_of(name: str, points: int, methods: list[str], only: list[str]) -> dict
                 continue
             plan = prepared(case, method)
             for motion, path in case.motions.items():
+                if motions and motion not in motions:
+                    continue
                 rows[method][f"{case.name} {motion}"] = measured(case, plan, path)
-            print(".", end="", flush=True)
+            print(".", end="", file=sys.stderr, flush=True)
         jax.clear_caches()
         gc.collect()
     if name == "kinks":
         rows = {method: summed(each) for method, each in rows.items()}
-    motions = dict.fromkeys(motion for each in rows.values() for motion in each)
-    return {motion: {method: each[motion] for method, each in rows.items() if motion in each} for motion in motions}
+    found = dict.fromkeys(motion for each in rows.values() for motion in each)
+    return {motion: {method: each[motion] for method, each in rows.items() if motion in each} for motion in found}
 
 
 def limits(points: int, methods: list[str]) -> dict[str, dict[str, float]]:
@@ -146,6 +151,46 @@ def limits(points: int, methods: list[str]) -> dict[str, dict[str, float]]:
         print(".", end="", flush=True)
     jax.clear_caches()
     return result
+
+
+NAMES = {"layer": "64 leaves", "graph alone": "graph mapping", "elasticity": "`LinearElasticity()`"} | {
+    "torsional": "`TorsionalSprings()`, Farhat's"
+}
+"""Names of methods in the pages."""
+PAGE_MOTIONS = ("camber 10 %", "flap 45", "pitch 45", "bump 0.1")
+
+
+def at_the_wall() -> Iterator[list[str]]:
+    """Makes the page's table of the paper's airfoil, its heads first."""
+    yield ["motion, method", "Jacobian ratio", "first line off", "first cell's height", "skewness", "overshoot"]
+    found = part_of("shapes", 39_666, ["default", "layer", "classic RBF", "graph alone"], ["naca0015"], PAGE_MOTIONS)
+    for motion, methods in found.items():
+        for method, row in methods.items():
+            yield [
+                f"{motion.removeprefix('naca0015 ')}, {NAMES.get(method, method)}",
+                f"{row['ratio']:.2f}",
+                f"{row['line']:.1f} / {row['line max']:.1f}",
+                f"{row['height']:.2f} to {row['height max']:.2f}",
+                f"{row['skew']:.4f} / {row['skew max']:.3f}",
+                f"{row['behind']:.2f} / {row['anywhere']:.2f}",
+            ]
+
+
+def by_cells() -> Iterator[list[str]]:
+    """Makes the page's table of methods that solve on the cells, its heads first."""
+    yield ["method", "largest skewness", "first line off, mean / max", "smallest Jacobian ratio", "first cell's height"]
+    found = part_of(
+        "shapes", 12_000, ["default", "elasticity", "torsional", "classic RBF"], ["naca0015"], ["camber 10 %"]
+    )
+    for methods in found.values():
+        for method, row in methods.items():
+            yield [
+                NAMES.get(method, method),
+                f"{row['skew max']:.3f}",
+                f"{row['line']:.1f} / {row['line max']:.1f}",
+                f"{row['ratio']:.2f}",
+                f"{row['height']:.2f} to {row['height max']:.2f}",
+            ]
 
 
 def show(part: str, rows: dict[str, dict[str, dict[str, float]]]) -> None:

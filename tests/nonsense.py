@@ -191,6 +191,7 @@ GOOD: dict[str, dict[str, Any]] = {
     "shapes.History.column": {"name": "a"},
     "shapes.Linked": {"matrix": np.ones((18, 1))},
     **each("shapes.MeshGuard.smallest shapes.MeshGuard.value shapes.MeshGuard.gradient", {"design": np.array([0.1])}),
+    "shapes.MeshGuard.callback": {"function": lambda y: None},
     "shapes.MeshGuard.guarded": {"objective": lambda y: (0.0, y)},
     "shapes.MeshGuard.quality_rows": {"design": np.array([0.1]), "count": 2},
     "shapes.Modes": {"fields": np.zeros((1, 4, 2))},

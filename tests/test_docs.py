@@ -116,6 +116,21 @@ def test_pages_are_narrow():
     assert not wide, "\n".join(wide)
 
 
+def test_tables_of_figures_have_a_script_and_a_tolerance(monkeypatch):
+    monkeypatch.syspath_prepend(ROOT)
+    tables = importlib.import_module("benchmarks.tables")
+    marks = [name for page in PAGES.glob("*.md") for name in re.findall(r"<!-- table (.*) -->", page.read_text())]
+    assert sorted(marks) == sorted(tables.TABLES)
+    for name, place in tables.TABLES.items():
+        module, _, function = place.partition(".")
+        (page,) = [page for page in PAGES.glob("*.md") if tables.marked(name).search(page.read_text())]
+        assert f"def {function}(" in (ROOT / "benchmarks" / f"{module}.py").read_text(), page
+    same = [("0, 0.412", "0, 0.414"), ("134", "136"), ("1.55 / 7.42", "1.57 / 7.50"), ("180+", "180+")]
+    moved = [("0, 0.412", "1, 0.412"), ("0.016", "-0.003"), ("0.412", "0.430"), ("180+", "180"), ("all, 0.5", "38 %")]
+    assert not any(tables.has_moved(*cells) for cells in same)
+    assert all(tables.has_moved(*cells) for cells in moved)
+
+
 def test_each_command_has_its_help_and_a_row():
     help_of, rows = (PAGES / "commands.md").read_text(), (PAGES / "files.md").read_text()
     for name in COMMANDS:

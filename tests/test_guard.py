@@ -93,9 +93,17 @@ def test_an_optimiser_thins_an_airfoil_and_no_flow_sees_a_broken_mesh(airfoil, c
     scipy.optimize.minimize(objective, np.zeros(20), **settings)
     assert min(guard.smallest(p) for p in designs) < 0  # without a guard cells invert at once
     designs.clear()
+    given, kept = [], []
+    keep = guard.callback(kept.append)
     result = scipy.optimize.minimize(
-        guard.guarded(objective), np.zeros(20), constraints=guard.constraint(count), **settings
+        guard.guarded(objective),
+        np.zeros(20),
+        constraints=guard.constraint(count),
+        callback=lambda p: (given.append(p), keep(p)),
+        **settings,
     )
+    assert min(guard.smallest(p) for p in given) < 0 <= 0.1 <= min(guard.smallest(p) for p in kept)
+    assert len(kept) == len(given)  # a history goes on from valid designs, one for each iteration
     assert min(guard.smallest(p) for p in designs) >= 0.1
     assert result.fun < 0.75 * area(np.zeros(20))[0]
     assert guard.smallest(result.x) >= 0.1 - 1e-6

@@ -4,6 +4,8 @@ import itertools
 import json
 import math
 import pathlib
+import re
+import warnings
 
 import jax
 import numpy as np
@@ -452,13 +454,13 @@ DEFINITION = f"FFD_DEFINITION= (MAIN, 0,-1,0, 1,-1,0, 1,1,0, 0,1,0, {', '.join('
         ({"kind": "SCALE_GRID, SCALE", "param": "(1); (1)", "value": "1, 1"}, "SCALE_GRID is taken alone"),
         ({"kind": "TRANSLATE_GRID", "param": "(0, 0, 1)"}, "vector without length"),
         ({"kind": "FFD_TWIST_2D"}, "FFD_TWIST_2D is not taken"),
-        ({"param": "(1, 0.3, 4)"}, "HICKS_HENNE has 2 parameters, found 3"),
+        ({"param": "(1)"}, "HICKS_HENNE has 2 parameters, found 1"),
         ({"param": "(1, 0.3); (0, 0.2)"}, "2 groups of parameters for 1 of DV_KIND"),
         ({"param": "(1, wide)"}, "DV_PARAM= a number expected, found 'wide'"),
         ({"param": "(4, 0.3)"}, "HICKS_HENNE has the side 4"),
         ({"value": "0.1, 0.2"}, "DV_VALUE= 1 values expected, one for each number, found 2"),
         ({"value": "0.1, nan"}, "a number expected"),
-        ({"marker": "wing"}, "no patch .*wing"),
+        ({"marker": "wing"}, "DV_MARKER= names no marker .*it has airfoil, farfield"),
         ({"marker": ""}, "DV_MARKER= names no marker"),
         ({"more": "DV_VALUE= 1\n"}, "DV_VALUE= comes a second time"),
         ({"more": "DEFORM_NONLINEAR_ITER= 0\n"}, "1 or more"),
@@ -499,6 +501,59 @@ def test_the_angle_of_attack_is_told_and_left_alone(folder):
     x, after = moved(case)
     np.testing.assert_array_equal(x, after)
     assert case.names == ("HICKS_HENNE[0]", "ANGLE_OF_ATTACK[1]")
+
+
+# SU2's own tutorials in what concerns the mesh: RAE2822, NACA0012 (unsteady), the wedge, the bend; each with what is said of it
+TUTORIALS = {
+    "RAE2822": ("HICKS_HENNE", "( 1, 0.5 )", "0.01", "OPT_RELAX_FACTOR= 1E2\nOPT_LINE_SEARCH_BOUND= 1E6\n",
+                ["the wall moves by 0.99.* times its own length: OPT_RELAX_FACTOR= 100 multiplies"]),
+    "NACA0012": ("HICKS_HENNE", "( 1, 0.5 )", "1.0", "DEFORM_LINEAR_SOLVER_ITER= 500\nDEFORM_STIFFNESS_TYPE= INVERSE_VOLUME\n",
+                 ["not honoured .*: DEFORM_STIFFNESS_TYPE= INVERSE_VOLUME", "0.99.* times its own length: check DV_VALUE"]),
+    "unsteady": ("FFD_CONTROL_POINT_2D", "( MAIN, 0.0, 0.0, 1.0, 0.0)", "0.01",
+                 TABLE + "MARKER_INTERNAL= ( FWH1 )\nDEFORM_STIFFNESS_TYPE= WALL_DISTANCE\nOPT_RELAX_FACTOR= 1\n",
+                 ["MARKER_INTERNAL= the mesh has no marker FWH1"]),
+    "wedge": ("FFD_CONTROL_POINT_2D", "(MAIN, 3,0, 0,1.0,0,0 )", "0.5", TABLE + "FFD_CONTINUITY= 2ND_DERIVATIVE\n",
+              ["DV_PARAM= FFD_CONTROL_POINT_2D has 5 parameters, left out: 0 0"]),
+    "bend": ("TRANSLATION", "(0, 1, 0)", "0.1", "MARKER_SYM= ( symmetry )\nDEFORM_COEFF = 1.0e6\nDEFORM_LIMIT = 1E6\n",
+             ["MARKER_SYM= the mesh has no marker symmetry"]),
+    "checks": ("HICKS_HENNE", "(1, 0.3)", "0.01", "FFD_INTPREV= YES\nCONVEXITY_CHECK= TRUE\nHOLD_GRID_FIXED= NO\n",
+               ["not honoured .*: FFD_INTPREV= YES, CONVEXITY_CHECK= TRUE"]),
+    "defaults": ("TRANSLATION", "(1, 0, 0)", "2.0", "DEFORM_POISSONS_RATIO= 0.30\nDEFORM_KIND= elastic\nMESH_FORMAT= SU2\n", []),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", TUTORIALS)
+def test_what_su2_would_do_otherwise_is_told_and_its_tutorials_run(folder, case):
+    *given, says = TUTORIALS[case]
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        read = config(folder, *given)
+    assert len(told) == len(says)
+    assert read.names
+    for each, warning in zip(says, told, strict=True):
+        assert re.search(each, str(warning.message))
+        assert warning.filename == __file__
+
+
+def test_markers_that_the_mesh_lacks_are_left_out(folder):
+    with pytest.warns(UserWarning, match="DV_MARKER= the mesh has no marker flap, slat"):
+        case = config(folder, "HICKS_HENNE", "(1, 0.3)", "0.01", marker="flap, airfoil, slat")
+    assert (case.moving, case.fixed) == (("airfoil",), ("farfield",))
+
+
+@pytest.mark.filterwarnings("default")
+def test_the_command_says_what_multiplies_the_values(folder, tmp_path, capsys):
+    """The motion that is printed is the value times SU2's factor; `dot` prints both, too."""
+    more = f"OPT_RELAX_FACTOR= 100\nMESH_OUT_FILENAME= {tmp_path}/out.su2\n"
+    with pytest.warns(UserWarning, match="OPT_RELAX_FACTOR"):
+        config(folder, "HICKS_HENNE", "(1, 0.5)", "0.01", more)
+    main(["su2", "def", str(folder / "case.cfg"), "--method", "graph"])
+    out, err = capsys.readouterr()
+    assert "values   1 HICKS_HENNE: 0.01, times OPT_RELAX_FACTOR= 100\n" in out
+    assert re.search(r"largest  0.98\d+, 0.99 times the length of what moves", out)
+    assert "OPT_RELAX_FACTOR= 100 multiplies DV_VALUE" in err
+    main(["su2", "dot", str(folder / "case.cfg")])
+    assert "0.01, times OPT_RELAX_FACTOR= 100" in capsys.readouterr().out
 
 
 @pytest.mark.slow

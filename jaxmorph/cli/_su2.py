@@ -1,6 +1,6 @@
 """`jaxmorph su2 def` and `su2 dot`: SU2_DEF and SU2_DOT, from SU2's own config file."""
 
-import collections
+from collections.abc import Iterator
 from pathlib import Path
 
 import jax
@@ -28,12 +28,35 @@ def run(request: SU2, out: Output) -> int:
     mesh, nodes = config.mesh, config.mesh.patch(*config.moving)
     n, d = mesh.points.shape
     out.say(f"{mesh.source.path.name}: {n} points in {d}-D", points=n)
-    kinds = collections.Counter(name.partition("[")[0] for name in config.names)
-    listed = ", ".join(f"{number} {kind}" for kind, number in kinds.items()) or "none: nothing is deformed"
-    out.say(f"values   {listed}", variables=dict(zip(config.names, config.parameters.tolist(), strict=True)))
+    factors = np.asarray(config.shape.scales)
+    out.say(
+        f"values   {'; '.join(_values(config, factors)) or 'none: nothing is deformed'}",
+        variables=dict(zip(config.names, config.parameters.tolist(), strict=True)),
+        factors=dict(zip(config.names, factors.tolist(), strict=True)),
+    )
     out.say(f"moving   {', '.join(config.moving)}: {count(len(nodes), 'node')}", moving=list(config.moving))
     with quickly_compiled(n * config.steps <= SMALL):
         return _deform(request, config, out) if request.action == "def" else _project(request, config, out)
+
+
+def _values(config: su2.Config, factors: np.ndarray) -> Iterator[str]:
+    """Lists the values of each kind of design variable, and what they are multiplied by."""
+    kinds = np.array([name.partition("[")[0] for name in config.names])
+    for kind in dict.fromkeys(kinds.tolist()):
+        own, relaxed = factors[kinds == kind], config.options.relaxation
+        text = f"{len(own)} {kind}: {_listed(config.parameters[kinds == kind])}"
+        if (own == relaxed).all() and relaxed != 1:
+            text += f", times OPT_RELAX_FACTOR= {relaxed:g}"
+        elif (own != 1).any():
+            text += f", times {_listed(own)}, of DEFINITION_DV and OPT_RELAX_FACTOR= {relaxed:g}"
+        yield text
+
+
+def _listed(numbers: np.ndarray) -> str:
+    """Lists up to four numbers, and only the least and the largest of more."""
+    if len(numbers) > 4:
+        return f"{numbers.min():g} to {numbers.max():g}"
+    return ", ".join(f"{number:g}" for number in numbers)
 
 
 def _deform(request: SU2, config: su2.Config, out: Output) -> int:
@@ -48,8 +71,8 @@ def _deform(request: SU2, config: su2.Config, out: Output) -> int:
         out.say(f"fixed    {', '.join(config.fixed) or 'no patch'}", fixed=list(config.fixed))
         if config.symmetry:
             out.say(f"symmetry {', '.join(config.symmetry)}", symmetry=list(config.symmetry))
-        largest = float(np.linalg.norm(config.path[-1], axis=1).max(initial=0))
-        out.say(f"largest  {largest:.6g}", largest=largest)
+        text = f"largest  {config.largest:.6g}, {config.share:.3g} times the length of what moves"
+        out.say(text, largest=config.largest, share=config.share)
         with out.progress("preparing"):
             base = mesh.moved(points.astype(choice.dtype, copy=False))
             plan = jm.prepare(base, config.moving, config.fixed, method=choice.method, symmetry=config.symmetry)

@@ -98,7 +98,7 @@ def direction(name: str, values: Any, like: Array) -> Float[Array, " d"]:
     **Raises:** `ValueError` for another count, and for a vector without length.
     """
     values = vector(name, values, like)
-    if is_known(values) and not np.any(values):
+    if is_known(values) and not np.asarray(values).any():  # NumPy's, which no trace records
         raise ValueError(f"`{name}` has length 0; it must be a direction.")
     return values / jnp.linalg.norm(values)
 

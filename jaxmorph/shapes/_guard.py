@@ -37,6 +37,12 @@ class QualityRows:
     cells: Int[np.ndarray, " k"]
 
 
+class LastDesign:
+    """The last design that an objective saw; mutable, so a guard compares it by identity."""
+
+    value: Float[np.ndarray, " p"] | None = None
+
+
 class MeshGuard(Module):
     """A constraint that keeps the mesh valid, for any optimiser.
 
@@ -73,6 +79,7 @@ class MeshGuard(Module):
     kinds: tuple[str, ...] = eqx.field(static=True)
     bound: float = eqx.field(static=True)
     sharpness: float = eqx.field(static=True)
+    last: LastDesign = eqx.field(static=True)
 
     @checked
     def __init__(
@@ -94,6 +101,7 @@ class MeshGuard(Module):
         self.judged = tuple(jnp.asarray(part[3]) for part in parts)
         self.scales = tuple(jnp.asarray(np.where(part[3], part[4], 1)) for part in parts)
         self.bound, self.sharpness = float(min_jacobian_ratio), float(sharpness)
+        self.last = LastDesign()
 
     def __call__(self, design: Any) -> Float[Array, ""]:
         """Computes the soft smallest ratio less the bound; 0 or more keeps the bound. Traced."""
@@ -176,9 +184,19 @@ class MeshGuard(Module):
         def guard(design: Any) -> tuple[float, Any]:
             if self.smallest(design) < self.bound:
                 return np.inf, np.zeros(np.shape(design))
+            self.last.value = np.array(design, float)
             return objective(design)
 
         return guard
+
+    @checked
+    def callback(self, function: Callable[[Any], Any]) -> Callable[..., Any]:
+        """Makes the `callback` of `scipy.optimize.minimize`, for a history of valid designs.
+
+        SLSQP gives its callback the first trial of each line search, which may invert cells. This
+        one calls the function with the last design (p,) that `guarded` let through.
+        """
+        return lambda *_: None if self.last.value is None else function(self.last.value)
 
     @property
     def _cell(self) -> Int[np.ndarray, " s"]:

@@ -4,7 +4,6 @@ import dataclasses
 import functools
 import os
 import pathlib
-import warnings
 from collections.abc import Sequence
 
 import jax
@@ -14,6 +13,7 @@ from jaxtyping import Float
 
 from jaxmorph import Mesh, io, shapes
 from jaxmorph._host.package.arguments import checked
+from jaxmorph._host.package.errors import warn
 
 from ._airfoil import SIDED, airfoil_parts
 from ._boxes import box_parts, boxes_of
@@ -22,6 +22,9 @@ from ._motion import AbstractPart, DesignVariables, Displacement, rigid_parts
 from ._options import Options, read_options
 from ._planes import free_coordinates
 from ._variables import CONSTANT, LEFT, NOTHING, WHOLE, Variable, checked_variables
+
+LARGE = 0.5
+"""Motion of a wall over its own length that is taken for a mistake."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -74,6 +77,18 @@ class Config:
         return np.stack([u * (k + 1) / self.steps for k in range(self.steps)])
 
     @property
+    def largest(self) -> float:
+        """Largest displacement of a moving node."""
+        return float(np.linalg.norm(self.path[-1], axis=1).max(initial=0))
+
+    @property
+    def share(self) -> float:
+        """`largest` over the length of the moving patches: for an airfoil, in chords."""
+        x = np.asarray(self.mesh.points)[self.mesh.patch(*self.moving)]
+        length = np.ptp(x, axis=0).max() if len(x) else 0
+        return float(self.largest / length) if length else 0.0
+
+    @property
     def moved_boxes(self) -> tuple[io.Box, ...]:
         """The boxes with the control points where the parameters put them."""
         changes = {id(part.control): part for part in self.shape.parts if isinstance(part, BoxPart)}
@@ -103,18 +118,18 @@ def read_config(path: str | os.PathLike[str], *, definition: bool = False) -> Co
     **Returns:** a `Config`.
 
     **Raises:** `ValueError` for kinds, words and numbers that are not taken, each with its option.
+
+    **Warns:** of options that SU2 would honour, markers that the mesh lacks, surplus numbers of
+    `DV_PARAM`, and of a wall that moves by more than half of its length.
     """
     options = read_options(pathlib.Path(path))
     listed, markers = checked_variables(options, definition)
-    file = options.mesh_file
-    mesh = io.read(file)
+    mesh = io.read(options.mesh_file)
     is_setting = any(variable.kind == "FFD_SETTING" for variable in listed)
     is_whole = any(variable.kind in WHOLE for variable in listed)
-    moving = tuple(mesh.patches) if is_whole else mesh.patch_names(*markers)
-    planes = mesh.patch_names(*options.words("MARKER_SYM"))
-    moves = [variable for variable in listed if variable.kind not in (*NOTHING, *LEFT)]
-    if (moves or is_setting) and not moving:
-        raise ValueError(f"{options.path}: DV_MARKER= names no marker of {file.name}: nothing would move.")
+    needs_moving = is_setting or any(variable.kind not in (*NOTHING, *LEFT) for variable in listed)
+    moving = tuple(mesh.patches) if is_whole else _present(options, mesh, "DV_MARKER", markers, needs_moving)
+    planes, inner = (_present(options, mesh, name, options.words(name)) for name in ("MARKER_SYM", "MARKER_INTERNAL"))
     try:
         boxes = boxes_of(options, mesh, moving, is_setting)
         parts = _parts(options, listed, mesh, moving, boxes)
@@ -122,12 +137,9 @@ def read_config(path: str | os.PathLike[str], *, definition: bool = False) -> Co
         raise ValueError(f"{options.path}: {str(error).removeprefix(f'{options.path}: ')}") from None
     shape = _shape(options, listed, parts, free_coordinates(mesh, moving, () if is_whole else planes))
     symmetry = tuple(name for name in planes if name not in moving)
-    loose = {*moving, *symmetry, *mesh.patch_names(*options.words("MARKER_INTERNAL"))}
+    loose = {*moving, *symmetry, *inner}
     steps = options.whole("DEFORM_NONLINEAR_ITER", options.text("DEFORM_NONLINEAR_ITER", "1"))
-    for variable in listed:
-        if variable.kind in LEFT:
-            warnings.warn(f"{variable.kind} is left alone: it is the flow solver's, no wall moves by it.", stacklevel=3)
-    return Config(
+    config = Config(
         mesh,
         options.output,
         shape,
@@ -139,6 +151,42 @@ def read_config(path: str | os.PathLike[str], *, definition: bool = False) -> Co
         boxes,
         options,
     )
+    _warn_of_results(config, listed)
+    return config
+
+
+def _present(
+    options: Options, mesh: Mesh, name: str, markers: Sequence[str], is_needed: bool = False
+) -> tuple[str, ...]:
+    """Lists the patches of the markers that the mesh has, and warns of the others."""
+    present, absent = [], []
+    for marker in markers:
+        try:
+            present += mesh.patch_names(marker)
+        except ValueError:
+            absent.append(marker)
+    if is_needed and not present:
+        raise options.error(
+            name, f"names no marker of the mesh, so nothing would move; it has {', '.join(mesh.patches)}"
+        )
+    if absent:
+        warn(f"{options.path}: {name}= the mesh has no marker {', '.join(absent)}; left out.")
+    return tuple(dict.fromkeys(present))
+
+
+def _warn_of_results(config: Config, listed: Sequence[Variable]) -> None:
+    """Warns of what SU2 would do otherwise, and of a wall that moves suspiciously far."""
+    options, kinds = config.options, [variable.kind for variable in listed]
+    for kind in dict.fromkeys(kind for kind in kinds if kind in LEFT):
+        warn(f"{kind} is left alone: it is the flow solver's, no wall moves by it.")
+    if left_out := options.left_out():
+        warn(f"{options.path}: not honoured here, though SU2's result depends on it: {', '.join(left_out)}.")
+    relaxed, may_be_far = options.relaxation, {*CONSTANT, *WHOLE, *LEFT}
+    if relaxed == 1:
+        may_be_far |= {"TRANSLATION", "ROTATION", "SCALE"}
+    if config.share > LARGE and not may_be_far.issuperset(kinds):
+        cause = f"OPT_RELAX_FACTOR= {relaxed:g} multiplies DV_VALUE, as in SU2" if relaxed != 1 else "check DV_VALUE"
+        warn(f"{options.path}: the wall moves by {config.share:.3g} times its own length: {cause}.")
 
 
 def _values(options: Options, shape: DesignVariables, definition: bool) -> Float[np.ndarray, " n"]:
@@ -180,7 +228,7 @@ def _shape(
 ) -> DesignVariables:
     listed, _ = _sizes(listed)
     sizes = [variable.size for variable in listed]
-    relaxed = options.number("OPT_RELAX_FACTOR", options.text("OPT_RELAX_FACTOR", "1"))
+    relaxed = options.relaxation
     # SU2 relaxes amplitudes, not the vectors of control points without a direction, nor camber
     scales = [
         variable.scale * (relaxed if variable.size == 1 and variable.kind != "HICKS_HENNE_CAMBER" else 1)

@@ -8,6 +8,16 @@ import numpy as np
 
 from jaxmorph._host.package.files import input_path
 
+LEFT_OUT = {
+    **{"FFD_INTPREV": ("NO",), "CONVEXITY_CHECK": ("NO",), "OPT_LINE_SEARCH_BOUND": ("1E6",)},
+    **{"HOLD_GRID_FIXED": ("NO",), "DEFORM_LIMIT": ("1E6",), "DEFORM_COEFF": ("1E6",)},
+    **{"DEFORM_KIND": ("ELASTIC",), "DEFORM_STIFFNESS_TYPE": ("SOLID_WALL_DISTANCE", "WALL_DISTANCE")},
+    **{"DEFORM_STIFF_LAYER_SIZE": ("0",), "DEFORM_ELASTICITY_MODULUS": ("2E11",), "DEFORM_POISSONS_RATIO": ("0.3",)},
+    **{"MARKER_PERIODIC": (), "MARKER_DEFORM_MESH_SYM_PLANE": (), "CONFIG_LIST": ()},
+    **{"MESH_FORMAT": ("SU2", "CGNS"), "DV_SENSITIVITY_FORMAT": ("SU2_NATIVE",), "SMOOTH_GRADIENT": ("NO",)},
+}
+"""Options that SU2_DEF or SU2_DOT honour and this package does not, with SU2's defaults."""
+
 SEPARATORS = re.compile(r"[\s()\[\]{}:,]+")
 """Separators between the words of a value; a semicolon ends a group of them."""
 
@@ -64,6 +74,16 @@ class Options:
             raise self.error(name, f"{word} is not taken; {', '.join(known)} are")
         return word
 
+    @property
+    def relaxation(self) -> float:
+        """The factor `OPT_RELAX_FACTOR` of the values, as SU2 has it."""
+        return self.number("OPT_RELAX_FACTOR", self.text("OPT_RELAX_FACTOR", "1"))
+
+    def left_out(self) -> list[str]:
+        """Lists the options of `LEFT_OUT` that are set to something else than SU2's default."""
+        given = [(name, self.text(name)) for name in LEFT_OUT if name in self]
+        return [f"{name}= {text}" for name, text in given if _plain(text) not in map(_plain, LEFT_OUT[name])]
+
     def error(self, name: str, message: str) -> ValueError:
         """Makes a `ValueError` that names the file and the option."""
         return ValueError(f"{self.path}: {name}= {message}.")
@@ -83,6 +103,14 @@ class Options:
     def beside(self, name: str) -> pathlib.Path:
         """Returns a path relative to the folder of the config file."""
         return self.path.parent / name
+
+
+def _plain(text: str) -> str | float:
+    """Returns a value as a number, or as a word in capitals; TRUE is YES, FALSE is NO."""
+    try:
+        return float(text)
+    except ValueError:
+        return {"FALSE": "NO", "TRUE": "YES"}.get(text.upper(), text.upper())
 
 
 def split(text: str) -> list[str]:

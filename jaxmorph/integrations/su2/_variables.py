@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxmorph._host.package.arguments import checked, finite_array
+from jaxmorph._host.package.errors import warn
 from jaxmorph._host.package.files import complete, output_path
 from jaxmorph._host.package.words import similar
 
@@ -146,8 +147,11 @@ def _variable(options: Options, name: str, kind: str, words: list[str], scale: f
     box, count = "", COUNTS.get(kind, 0)
     if kind in (*NOTHING, *LEFT) or not count:
         return Variable(kind, "", (), scale=scale)
-    if len(words) != count:
+    if len(words) < count:
         raise options.error(name, f"{kind} has {count} parameters, found {len(words)}: {' '.join(words)}")
+    if len(words) > count:
+        warn(f"{options.path}: {name}= {kind} has {count} parameters, left out: {' '.join(words[count:])}.")
+        words = words[:count]
     if kind.startswith("FFD_"):
         box, *words = words
     numbers = tuple(options.number(name, word) for word in words)
