@@ -80,7 +80,7 @@ def test_cells_that_arrive_folded_end_no_step_and_are_no_proof():
     mesh = reflected(mesh.moved(with_folds(mesh)))
     points = np.asarray(mesh.points)
     moving = np.flatnonzero(points[:, 0] == 0)
-    plan = jm.prepare(points, moving, np.flatnonzero(points[:, 0] == 1), method=jm.SurfaceReconstruction())
+    plan = jm.prepare(points, moving, np.flatnonzero(points[:, 0] == 1), method=jm.RBF())
     u = np.tile([0.01, 0.0], (len(moving), 1))
     assert jm.largest_step(plan, 0 * u, u, mesh) == jm.LargestStep(1.0, -1)
     with pytest.raises(ValueError, match="of the undeformed mesh are not proven valid"):

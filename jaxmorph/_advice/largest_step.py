@@ -51,8 +51,8 @@ def largest_step(
     Corner Jacobians are polynomials in the step, of degree 2 in 2-D and 3 in 3-D, whose first roots
     are found. A line search shortens its step by it before the flow is solved. With `proven` the
     Bernstein coefficients of det J take the corners' place, as in `proof`: whole cells keep the
-    bound, at each instant up to the step, and `proof` says so of the points at its end. Corners of
-    cells that are folded on the undeformed mesh end no step.
+    bound, at each instant up to the step. `proof` then finds that the points at its end are valid.
+    Corners of cells that are folded on the undeformed mesh end no step.
 
     **Arguments:**
 
@@ -138,7 +138,7 @@ class Bounds:
         return (share * part, ends_it) if part < 1 else (share, cell)
 
     def broken(self, points: Float[np.ndarray, "n d"]) -> int:
-        """Finds a whole cell that is not proven to keep its bound; -1 if all are, or corners count."""
+        """Finds a cell that is not proven to keep its bound; -1 if all are, or corners count."""
         if self.of_cells is None:
             return -1
         x = np.asarray(points, float)

@@ -110,9 +110,10 @@ def improve(
     """Moves inner nodes to where cells are least distorted, and untangles inverted cells.
 
     The target of a cell is its shape on the undeformed mesh, `mesh.points`, so that boundary layers
-    keep their anisotropy. Cells that are folded there, or have a folded corner, have none to keep:
-    their target is the nearest parallelogram, parallelepiped or the like, else the equilateral cell
-    of the size around. So a mesh that arrives folded is unfolded, too. The energy of a cell is the mean over its corners of
+    keep their anisotropy. Cells that are folded there, or have a folded corner, have no shape to
+    keep. Their target is the nearest parallelogram, parallelepiped or the like, else the
+    equilateral cell of the size around. So a mesh that arrives folded is unfolded, too. The energy
+    of a cell is the mean over its corners of
 
         (1 - size_weight) |T|^2 / (d chi^(2/d)) + size_weight (1 + det^2 T) / (2 chi) - 1,
 

@@ -49,7 +49,7 @@ IDEAL = {
 
 
 NEAR = 0.1
-"""Content of an affine cell, over that of an ideal one of the size around, that makes it a target."""
+"""Least content of an affine cell that is a target, over that of an ideal cell."""
 
 
 class Target(NamedTuple):

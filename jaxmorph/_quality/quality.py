@@ -48,10 +48,10 @@ def quality(mesh: Mesh, points: Real[ArrayLike, "n d"] | Sequence[Any] | None = 
     is found. A linear hexahedron that folds between its corners is not: `proof` finds it. A cell
     that is folded on the undeformed mesh already is inverted until a motion unfolds it, and counts
     in `from_start`. Not judged are corners that had no sign, or had the wrong one in a cell that
-    was not folded (a quad not convex from the start: without `points` it is inverted). A corner has
-    no sign within the round-off of the coordinates. One of a cell that is no simplex has none
-    either where it is flat or collapsed: its Jacobian is 1e-4 of the product of its edges or less.
-    Of a polyhedron that is not folded, pieces that are were cut so.
+    was not folded, as in a quad not convex from the start. Without `points` that quad is inverted.
+    A corner has no sign within the round-off of the coordinates. One of a cell that is no simplex
+    has none either where it is flat or collapsed: its Jacobian is 1e-4 of the product of its edges
+    or less. A folded piece of a polyhedron is fine where the polyhedron as a whole is not folded.
 
     Without `points`, the mesh is judged by itself. A cell is then inverted where its volume or a
     corner's Jacobian has not the sign of the mesh.
@@ -204,7 +204,7 @@ _standards = compiled(_standards_by)
 
 
 def _of_pieces(mesh: Mesh, signs: dict[str, Any], cut: np.ndarray) -> dict[str, Any]:
-    """Takes the signs that pieces have, where the polyhedron or polygon as a whole is not folded."""
+    """Takes the signs that pieces have, where the whole polyhedron or polygon is not folded."""
     volumes = _volumes(tuple(mesh.cells), tuple(mesh.cells.values()), jnp.asarray(mesh.points))
     volume, sign = (jnp.concatenate([part[kind] for kind in volumes]) for part in (volumes, signs))
     ids = mesh.cell_ids

@@ -36,9 +36,9 @@ def proven_margin(
 ) -> Float[Array, " k"]:
     """Bounds det J of whole cells from below, over its undeformed mean: above 0 no cell folds.
 
-    It is the least Bernstein coefficient, `Proof.margin` but for round-off. A cell that is folded on
-    the undeformed mesh has a negative margin until it is unfolded. Traced: `jit`, `grad`
-    and `vmap` work over `points` and `base`. All cells are cut alike, since what is traced cannot
+    It is the least Bernstein coefficient, `Proof.margin` but for round-off. A cell that is folded
+    on the undeformed mesh has a negative margin until it is unfolded. Traced: `jit`, `grad` and
+    `vmap` work over `points` and `base`. All cells are cut alike, since what is traced cannot
     depend on the sign.
 
     **Arguments:**

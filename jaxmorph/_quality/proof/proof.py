@@ -37,8 +37,8 @@ def proof(
     negative and no corner is, the cell is cut into parts, whose bounds are closer. A bound includes
     round-off, so that `valid` is a proof for the coordinates as they are.
 
-    The handedness of all cells is that of the undeformed mesh, `mesh.points`, as `quality` finds it,
-    however cells are numbered. A cell that is folded on that mesh is invalid until it is unfolded.
+    The handedness of all cells is that of the undeformed mesh, `mesh.points`, as `quality` finds
+    it, however cells are numbered. A cell that is folded there is invalid until it is unfolded.
 
     It runs on the host, in double precision. `proven_margin` is traced.
 
