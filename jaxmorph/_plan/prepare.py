@@ -20,7 +20,6 @@ from .._boundary.slide import Slide
 from .._boundary.symmetry import Plane, check_planes, on_facing
 from .._host.package.errors import warn
 from .._kernels.compile import compiled, quickly_compiled
-from .._kernels.kept import kept_in_jaxs_folder
 from .._kernels.values import as_jax
 from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod, check_kind
@@ -142,7 +141,7 @@ def _plan_of(boundary: Boundary, method: AbstractMethod, guide: Guide | None = N
     )
     sizes = len(boundary.points), len(surface.points)
     is_quick = not method.needs_cells and all(size <= most for size, most in zip(sizes, FEW, strict=True))
-    with quickly_compiled(is_quick), kept_in_jaxs_folder():
+    with quickly_compiled(is_quick):
         plan = refitted(plan, plan.points)
         method.check(plan.surface.ids, plan.surface.factors, _trial(plan))
     return plan
