@@ -1,4 +1,4 @@
-"""The public names of jaxmorph, by room: `__init__` reads these lines, and imports what is used."""
+"""Public names for type checkers and the documentation; `__init__` imports them on first use."""
 
 from ._advice.choice import Choice as Choice
 from ._advice.choose import choose as choose

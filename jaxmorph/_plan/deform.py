@@ -9,7 +9,6 @@ from jaxtyping import Array, ArrayLike, Float, Real
 
 from .._host.package.arguments import checked
 from .._kernels.compile import Constant, compiled
-from .._kernels.kept import kept_in_jaxs_folder
 from .._methods.blocks import without_tables
 from .devices import rows_from
 from .plan import Plan, Shared, VolumePart, deform_surface, extended, move, shared_by
@@ -38,8 +37,7 @@ def deform(plan: Plan, u: Real[ArrayLike, "m d"] | Sequence[Any]) -> Float[Array
     """
     parts = slabs(len(plan.volume.points), plan, u) if isinstance(plan, Plan) and plan.layout is None else ()
     if not parts:
-        with kept_in_jaxs_folder():
-            return _deform(transposable(plan, u), u)
+        return _deform(transposable(plan, u), u)
     shared, volume = _shared(plan, u), without_tables(plan.volume)
     moved = on_all_cores(lambda part: _slab(shared, volume, part[0], Constant(part[1])), parts)
     return joined(moved, len(volume.points))

@@ -19,7 +19,6 @@ from .._host.package.errors import warn
 from .._host.package.rounding import SAME
 from .._host.surface.walls import ordered_rows
 from .._kernels.compile import compiled, quickly_compiled
-from .._kernels.kept import kept_in_jaxs_folder
 from .._kernels.values import as_jax
 from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod, check_kind
@@ -156,7 +155,7 @@ def _plan_of(boundary: Boundary, method: AbstractMethod, guide: Guide | None = N
     )
     sizes = len(boundary.points), len(surface.points)
     is_quick = not method.needs_cells and all(size <= most for size, most in zip(sizes, FEW, strict=True))
-    with quickly_compiled(is_quick), kept_in_jaxs_folder():
+    with quickly_compiled(is_quick):
         plan = refitted(plan, plan.points)
         method.check(plan.surface.ids, plan.surface.factors, _trial(plan))
     return plan

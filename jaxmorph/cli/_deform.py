@@ -60,8 +60,6 @@ def _deform(request: Deform, mesh: Mesh, out: Output) -> int:
         _tell(attempt, way, judgement[1], inspection, boundary, out)
         bad = judgement[2]
         _write_beside(attempt, judgement[0], out)
-        if bad and not request.allow_inverted:
-            writing.drop()
         if bad:
             explain(attempt, choice, bad, out)
         if bad and not request.allow_inverted:

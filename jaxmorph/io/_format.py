@@ -75,7 +75,7 @@ class MeshLike(Protocol):
 
 @runtime_checkable
 class Codec(Protocol):
-    """Lists the functions that the module of a format defines. It imports no JAX; see `_ahead`.
+    """Lists the functions that the module of a format defines.
 
     A format without the `check` of `Checking` takes back only meshes that came from it.
     """

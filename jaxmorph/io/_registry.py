@@ -10,7 +10,6 @@ from jaxmorph import Mesh, Periodic
 from jaxmorph._host.package import files
 from jaxmorph._host.package.arguments import checked
 
-from . import _ahead
 from ._format import Checking, Format, Source, own_source, source_of
 from ._reading import file_mesh, format_of
 from ._rounding import warn_of_loss
@@ -52,7 +51,7 @@ def read(path: str | os.PathLike[str]) -> Mesh:
     **Raises:** `ValueError` for a file that is not a good mesh, with file, line and what stands
     there. `OSError` for a file that cannot be opened. `ImportError` when the extra is missing.
     """
-    return Mesh(*(_ahead.taken(path) or file_mesh(files.input_path(path))))
+    return Mesh(*file_mesh(files.input_path(path)))
 
 
 @checked
