@@ -104,8 +104,12 @@ def float64_mode(is_on: bool = True) -> contextlib.AbstractContextManager[Any]:
     return enable_x64(is_on)
 
 
-@functools.cache
 def _known_options(is_quick: bool) -> dict[str, Any]:
+    return {name: value for name, value in _all_known_options().items() if is_quick or name in OPTIONS}
+
+
+@functools.cache
+def _all_known_options() -> dict[str, Any]:
     """Selects the options that this XLA knows: it refuses a program for an unknown option."""
 
     def is_known(options: dict[str, Any]) -> bool:
@@ -115,7 +119,7 @@ def _known_options(is_quick: bool) -> dict[str, Any]:
             return False
         return True
 
-    options = OPTIONS | UNTUNED if is_quick else OPTIONS
+    options = OPTIONS | UNTUNED
     return options if is_known(options) else {name: value for name, value in options.items() if is_known({name: value})}
 
 
