@@ -23,8 +23,7 @@ from .._kernels.values import as_jax
 from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod, check_kind
 from .._methods.blocks import place_points
-from .._methods.guiding import guiding
-from .._methods.inverse_distance import InverseDistance
+from .._methods.guiding import carrying, guiding
 from .._methods.reconstruction import SurfaceReconstruction
 from .._methods.surface import Cells, Surface
 from .base import refitted
@@ -100,7 +99,7 @@ def default_for(boundary: Boundary) -> AbstractMethod:
     surface, points = surface_of(changed(between_planes(boundary), pairings=()))[0].points, boundary.of_cells
     slack = SAME * np.ptp(points, axis=0).max()
     is_beyond = (points < surface.min(axis=0) - slack) | (points > surface.max(axis=0) + slack)
-    return InverseDistance(rotations=True) if is_beyond.any() else SurfaceReconstruction()
+    return carrying() if is_beyond.any() else SurfaceReconstruction()
 
 
 def between_planes(boundary: Boundary, method: AbstractMethod | None = None) -> Boundary:
