@@ -61,7 +61,7 @@ def walls(
 
 
 def in_order(faces: np.ndarray) -> np.ndarray:
-    """Sorts faces (k, c) by their nodes, each from its first node on: nothing depends on their order.
+    """Sorts faces (k, c) by their nodes, each from its first node on.
 
     Edges (k, 2) keep their direction, which tells the side.
     """
