@@ -87,7 +87,7 @@ def open_zones(path: pathlib.Path, file: Any) -> tuple[list[Zone], int]:
 def _zones(
     path: pathlib.Path, file: Any
 ) -> tuple[Zones, list[Content], list[tuple[str, str, Connection]], list[tuple[slice, int]], dict[str, Any]]:
-    """Reads all zones; the last values are what is in single precision, and the patches' `kinds` and `groups`."""
+    """Reads all zones; then what is in single precision, and the patches' `kinds` and `groups`."""
     zones, dimension = open_zones(path, file)
     points, contents, of_patch, faces, singles = [], [], {}, [], []
     for zone in zones:
