@@ -59,7 +59,7 @@ def check(request: Request) -> None:
                 raise ValueError(f"--output {request.output}: is a file, and pictures and meshes go into a folder.")
 
 
-def inputs_of(request: Deform) -> dict[str, list[Path | str | None]]:
+def inputs_of(request: Deform) -> dict[str, Sequence[Path | str | None]]:
     """Lists the files that a request reads, by what is read from them."""
     displacements = [file for group in request.groups for file in _files_of(group)]
     return {"the mesh is": [request.file], "the job is": [request.job], "the displacements are": displacements}
