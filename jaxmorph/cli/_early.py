@@ -225,7 +225,8 @@ def _check_output(path: Path, source: Path) -> None:
         raise ValueError(f"{path}: the mesh was read from this file; write to another one.")
     is_time = re.fullmatch(r"\d+(\.\d*)?(e[+-]?\d+)?", path.name) is not None
     if is_case and not is_time and path.exists() and (not path.is_dir() or any(os.scandir(path))):
-        raise ValueError(f"{path}: exists; name a new folder, or a time folder of the case such as {source / '1'}.")
+        time = f", or a time folder of the case such as {source / '1'}" if source.is_dir() else ""
+        raise ValueError(f"{path}: exists; name a new folder{time}.")
 
 
 def _check_picture(path: Path | None) -> None:
