@@ -24,7 +24,7 @@ STEPS = 2, 4, 8
 """Numbers of steps that are tried."""
 
 ROUND = 1e-3
-"""Largest change of radius, or of place along the axis, of a patch that turns in itself.
+"""Largest change of radius, or of place along the axis, of a patch that turns within itself.
 
 It is relative to the radius.
 """
@@ -88,7 +88,7 @@ class Turn:
 
 
 def in_space(points: Float[np.ndarray, "k d"]) -> Float[np.ndarray, "k 3"]:
-    return np.pad(np.asarray(points, dtype=float), ((0, 0), (0, 3 - points.shape[1])))
+    return np.pad(points.astype(float), ((0, 0), (0, 3 - points.shape[1])))
 
 
 def cures(
@@ -98,7 +98,7 @@ def cures(
 
     It lists nothing for a mesh so large that trials take long.
     """
-    points, dimension = in_space(mesh.points), mesh.points.shape[1]
+    points, dimension = in_space(np.asarray(mesh.points)), mesh.points.shape[1]
     if len(points) > MOST_POINTS[dimension]:
         return
     turn = Turn.of(points[moving], in_space(u))
@@ -111,7 +111,7 @@ def cures(
 
 
 def advice_on_folds(plan: Plan, mesh: Mesh, u: Float[np.ndarray, "m d"], count: int) -> str:
-    """Says how much of a motion that folds `count` cells folds none, and what helps."""
+    """Says from where on a motion folds `count` cells, and what was tried and helps."""
     share = ""
     if plan.is_linear:
         part = largest_step(plan, np.zeros_like(u), u, mesh).step
