@@ -13,7 +13,7 @@ from ._format import Format, Source
 
 FORMATS = (
     Format("SU2", (".su2",), "_su2"),
-    Format("VTK", (".vtu", ".vtk"), "vtk.file", holds_arrays=True),
+    Format("VTK", (".vtu", ".vtk", ".vts", ".vtp", ".pvtu", ".vtm"), "vtk.file", holds_arrays=True),
     Format("gmsh", (".msh",), "gmsh.file"),
     Format("CGNS", (".cgns",), "cgns.file"),
     Format("MFEM", (".mesh",), "mfem.file"),

@@ -1,0 +1,215 @@
+"""VTK's XML files: what a file says of its arrays is compared with what it holds, then VTK reads it.
+
+VTK asks for memory as the file's numbers say, and takes lists in text as far as they go.
+"""
+
+import base64
+import binascii
+import dataclasses
+import math
+import pathlib
+import re
+from collections.abc import Iterator
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from jaxmorph._mesh.vtk import vtk
+
+from ..text.digits import parse
+
+SMALL, UNPACKED = 2 * 10**8, 100
+"""Bytes that a packed file may become in any case, and that one of its bytes may become."""
+
+TYPES = {f"{sign}Int{bits}": f"{code}{bits // 8}" for sign, code in (("", "i"), ("U", "u")) for bits in (8, 16, 32, 64)}
+TYPES |= {"Float32": "f4", "Float64": "f8"}
+
+KINDS = ("UnstructuredGrid", "StructuredGrid", "PolyData")
+"""Data sets that are one mesh, with points of their own."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Encoding:
+    """How a file says a data set: as ascii, binary or appended, in base64 or not, packed by what."""
+
+    kind: str = "UnstructuredGrid"
+    mode: str = "binary"
+    is_raw: bool = False
+    compressor: str = "vtkZLibDataCompressor"
+    header: str = "UInt64"
+    order: str = "LittleEndian"
+
+
+@dataclasses.dataclass(frozen=True)
+class _File:
+    """The elements of a file, and the bytes that are appended to them."""
+
+    root: ElementTree.Element
+    appended: bytes
+    encoding: Encoding
+
+    @property
+    def head(self) -> np.dtype:
+        return np.dtype({"UInt32": "u4", "UInt64": "u8"}[self.encoding.header]).newbyteorder(self.byte_order)
+
+    @property
+    def byte_order(self) -> str:
+        return {"LittleEndian": "<", "BigEndian": ">"}[self.encoding.order]
+
+    def size(self, array: ElementTree.Element) -> int:
+        """Finds the number of bytes that an array has, by the sizes before it."""
+        is_inline = array.get("format") == "binary"
+        if is_inline:
+            data, is_text = "".join((array.text or "").split()).encode(), True
+        else:
+            start = int(array.get("offset", "-1"))
+            if not 0 <= start < max(len(self.appended), 1):
+                raise ValueError(f"an array begins at byte {start} of {len(self.appended)} that are appended")
+            data, is_text = self.appended[start:], not self.encoding.is_raw
+        width = self.head.itemsize
+        if not self.encoding.compressor:
+            (count,) = self._numbers(data, 1, is_text)
+            held = 3 * (len(data) // 4) if is_text else len(data)
+            if count > held:
+                raise ValueError(f"an array of {count} bytes, of which the file has {held}")
+            return count
+        (blocks,) = self._numbers(data, 1, is_text)
+        if blocks * width > len(data):
+            raise ValueError(f"an array of {blocks} blocks in {len(data)} bytes")
+        _, size, last, *packed = self._numbers(data, 3 + blocks, is_text)
+        if sum(packed) > len(data):
+            raise ValueError(f"blocks of {sum(packed)} bytes, of which the file has {len(data)}")
+        return size * (blocks - (last > 0)) + last if blocks else 0
+
+    def _numbers(self, data: bytes, count: int, is_text: bool) -> list[int]:
+        """Reads the first numbers of a header, in base64 or as they are."""
+        size = count * self.head.itemsize
+        if is_text:
+            data = base64.b64decode(data[: 4 * -(-size // 3)], validate=True)
+        if len(data) < size:
+            raise ValueError("the file ends in an array")
+        return np.frombuffer(data, self.head, count).tolist()
+
+
+def checked(raw: bytes) -> Encoding:
+    """Raises `ValueError` for arrays that have not the size that the file says; tells its encoding."""
+    file = _opened(raw)
+    if file.encoding.kind not in KINDS:
+        raise ValueError(f"{file.encoding.kind!r} in it is no mesh; read are {', '.join(KINDS)}.")
+    sizes = sum(_check(file, array, rows) for array, rows in _arrays(file.root))
+    if sizes > SMALL + UNPACKED * len(raw):
+        raise ValueError(f"{len(raw)} bytes become {sizes} when unpacked; no mesh does.")
+    return file.encoding
+
+
+def reader(encoding: Encoding) -> Any:
+    return getattr(vtk("vtkIOXML"), f"vtkXML{encoding.kind}Reader")()
+
+
+def written(data: Any, encoding: Encoding) -> bytes:
+    """Makes the file. VTK itself tells no error where a device is full, so it writes to memory."""
+    kind = data.GetClassName().removeprefix("vtk")
+    writer = getattr(vtk("vtkIOXML"), f"vtkXML{kind}Writer")()
+    writer.SetInputData(data)
+    {"ascii": writer.SetDataModeToAscii, "binary": writer.SetDataModeToBinary}.get(
+        encoding.mode, writer.SetDataModeToAppended
+    )()
+    writer.SetEncodeAppendedData(not encoding.is_raw)
+    kinds = ("None", "ZLib", "LZ4", "LZMA")
+    writer.SetCompressorType(next(k for k, name in enumerate(kinds) if name in (encoding.compressor or "None")))
+    getattr(writer, f"SetHeaderTypeTo{encoding.header}")()
+    getattr(writer, f"SetByteOrderTo{encoding.order}")()
+    writer.SetWriteToOutputString(True)
+    writer.Write()
+    text = writer.GetOutputString()
+    return text.encode() if isinstance(text, str) else text
+
+
+def named_files(path: pathlib.Path) -> list[tuple[str, pathlib.Path]]:
+    """Lists the files that a file of pieces or blocks names, with the names of blocks."""
+    root = _opened(path.read_bytes()).root
+    named = [(each.get("name", ""), each.get("Source") or each.get("file")) for each in root.iter()]
+    found = [(name, path.parent / file) for name, file in named if file]
+    wrong = [file for _, file in found if file.suffix.lower() not in (".vtu", ".vts", ".vtp")]
+    if wrong or not found:
+        raise ValueError(f"it names {len(found)} files of meshes" + f" and {wrong[0].name}." * bool(wrong))
+    return found
+
+
+def _check(file: _File, array: ElementTree.Element, rows: int) -> int:
+    """Compares an array with the number of its rows, -1 if it is not known; returns its bytes."""
+    name, kind, width = array.get("Name", "Points"), array.get("type", ""), int(array.get("NumberOfComponents", "1"))
+    if kind in ("String", "Bit"):
+        return 0
+    if kind not in TYPES:
+        raise ValueError(f"the array {name!r} is of type {kind!r}.")
+    dtype = np.dtype(TYPES[kind])
+    try:
+        if array.get("format", "ascii") == "ascii":
+            values = parse((array.text or "").encode(), np.float64 if dtype.kind == "f" else np.int64)
+            found = len(values) * dtype.itemsize
+        else:
+            found = file.size(array)
+    except (ValueError, binascii.Error) as error:
+        raise ValueError(f"the array {name!r} is damaged ({error}).") from error
+    if width < 1 or (rows >= 0 and found != rows * width * dtype.itemsize) or found % dtype.itemsize:
+        count = found // dtype.itemsize
+        raise ValueError(f"{count} numbers in {name}, {rows * width} expected: a damaged file, or one cut short.")
+    return found
+
+
+def _arrays(root: ElementTree.Element) -> Iterator[tuple[ElementTree.Element, int]]:
+    """Lists all arrays, with the number of rows that each should have, or -1."""
+    for grid in root:
+        for part in grid:
+            sections = part if part.tag == "Piece" else [part]
+            rows = _rows(part, grid.get("WholeExtent")) if part.tag == "Piece" else {}
+            for section in sections:
+                of_section = rows.get(section.tag, {})
+                for array in section:
+                    if array.tag in ("DataArray", "Array"):
+                        known = of_section.get(array.get("Name"), of_section.get("", array.get("NumberOfTuples", -1)))
+                        yield array, int(known)
+
+
+def _rows(piece: ElementTree.Element, whole: str | None) -> dict[str, dict[str | None, int]]:
+    """Counts the rows of a piece's arrays by section and name; "" stands for any name."""
+    extent = piece.get("Extent", whole)
+    kinds = {kind: int(piece.get(f"NumberOf{kind}", 0)) for kind in ("Verts", "Lines", "Strips", "Polys")}
+    if extent is None:
+        points, cells = int(piece.get("NumberOfPoints", 0)), int(piece.get("NumberOfCells", sum(kinds.values())))
+    else:
+        ends = [int(end) for end in extent.split()]
+        sizes = [high - low for low, high in zip(ends[::2], ends[1::2], strict=True)]
+        points, cells = math.prod(size + 1 for size in sizes), math.prod(max(size, 1) for size in sizes)
+    if min(points, cells, *kinds.values()) < 0:
+        raise ValueError(f"{points} points and {cells} cells are announced.")
+    rows = {"Points": {"": points}, "PointData": {"": points}, "CellData": {"": cells}}
+    return rows | {"Cells": {"offsets": cells, "types": cells}} | {kind: {"offsets": n} for kind, n in kinds.items()}
+
+
+def _opened(raw: bytes) -> _File:
+    """Takes a file apart: XML, and what is appended to it."""
+    head, mark, rest = raw.partition(b"<AppendedData")
+    data = re.match(rb"[^>]*>\s*_", rest)
+    if mark and data is None:
+        raise ValueError("no '_' after AppendedData: a damaged file, or one cut short.")
+    tag = data[0] if data else b""
+    try:
+        root = ElementTree.fromstring(head + b"</VTKFile>" if mark else raw)
+    except ElementTree.ParseError as error:
+        raise ValueError(f"not one of VTK's XML files, or a damaged one ({error}).") from error
+    if root.tag != "VTKFile":
+        raise ValueError(f"not one of VTK's XML files; it begins with <{root.tag}>.")
+    formats = {array.get("format", "ascii") for array in root.iter("DataArray")}
+    mode = next((mode for mode in ("appended", "binary") if mode in formats), "ascii")
+    names = {"header": root.get("header_type", "UInt32"), "order": root.get("byte_order", "LittleEndian")}
+    if names["header"] not in ("UInt32", "UInt64") or names["order"] not in ("LittleEndian", "BigEndian"):
+        raise ValueError(f"headers of type {names['header']!r}, bytes in the order {names['order']!r}.")
+    encoding = Encoding(root.get("type", ""), mode, b'"raw"' in tag, root.get("compressor", ""), **names)
+    end = rest.rfind(b"</AppendedData>")
+    if mark and end < 0:
+        raise ValueError("no </AppendedData> at its end: a damaged file, or one cut short.")
+    appended = rest[len(tag) : end] if mark else b""
+    return _File(root, appended if encoding.is_raw else b"".join(appended.split()), encoding)
