@@ -172,11 +172,12 @@ def parts(grid: Grid) -> Parts:
 def _cells(grid: Grid) -> dict[str, np.ndarray]:
     blocks: dict[str, list[np.ndarray]] = {}
     for kind, corners in grid.blocks:
-        if len(corners) and kind != "vertex":
+        if len(corners) and kind in DIMENSION:
             blocks.setdefault(kind, []).append(corners)
     cells = filling(blocks)
     if not cells:
-        raise ValueError(f"no cells of an area or a volume, only {', '.join(blocks) or 'single nodes'}.")
+        there = ", ".join(dict.fromkeys(kind for kind, _ in grid.blocks)) or "nodes"
+        raise ValueError(f"no cells of an area or a volume, only {there}.")
     return {kind: np.concatenate(parts) for kind, parts in cells.items()}
 
 

@@ -51,7 +51,7 @@ def _arrays_of(cells: Any) -> tuple[np.ndarray, np.ndarray]:
     return _as_numpy(cells.GetOffsetsArray()), _as_numpy(cells.GetConnectivityArray())
 
 
-def _numbers_of(grid: Any) -> np.ndarray:
+def numbers_of(grid: Any) -> np.ndarray:
     """Returns VTK's number of each cell's type."""
     if not grid.GetNumberOfCells():
         return np.zeros(0, np.uint8)
@@ -65,12 +65,18 @@ def data_of(attributes: Any) -> dict[str, np.ndarray]:
     for k in range(attributes.GetNumberOfArrays()):
         array, name = attributes.GetArray(k), attributes.GetAbstractArray(k).GetName()
         if array is not None and name is not None and array.GetDataType() != 1:  # of bits NumPy has no view
-            found[name] = _as_numpy(array)
+            found[name if isinstance(name, str) else name.decode("latin-1")] = _as_numpy(array)
     return found
 
 
 def coordinates(grid: Any) -> np.ndarray:
     return _as_numpy(grid.GetPoints().GetData()) if grid.GetNumberOfPoints() else np.zeros((0, 3))
+
+
+def cell_arrays(data: Any) -> list[Any]:
+    """Lists the `vtkCellArray`s of a data set, each with the nodes of some of its cells."""
+    names = {"vtkUnstructuredGrid": ("Cells",), "vtkPolyData": ("Verts", "Lines", "Polys", "Strips")}
+    return [getattr(data, f"Get{name}")() for kind, all_names in names.items() if data.IsA(kind) for name in all_names]
 
 
 def unstructured(data: Any) -> Any:
@@ -88,7 +94,7 @@ def unstructured(data: Any) -> Any:
 def kinds_of(grid: Any) -> np.ndarray:
     """Names the type of each cell (k,), as a mesh that is read has it; VTK's name if it cannot."""
     starts, _ = _arrays_of(grid.GetCells())
-    pairs = np.stack([_numbers_of(grid).astype(np.int64), np.diff(starts)])
+    pairs = np.stack([numbers_of(grid).astype(np.int64), np.diff(starts)])
     both, which = np.unique(pairs, axis=1, return_inverse=True)
     names = [_kind(number, size) for number, size in both.T.tolist()]
     return np.array(names, dtype=object)[which.ravel()] if names else np.zeros(0, object)
@@ -132,7 +138,7 @@ def of_vtk(grid: Any) -> tuple[Grid, Whole | None]:
     outside = ids[(ids < 0) | (ids >= n)]
     if len(outside):
         raise ValueError(f"a cell names node {outside[0]}, but there are {n} points.")
-    kinds, numbers = kinds_of(grid), _numbers_of(grid)
+    kinds, numbers = kinds_of(grid), numbers_of(grid)
     solid = solid_cells(kinds)
     top = set(kinds[solid].tolist())
     unknown = [kind for kind in dict.fromkeys(kinds[solid].tolist()) if kind not in NODES and _dimension(kind) > 1]
@@ -177,7 +183,7 @@ def _polyhedral(grid: Any, points: np.ndarray, kinds: np.ndarray, solid: np.ndar
     if curved:
         raise ValueError(f"cells of type {', '.join(curved)} beside polyhedra are not supported; they would be lost.")
     starts, ids = _arrays_of(grid.GetCells())
-    numbers = _numbers_of(grid)
+    numbers = numbers_of(grid)
     sides = [_sides(grid, points, solid, kinds)]
     for kind in dict.fromkeys(kinds[solid].tolist()):
         if kind != "polyhedron":

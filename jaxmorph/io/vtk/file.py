@@ -106,12 +106,17 @@ def _read(path: pathlib.Path) -> Content:
 def _data(path: pathlib.Path) -> tuple[Any, Any]:
     """Reads one file by VTK, after a look at the sizes that it announces."""
     kind = legacy if path.suffix.lower() == ".vtk" else xml
-    encoding = kind.checked(path.read_bytes())
-    reader = kind.reader(encoding)
+    raw = path.read_bytes()
+    encoding, nodes = kind.checked(raw)
+    reader = kind.reader(raw, encoding)
     reader.SetFileName(os.fsencode(path))
     with _errors():
         reader.Update()
-    return reader.GetOutput(), encoding
+    data = reader.GetOutput()
+    found = sum(cells.GetNumberOfConnectivityIds() for cells in vtk.cell_arrays(data) if cells)
+    if nodes not in (None, found):
+        raise ValueError(f"{nodes} numbers in connectivity, {found} expected: a damaged file.")
+    return data, encoding
 
 
 @contextlib.contextmanager
@@ -130,7 +135,9 @@ def _errors() -> Iterator[None]:
         core.vtkOutputWindow.SetInstance(window)
         core.vtkLogger.SetStderrVerbosity(verbosity)
         core.vtkObject.SetGlobalWarningDisplay(shows)
-    errors = re.findall(r"(?:ERROR|Warning): In .*\n(?:\w+ \(0x[0-9a-f]+\): )?((?:.+\n)+)", told.GetOutput())
+    text = told.GetOutput()
+    text = text if isinstance(text, str) else text.decode(errors="replace")  # it may quote bytes of the file
+    errors = re.findall(r"(?:ERROR|Warning): In .*\n(?:\w+ \(0x[0-9a-f]+\): )?((?:.+\n)+)", text)
     if errors:
         raise ValueError(f"a damaged file, or one cut short ({' '.join(errors[0].split())[:200]}).")
 

@@ -92,18 +92,25 @@ class _File:
         return np.frombuffer(data, self.head, count).tolist()
 
 
-def checked(raw: bytes) -> Encoding:
-    """Raises `ValueError` for arrays that have not the size that the file says; tells its encoding."""
+def checked(raw: bytes) -> tuple[Encoding, int]:
+    """Raises `ValueError` for arrays that have not the size that the file says.
+
+    Returns its encoding, and the number of nodes that its cells name.
+    """
     file = _opened(raw)
     if file.encoding.kind not in KINDS:
         raise ValueError(f"{file.encoding.kind!r} in it is no mesh; read are {', '.join(KINDS)}.")
-    sizes = sum(_check(file, array, rows) for array, rows in _arrays(file.root))
-    if sizes > SMALL + UNPACKED * len(raw):
-        raise ValueError(f"{len(raw)} bytes become {sizes} when unpacked; no mesh does.")
-    return file.encoding
+    size = nodes = 0
+    for array, rows in _arrays(file.root):
+        count, width = _check(file, array, rows)
+        size += count * width
+        nodes += count * (array.get("Name") == "connectivity")
+    if size > SMALL + UNPACKED * len(raw):
+        raise ValueError(f"{len(raw)} bytes become {size} when unpacked; no mesh does.")
+    return file.encoding, nodes
 
 
-def reader(encoding: Encoding) -> Any:
+def reader(_: bytes, encoding: Encoding) -> Any:
     return getattr(vtk("vtkIOXML"), f"vtkXML{encoding.kind}Reader")()
 
 
@@ -137,26 +144,24 @@ def named_files(path: pathlib.Path) -> list[tuple[str, pathlib.Path]]:
     return found
 
 
-def _check(file: _File, array: ElementTree.Element, rows: int) -> int:
-    """Compares an array with the number of its rows, -1 if it is not known; returns its bytes."""
+def _check(file: _File, array: ElementTree.Element, rows: int) -> tuple[int, int]:
+    """Compares an array with its rows, -1 for any; returns how many numbers it has, of how many bytes."""
     name, kind, width = array.get("Name", "Points"), array.get("type", ""), int(array.get("NumberOfComponents", "1"))
     if kind in ("String", "Bit"):
-        return 0
+        return 0, 0
     if kind not in TYPES:
         raise ValueError(f"the array {name!r} is of type {kind!r}.")
     dtype = np.dtype(TYPES[kind])
     try:
         if array.get("format", "ascii") == "ascii":
-            values = parse((array.text or "").encode(), np.float64 if dtype.kind == "f" else np.int64)
-            found = len(values) * dtype.itemsize
+            count, rest = len(parse((array.text or "").encode(), np.float64 if dtype.kind == "f" else np.int64)), 0
         else:
-            found = file.size(array)
+            count, rest = divmod(file.size(array), dtype.itemsize)
     except (ValueError, binascii.Error) as error:
         raise ValueError(f"the array {name!r} is damaged ({error}).") from error
-    if width < 1 or (rows >= 0 and found != rows * width * dtype.itemsize) or found % dtype.itemsize:
-        count = found // dtype.itemsize
+    if width < 1 or rest or (rows >= 0 and count != rows * width):
         raise ValueError(f"{count} numbers in {name}, {rows * width} expected: a damaged file, or one cut short.")
-    return found
+    return count, dtype.itemsize
 
 
 def _arrays(root: ElementTree.Element) -> Iterator[tuple[ElementTree.Element, int]]:
