@@ -216,6 +216,8 @@ def _sides(grid: Any, points: np.ndarray, solid: np.ndarray, kinds: np.ndarray) 
     first, face_of = _arrays_of(grid.GetPolyhedronFaceLocations())
     starts, ids = _arrays_of(grid.GetPolyhedronFaces())
     cells = np.flatnonzero(kinds[solid] == "polyhedron")
+    if len(first) != len(kinds) + 1:
+        raise ValueError(f"faces of {len(first) - 1} cells, for {len(kinds)}.")
     rows, cell = spread(first[solid[cells]], first[solid[cells] + 1])
     face, cell = face_of[rows], cells[cell]
     if len(face) and (face.min() < 0 or face.max() >= len(starts) - 1):

@@ -11,6 +11,8 @@ from jaxmorph._host.cells.topology import VTK_LAGRANGE
 from jaxmorph._mesh import vtk
 
 from ..text.digits import parse
+from ..text.sections import scan
+from .announced import Announced
 
 HEAD = re.compile(
     rb"# vtk DataFile Version (?P<version>\d\.\d)[^\n]*\n(?P<title>[^\n]*)\n\s*(?P<mode>ASCII|BINARY)\s+DATASET\s+(?P<kind>\w+)",
@@ -26,26 +28,33 @@ SIZES = re.compile(
     rb"\b(?:SCALARS\s+\S+\s+\w+(?:\s+(?P<scalars>-?\d+))?\s+LOOKUP_TABLE\s+\S+"
     rb"|(?:COLOR_SCALARS|TEXTURE_COORDINATES|LOOKUP_TABLE)\s+\S+\s+(?P<columns>-?\d+)"
     rb"|(?:POINT|CELL)_DATA\s+(?P<rows>-?\d+)(?P<end>\s*\Z)?"
-    rb"|FIELD\s+\S+\s+(?P<field>-?\d+)"
+    rb"|FIELD\s+\S+\s+(?P<field>-?\d+)[^\n]*\n"
     rb"|(?:CELLS|VERTICES|LINES|POLYGONS|TRIANGLE_STRIPS)\s+(?P<cells>-?\d+\s+-?\d+)[^\n]*\n"
     rb"|DIMENSIONS\s+(?P<dimensions>-?\d+\s+-?\d+\s+-?\d+)"
-    rb"|(?:POINTS|CELL_TYPES|[XYZ]_COORDINATES)\s+(?P<section>-?\d+)(?:[ \t]+(?P<points>\w+)[ \t\r]*\n)?)"
-    rb"|(?<!\S)(?P<array>-?\d+\s+-?\d+)\s+(?P<type>(?:vtk|bit|unsigned_|signed_|char|short|int|long|float|double|string)\w*)[ \t\r]*\n",
+    rb"|POINTS\s+(?P<points>-?\d+)(?:[ \t]+(?P<type>\w+)[ \t\r]*\n)?"
+    rb"|(?:CELL_TYPES|[XYZ]_COORDINATES)\s+(?P<section>-?\d+))",
     re.IGNORECASE,
 )
 """All places where a file announces numbers, after which VTK asks for memory."""
 
-COUNTS = ("scalars", "columns", "rows", "field", "cells", "dimensions", "section", "array")
+COUNTS = ("scalars", "columns", "rows", "field", "cells", "dimensions", "points", "section")
 
-WIDTHS = {
-    name: np.dtype(code).itemsize
-    for name, code in {
-        **{b"signed_char": "i1", b"char": "i1", b"unsigned_char": "u1", b"short": "i2", b"unsigned_short": "u2"},
-        **{b"int": "i4", b"unsigned_int": "u4", b"long": "l", b"unsigned_long": "L", b"float": "f4", b"double": "f8"},
-        **{b"vtktypeint64": "i8", b"vtktypeuint64": "u8"},
-    }.items()
+ARRAY = re.compile(
+    rb"\s*(?:METADATA[ \t\r]*\n(?:[^\n]*\S[^\n]*\n)*\s*)?"
+    rb"(?:(?P<none>NULL_ARRAY)|\S+[ \t]+(?P<columns>\d+)[ \t]+(?P<rows>\d+)[ \t]+(?P<type>\w+))[ \t\r]*(?:\n|\Z)"
+)
+"""The line before an array of a field, and the notes on the array before it."""
+
+TYPES = {
+    **{b"signed_char": "i1", b"char": "i1", b"unsigned_char": "u1", b"short": "i2", b"unsigned_short": "u2"},
+    **{b"int": "i4", b"unsigned_int": "u4", b"vtkidtype": "i4", b"long": "l", b"unsigned_long": "L"},
+    **{b"long_long": "i8", b"unsigned_long_long": "u8", b"float": "f4", b"double": "f8", b"bit": "u1"},
+    **{
+        b"vtktype%s%d" % (sign, 8 * size): f"{code}{size}"
+        for sign, code in ((b"int", "i"), (b"uint", "u"))
+        for size in (1, 2, 4, 8)
+    },
 }
-"""Bytes of the numbers of VTK's types."""
 
 LATTICE = 10**6
 """Points of a lattice without coordinates that a file of any size may have."""
@@ -61,7 +70,7 @@ class Encoding:
     is_text: bool = False
 
 
-def checked(raw: bytes) -> tuple[Encoding, None]:
+def checked(raw: bytes) -> tuple[Encoding, Announced]:
     """Raises `ValueError` for sizes that do not fit to the file; tells its encoding."""
     head = HEAD.match(raw)
     if head is None:
@@ -71,52 +80,113 @@ def checked(raw: bytes) -> tuple[Encoding, None]:
     if kind not in KINDS:
         raise ValueError(f"{kind} in it is no mesh; read are {', '.join(KINDS)}.")
     encoding = Encoding(KINDS[kind], words["title"].strip("\r"), words["version"], words["mode"].upper() == "ASCII")
-    rows, section, limit = -1, "", 8 * len(raw)  # the smallest number is a bit
-    for match in SIZES.finditer(raw, head.end()):
-        told = " ".join(match[0].decode(errors="replace").split())
+    text = _Text(raw, encoding.is_text)
+    lattice, rows, section, arrays, at = None, -1, "", 0, head.end()
+    while match := SIZES.search(raw, at):
+        told, at = " ".join(match[0].decode(errors="replace").split()), match.end()
         name = next((name for name in COUNTS if match[name]), "")
         sizes = [int(word) for word in match[name].split()] if name else []
         rows = sizes[0] if name == "rows" else rows
         count = math.prod(sizes) * (max(rows, 1) if name in ("scalars", "columns") else 1)
         count = max(sizes) if name == "cells" else count
-        if min(sizes, default=0) < 0 or count > limit + LATTICE * (name == "dimensions" and kind != "STRUCTURED_GRID"):
+        has_points = name != "dimensions" or kind == "STRUCTURED_GRID"
+        if min(sizes, default=0) < 0 or count > 8 * len(raw) + (0 if has_points else LATTICE):  # bits are smallest
             raise ValueError(f"{told!r} announces {count} numbers, but the file has {len(raw)} bytes.")
-        if name == "cells" and words["version"] < "5":
-            _check_cells(raw, match.end(), *sizes, encoding.is_text)
-        width = WIDTHS.get((match["points"] or match["type"] or b"").lower(), 0)
-        if width and not encoding.is_text:
-            end = match.end() + count * width * (3 if match["points"] and match[0][:1] in b"Pp" else 1)
-            if raw[end : end + 1] not in (b"", b"\n", b"\r"):
-                raise ValueError(f"{told!r} is not followed by as many numbers: a damaged file, or one cut short.")
         if match["end"] is not None or (name == "field" and section and rows < 0):
             raise ValueError(f"a damaged file, or one cut short, in the section that begins with {section or told!r}.")
-        section = told if name in ("section", "cells", "rows") else section
-    return encoding, None
+        if name == "dimensions" and has_points:
+            lattice = count
+        if name == "points" and lattice not in (None, count):
+            raise ValueError(f"{told!r} for a grid of {lattice} points: a damaged file.")
+        try:
+            if match["type"]:
+                at = text.after(at, 3 * count, match["type"])
+            elif name == "field":
+                at, arrays = text.after_field(at, count), arrays + count
+            elif name == "cells" and words["version"] < "5":
+                text.check_cells(at, *sizes)
+        except ValueError as error:
+            raise ValueError(f"a damaged file, or one cut short, in the section {told!r} ({error}).") from error
+        section = told if name in ("section", "points", "cells", "rows") else section
+    return encoding, Announced(arrays=arrays - raw.count(b"NULL_ARRAY"))
 
 
-def _check_cells(raw: bytes, start: int, count: int, size: int, is_text: bool) -> None:
-    """Raises `ValueError` where `size` numbers are not `count` cells, each its number of nodes and these."""
-    if is_text:
-        word = re.compile(rb"[A-Z_a-z]").search(raw, start)
-        numbers = parse(raw[start : word.start() if word else len(raw)], np.int64)[:size]
-    else:
-        numbers = (
-            np.frombuffer(raw[start : start + 4 * size], ">i4") if start + 4 * size <= len(raw) else np.zeros(0, int)
-        )
-    if len(numbers) < size:
-        raise ValueError(f"{len(numbers)} numbers in a section of cells, {size} announced.")
-    # Cells of one size are gone through together: numbers of nodes stand at equal steps.
-    at = found = 0
-    block = 1
-    while at < size:
-        step = int(numbers[at]) + 1
-        rows = numbers[at : at + block * step : step] if step > 0 else numbers[:0]
-        same = len(rows) if (rows == step - 1).all() else int((rows != step - 1).argmax())
-        if step < 1 or not same:
-            raise ValueError(f"cell {found} has {step - 1} nodes.")
-        at, found, block = at + same * step, found + same, 2 * block if same == block else 1
-    if at != size or found != count:
-        raise ValueError(f"{found} cells of {at} numbers, {count} of {size} are announced.")
+@dataclasses.dataclass(frozen=True)
+class _Text:
+    """The bytes of a file, and whether its numbers are words."""
+
+    raw: bytes
+    is_text: bool
+
+    def after(self, at: int, count: int, name: bytes) -> int:
+        """Finds the place after so many numbers. Raises `ValueError` where there are others."""
+        name = name.lower()
+        if name == b"string":
+            return self._after_strings(at, count)
+        if name not in TYPES:
+            raise ValueError(f"{name.decode(errors='replace')!r} is no type of numbers")
+        if not self.is_text:
+            size = -(-count // 8) if name == b"bit" else count * np.dtype(TYPES[name]).itemsize
+            rest = re.compile(rb"[ \t\r]*(\n|\Z)").match(self.raw, at + size)
+            if rest is None or at + size > len(self.raw):
+                raise ValueError(f"other than {count} numbers")
+            return rest.end()
+        kind = np.float64 if TYPES[name][0] == "f" else np.int64
+        left = count
+        while left:
+            end = self.raw.find(b"\n", at + min(24 * left, 1 << 20)) + 1 or len(self.raw)
+            _, ends, _ = scan(self.raw[at:end])
+            wanted = min(left, len(ends))
+            stop = at + int(ends[wanted - 1]) if wanted else at
+            if not wanted or len(parse(self.raw[at:stop], kind)) != wanted:
+                raise ValueError(f"{count - left} numbers and not {count}, or something that is no number")
+            at, left = stop, left - wanted
+        return at
+
+    def _after_strings(self, at: int, count: int) -> int:
+        """Goes over strings: a line each, or the length in 1 to 8 bytes, as two bits tell, and bytes."""
+        for _ in range(count):
+            if at >= len(self.raw):
+                raise ValueError(f"fewer than {count} strings")
+            if self.is_text:
+                at = self.raw.find(b"\n", at) + 1 or len(self.raw)
+            else:
+                size = {3: 1, 2: 2, 1: 4, 0: 8}[self.raw[at] >> 6]
+                length = int.from_bytes(self.raw[at : at + size], "big") & ((1 << (8 * size - 2)) - 1)
+                at += size + length
+        return at
+
+    def after_field(self, at: int, count: int) -> int:
+        """Finds the place after a field of so many arrays."""
+        for _ in range(count):
+            line = ARRAY.match(self.raw, at)
+            if line is None:
+                raise ValueError(
+                    f"{self.raw[at : at + 60].strip()!r} where an array's name, sizes and type are expected"
+                )
+            at = line.end()
+            if not line["none"]:
+                columns, rows = int(line["columns"]), int(line["rows"])
+                if columns < 1 or columns * rows > 8 * len(self.raw):
+                    raise ValueError(f"an array of {columns} times {rows} numbers")
+                at = self.after(at, columns * rows, line["type"])
+        return at
+
+    def check_cells(self, at: int, count: int, size: int) -> None:
+        """Raises `ValueError` where numbers are not cells: each its number of nodes, and these."""
+        end = self.after(at, size, b"int")
+        numbers = parse(self.raw[at:end], np.int64) if self.is_text else np.frombuffer(self.raw, ">i4", size, at)
+        # Cells of one size are gone through together: numbers of nodes stand at equal steps.
+        place, found, block = 0, 0, 1
+        while place < size:
+            step = int(numbers[place]) + 1
+            rows = numbers[place : place + block * step : step] if step > 0 else numbers[:0]
+            same = len(rows) if (rows == step - 1).all() else int((rows != step - 1).argmax())
+            if not same:
+                raise ValueError(f"cell {found} has {step - 1} nodes")
+            place, found, block = place + same * step, found + same, 2 * block if same == block else 1
+        if place != size or found != count:
+            raise ValueError(f"{found} cells of {place} numbers")
 
 
 MESHIO = {b"int8": b"signed_char", b"uint8": b"unsigned_char", b"int16": b"short", b"uint16": b"unsigned_short"}
@@ -137,7 +207,8 @@ def reader(raw: bytes, encoding: Encoding) -> Any:
 
 def written(data: Any, encoding: Encoding) -> bytes:
     """Makes the file. VTK itself tells no error where a device is full, so it writes to memory."""
-    writer = vtk.vtk("vtkIOLegacy").vtkDataSetWriter()
+    kind = data.GetClassName().removeprefix("vtk")
+    writer = getattr(vtk.vtk("vtkIOLegacy"), f"vtk{kind}Writer")()
     writer.SetInputData(data)
     writer.SetHeader(encoding.title)
     # before 5.1 files have another order of the nodes of hexahedra, in which VTK does not write

@@ -18,12 +18,13 @@ import numpy as np
 from jaxmorph._mesh.vtk import vtk
 
 from ..text.digits import parse
+from .announced import Announced
 
 SMALL, UNPACKED = 2 * 10**8, 100
 """Bytes that a packed file may become in any case, and that one of its bytes may become."""
 
 TYPES = {f"{sign}Int{bits}": f"{code}{bits // 8}" for sign, code in (("", "i"), ("U", "u")) for bits in (8, 16, 32, 64)}
-TYPES |= {"Float32": "f4", "Float64": "f8"}
+TYPES |= {"Float32": "f4", "Float64": "f8", "String": "u1"}
 
 KINDS = ("UnstructuredGrid", "StructuredGrid", "PolyData")
 """Data sets that are one mesh, with points of their own."""
@@ -59,43 +60,56 @@ class _File:
 
     def size(self, array: ElementTree.Element) -> int:
         """Finds the number of bytes that an array has, by the sizes before it."""
-        is_inline = array.get("format") == "binary"
+        is_inline, width = array.get("format") == "binary", self.head.itemsize
+        data, is_text = self.appended, is_inline or not self.encoding.is_raw
+        start = 0 if is_inline else int(array.get("offset", "-1"))
         if is_inline:
-            data, is_text = "".join((array.text or "").split()).encode(), True
-        else:
-            start = int(array.get("offset", "-1"))
-            if not 0 <= start < max(len(self.appended), 1):
-                raise ValueError(f"an array begins at byte {start} of {len(self.appended)} that are appended")
-            data, is_text = self.appended[start:], not self.encoding.is_raw
-        width = self.head.itemsize
+            data = "".join((array.text or "").split()).encode()
+        if not 0 <= start <= len(data):
+            raise ValueError(f"it begins at byte {start} of {len(data)}")
+        (count,) = self._numbers(data, start, 1, is_text)
         if not self.encoding.compressor:
-            (count,) = self._numbers(data, 1, is_text)
-            held = 3 * (len(data) // 4) if is_text else len(data)
-            if count > held:
-                raise ValueError(f"an array of {count} bytes, of which the file has {held}")
+            self._check_stream(data, start, 1, count, is_text)
             return count
-        (blocks,) = self._numbers(data, 1, is_text)
-        if blocks * width > len(data):
-            raise ValueError(f"an array of {blocks} blocks in {len(data)} bytes")
-        _, size, last, *packed = self._numbers(data, 3 + blocks, is_text)
-        if sum(packed) > len(data):
-            raise ValueError(f"blocks of {sum(packed)} bytes, of which the file has {len(data)}")
-        return size * (blocks - (last > 0)) + last if blocks else 0
+        if count * width > len(data):
+            raise ValueError(f"{count} blocks in {len(data)} bytes")
+        _, size, last, *packed = self._numbers(data, start, 3 + count, is_text) if count else (0, 0, 0)
+        total = size * (count - (last > 0)) + last
+        if size > total + (1 << 24):
+            raise ValueError(f"blocks of {size} bytes for {total}")
+        self._check_stream(data, start, 3 + count if count else 1, sum(packed), is_text)
+        return total
 
-    def _numbers(self, data: bytes, count: int, is_text: bool) -> list[int]:
+    def _check_stream(self, data: bytes, start: int, heads: int, count: int, is_text: bool) -> None:
+        """Raises `ValueError` where `count` bytes do not follow a header, or are not in base64."""
+        head = heads * self.head.itemsize
+        if not is_text:
+            held = len(data) - start - head
+        else:
+            # the header is a text of its own, with padding, where blocks follow; else one with the bytes
+            begin = start + 4 * -(-head // 3)
+            is_apart = bool(self.encoding.compressor) or data[begin - 1 : begin] == b"="
+            begin, wanted = (begin, count) if is_apart else (start, head + count)
+            part = data[begin : begin + 4 * -(-wanted // 3)]
+            held = len(base64.b64decode(part, validate=True)) - wanted + count
+        if held < count:
+            raise ValueError(f"{count} bytes, of which the file has {max(held, 0)}")
+
+    def _numbers(self, data: bytes, start: int, count: int, is_text: bool) -> list[int]:
         """Reads the first numbers of a header, in base64 or as they are."""
         size = count * self.head.itemsize
+        data = data[start : start + (4 * -(-size // 3) if is_text else size)]
         if is_text:
-            data = base64.b64decode(data[: 4 * -(-size // 3)], validate=True)
+            data = base64.b64decode(data, validate=True)
         if len(data) < size:
             raise ValueError("the file ends in an array")
         return np.frombuffer(data, self.head, count).tolist()
 
 
-def checked(raw: bytes) -> tuple[Encoding, int]:
+def checked(raw: bytes) -> tuple[Encoding, Announced]:
     """Raises `ValueError` for arrays that have not the size that the file says.
 
-    Returns its encoding, and the number of nodes that its cells name.
+    It tells the file's encoding.
     """
     file = _opened(raw)
     if file.encoding.kind not in KINDS:
@@ -107,7 +121,7 @@ def checked(raw: bytes) -> tuple[Encoding, int]:
         nodes += count * (array.get("Name") == "connectivity")
     if size > SMALL + UNPACKED * len(raw):
         raise ValueError(f"{len(raw)} bytes become {size} when unpacked; no mesh does.")
-    return file.encoding, nodes
+    return file.encoding, Announced(nodes)
 
 
 def reader(_: bytes, encoding: Encoding) -> Any:
@@ -147,18 +161,22 @@ def named_files(path: pathlib.Path) -> list[tuple[str, pathlib.Path]]:
 def _check(file: _File, array: ElementTree.Element, rows: int) -> tuple[int, int]:
     """Compares an array with its rows, -1 for any; returns how many numbers it has, of how many bytes."""
     name, kind, width = array.get("Name", "Points"), array.get("type", ""), int(array.get("NumberOfComponents", "1"))
-    if kind in ("String", "Bit"):
-        return 0, 0
     if kind not in TYPES:
         raise ValueError(f"the array {name!r} is of type {kind!r}.")
     dtype = np.dtype(TYPES[kind])
     try:
         if array.get("format", "ascii") == "ascii":
-            count, rest = len(parse((array.text or "").encode(), np.float64 if dtype.kind == "f" else np.int64)), 0
+            values = parse((array.text or "").encode(), np.float64 if dtype.kind == "f" else np.int64)
+            count, rest = len(values), 0
         else:
             count, rest = divmod(file.size(array), dtype.itemsize)
     except (ValueError, binascii.Error) as error:
         raise ValueError(f"the array {name!r} is damaged ({error}).") from error
+    if kind == "String":  # VTK reads as many as are announced
+        ends = (values == 0).sum() if array.get("format", "ascii") == "ascii" else rows * width
+        if ends != rows * width:
+            raise ValueError(f"{ends} strings in {name}, {rows * width} expected: a damaged file, or one cut short.")
+        return count, 1
     if width < 1 or rest or (rows >= 0 and count != rows * width):
         raise ValueError(f"{count} numbers in {name}, {rows * width} expected: a damaged file, or one cut short.")
     return count, dtype.itemsize
@@ -167,9 +185,13 @@ def _check(file: _File, array: ElementTree.Element, rows: int) -> tuple[int, int
 def _arrays(root: ElementTree.Element) -> Iterator[tuple[ElementTree.Element, int]]:
     """Lists all arrays, with the number of rows that each should have, or -1."""
     for grid in root:
+        extents = [_sizes(part.get("Extent", "0 -1")) for part in grid if part.tag == "Piece"]
+        whole = grid.get("WholeExtent")
+        if whole is not None and sum(map(math.prod, extents)) != math.prod(_sizes(whole)):
+            raise ValueError(f"its pieces are not those of the extent {whole}: a damaged file, or one cut short.")
         for part in grid:
             sections = part if part.tag == "Piece" else [part]
-            rows = _rows(part, grid.get("WholeExtent")) if part.tag == "Piece" else {}
+            rows = _rows(part) if part.tag == "Piece" else {}
             for section in sections:
                 of_section = rows.get(section.tag, {})
                 for array in section:
@@ -178,16 +200,22 @@ def _arrays(root: ElementTree.Element) -> Iterator[tuple[ElementTree.Element, in
                         yield array, int(known)
 
 
-def _rows(piece: ElementTree.Element, whole: str | None) -> dict[str, dict[str | None, int]]:
+def _sizes(extent: str) -> list[int]:
+    """Counts cells along the axes of a structured grid; an axis of one point has one."""
+    ends = [int(end) for end in extent.split()]
+    return [max(high - low, 1) for low, high in zip(ends[::2], ends[1::2], strict=True)]
+
+
+def _rows(piece: ElementTree.Element) -> dict[str, dict[str | None, int]]:
     """Counts the rows of a piece's arrays by section and name; "" stands for any name."""
-    extent = piece.get("Extent", whole)
+    extent = piece.get("Extent")
     kinds = {kind: int(piece.get(f"NumberOf{kind}", 0)) for kind in ("Verts", "Lines", "Strips", "Polys")}
     if extent is None:
         points, cells = int(piece.get("NumberOfPoints", 0)), int(piece.get("NumberOfCells", sum(kinds.values())))
     else:
         ends = [int(end) for end in extent.split()]
-        sizes = [high - low for low, high in zip(ends[::2], ends[1::2], strict=True)]
-        points, cells = math.prod(size + 1 for size in sizes), math.prod(max(size, 1) for size in sizes)
+        points = math.prod(high - low + 1 for low, high in zip(ends[::2], ends[1::2], strict=True))
+        cells = math.prod(_sizes(extent))
     if min(points, cells, *kinds.values()) < 0:
         raise ValueError(f"{points} points and {cells} cells are announced.")
     rows = {"Points": {"": points}, "PointData": {"": points}, "CellData": {"": cells}}
