@@ -101,11 +101,11 @@ def roof() -> list[list[int]]:
 KINDS = {
     "hexahedra": lambda: unstructured(BOX, [(12, [x, x + 1, x + 5, x + 4, x + 8, x + 9, x + 13, x + 12]) for x in range(3)]),
     "voxels": lambda: unstructured(BOX, [(11, [x, x + 1, x + 4, x + 5, x + 8, x + 9, x + 12, x + 13]) for x in range(3)]),
-    "pixels": lambda: unstructured(BOX[:8], [(8, [x, x + 1, x + 4, x + 5]) for x in range(3)] + [(3, [0, 1])]),
     "polyhedra": lambda: unstructured(
         BOX, [(42, house()), (42, roof()), (12, [2, 3, 7, 6, 10, 11, 15, 14]), (9, [0, 1, 5, 4]), (1, [0])]
     ),
     "structured": lambda: structured(),
+    "pixels": lambda: unstructured(BOX[:8], [(8, [x, x + 1, x + 4, x + 5]) for x in range(3)] + [(3, [0, 1])]),
     "surface": lambda: surface(),
 }  # fmt: skip
 """Small data sets of each kind, without arrays."""

@@ -227,21 +227,40 @@ def _sides(grid: Any, points: np.ndarray, solid: np.ndarray, kinds: np.ndarray) 
     outside = labels[(labels < 0) | (labels >= len(points))]
     if len(outside) or (sizes < 3).any():
         raise ValueError(f"a face of a polyhedron has {sizes.min()} nodes, or a node that is not there.")
-    # Nodes of a face are turned round where its normal points into the cell: away from the mean of
-    # the cell's faces. The normal is summed over the triangles between the face's mean and edges.
     begins = np.cumsum(sizes) - sizes
-    after = np.arange(1, len(labels) + 1)
-    after[begins + sizes - 1] = begins
-    middle = np.add.reduceat(points[labels], begins) / sizes[:, None]
-    arms = points[labels] - middle[which]
-    normal = np.add.reduceat(np.cross(arms, points[labels[after]] - middle[which]), begins)
-    rank = np.searchsorted(cells, cell)
-    count = np.bincount(rank, minlength=len(cells))
-    centre = np.stack([np.bincount(rank, middle[:, k], len(cells)) / np.maximum(count, 1) for k in range(3)], axis=1)
-    inward = np.einsum("fk,fk->f", normal, middle - centre[rank]) < 0
+    inward = _inward(points, labels, begins, np.searchsorted(cells, cell))
     back = begins[which] + sizes[which] - 1 - (np.arange(len(labels)) - begins[which])
     labels = labels[np.where(inward[which], back, np.arange(len(labels)))].astype(np.int64)
     return Faces(labels, np.concatenate([[0], np.cumsum(sizes)]), cell, np.full(len(sizes), -1))
+
+
+def _inward(points: np.ndarray, labels: np.ndarray, begins: np.ndarray, cell: np.ndarray) -> np.ndarray:
+    """Finds faces of polyhedra that point into their cell.
+
+    VTK asks for outward faces, and some programs write inward ones, or faces of both senses.
+    """
+    sizes = np.diff(begins, append=len(labels))
+    which = np.repeat(np.arange(len(begins)), sizes)
+    after = np.arange(1, len(labels) + 1)
+    after[begins + sizes - 1] = begins
+    # A cell's faces have one sense where its edges are gone along once each way. An edge of a cell
+    # has +1 in the one sense and -1 in the other, which are summed.
+    low, high = np.sort(np.stack([labels, labels[after]]), axis=0)
+    order = np.lexsort((high, low, cell[which]))
+    edges = np.stack([cell[which], low, high])[:, order]
+    first = np.flatnonzero((np.diff(edges, axis=1, prepend=-1) != 0).any(axis=0))
+    ways = np.add.reduceat(np.where(labels < labels[after], 1, -1)[order], first)
+    count = int(cell.max(initial=-1)) + 1
+    is_mixed = np.bincount(edges[0, first], ways != 0, count) > 0
+    # Normals are summed over the triangles between a face's mean and its edges.
+    middle = np.add.reduceat(points[labels], begins) / sizes[:, None]
+    arms = points[labels] - middle[which]
+    normal = np.add.reduceat(np.cross(arms, points[labels[after]] - middle[which]), begins)
+    number = np.bincount(cell, minlength=count)[:, None]
+    centre = np.stack([np.bincount(cell, middle[:, k], count) for k in range(3)], axis=1) / number
+    volume = np.einsum("fk,fk->f", normal, middle - centre[cell])
+    most = np.bincount(cell, volume, count)[~is_mixed]
+    return np.where(is_mixed[cell], volume < 0, 2 * (most < 0).sum() > len(most))
 
 
 def mesh_of(grid: Any) -> tuple[Parts, Whole | None]:

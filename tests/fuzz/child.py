@@ -114,6 +114,7 @@ def main(name: str, seed: int, first: int, last: int, folder: pathlib.Path) -> N
         is_whole |= (
             kind == "line less" and b"DataArray" in text and damaged.count(b"<DataArray") < text.count(b"<DataArray")
         )
+        is_whole |= kind == "cut" and text[at:].lstrip().startswith((b"POINT_DATA", b"METADATA"))
         is_whole |= b"arch " in text and b"arch " not in damaged
 
         if not is_whole:

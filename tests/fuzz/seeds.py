@@ -60,11 +60,12 @@ def vtk(folder: pathlib.Path) -> list[Seed]:
     meshio.vtu.write(str(folder / "b.vtu"), plain, binary=False)
     meshio.vtk.write(str(folder / "b.vtk"), plain, binary=False)
     files = [folder / name for name in ("a.vtu", "a.vtk", "b.vtu", "b.vtk")]
-    for k, (kind, make) in enumerate(vtk_files.KINDS.items()):
+    # not flat ones, of which a damaged z makes a mesh in 3-D
+    for k, (kind, make) in enumerate(list(vtk_files.KINDS.items())[:4]):
         data = vtk_files.with_arrays(make(), on_cells=False)
         for form in vtk_files.FORMS[k % 3 :: 3]:
-            if form[0] != "appended raw" and form[1] == "None":
-                continue  # a letter of base64 is part of two numbers
+            if form[1] == "LZ4" or (form[0] != "appended raw" and form[1] == "None"):
+                continue  # a byte is part of several numbers, and there is no checksum
             files.append(folder / f"{kind}{len(files)}{vtk_files.ENDINGS.get(kind, '.vtu')}")
             vtk_files.write(files[-1], data, *form)
         for version, binary in itertools.product((42, 51), (False, True)):

@@ -1,12 +1,8 @@
 """VTK's files of one mesh, read and written by VTK: XML (.vtu, .vts, .vtp, .pvtu, .vtm), legacy (.vtk)."""
 
-import contextlib
 import dataclasses
-import os
 import pathlib
-import re
 import urllib.parse
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -17,6 +13,7 @@ from jaxmorph._mesh.export import to_vtk
 
 from .._format import Arrays, FilePoints, MeshLike, Source, faults_of, source_of
 from . import legacy, xml
+from .checks import errors_told
 
 NAME = "VTK"
 
@@ -82,7 +79,7 @@ def write(path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arr
     suffix = path.suffix.lower()
     kind = legacy if suffix == ".vtk" else xml
     encoding = content.encoding if content and isinstance(content.encoding, kind.Encoding) else kind.Encoding()
-    with _errors():
+    with errors_told():
         path.write_bytes(kind.written(vtk.unstructured(data) if suffix == ".vtu" else data, encoding))
 
 
@@ -106,38 +103,13 @@ def _read(path: pathlib.Path) -> Content:
 def _data(path: pathlib.Path) -> tuple[Any, Any]:
     """Reads one file by VTK, after a look at the sizes that it announces."""
     kind = legacy if path.suffix.lower() == ".vtk" else xml
-    raw = path.read_bytes()
-    encoding, announced = kind.checked(raw)
-    reader = kind.reader(raw, encoding)
-    reader.SetFileName(os.fsencode(path))
-    with _errors():
+    raw, encoding, announced = kind.checked(path.read_bytes())
+    reader = kind.reader(path, raw, encoding)
+    with errors_told():
         reader.Update()
     data = reader.GetOutput()
     announced.check(data)
     return data, encoding
-
-
-@contextlib.contextmanager
-def _errors() -> Iterator[None]:
-    """Raises `ValueError` for the first error that VTK tells, which else goes to the terminal."""
-    core = vtk.vtk("vtkCommonCore")
-    told, window = core.vtkStringOutputWindow(), core.vtkOutputWindow.GetInstance()
-    verbosity = core.vtkLogger.GetCurrentVerbosityCutoff()
-    shows = core.vtkObject.GetGlobalWarningDisplay()
-    core.vtkObject.GlobalWarningDisplayOn()
-    core.vtkOutputWindow.SetInstance(told)
-    core.vtkLogger.SetStderrVerbosity(core.vtkLogger.VERBOSITY_OFF)
-    try:
-        yield
-    finally:
-        core.vtkOutputWindow.SetInstance(window)
-        core.vtkLogger.SetStderrVerbosity(verbosity)
-        core.vtkObject.SetGlobalWarningDisplay(shows)
-    text = told.GetOutput()
-    text = text if isinstance(text, str) else text.decode(errors="replace")  # it may quote bytes of the file
-    errors = re.findall(r"(?:ERROR|Warning): In .*\n(?:\w+ \(0x[0-9a-f]+\): )?((?:.+\n)+)", text)
-    if errors:
-        raise ValueError(f"a damaged file, or one cut short ({' '.join(errors[0].split())[:200]}).")
 
 
 def _joined(named: list[tuple[str, Any]]) -> Any:

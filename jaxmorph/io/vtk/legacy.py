@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import pathlib
 import re
 from typing import Any
 
@@ -10,9 +11,8 @@ import numpy as np
 from jaxmorph._host.cells.topology import VTK_LAGRANGE
 from jaxmorph._mesh import vtk
 
-from ..text.digits import parse
 from ..text.sections import scan
-from .announced import Announced
+from .checks import Announced, check_streams, numbers
 
 HEAD = re.compile(
     rb"# vtk DataFile Version (?P<version>\d\.\d)[^\n]*\n(?P<title>[^\n]*)\n\s*(?P<mode>ASCII|BINARY)\s+DATASET\s+(?P<kind>\w+)",
@@ -24,37 +24,25 @@ KINDS = {
     **{"STRUCTURED_POINTS": "StructuredPoints", "RECTILINEAR_GRID": "RectilinearGrid"},
 }
 
-SIZES = re.compile(
-    rb"\b(?:SCALARS\s+\S+\s+\w+(?:\s+(?P<scalars>-?\d+))?\s+LOOKUP_TABLE\s+\S+"
-    rb"|(?:COLOR_SCALARS|TEXTURE_COORDINATES|LOOKUP_TABLE)\s+\S+\s+(?P<columns>-?\d+)"
-    rb"|(?:POINT|CELL)_DATA\s+(?P<rows>-?\d+)(?P<end>\s*\Z)?"
-    rb"|FIELD\s+\S+\s+(?P<field>-?\d+)[^\n]*\n"
-    rb"|(?:CELLS|VERTICES|LINES|POLYGONS|TRIANGLE_STRIPS)\s+(?P<cells>-?\d+\s+-?\d+)[^\n]*\n"
-    rb"|DIMENSIONS\s+(?P<dimensions>-?\d+\s+-?\d+\s+-?\d+)"
-    rb"|POINTS\s+(?P<points>-?\d+)(?:[ \t]+(?P<type>\w+)[ \t\r]*\n)?"
-    rb"|(?:CELL_TYPES|[XYZ]_COORDINATES)\s+(?P<section>-?\d+))",
-    re.IGNORECASE,
-)
-"""All places where a file announces numbers, after which VTK asks for memory."""
+CELLS = ("CELLS", "VERTICES", "LINES", "POLYGONS", "TRIANGLE_STRIPS")
 
-COUNTS = ("scalars", "columns", "rows", "field", "cells", "dimensions", "points", "section")
-
-ARRAY = re.compile(
-    rb"\s*(?:METADATA[ \t\r]*\n(?:[^\n]*\S[^\n]*\n)*\s*)?"
-    rb"(?:(?P<none>NULL_ARRAY)|\S+[ \t]+(?P<columns>\d+)[ \t]+(?P<rows>\d+)[ \t]+(?P<type>\w+))[ \t\r]*(?:\n|\Z)"
-)
-"""The line before an array of a field, and the notes on the array before it."""
+COLUMNS = {"VECTORS": 3, "NORMALS": 3, "TENSORS": 9, "TENSORS6": 6, "GLOBAL_IDS": 1, "PEDIGREE_IDS": 1, "EDGE_FLAGS": 1}
+"""Numbers in a row of an array, by the word before its name and type."""
 
 TYPES = {
-    **{b"signed_char": "i1", b"char": "i1", b"unsigned_char": "u1", b"short": "i2", b"unsigned_short": "u2"},
-    **{b"int": "i4", b"unsigned_int": "u4", b"vtkidtype": "i4", b"long": "l", b"unsigned_long": "L"},
-    **{b"long_long": "i8", b"unsigned_long_long": "u8", b"float": "f4", b"double": "f8", b"bit": "u1"},
-    **{
-        b"vtktype%s%d" % (sign, 8 * size): f"{code}{size}"
-        for sign, code in ((b"int", "i"), (b"uint", "u"))
-        for size in (1, 2, 4, 8)
-    },
+    **{"signed_char": "i1", "char": "i1", "unsigned_char": "u1", "short": "i2", "unsigned_short": "u2"},
+    **{"int": "i4", "unsigned_int": "u4", "vtkidtype": "i4", "long": "l", "unsigned_long": "L"},
+    **{"long_long": "i8", "unsigned_long_long": "u8", "float": "f4", "double": "f8", "bit": "u1"},
+    **{f"vtktype{sign}int{8 * n}": f"{sign or 'i'}{n}" for sign in ("", "u") for n in (1, 2, 4, 8)},
 }
+
+TYPES_OF_MESHIO = {
+    **{b"vtktypeint8": b"signed_char", b"vtktypeuint8": b"unsigned_char", b"vtktypeint16": b"short"},
+    **{b"vtktypeuint16": b"unsigned_short", b"vtktypeint32": b"int", b"vtktypeuint32": b"unsigned_int"},
+}
+"""Names of types that meshio writes, and VTK's own."""
+
+MESHIO = re.compile(rb"(?<=\s)vtktypeu?int(?:8|16|32)(?=\s)")
 
 LATTICE = 10**6
 """Points of a lattice without coordinates that a file of any size may have."""
@@ -70,8 +58,11 @@ class Encoding:
     is_text: bool = False
 
 
-def checked(raw: bytes) -> tuple[Encoding, Announced]:
-    """Raises `ValueError` for sizes that do not fit to the file; tells its encoding."""
+def checked(raw: bytes) -> tuple[bytes, Encoding, Announced]:
+    """Raises `ValueError` for sizes that do not fit to the file.
+
+    Returns the file in a form that VTK reads, and its encoding.
+    """
     head = HEAD.match(raw)
     if head is None:
         raise ValueError("not a .vtk file; `# vtk DataFile Version` and three lines more are expected first.")
@@ -80,128 +71,227 @@ def checked(raw: bytes) -> tuple[Encoding, Announced]:
     if kind not in KINDS:
         raise ValueError(f"{kind} in it is no mesh; read are {', '.join(KINDS)}.")
     encoding = Encoding(KINDS[kind], words["title"].strip("\r"), words["version"], words["mode"].upper() == "ASCII")
-    text = _Text(raw, encoding.is_text)
-    lattice, rows, section, arrays, at = None, -1, "", 0, head.end()
-    while match := SIZES.search(raw, at):
-        told, at = " ".join(match[0].decode(errors="replace").split()), match.end()
-        name = next((name for name in COUNTS if match[name]), "")
-        sizes = [int(word) for word in match[name].split()] if name else []
-        rows = sizes[0] if name == "rows" else rows
-        count = math.prod(sizes) * (max(rows, 1) if name in ("scalars", "columns") else 1)
-        count = max(sizes) if name == "cells" else count
-        has_points = name != "dimensions" or kind == "STRUCTURED_GRID"
-        if min(sizes, default=0) < 0 or count > 8 * len(raw) + (0 if has_points else LATTICE):  # bits are smallest
-            raise ValueError(f"{told!r} announces {count} numbers, but the file has {len(raw)} bytes.")
-        if match["end"] is not None or (name == "field" and section and rows < 0):
-            raise ValueError(f"a damaged file, or one cut short, in the section that begins with {section or told!r}.")
-        if name == "dimensions" and has_points:
-            lattice = count
-        if name == "points" and lattice not in (None, count):
-            raise ValueError(f"{told!r} for a grid of {lattice} points: a damaged file.")
-        try:
-            if match["type"]:
-                at = text.after(at, 3 * count, match["type"])
-            elif name == "field":
-                at, arrays = text.after_field(at, count), arrays + count
-            elif name == "cells" and words["version"] < "5":
-                text.check_cells(at, *sizes)
-        except ValueError as error:
-            raise ValueError(f"a damaged file, or one cut short, in the section {told!r} ({error}).") from error
-        section = told if name in ("section", "points", "cells", "rows") else section
-    return encoding, Announced(arrays=arrays - raw.count(b"NULL_ARRAY"))
+    sections = _Sections(raw, head.end(), encoding.is_text, words["version"] < "5")
+    keys = set()
+    try:
+        while line := sections.words():
+            keys.add(line[0].upper())
+            sections.skip(*line)
+        missing = [key for key in ("POINTS", "CELLS", "CELL_TYPES") if key not in keys]
+        if missing and kind == "UNSTRUCTURED_GRID":
+            raise ValueError(f"no {' and no '.join(missing)}")
+    except (ValueError, KeyError, IndexError, TypeError) as error:
+        place = f"in the section that begins with {sections.section!r}" if sections.section else "before any section"
+        raise ValueError(f"a damaged .vtk file, or one cut short, {place} ({str(error)[:200]}).") from error
+    return sections.readable(), encoding, Announced(arrays=sections.arrays)
 
 
-@dataclasses.dataclass(frozen=True)
-class _Text:
-    """The bytes of a file, and whether its numbers are words."""
+@dataclasses.dataclass
+class _Sections:
+    """Goes through a file as VTK does: `at` is where it stands, `section` the last line that began one.
+
+    VTK crashes where it takes other bytes for an array than a file means.
+    """
 
     raw: bytes
+    at: int
     is_text: bool
+    is_old: bool
+    section: str = ""
+    rows: int = -1
+    points: int | None = None
+    arrays: int = 0
+    nodes: np.ndarray | None = None
+    ends: np.ndarray | None = None
+    edits: list[tuple[int, int, bytes]] = dataclasses.field(default_factory=list)
 
-    def after(self, at: int, count: int, name: bytes) -> int:
-        """Finds the place after so many numbers. Raises `ValueError` where there are others."""
-        name = name.lower()
-        if name == b"string":
-            return self._after_strings(at, count)
-        if name not in TYPES:
-            raise ValueError(f"{name.decode(errors='replace')!r} is no type of numbers")
-        if not self.is_text:
-            size = -(-count // 8) if name == b"bit" else count * np.dtype(TYPES[name]).itemsize
-            rest = re.compile(rb"[ \t\r]*(\n|\Z)").match(self.raw, at + size)
-            if rest is None or at + size > len(self.raw):
-                raise ValueError(f"other than {count} numbers")
-            return rest.end()
-        kind = np.float64 if TYPES[name][0] == "f" else np.int64
-        left = count
-        while left:
-            end = self.raw.find(b"\n", at + min(24 * left, 1 << 20)) + 1 or len(self.raw)
-            _, ends, _ = scan(self.raw[at:end])
-            wanted = min(left, len(ends))
-            stop = at + int(ends[wanted - 1]) if wanted else at
-            if not wanted or len(parse(self.raw[at:stop], kind)) != wanted:
-                raise ValueError(f"{count - left} numbers and not {count}, or something that is no number")
-            at, left = stop, left - wanted
-        return at
+    def readable(self) -> bytes:
+        """Returns the file as VTK reads it, after `edits`."""
+        starts, stops, texts = zip(*self.edits, (len(self.raw), 0, b""), strict=True)
+        kept = (self.raw[a:b] for a, b in zip((0, *stops), starts, strict=False))
+        return b"".join(part for pair in zip(kept, texts, strict=True) for part in pair)
 
-    def _after_strings(self, at: int, count: int) -> int:
-        """Goes over strings: a line each, or the length in 1 to 8 bytes, as two bits tell, and bytes."""
+    def words(self) -> list[str]:
+        """Returns the words of the next line with any; none at the end."""
+        while self.at < len(self.raw):
+            begin, line = self.at, self._line()
+            for name in MESHIO.findall(line):
+                place = begin + line.index(name)
+                self.edits.append((place, place + len(name), TYPES_OF_MESHIO[name]))
+            if words := line.decode(errors="replace").split():
+                return words
+        return []
+
+    def skip(self, key: str, *words: str) -> None:
+        """Goes over the section, or the array, that a line begins."""
+        key = key.upper()
+        if key in (*CELLS, "POINTS", "CELL_TYPES", "POINT_DATA", "CELL_DATA"):
+            self.section = " ".join([key, *words])
+        if key == "METADATA":
+            self._notes()
+        elif key == "FIELD":
+            self._field(int(words[1]))
+        elif key == "DIMENSIONS":
+            self.points = math.prod(max(int(word), 0) for word in words[:3])
+            if self.points > LATTICE + 8 * len(self.raw):
+                raise ValueError(f"a lattice of {self.points} points in {len(self.raw)} bytes")
+        elif key == "POINTS":
+            if self.points not in (None, int(words[0])):
+                raise ValueError(f"a grid has {self.points} points")
+            self.after(3 * int(words[0]), words[1])
+        elif key in CELLS:
+            self._cells(int(words[0]), int(words[1]))
+        elif key == "CELL_TYPES":
+            self._check_polyhedra(self.after(int(words[0]), "int"))
+        elif key in ("POINT_DATA", "CELL_DATA"):
+            self.rows = int(words[0])
+            if self.rows and not self.raw[self.at :].strip():
+                raise ValueError("no arrays")
+        elif key in ("X_COORDINATES", "Y_COORDINATES", "Z_COORDINATES"):
+            self.after(int(words[0]), words[1])
+        elif key not in ("SPACING", "ORIGIN", "ASPECT_RATIO"):
+            self._attribute(key, words)
+
+    def _attribute(self, key: str, words: tuple[str, ...]) -> None:
+        """Goes over an array of points or cells that is no field."""
+        if self.rows < 0:
+            raise ValueError(f"{' '.join([key, *words])[:60]!r} is neither a section nor an array")
+        colour = "float" if self.is_text else "unsigned_char"
+        if key == "LOOKUP_TABLE":
+            self.after(4 * int(words[1]), colour)
+        elif key == "COLOR_SCALARS":
+            self.after(self.rows * int(words[1]), colour)
+        elif key == "TEXTURE_COORDINATES":
+            self.after(self.rows * int(words[1]), words[2])
+        elif key == "SCALARS":
+            if (table := self.words())[:1] != ["LOOKUP_TABLE"]:
+                raise ValueError(f"{' '.join(table)[:60]!r} where LOOKUP_TABLE is expected")
+            self.after(self.rows * int((*words, "1")[2]), words[1])
+        else:
+            self.after(self.rows * COLUMNS[key], words[1])
+
+    def _notes(self) -> None:
+        """Goes over notes on an array. VTK crashes on damaged ones, and reads names of components alone."""
+        begin, words = self.at, [b""]
+        while words and words[0] != b"INFORMATION":
+            begin = self.at
+            words = self._line().split()
+        while words:
+            words = self._line().split()
+        self.edits.append((begin, self.at, b"INFORMATION 0\n\n"))
+
+    def _line(self) -> bytes:
+        end = self.raw.find(b"\n", self.at) + 1 or len(self.raw)
+        line, self.at = self.raw[self.at : end], end
+        return line
+
+    def _field(self, count: int) -> None:
+        """Goes over a field of so many arrays."""
+        if self.rows < 0 and self.section:
+            raise ValueError("a field of arrays, but neither POINT_DATA nor CELL_DATA before it")
         for _ in range(count):
-            if at >= len(self.raw):
-                raise ValueError(f"fewer than {count} strings")
-            if self.is_text:
-                at = self.raw.find(b"\n", at) + 1 or len(self.raw)
-            else:
-                size = {3: 1, 2: 2, 1: 4, 0: 8}[self.raw[at] >> 6]
-                length = int.from_bytes(self.raw[at : at + size], "big") & ((1 << (8 * size - 2)) - 1)
-                at += size + length
-        return at
+            words = self.words()
+            while words == ["METADATA"]:
+                self._notes()
+                words = self.words()
+            if words == ["NULL_ARRAY"]:
+                continue
+            if len(words) != 4:
+                raise ValueError(f"{' '.join(words)[:60]!r} where the name, sizes and type of an array are expected")
+            columns, rows = int(words[1]), int(words[2])
+            if columns < 1 or (self.rows >= 0 and rows != self.rows):
+                raise ValueError(f"an array of {columns} times {rows} numbers, for {self.rows} rows")
+            self.after(columns * rows, words[3])
+            self.arrays += 1
 
-    def after_field(self, at: int, count: int) -> int:
-        """Finds the place after a field of so many arrays."""
-        for _ in range(count):
-            line = ARRAY.match(self.raw, at)
-            if line is None:
-                raise ValueError(
-                    f"{self.raw[at : at + 60].strip()!r} where an array's name, sizes and type are expected"
-                )
-            at = line.end()
-            if not line["none"]:
-                columns, rows = int(line["columns"]), int(line["rows"])
-                if columns < 1 or columns * rows > 8 * len(self.raw):
-                    raise ValueError(f"an array of {columns} times {rows} numbers")
-                at = self.after(at, columns * rows, line["type"])
-        return at
-
-    def check_cells(self, at: int, count: int, size: int) -> None:
-        """Raises `ValueError` where numbers are not cells: each its number of nodes, and these."""
-        end = self.after(at, size, b"int")
-        numbers = parse(self.raw[at:end], np.int64) if self.is_text else np.frombuffer(self.raw, ">i4", size, at)
+    def _cells(self, count: int, size: int) -> None:
+        """Goes over cells. The number of a cell's nodes stands before them up to 5.0, then in offsets."""
+        if not self.is_old:
+            found = []
+            for key, length in (("OFFSETS", count), ("CONNECTIVITY", size)):
+                words = self.words()
+                if words[:1] != [key]:
+                    raise ValueError(f"no {key}")
+                found.append(self.after(length, words[1]))
+            self.ends, self.nodes = found
+            if count and (self.ends[0] != 0 or self.ends[-1] != size or (self.ends[1:] < self.ends[:-1]).any()):
+                raise ValueError(f"offsets that are not those of {size} nodes")
+            return
+        self.nodes = self.after(size, "int")
         # Cells of one size are gone through together: numbers of nodes stand at equal steps.
-        place, found, block = 0, 0, 1
+        place, block, begins = 0, 1, [np.zeros(0, np.int64)]
         while place < size:
-            step = int(numbers[place]) + 1
-            rows = numbers[place : place + block * step : step] if step > 0 else numbers[:0]
+            step = int(self.nodes[place]) + 1
+            rows = self.nodes[place : place + block * step : step] if step > 0 else self.nodes[:0]
             same = len(rows) if (rows == step - 1).all() else int((rows != step - 1).argmax())
             if not same:
-                raise ValueError(f"cell {found} has {step - 1} nodes")
-            place, found, block = place + same * step, found + same, 2 * block if same == block else 1
-        if place != size or found != count:
-            raise ValueError(f"{found} cells of {place} numbers")
+                raise ValueError(f"a cell of {step - 1} nodes")
+            begins.append(place + step * np.arange(same))
+            place, block = place + same * step, 2 * block if same == block else 1
+        self.ends = np.append(np.concatenate(begins), place)
+        if place != size or len(self.ends) - 1 != count:
+            raise ValueError(f"{len(self.ends) - 1} cells of {place} numbers")
+
+    def _check_polyhedra(self, kinds: np.ndarray) -> None:
+        """Raises `ValueError` where cells that are polyhedra do not list their faces."""
+        rows = np.flatnonzero(kinds == vtk.POLYHEDRON)
+        if len(rows) and (self.ends is None or self.nodes is None or len(kinds) != len(self.ends) - 1):
+            raise ValueError(f"{len(kinds)} types, for other cells")
+        if len(rows):
+            skip = int(self.is_old)  # the number of a cell's nodes
+            check_streams(self.nodes, self.ends[rows] + skip, self.ends[rows + 1])
+
+    def after(self, count: int, name: str) -> np.ndarray:
+        """Reads so many numbers of a type by VTK's name. Raises `ValueError` where there are others."""
+        kind, raw = name.lower(), self.raw
+        if kind == "string":
+            self._strings(count)
+            return np.zeros(0)
+        if not 0 <= count <= 8 * len(raw):  # bits are the smallest numbers
+            raise ValueError(f"{count} numbers in a file of {len(raw)} bytes")
+        if not self.is_text:
+            begin, dtype = self.at, np.dtype(TYPES[kind]).newbyteorder(">")
+            length = -(-count // 8) if kind == "bit" else count
+            self.at += length * dtype.itemsize
+            rest = re.compile(rb"[ \t\r]*(\n|\Z)").match(raw, self.at)
+            if rest is None or self.at > len(raw):
+                raise ValueError(f"other than {count} numbers announced")
+            self.at = rest.end()
+            return np.frombuffer(raw, dtype, length, begin)
+        left, parts = count, [np.zeros(0, np.int64)]
+        while left:
+            end = raw.find(b"\n", self.at + min(24 * left, 1 << 20)) + 1 or len(raw)
+            _, ends, _ = scan(raw[self.at : end])
+            wanted = min(left, len(ends))
+            stop = self.at + int(ends[wanted - 1]) if wanted else self.at
+            parts.append(numbers(raw[self.at : stop], TYPES[kind]))
+            if not wanted or len(parts[-1]) != wanted:
+                raise ValueError(f"something that is no number, or {count - left} numbers and not {count}")
+            self.at, left = stop, left - wanted
+        return np.concatenate(parts)
+
+    def _strings(self, count: int) -> None:
+        """Goes over strings: a line each in a text, length and bytes in a binary file.
+
+        The length has 1 to 8 bytes, as its first two bits tell.
+        """
+        for _ in range(count):
+            if self.at >= len(self.raw):
+                raise ValueError(f"fewer than {count} strings")
+            if self.is_text:
+                self.at = self.raw.find(b"\n", self.at) + 1 or len(self.raw)
+            else:
+                size = {3: 1, 2: 2, 1: 4, 0: 8}[self.raw[self.at] >> 6]
+                head = int.from_bytes(self.raw[self.at : self.at + size], "big")
+                self.at += size + (head & ((1 << (8 * size - 2)) - 1))
 
 
-MESHIO = {b"int8": b"signed_char", b"uint8": b"unsigned_char", b"int16": b"short", b"uint16": b"unsigned_short"}
-MESHIO |= {b"int32": b"int", b"uint32": b"unsigned_int"}
-"""Names of types that meshio writes, after `vtktype`, and VTK does not know."""
-
-
-def reader(raw: bytes, encoding: Encoding) -> Any:
+def reader(_: pathlib.Path, raw: bytes, encoding: Encoding) -> Any:
     new = getattr(vtk.vtk("vtkIOLegacy"), f"vtk{encoding.kind}Reader")()
     for name in ("Scalars", "Vectors", "Normals", "Tensors", "ColorScalars", "TCoords", "Fields"):
         getattr(new, f"ReadAll{name}On")()
-    known = re.sub(rb"\bvtktype(u?int(?:8|16|32))\b", lambda match: MESHIO[match[1]], raw)
-    if known != raw:
-        new.ReadFromInputStringOn()
-        new.SetBinaryInputString(known, len(known))
+    new.ReadFromInputStringOn()
+    new.SetBinaryInputString(raw, len(raw))
     return new
 
 

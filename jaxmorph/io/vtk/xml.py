@@ -7,6 +7,7 @@ import base64
 import binascii
 import dataclasses
 import math
+import os
 import pathlib
 import re
 from collections.abc import Iterator
@@ -15,10 +16,9 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from jaxmorph._mesh.vtk import vtk
+from jaxmorph._mesh.vtk import POLYHEDRON, data_of, vtk
 
-from ..text.digits import parse
-from .announced import Announced
+from .checks import Announced, check_lists, check_streams, errors_told, numbers
 
 SMALL, UNPACKED = 2 * 10**8, 100
 """Bytes that a packed file may become in any case, and that one of its bytes may become."""
@@ -28,6 +28,11 @@ TYPES |= {"Float32": "f4", "Float64": "f8", "String": "u1"}
 
 KINDS = ("UnstructuredGrid", "StructuredGrid", "PolyData")
 """Data sets that are one mesh, with points of their own."""
+
+
+STREAM = ("faces", "faceoffsets")
+LISTS = ("face_connectivity", "face_offsets", "polyhedron_to_faces", "polyhedron_offsets")
+"""Arrays of polyhedra, up to version 2.2 and since."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -106,10 +111,10 @@ class _File:
         return np.frombuffer(data, self.head, count).tolist()
 
 
-def checked(raw: bytes) -> tuple[Encoding, Announced]:
+def checked(raw: bytes) -> tuple[bytes, Encoding, Announced]:
     """Raises `ValueError` for arrays that have not the size that the file says.
 
-    It tells the file's encoding.
+    Returns the file, and its encoding.
     """
     file = _opened(raw)
     if file.encoding.kind not in KINDS:
@@ -121,11 +126,58 @@ def checked(raw: bytes) -> tuple[Encoding, Announced]:
         nodes += count * (array.get("Name") == "connectivity")
     if size > SMALL + UNPACKED * len(raw):
         raise ValueError(f"{len(raw)} bytes become {size} when unpacked; no mesh does.")
-    return file.encoding, Announced(nodes)
+    _check_polyhedra(file)
+    return raw, file.encoding, Announced(nodes)
 
 
-def reader(_: bytes, encoding: Encoding) -> Any:
-    return getattr(vtk("vtkIOXML"), f"vtkXML{encoding.kind}Reader")()
+def _check_polyhedra(file: _File) -> None:
+    """Raises `ValueError` where pieces list faces that are not those of polyhedra.
+
+    VTK crashes there. So it reads the lists as arrays of a file without cells first.
+    """
+    for piece in file.root.iter("Piece"):
+        cells = {array.get("Name"): array for array in piece.iterfind("Cells/DataArray")}
+        if not cells.keys() & {*STREAM, *LISTS}:
+            continue
+        found = _values(file, cells)
+        count = int(piece.get("NumberOfCells", 0))
+        if found.keys() >= {*STREAM}:
+            ends = found["faceoffsets"].astype(np.int64)
+            ends = ends[ends >= 0]  # -1 for other cells
+            check_streams(found["faces"], np.append(0, ends[:-1])[: len(ends)], ends)
+        elif found.keys() >= {*LISTS}:
+            faces, face_ends, of_cells, cell_ends = (found[name] for name in LISTS)
+            check_lists(cell_ends, of_cells, len(face_ends))
+            check_lists(face_ends, faces, int(piece.get("NumberOfPoints", 0)))
+            if len(cell_ends) != count:
+                raise ValueError(f"polyhedra of {len(cell_ends)} cells, for {count}")
+        elif (found.get("types", np.zeros(0)) == POLYHEDRON).any():
+            raise ValueError(f"polyhedra without {' and '.join({*LISTS} - found.keys())}.")
+
+
+def _values(file: _File, arrays: dict[str | None, ElementTree.Element]) -> dict[str, np.ndarray]:
+    """Reads arrays by VTK as those of a file of one point."""
+    root = ElementTree.Element("VTKFile", file.root.attrib | {"type": "ImageData"})
+    image = ElementTree.SubElement(root, "ImageData", {"WholeExtent": "0 0 0 0 0 0"})
+    fields = ElementTree.SubElement(image, "FieldData")
+    ElementTree.SubElement(image, "Piece", {"Extent": "0 0 0 0 0 0"})
+    for array in arrays.values():
+        count, _ = _check(file, array, -1)
+        ElementTree.SubElement(fields, "DataArray", array.attrib | {"NumberOfTuples": str(count)}).text = array.text
+    encoding = b"raw" if file.encoding.is_raw else b"base64"
+    tail = b'<AppendedData encoding="%s">_%s</AppendedData>' % (encoding, file.appended) if file.appended else b""
+    new = vtk("vtkIOXML").vtkXMLImageDataReader()
+    new.ReadFromInputStringOn()
+    new.SetInputString(ElementTree.tostring(root).removesuffix(b"</VTKFile>") + tail + b"</VTKFile>")
+    with errors_told():
+        new.Update()
+    return data_of(new.GetOutput().GetFieldData())
+
+
+def reader(path: pathlib.Path, _: bytes, encoding: Encoding) -> Any:
+    new = getattr(vtk("vtkIOXML"), f"vtkXML{encoding.kind}Reader")()
+    new.SetFileName(os.fsencode(path))
+    return new
 
 
 def written(data: Any, encoding: Encoding) -> bytes:
@@ -160,13 +212,16 @@ def named_files(path: pathlib.Path) -> list[tuple[str, pathlib.Path]]:
 
 def _check(file: _File, array: ElementTree.Element, rows: int) -> tuple[int, int]:
     """Compares an array with its rows, -1 for any; returns how many numbers it has, of how many bytes."""
+    for key in array.iter("InformationKey"):
+        if int(key.get("length", "0")) > len(key):
+            raise ValueError(f"{key.get('length')} values in {key.get('name')!r}, of which {len(key)} are there.")
     name, kind, width = array.get("Name", "Points"), array.get("type", ""), int(array.get("NumberOfComponents", "1"))
     if kind not in TYPES:
         raise ValueError(f"the array {name!r} is of type {kind!r}.")
     dtype = np.dtype(TYPES[kind])
     try:
         if array.get("format", "ascii") == "ascii":
-            values = parse((array.text or "").encode(), np.float64 if dtype.kind == "f" else np.int64)
+            values = numbers((array.text or "").encode(), TYPES[kind])
             count, rest = len(values), 0
         else:
             count, rest = divmod(file.size(array), dtype.itemsize)
