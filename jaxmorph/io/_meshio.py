@@ -5,11 +5,8 @@ try:
 except ImportError as error:
     raise ImportError("this file format needs meshio: pip install 'jaxmorph[io]'") from error
 
-import contextlib
 import dataclasses
-import io
 import pathlib
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -41,27 +38,6 @@ class Blocks:
     cell_data: dict[str, Any] = dataclasses.field(default_factory=dict)
     cell_sets: dict[str, Any] = dataclasses.field(default_factory=dict)
     field_data: dict[str, Any] = dataclasses.field(default_factory=dict)
-
-
-def load(path: pathlib.Path, name: str, reader: Callable[[str], Any]) -> meshio.Mesh:
-    """Reads a file by `reader`, without prints; each way in which it fails is a `ValueError`."""
-    path.open("rb").close()
-    output = io.StringIO()
-    try:
-        with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
-            mesh = reader(str(path))
-    except (Exception, SystemExit) as error:
-        detail = " ".join(f"{error or output.getvalue()}".split())[:120]
-        reason = f"{type(error).__name__}: {detail}" if detail else "meshio gives no reason"
-        message = f"{path}: not a {name} file, or a damaged one ({reason})."
-        raise ValueError(message) from error
-    printed = " ".join(output.getvalue().split())
-    if "cannot handle" in printed:  # meshio leaves such cells out
-        raise ValueError(f"{path}: {printed[printed.find('File contains') :]} They would be lost.")
-    cells = sum(len(np.asarray(block.data)) for block in mesh.cells)
-    if len(mesh.points) == 0 or cells == 0:
-        raise ValueError(f"{path}: no mesh, the file holds {len(mesh.points)} points and {cells} cells.")
-    return mesh
 
 
 def to_mesh(path: pathlib.Path, mesh: Any, source: Any) -> Parts:
