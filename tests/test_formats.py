@@ -84,8 +84,7 @@ def test_points_as_written_are_the_points_of_the_written_file(tmp_path, name):
     np.testing.assert_allclose(expected, points, atol=3e-7)
     io.write(out, moved)
     np.testing.assert_array_equal(io.read(out).points, expected)
-    if ending != ".vtu":  # any other format takes the points as they are
-        np.testing.assert_array_equal(io.as_written(tmp_path / "other.vtu", moved), points)
+    np.testing.assert_array_equal(io.as_written(tmp_path / "other.su2", moved), points)  # all digits
 
 
 @pytest.mark.parametrize("ending", ["", ".cgns", ".e", ".med", ".xyz"])
