@@ -26,8 +26,8 @@ from .._methods.blocks import place_points
 from .._methods.guiding import carrying, guiding
 from .._methods.reconstruction import SurfaceReconstruction
 from .._methods.surface import Cells, Surface
-from .base import refitted
 from .plan import Guide, Plan, SurfacePart, VolumePart
+from .refit import refitted
 
 FEW = 50_000, 2_000
 """Points, and surface nodes, below which compiling takes longer than one compiled run."""
