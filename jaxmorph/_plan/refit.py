@@ -10,8 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, PyTree, Real
 
-from .._boundary.matching import MISMATCH
-from .._boundary.pairing import Pairing
+from .._boundary.periodic import MISMATCH, Pairing
 from .._boundary.symmetry import tolerance
 from .._boundary.tracks import Track
 from .._host.package.arguments import checked
