@@ -80,7 +80,7 @@ def cell_arrays(data: Any) -> list[Any]:
 
 
 def unstructured(data: Any) -> Any:
-    """Makes an unstructured grid of any of VTK's data sets, with its points and cells in their order."""
+    """Makes an unstructured grid of any data set, with its points and cells in their order."""
     if data.IsA("vtkUnstructuredGrid"):
         return data
     joined = vtk("vtkFiltersCore").vtkAppendFilter()
@@ -279,7 +279,7 @@ def new_grid(cells: Mapping[str, Any], points: np.ndarray) -> Any:
         ids.append(nodes.ravel().astype(np.int64))
         ends.append(ends[-1][-1] + nodes.shape[1] * np.arange(1, len(nodes) + 1))
     array = model.vtkCellArray()
-    array.SetData(*(numpy.numpy_to_vtkIdTypeArray(np.concatenate(part), deep=1) for part in (ends, ids)))
+    array.SetData(*(numpy.numpy_to_vtk(np.concatenate(part), deep=1) for part in (ends, ids)))
     grid = model.vtkUnstructuredGrid()
     grid.SetPoints(points_of(points))
     grid.SetCells(numpy.numpy_to_vtk(np.concatenate(numbers), deep=1), array)

@@ -30,7 +30,7 @@ class Announced(NamedTuple):
 
 
 def numbers(text: bytes, kind: str) -> np.ndarray:
-    """Reads a text's numbers of a type of NumPy. Raises `ValueError` for numbers that it cannot hold."""
+    """Reads a text's numbers. Raises `ValueError` for numbers that the type cannot hold."""
     dtype = np.dtype(kind)
     values = parse(
         text, {"f": np.float64, "u": np.uint64 if dtype.itemsize == 8 else np.int64}.get(dtype.kind, np.int64)
@@ -46,7 +46,7 @@ def numbers(text: bytes, kind: str) -> np.ndarray:
 
 
 def check_streams(numbers: np.ndarray, begins: np.ndarray, ends: np.ndarray) -> None:
-    """Raises `ValueError` where numbers are not polyhedra: faces, and of each its nodes and these."""
+    """Raises `ValueError` where numbers are not faces of polyhedra: counts, and nodes."""
     # All polyhedra are gone through together: round k looks at face k of each that has as many.
     if (begins >= ends).any():
         raise ValueError("a polyhedron without faces")
@@ -67,7 +67,7 @@ def check_streams(numbers: np.ndarray, begins: np.ndarray, ends: np.ndarray) -> 
 
 
 def check_lists(ends: np.ndarray, ids: np.ndarray, count: int) -> None:
-    """Raises `ValueError` where lists that end at `ends` are not those of `ids`, all below `count`."""
+    """Raises `ValueError` for lists, up to `ends`, that are not all `ids`, each below `count`."""
     if (np.diff(ends, prepend=0) < 0).any() or (ends[-1] if len(ends) else 0) != len(ids):
         raise ValueError(f"lists of polyhedra that do not end with their {len(ids)} numbers")
     if len(ids) and not 0 <= ids.min() <= ids.max() < count:

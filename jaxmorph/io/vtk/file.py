@@ -1,4 +1,4 @@
-"""VTK's files of one mesh, read and written by VTK: XML (.vtu, .vts, .vtp, .pvtu, .vtm), legacy (.vtk)."""
+"""VTK's files of one mesh, XML and legacy (.vtk), read and written by VTK."""
 
 import dataclasses
 import pathlib

@@ -1,4 +1,4 @@
-"""VTK's legacy files (.vtk): the sizes that a file announces are compared with its own, then VTK reads it."""
+"""VTK's legacy files (.vtk), whose sections are checked before VTK reads them."""
 
 import dataclasses
 import math
@@ -88,7 +88,7 @@ def checked(raw: bytes) -> tuple[bytes, Encoding, Announced]:
 
 @dataclasses.dataclass
 class _Sections:
-    """Goes through a file as VTK does: `at` is where it stands, `section` the last line that began one.
+    """Goes through a file as VTK does: `at` is its place, `section` the line that began the last.
 
     VTK crashes where it takes other bytes for an array than a file means.
     """
@@ -118,8 +118,8 @@ class _Sections:
             for name in MESHIO.findall(line):
                 place = begin + line.index(name)
                 self.edits.append((place, place + len(name), TYPES_OF_MESHIO[name]))
-            if words := line.decode(errors="replace").split():
-                return words
+            if words := line.split():  # at blanks of C, which are fewer than those of a text
+                return [word.decode(errors="replace") for word in words]
         return []
 
     def skip(self, key: str, *words: str) -> None:
@@ -171,7 +171,7 @@ class _Sections:
             self.after(self.rows * COLUMNS[key], words[1])
 
     def _notes(self) -> None:
-        """Goes over notes on an array. VTK crashes on damaged ones, and reads names of components alone."""
+        """Goes over notes on an array, of which VTK is to read only the names of components."""
         begin, words = self.at, [b""]
         while words and words[0] != b"INFORMATION":
             begin = self.at
@@ -205,7 +205,7 @@ class _Sections:
             self.arrays += 1
 
     def _cells(self, count: int, size: int) -> None:
-        """Goes over cells. The number of a cell's nodes stands before them up to 5.0, then in offsets."""
+        """Goes over cells: the number of nodes stands before them up to 5.0, then in offsets."""
         if not self.is_old:
             found = []
             for key, length in (("OFFSETS", count), ("CONNECTIVITY", size)):
@@ -242,7 +242,7 @@ class _Sections:
             check_streams(self.nodes, self.ends[rows] + skip, self.ends[rows + 1])
 
     def after(self, count: int, name: str) -> np.ndarray:
-        """Reads so many numbers of a type by VTK's name. Raises `ValueError` where there are others."""
+        """Reads so many numbers of a type by its name; `ValueError` where there are others."""
         kind, raw = name.lower(), self.raw
         if kind == "string":
             self._strings(count)

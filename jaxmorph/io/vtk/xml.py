@@ -1,4 +1,4 @@
-"""VTK's XML files: what a file says of its arrays is compared with what it holds, then VTK reads it.
+"""VTK's XML files, whose sizes are checked before VTK reads them.
 
 VTK asks for memory as the file's numbers say, and takes lists in text as far as they go.
 """
@@ -37,7 +37,7 @@ LISTS = ("face_connectivity", "face_offsets", "polyhedron_to_faces", "polyhedron
 
 @dataclasses.dataclass(frozen=True)
 class Encoding:
-    """How a file says a data set: as ascii, binary or appended, in base64 or not, packed by what."""
+    """How a file says a data set: ascii, binary or appended, in base64 or not, packed by what."""
 
     kind: str = "UnstructuredGrid"
     mode: str = "binary"
@@ -91,7 +91,7 @@ class _File:
         if not is_text:
             held = len(data) - start - head
         else:
-            # the header is a text of its own, with padding, where blocks follow; else one with the bytes
+            # the header is a text of its own where blocks follow or it is padded
             begin = start + 4 * -(-head // 3)
             is_apart = bool(self.encoding.compressor) or data[begin - 1 : begin] == b"="
             begin, wanted = (begin, count) if is_apart else (start, head + count)
@@ -211,7 +211,7 @@ def named_files(path: pathlib.Path) -> list[tuple[str, pathlib.Path]]:
 
 
 def _check(file: _File, array: ElementTree.Element, rows: int) -> tuple[int, int]:
-    """Compares an array with its rows, -1 for any; returns how many numbers it has, of how many bytes."""
+    """Compares an array with its rows, -1 for any; returns its count of numbers, and their bytes."""
     for key in array.iter("InformationKey"):
         if int(key.get("length", "0")) > len(key):
             raise ValueError(f"{key.get('length')} values in {key.get('name')!r}, of which {len(key)} are there.")
