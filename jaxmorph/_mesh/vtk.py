@@ -94,10 +94,11 @@ def unstructured(data: Any) -> Any:
 def kinds_of(grid: Any) -> np.ndarray:
     """Names the type of each cell (k,), as a mesh that is read has it; VTK's name if it cannot."""
     starts, _ = _arrays_of(grid.GetCells())
-    pairs = np.stack([numbers_of(grid).astype(np.int64), np.diff(starts)])
-    both, which = np.unique(pairs, axis=1, return_inverse=True)
-    names = [_kind(number, size) for number, size in both.T.tolist()]
-    return np.array(names, dtype=object)[which.ravel()] if names else np.zeros(0, object)
+    sizes = np.diff(starts)
+    base = int(sizes.max(initial=0)) + 1  # a type and a size make one number
+    both, which = np.unique(numbers_of(grid).astype(np.int64) * base + sizes, return_inverse=True)
+    names = [_kind(*divmod(pair, base)) for pair in both.tolist()]
+    return np.array(names, dtype=object)[which] if names else np.zeros(0, object)
 
 
 def _kind(number: int, size: int) -> str:

@@ -12,7 +12,7 @@ from jaxmorph._host.cells.topology import VTK_LAGRANGE
 from jaxmorph._mesh import vtk
 
 from ..text.sections import scan
-from .checks import Announced, check_streams, numbers
+from .checks import check_streams, numbers
 
 HEAD = re.compile(
     rb"# vtk DataFile Version (?P<version>\d\.\d)[^\n]*\n(?P<title>[^\n]*)\n\s*(?P<mode>ASCII|BINARY)\s+DATASET\s+(?P<kind>\w+)",
@@ -58,7 +58,7 @@ class Encoding:
     is_text: bool = False
 
 
-def checked(raw: bytes) -> tuple[bytes, Encoding, Announced]:
+def checked(raw: bytes) -> tuple[bytes, Encoding, None]:
     """Raises `ValueError` for sizes that do not fit to the file.
 
     Returns the file in a form that VTK reads, and its encoding.
@@ -83,7 +83,7 @@ def checked(raw: bytes) -> tuple[bytes, Encoding, Announced]:
     except (ValueError, KeyError, IndexError, TypeError) as error:
         place = f"in the section that begins with {sections.section!r}" if sections.section else "before any section"
         raise ValueError(f"a damaged .vtk file, or one cut short, {place} ({str(error)[:200]}).") from error
-    return sections.readable(), encoding, Announced(arrays=sections.arrays)
+    return sections.readable(), encoding, None
 
 
 @dataclasses.dataclass
@@ -100,7 +100,6 @@ class _Sections:
     section: str = ""
     rows: int = -1
     points: int | None = None
-    arrays: int = 0
     nodes: np.ndarray | None = None
     ends: np.ndarray | None = None
     edits: list[tuple[int, int, bytes]] = dataclasses.field(default_factory=list)
@@ -202,7 +201,6 @@ class _Sections:
             if columns < 1 or (self.rows >= 0 and rows != self.rows):
                 raise ValueError(f"an array of {columns} times {rows} numbers, for {self.rows} rows")
             self.after(columns * rows, words[3])
-            self.arrays += 1
 
     def _cells(self, count: int, size: int) -> None:
         """Goes over cells: the number of nodes stands before them up to 5.0, then in offsets."""

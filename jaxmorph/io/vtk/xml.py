@@ -18,7 +18,7 @@ import numpy as np
 
 from jaxmorph._mesh.vtk import POLYHEDRON, data_of, vtk
 
-from .checks import Announced, check_lists, check_streams, errors_told, numbers
+from .checks import check_lists, check_streams, errors_told, numbers
 
 SMALL, UNPACKED = 2 * 10**8, 100
 """Bytes that a packed file may become in any case, and that one of its bytes may become."""
@@ -111,10 +111,10 @@ class _File:
         return np.frombuffer(data, self.head, count).tolist()
 
 
-def checked(raw: bytes) -> tuple[bytes, Encoding, Announced]:
+def checked(raw: bytes) -> tuple[bytes, Encoding, int]:
     """Raises `ValueError` for arrays that have not the size that the file says.
 
-    Returns the file, and its encoding.
+    Returns the file, its encoding, and the number of nodes of all cells.
     """
     file = _opened(raw)
     if file.encoding.kind not in KINDS:
@@ -127,7 +127,7 @@ def checked(raw: bytes) -> tuple[bytes, Encoding, Announced]:
     if size > SMALL + UNPACKED * len(raw):
         raise ValueError(f"{len(raw)} bytes become {size} when unpacked; no mesh does.")
     _check_polyhedra(file)
-    return raw, file.encoding, Announced(nodes)
+    return raw, file.encoding, nodes
 
 
 def _check_polyhedra(file: _File) -> None:
@@ -211,7 +211,7 @@ def named_files(path: pathlib.Path) -> list[tuple[str, pathlib.Path]]:
 
 
 def _check(file: _File, array: ElementTree.Element, rows: int) -> tuple[int, int]:
-    """Compares an array with its rows, -1 for any; returns its count of numbers, and their bytes."""
+    """Compares an array with its rows, -1 for any; returns its count and size of numbers."""
     for key in array.iter("InformationKey"):
         if int(key.get("length", "0")) > len(key):
             raise ValueError(f"{key.get('length')} values in {key.get('name')!r}, of which {len(key)} are there.")
