@@ -217,7 +217,7 @@ class Mesh(Module):
                 )
             grid = grid.cast_to_unstructured_grid()
         parts, whole = vtk.mesh_of(grid)
-        return Mesh(*parts[:3], exchange.Origin(grid, exchange.numbers_of_cells(parts.cells), *whole or ()))
+        return Mesh(*parts[:3], exchange.Origin(grid, exchange.numbers_of_cells(parts.cells), *(whole or (None, None))))
 
     @checked
     def to_pyvista(

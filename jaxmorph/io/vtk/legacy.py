@@ -100,8 +100,8 @@ class _Sections:
     section: str = ""
     rows: int = -1
     points: int | None = None
-    nodes: np.ndarray | None = None
-    ends: np.ndarray | None = None
+    nodes: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, np.int64))
+    ends: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(1, np.int64))
     edits: list[tuple[int, int, bytes]] = dataclasses.field(default_factory=list)
 
     def readable(self) -> bytes:
@@ -233,7 +233,7 @@ class _Sections:
     def _check_polyhedra(self, kinds: np.ndarray) -> None:
         """Raises `ValueError` where cells that are polyhedra do not list their faces."""
         rows = np.flatnonzero(kinds == vtk.POLYHEDRON)
-        if len(rows) and (self.ends is None or self.nodes is None or len(kinds) != len(self.ends) - 1):
+        if len(rows) and len(kinds) != len(self.ends) - 1:
             raise ValueError(f"{len(kinds)} types, for other cells")
         if len(rows):
             skip = int(self.is_old)  # the number of a cell's nodes

@@ -57,11 +57,9 @@ class _File:
 
     @property
     def head(self) -> np.dtype:
-        return np.dtype({"UInt32": "u4", "UInt64": "u8"}[self.encoding.header]).newbyteorder(self.byte_order)
-
-    @property
-    def byte_order(self) -> str:
-        return {"LittleEndian": "<", "BigEndian": ">"}[self.encoding.order]
+        return np.dtype({"UInt32": "u4", "UInt64": "u8"}[self.encoding.header]).newbyteorder(
+            ">" if self.encoding.order == "BigEndian" else "<"
+        )
 
     def size(self, array: ElementTree.Element) -> int:
         """Finds the number of bytes that an array has, by the sizes before it."""
@@ -218,17 +216,14 @@ def _check(file: _File, array: ElementTree.Element, rows: int) -> tuple[int, int
     name, kind, width = array.get("Name", "Points"), array.get("type", ""), int(array.get("NumberOfComponents", "1"))
     if kind not in TYPES:
         raise ValueError(f"the array {name!r} is of type {kind!r}.")
-    dtype = np.dtype(TYPES[kind])
+    dtype, is_text = np.dtype(TYPES[kind]), array.get("format", "ascii") == "ascii"
     try:
-        if array.get("format", "ascii") == "ascii":
-            values = numbers((array.text or "").encode(), TYPES[kind])
-            count, rest = len(values), 0
-        else:
-            count, rest = divmod(file.size(array), dtype.itemsize)
+        values = numbers((array.text or "").encode(), TYPES[kind]) if is_text else np.zeros(0)
+        count, rest = (len(values), 0) if is_text else divmod(file.size(array), dtype.itemsize)
     except (ValueError, binascii.Error) as error:
         raise ValueError(f"the array {name!r} is damaged ({error}).") from error
     if kind == "String":  # VTK reads as many as are announced
-        ends = (values == 0).sum() if array.get("format", "ascii") == "ascii" else rows * width
+        ends = int((values == 0).sum()) if is_text else rows * width
         if ends != rows * width:
             raise ValueError(f"{ends} strings in {name}, {rows * width} expected: a damaged file, or one cut short.")
         return count, 1
@@ -251,7 +246,9 @@ def _arrays(root: ElementTree.Element) -> Iterator[tuple[ElementTree.Element, in
                 of_section = rows.get(section.tag, {})
                 for array in section:
                     if array.tag in ("DataArray", "Array"):
-                        known = of_section.get(array.get("Name"), of_section.get("", array.get("NumberOfTuples", -1)))
+                        known = of_section.get(
+                            array.get("Name", ""), of_section.get("", array.get("NumberOfTuples", -1))
+                        )
                         yield array, int(known)
 
 
@@ -261,7 +258,7 @@ def _sizes(extent: str) -> list[int]:
     return [max(high - low, 1) for low, high in zip(ends[::2], ends[1::2], strict=True)]
 
 
-def _rows(piece: ElementTree.Element) -> dict[str, dict[str | None, int]]:
+def _rows(piece: ElementTree.Element) -> dict[str, dict[str, int]]:
     """Counts the rows of a piece's arrays by section and name; "" stands for any name."""
     extent = piece.get("Extent")
     kinds = {kind: int(piece.get(f"NumberOf{kind}", 0)) for kind in ("Verts", "Lines", "Strips", "Polys")}
