@@ -1,4 +1,4 @@
-"""Periodic patches: how a user names them, their pairs of nodes, and the transform between these."""
+"""Periodic patches, their pairs of nodes, and the transforms between these."""
 
 import contextlib
 import dataclasses

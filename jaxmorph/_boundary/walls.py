@@ -1,4 +1,4 @@
-"""Walls along which nodes slide, traced: planes, surfaces of revolution, faces, also below bodies."""
+"""Walls along which nodes slide, traced: planes, surfaces of revolution, faces."""
 
 import abc
 
