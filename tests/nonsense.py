@@ -106,6 +106,7 @@ OWNERS: dict[str, Callable[[], Any]] = {
     "jm.Plan": plan,
     "jm.Proof": Lazy(lambda: jm.proof(MESH)),
     "jm.QualityReport": report,
+    "jm.Verdict": Lazy(lambda: jm.judge(MESH)),
     "jm.SurfaceHalf": Lazy(lambda: jm.prepare_surface(jm.Boundary(MESH, "wall", "far"), method=jm.InverseDistance())),
     "shapes.FreeForm": lambda: BOX,
     "shapes.Hexahedron": lambda: shapes.Hexahedron(SQUARE, (3, 3)),
@@ -416,7 +417,8 @@ SENSE = {
     "x": "nan infinite",
     **each("jm.curve.moving jm.curve.fixed", "beyond"),  # nodes of the elevated mesh
     **each("jm.Graded.share jm.Greedy.motions", "beyond wide short"),
-    **each("jm.march.path jm.replay.path", "nan infinite"),
+    **each("jm.march.path jm.replay.path jm.judge.points", "nan infinite"),
+    **each("jm.Limits.min_jacobian_ratio", "below beyond"),
     **each("jm.deform.u jm.pullback.u jm.velocity.u", "nan infinite"),
     **each("u_dot cotangent jm.distortion.points jm.inverted.points jm.quality.points", "nan infinite"),
     **each("jm.face_quality.points jm.refit.points jm.smooth_quality.points", "nan infinite"),
