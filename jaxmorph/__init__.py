@@ -46,7 +46,6 @@ _NAMES = {
     "._host.sources.farthest": "FarthestPoints",
     "._host.sources.graded": "Graded",
     "._host.sources.greedy": "Greedy",
-    "._host.sources.power": "PGreedy",
     "._host.sources.reduction": "AbstractReduction AbstractSearchPoints AllPoints Centre Corners GaussPoints KDTree",
     "._improve.curve": "curve",
     "._improve.improve": "Improvement improve",

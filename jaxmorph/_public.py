@@ -22,7 +22,6 @@ from ._host.package.errors import MeshError as MeshError
 from ._host.sources.farthest import FarthestPoints as FarthestPoints
 from ._host.sources.graded import Graded as Graded
 from ._host.sources.greedy import Greedy as Greedy
-from ._host.sources.power import PGreedy as PGreedy
 from ._host.sources.reduction import AbstractReduction as AbstractReduction
 from ._host.sources.reduction import AbstractSearchPoints as AbstractSearchPoints
 from ._host.sources.reduction import AllPoints as AllPoints
