@@ -12,7 +12,7 @@ from runs import runs
 import jaxmorph as jm
 from jaxmorph import cases
 from jaxmorph._host.package.rounding import distinct, first_largest, nearest_few, ranked
-from jaxmorph._host.surface.locate import locate
+from jaxmorph._host.surface.graph import locate
 from jaxmorph._methods.nearwall import Extent, layer_width
 
 LEAST = 1e-9

@@ -9,8 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from .._host.package.errors import MeshError, place_of, worst_first
-from .._host.package.rounding import spacing
-from .._host.package.trees import Tree
+from .._host.package.rounding import Tree, spacing
 from .pairing import ALONG_AXIS, Pairing
 from .periodic import Periodic
 from .symmetry import Plane, tolerance

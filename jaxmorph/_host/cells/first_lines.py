@@ -7,9 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .lagrange import PLACES, Lagrange, lagrange_types
+from .lagrange import PLACES, Lagrange, derivatives_at_nodes, lagrange_types
 from .pieces import owned_sides
-from .shape_functions import derivatives_at_nodes
 from .topology import CORNERS, DIMENSION, FACES, SHAPES
 
 
