@@ -52,7 +52,7 @@ def fine():
 def few_points(monkeypatch):
     """Slabs, searches by threads and blocks of few points, faces and cells."""
     monkeypatch.setattr(slabs, "LEAST", 1024)
-    monkeypatch.setattr(trees, "FEW", 64)
+    monkeypatch.setattr(rounding, "FEW", 64)
     monkeypatch.setattr(cores, "BLOCK", 512)
     monkeypatch.setattr(pairs, "BLOCK", 512)
     monkeypatch.setattr(sides, "BLOCK", 512)

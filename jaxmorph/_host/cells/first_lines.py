@@ -112,7 +112,7 @@ def first_lines(cells: Mapping[str, np.ndarray], points: np.ndarray, wall: np.nd
 
 
 def _neighbour(kind: str, node: int) -> int:
-    """Returns a node of a side beside another one: the corner before, or the nearest on the lattice."""
+    """Returns a node beside a side's node: the corner before, or the nearest on the lattice."""
     cell = lagrange_types()[kind]
     if cell.order == 1:
         return node - 1

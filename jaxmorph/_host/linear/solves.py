@@ -2,8 +2,8 @@
 
 SciPy's conjugate gradients stop at the residual alone. Their sums of products are computed by a
 BLAS. Its threads wait in a loop for the next sum, at the cost of a second core. Here NumPy computes
-the sums. The cycle has pyamg's levels, swept by SciPy's products: pyamg's Gauss-Seidel sweeps need
-as many steps, and two to three times as long, and its polynomials take their bounds from random
+the sums. The cycle has pyamg's levels, swept by SciPy's products. pyamg's Gauss-Seidel sweeps need
+as many steps, and two to three times as long. Its polynomials take their bounds from random
 vectors, so that no two runs would agree. `benchmarks/README.md` compares them.
 """
 

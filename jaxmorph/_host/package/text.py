@@ -1,4 +1,4 @@
-"""Words that users write: endings of files, TOML, and names that are mistyped. It needs no NumPy."""
+"""What users write: endings of files, TOML, mistyped names. It needs no NumPy."""
 
 import difflib
 import json

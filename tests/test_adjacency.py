@@ -38,7 +38,7 @@ def test_different_faces_with_one_key(monkeypatch):
     table = faces(60, 7, 3)
     columns = adjacency.sorted_columns(adjacency.columns_of(table), 3)
     twin, single = adjacency.twins(columns), adjacency.is_single(columns)
-    monkeypatch.setattr(pairs, "_keys", lambda columns: columns[0] % 2)
+    monkeypatch.setattr(adjacency, "_keys", lambda columns: columns[0] % 2)
     assert np.array_equal(adjacency.twins(columns), twin)
     assert np.array_equal(adjacency.is_single(columns), single)
 
