@@ -76,11 +76,11 @@ from ._methods.rbf.rbf import Iterative as Iterative
 from ._methods.reconstruction import SurfaceReconstruction as SurfaceReconstruction
 from ._methods.rigid import RigidBlend as RigidBlend
 from ._methods.surface import Surface as Surface
-from ._plan.chunks import prepare_in_chunks as prepare_in_chunks
 from ._plan.deform import deform as deform
 from ._plan.deform import pullback as pullback
 from ._plan.deform import velocity as velocity
 from ._plan.halves import SurfaceHalf as SurfaceHalf
+from ._plan.halves import prepare_in_chunks as prepare_in_chunks
 from ._plan.halves import prepare_surface as prepare_surface
 from ._plan.judge import BoundaryQuality as BoundaryQuality
 from ._plan.judge import boundary_quality as boundary_quality

@@ -16,7 +16,7 @@ from meshes import write_ring
 
 import jaxmorph as jm
 from jaxmorph import io
-from jaxmorph._plan import chunks as _chunks
+from jaxmorph._plan import halves as _chunks
 from jaxmorph.cli import _output, main
 from jaxmorph.cli._flags import parser, request_of
 from jaxmorph.cli._job import text_of

@@ -20,7 +20,7 @@ from jaxmorph._host.cells import adjacency
 from jaxmorph._host.package import cores, rounding
 from jaxmorph._host.surface.neighbours import near_walls
 from jaxmorph._methods.blocks import is_rows
-from jaxmorph._plan import slabs
+from jaxmorph._plan import deform as slabs
 from jaxmorph._quality import batches, sides
 from jaxmorph.cases import naca4, wing
 

@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._host.package.rounding import Tree, rows_in
 from .._kernels.values import as_jax
-from .pairing import Pairing
+from .periodic import Pairing
 from .symmetry import Plane, facing, tolerance
 
 
