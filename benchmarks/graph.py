@@ -14,8 +14,8 @@ from scipy.spatial import Delaunay
 
 import jaxmorph as jm
 from jaxmorph import cases
-from jaxmorph._host.package.orders import morton_order
-from jaxmorph._host.surface.locate import locate
+from jaxmorph._host.package.rounding import morton_order
+from jaxmorph._host.surface.graph import locate
 
 
 def within(mesh: jm.Mesh, count: int) -> np.ndarray:

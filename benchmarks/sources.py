@@ -50,7 +50,6 @@ def families(motions: np.ndarray) -> dict[str, Callable[[int, np.ndarray], jm.Ab
     return {
         "k-d tree": lambda count, base: jm.KDTree.with_sources(count, base),
         "farthest": lambda count, base: jm.FarthestPoints(count, extremes=True),
-        "P-greedy": lambda count, base: jm.PGreedy(count),
         "f-greedy": lambda count, base: jm.Greedy(count, motions, group=0.0),
         "f-greedy, grouped": lambda count, base: jm.Greedy(count, motions),
     }

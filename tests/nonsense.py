@@ -419,6 +419,7 @@ SENSE = {
     **each("jm.Graded.share jm.Greedy.motions", "beyond wide short"),
     **each("jm.march.path jm.replay.path jm.judge.points", "nan infinite"),
     **each("jm.Limits.min_jacobian_ratio", "below beyond"),
+    **{"jm.judge.part": "less"},
     **each("jm.deform.u jm.pullback.u jm.velocity.u", "nan infinite"),
     **each("u_dot cotangent jm.distortion.points jm.inverted.points jm.quality.points", "nan infinite"),
     **each("jm.face_quality.points jm.refit.points jm.smooth_quality.points", "nan infinite"),

@@ -13,8 +13,7 @@ from meshes import circle
 
 import jaxmorph as jm
 from jaxmorph import cases
-from jaxmorph._host.surface.sharp import behind_tips, beside_tips, sharp_tips
-from jaxmorph._host.surface.skin import chords, edges, thinned
+from jaxmorph._host.surface.skin import behind_tips, beside_tips, chords, edges, sharp_tips, thinned
 
 
 @functools.cache

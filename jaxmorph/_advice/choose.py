@@ -21,7 +21,7 @@ from .._kernels.compile import compiled
 from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod, check_kind
 from .._methods.nearwall import NearWall
-from .._methods.rbf.compact_bases import WendlandC2
+from .._methods.rbf.basis import WendlandC2
 from .._methods.rbf.fitted import FittedRBF
 from .._methods.rbf.rbf import RBF
 from .._methods.reconstruction import SurfaceReconstruction

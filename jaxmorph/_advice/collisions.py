@@ -6,8 +6,8 @@ import numpy as np
 
 from .._boundary.outer_faces import outer_faces
 from .._host.cells.adjacency import parts_of
-from .._host.collisions.crossings import crossing_faces
-from .._host.package.trees import Tree
+from .._host.package.rounding import Tree
+from .._host.surface.crossings import crossing_faces
 from .._mesh.mesh import Mesh
 
 SAME = 1e-9

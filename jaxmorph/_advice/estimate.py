@@ -13,8 +13,7 @@ from .._host.package.arguments import checked, whole
 from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod
 from .._methods.rbf.fitted import FittedRBF
-from .._methods.rbf.rbf import RBF
-from .._methods.rbf.solvers import Iterative
+from .._methods.rbf.rbf import RBF, Iterative
 from .._methods.reconstruction import SurfaceReconstruction
 
 START = 0.3e9

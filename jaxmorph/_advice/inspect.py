@@ -10,7 +10,7 @@ from jaxtyping import ArrayLike, Integer, Real
 from .._host.package.arguments import checked, rows_of
 from .._host.package.cores import Beside
 from .._host.package.errors import MeshError
-from .._host.package.trees import Tree
+from .._host.package.rounding import Tree
 from .._host.surface.gaps import share_left
 from .._host.surface.skin import edges
 from .._host.surface.walls import walls

@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
-from .._host.package.trees import Tree
+from .._host.package.rounding import Tree
 from .._plan.deform import deform
 from .._plan.plan import Plan
 

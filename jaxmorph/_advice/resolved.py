@@ -4,8 +4,7 @@ import numpy as np
 from scipy.spatial.distance import cdist
 
 from .._host.package.rounding import roundoff
-from .._host.sources.reduction import KDTree
-from .._host.sources.separation import drop_close
+from .._host.sources.reduction import KDTree, drop_close
 
 UNRESOLVED = 1 / 3
 """Share of the largest displacement that sources may miss between them."""

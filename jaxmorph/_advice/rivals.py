@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .._boundary.boundary import Boundary
-from .._host.package.trees import Tree
+from .._host.package.rounding import Tree
 from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod
 from .._methods.inverse_distance import InverseDistance

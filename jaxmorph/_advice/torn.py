@@ -3,7 +3,7 @@
 import numpy as np
 from scipy import sparse
 
-from .._host.package.trees import Tree
+from .._host.package.rounding import Tree
 
 
 def torn_pairs(points: np.ndarray, vectors: np.ndarray, is_fixed: np.ndarray) -> np.ndarray:

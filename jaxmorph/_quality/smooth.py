@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float, Real
 
 from .._host.package.arguments import checked
-from .._methods.numbers import number
+from .._methods.base import number
 
 
 @checked

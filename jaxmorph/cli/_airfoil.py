@@ -6,8 +6,8 @@ import numpy as np
 
 from jaxmorph import Mesh, shapes
 from jaxmorph._host.package.files import input_path
-from jaxmorph._host.package.toml import read
 
+from .._host.package.text import read
 from ._groups import as_json
 
 SIDES = ("upper", "lower")

@@ -11,9 +11,9 @@ from jaxtyping import Float
 
 import jaxmorph as jm
 from jaxmorph import io
-from jaxmorph._host.package.orders import rows_in
 from jaxmorph._host.package.ranks import Alone, Ranks, together
 
+from .._host.package.rounding import rows_in
 from ._describe import check_files, described, say_proven, write_job
 from ._judged import Judged
 from ._method import in_double, patches_of

@@ -10,10 +10,10 @@ import numpy as np
 
 from jaxmorph import _demo
 from jaxmorph._advice.methods import METHODS, entry
-from jaxmorph._host.package.endings import GRADIENTS, LATTICES, SENSITIVITIES, is_folder
 from jaxmorph._host.package.files import check_apart, input_path, is_same, output_path
 from jaxmorph.integrations import su2
 
+from .._host.package.text import GRADIENTS, LATTICES, SENSITIVITIES, is_folder
 from ._flags import request_of
 from ._groups import MOTIONS, Group, as_json, is_json
 from ._parser import flag_of

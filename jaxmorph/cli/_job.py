@@ -9,8 +9,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from jaxmorph._host.package.toml import read, written
-
+from .._host.package.text import read, written
 from ._groups import Group, is_json, table
 from ._parser import Fields, flag_of, flags_of, meant
 from ._parts import Speech

@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, TypeVar
 
-from jaxmorph._host.package.words import similar
+from .._host.package.text import similar
 
 T = TypeVar("T")
 Fields = type[Any]

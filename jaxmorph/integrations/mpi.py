@@ -16,9 +16,9 @@ from jaxtyping import ArrayLike, Bool, Float, Int, Real
 
 import jaxmorph as jm
 from jaxmorph._host.package.arguments import check
-from jaxmorph._host.package.orders import rows_in
 from jaxmorph._host.package.ranks import Agreement, together
 
+from .._host.package.rounding import rows_in
 from ._share import Share, surface_of
 from ._shared import check_comm, faces_of, joined, owned
 from ._summary import Summary as Summary

@@ -9,8 +9,7 @@ from jaxtyping import Float, Int
 
 import jaxmorph as jm
 
-from .._host.cells.lagrange import lagrange_types
-from .._host.cells.shape_functions import values
+from .._host.cells.lagrange import lagrange_types, values
 from ._style import TALLEST, WIDTH, finite
 
 try:

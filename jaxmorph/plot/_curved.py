@@ -5,9 +5,8 @@ from collections.abc import Mapping
 import numpy as np
 from jaxtyping import Float, Int
 
-from .._host.cells.lagrange import lagrange_types, of_order
+from .._host.cells.lagrange import lagrange_types, node_keys, of_order
 from .._host.cells.pieces import places_of, steps_of
-from .._host.cells.shape_functions import node_keys
 from .._host.cells.topology import CORNERS, SHAPES
 from ._cells import SEGMENTS
 

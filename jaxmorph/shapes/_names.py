@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import PyTree
 
 from .._host.package.arguments import checked
-from .._host.package.words import similar
+from .._host.package.text import similar
 from ._arguments import check_parameters
 
 LISTED = 12

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from .._boundary.outer_faces import boundary_faces
-from .._host.cells.first_lines import areas, first_lines
+from .._host.cells.first_lines import first_lines
 from .._host.package.arguments import as_array, checked
 from .._mesh.mesh import Mesh
 from ._arguments import rows_of
@@ -67,14 +67,9 @@ def wall_normals(mesh: Mesh, *patches: str) -> Float[np.ndarray, "m d"]:
     """
     nodes, points = mesh.patch(*patches), np.asarray(mesh.points, float)
     cells = {kind: np.asarray(corners) for kind, corners in mesh.linear.cells.items()}
-    wall = first_lines(cells, points, nodes)
-    area = wall.sign[:, None] * areas(points[wall.faces])
-    counted = np.ones(wall.faces.shape, bool)
-    counted[:, -1] = wall.faces[:, -1] != wall.faces[:, -2]
-    share = area / counted.sum(axis=1)[:, None]
     normals = np.zeros_like(points)
-    for corner in range(wall.faces.shape[1]):
-        np.add.at(normals, wall.faces[counted[:, corner], corner], share[counted[:, corner]])
+    for side in first_lines(cells, points, nodes).sides:
+        np.add.at(normals, side.ids, side.areas(points) / side.ids.shape[1])
     return normals[nodes]
 
 
