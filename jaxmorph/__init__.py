@@ -29,9 +29,7 @@ __version__: str
 
 _SUBMODULES = ("cases", "cli", "integrations", "io", "plot", "shapes")
 _NAMES = {
-    "._advice.choice": "Choice",
-    "._advice.choose": "choose",
-    "._advice.estimate": "Estimate estimate",
+    "._advice.compare": "Comparison compare",
     "._advice.fewest_steps": "Steps fewest_steps",
     "._advice.inspect": "inspect",
     "._advice.inspection": "Inspection",

@@ -1,9 +1,7 @@
 """Public names for type checkers and the documentation; `__init__` imports them on first use."""
 
-from ._advice.choice import Choice as Choice
-from ._advice.choose import choose as choose
-from ._advice.estimate import Estimate as Estimate
-from ._advice.estimate import estimate as estimate
+from ._advice.compare import Comparison as Comparison
+from ._advice.compare import compare as compare
 from ._advice.fewest_steps import Steps as Steps
 from ._advice.fewest_steps import fewest_steps as fewest_steps
 from ._advice.inspect import inspect as inspect
