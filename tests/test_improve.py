@@ -21,7 +21,7 @@ from jaxmorph._improve.constraints import constraints_of, prepared
 from jaxmorph._improve.ways import Ways
 from jaxmorph._kernels.values import as_jax
 from jaxmorph._quality.distortion import IDEAL, energy, samples, solid, target
-from jaxmorph._quality.smooth import positive_part
+from jaxmorph._quality.smooth_quality import positive_part
 from jaxmorph._quality.vector import corners
 
 

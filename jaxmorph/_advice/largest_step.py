@@ -21,8 +21,8 @@ from .._plan.plan import Plan
 from .._quality import measures
 from .._quality.proof import bernstein
 from .._quality.proof.form import form_of, nodes_of
-from .._quality.proof.proof import DEPTH, proof
-from .._quality.proof.search import ROOM
+from .._quality.proof.proof import proof
+from .._quality.proof.search import DEPTH, ROOM
 from .._quality.quality import places, signs_of, standards_of
 from .._quality.vector import corners
 
