@@ -44,7 +44,7 @@ class Trial:
     - `angle`: degrees by which first grid lines leave their angle to the wall, mean over nodes and
       motions. NaN where no cell has a side on the wall.
     - `seconds`: CPU time of one compiled `deform`.
-    - `refused`: why the method was refused or left out; the numbers are then None or NaN. Else None.
+    - `refused`: why the method was refused or left out, or None. Numbers are then None or NaN.
     """
 
     method: str
@@ -57,7 +57,7 @@ class Trial:
 
     @property
     def badness(self) -> tuple[float | int, float]:
-        """Sorts trials: fewest inverted cells first, then the largest ratio, refused ones last."""
+        """Key by which trials are sorted: inverted cells, then the ratio; refused ones last."""
         return (
             math.inf if self.inverted is None else self.inverted,
             math.inf if math.isnan(self.ratio) else -self.ratio,

@@ -7,8 +7,6 @@ import typing
 from collections.abc import Callable, Mapping
 from typing import Any
 
-import numpy as np
-
 if typing.TYPE_CHECKING:
     from .._methods.base import AbstractMethod
 
@@ -21,13 +19,13 @@ MOST_POINTS = {2: 100_000, 3: 40_000}
 class Lengths:
     """Lengths of a boundary, from the points of its moving (m, d) and its fixed nodes (f, d)."""
 
-    moving: np.ndarray
-    fixed: np.ndarray
+    moving: Any
+    fixed: Any
 
     @property
     def size(self) -> float:
         """The extent of the moving nodes."""
-        return float(np.ptp(self.moving, axis=0).max())
+        return float((self.moving.max(axis=0) - self.moving.min(axis=0)).max())
 
     @property
     def gap(self) -> float:

@@ -1,4 +1,4 @@
-"""Reports on cells: what `quality`, `face_quality` and `proof` report alike, and the report of `quality`."""
+"""Reports on cells: the base of those of `quality`, `face_quality` and `proof`, and the first."""
 
 from collections.abc import Callable
 from typing import Any, ClassVar

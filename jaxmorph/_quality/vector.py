@@ -15,7 +15,8 @@ import numpy as np
 from jaxtyping import Float, Int, Num, Shaped
 
 from .._host.linear import products
-from .._kernels.values import Either, namespace, root
+from .._kernels.compile import Function, compiled
+from .._kernels.values import Either, namespace, on_host, root
 
 Scalar = Float[Either, "*rows k"]
 
@@ -119,6 +120,23 @@ BLOCK = 1 << 16
 
 CACHED = 1 << 13
 """Cells that NumPy measures together: intermediate values stay in the processor's cache."""
+
+
+def by_place(function: Function) -> Function:
+    """Makes a function that runs by NumPy where its arrays are in the host's memory, else compiled.
+
+    Its first argument is static. A program would take longer to compile than NumPy takes for all.
+    """
+    program = compiled(function)
+
+    @functools.wraps(function)
+    def call(static: Any, *arrays: Any) -> Any:
+        if not on_host(arrays):
+            return program(static, *jax.tree.map(jnp.asarray, arrays))
+        with np.errstate(all="ignore"), jax.ensure_compile_time_eval():  # cells may have no size
+            return function(static, *jax.tree.map(np.asarray, arrays))
+
+    return call  # pyright: ignore[reportReturnType]
 
 
 def in_blocks(xp: Any, function: Callable, *rows: Any, size: int | None = None) -> Any:
