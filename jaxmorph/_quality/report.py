@@ -134,6 +134,10 @@ def place_of(report: Report, cell: int | np.integer) -> str:
     return "(" + ", ".join(f"{x:.3g}" for x in place.tolist()) + ")"
 
 
+def _number(reduction: str, name: str) -> Any:
+    return property(lambda report: getattr(report, reduction)(name))
+
+
 class QualityReport(Report, Module):
     """Reports each cell's quality: arrays of one entry a cell, type after type, as `mesh.cells`.
 
@@ -200,52 +204,23 @@ class QualityReport(Report, Module):
     def from_start(self) -> Int[Array, "..."]:
         """Number of inverted cells that were folded on the undeformed mesh already."""
         was = jnp.zeros_like(self.is_inverted) if self.was_inverted is None else self.was_inverted
-        return self._over_cells(_sum, self.is_inverted & was)
+        return self._over_cells(lambda xp, flags, was: xp.sum(flags & was, axis=-1), self.is_inverted, was)
 
     @property
     def degenerate(self) -> Int[Array, "..."]:
         """Number of cells that had no sign from the start and are not judged."""
         return self._over_cells(_sum, self.is_degenerate)
 
-    @property
-    def mean_skewness(self) -> Float[Array, "..."]:
-        return self.mean("skewness")
-
-    @property
-    def max_skewness(self) -> Float[Array, "..."]:
-        return self.max("skewness")
-
-    @property
-    def mean_aspect_ratio(self) -> Float[Array, "..."]:
-        return self.mean("aspect_ratio")
-
-    @property
-    def max_aspect_ratio(self) -> Float[Array, "..."]:
-        return self.max("aspect_ratio")
-
-    @property
-    def mean_non_orthogonality(self) -> Float[Array, "..."]:
-        return self.mean("non_orthogonality")
-
-    @property
-    def max_non_orthogonality(self) -> Float[Array, "..."]:
-        return self.max("non_orthogonality")
-
-    @property
-    def min_volume(self) -> Float[Array, "..."]:
-        return self.min("volume")
-
-    @property
-    def min_jacobian(self) -> Float[Array, "..."]:
-        return self.min("jacobian")
-
-    @property
-    def min_volume_ratio(self) -> Float[Array, "..."]:
-        return self.min("volume_ratio")
-
-    @property
-    def min_jacobian_ratio(self) -> Float[Array, "..."]:
-        return self.min("jacobian_ratio")
+    mean_skewness = _number("mean", "skewness")
+    max_skewness = _number("max", "skewness")
+    mean_aspect_ratio = _number("mean", "aspect_ratio")
+    max_aspect_ratio = _number("max", "aspect_ratio")
+    mean_non_orthogonality = _number("mean", "non_orthogonality")
+    max_non_orthogonality = _number("max", "non_orthogonality")
+    min_volume = _number("min", "volume")
+    min_jacobian = _number("min", "jacobian")
+    min_volume_ratio = _number("min", "volume_ratio")
+    min_jacobian_ratio = _number("min", "jacobian_ratio")
 
     def __str__(self) -> str:
         if not is_known(self.volume) or self.volume.ndim > 1:

@@ -13,14 +13,13 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int, Real
 
 from ..._host.cells.topology import DIMENSION
 from ..._host.package.arguments import between, checked, whole
-from ..._kernels.compile import compiled
-from ..._kernels.values import Either, as_jax, constant, is_known, namespace, on_host, smallest
+from ..._kernels.values import Either, as_jax, constant, is_known, namespace, smallest
 from ..._mesh.mesh import Mesh
 from ..quality import places, signs_of
 from ..report import Report, place_of
-from ..vector import in_blocks
+from ..vector import by_place, in_blocks
 from . import bernstein
-from .form import form_of, nodes_of
+from .form import Form, form_of, nodes_of
 from .search import DEPTH, ROOM, bounds
 
 
@@ -270,12 +269,14 @@ def _proven(kind: str, ids: Any, reference: np.ndarray, ends: tuple, depth: int,
     return in_blocks(np, prove, np.asarray(ids).T, np.asarray(sign, float), size=size)
 
 
+def _mean(form: Form, points: Float[Either, "n d"], ids: Int[Either, "c k"]) -> Float[Either, " k"]:
+    return form.mean(form.coefficients(nodes_of(points, ids)))
+
+
 def _bounded(
     kind: str, reference: np.ndarray, ends: tuple, depth: int, ids: Int[np.ndarray, "c k"], sign: Any
 ) -> dict[str, np.ndarray]:
-    """Proves some cells."""
-    still, form = form_of(kind), form_of(kind, len(ends) == 2)
-    mean = still.mean(still.coefficients(nodes_of(reference, ids)))
+    mean, form = _mean(form_of(kind), reference, ids), form_of(kind, len(ends) == 2)
     x = [np.concatenate(parts) for parts in zip(*(nodes_of(end, ids) for end in ends), strict=True)]
     columns = form.columns(x)
     found = bounds(form.space, sign * form.determinant(columns), form.round_off(x, columns), depth)
@@ -337,71 +338,62 @@ def proven_margin(
         between("sharpness", sharpness, 0)
     check_solid(mesh)
     kinds, cells = tuple(mesh.cells), tuple(mesh.cells.values())
+    with jax.ensure_compile_time_eval():  # else XLA would compute it from constants while it compiles
+        sizes = _sizes(kinds, cells, jnp.asarray(mesh.points, now.dtype), tuple(signs_of(mesh).values()))
     ends = (now,) if start is None else (start, now)
-    with jax.ensure_compile_time_eval():
-        means = _means(kinds, cells, jnp.asarray(mesh.points, now.dtype))
-        signs = signs_of(mesh).values()
-        sizes = tuple(abs(mean) * sign for mean, sign in zip(means, signs, strict=True))
-    if on_host(cells, sizes, ends, sharpness):
-        with np.errstate(all="ignore"), jax.ensure_compile_time_eval():
-            cells, sizes, ends = jax.tree.map(np.asarray, (cells, sizes, ends))
-            return as_jax(_joined(kinds, cells, sizes, ends, depth, sharpness))
-    return _measured(kinds, cells, sizes, ends, depth, None if sharpness is None else jnp.asarray(sharpness))
+    return as_jax(_margins((kinds, depth), cells, sizes, ends, sharpness))
 
 
-def _means(kinds: tuple[str, ...], cells: tuple[Any, ...], points: Float[Array, "n d"]) -> tuple[Either, ...]:
-    """Computes the mean of det J over each undeformed cell, here and not in the caller's program.
+def _room(xp: Any, form: Form, parts: int = 1) -> int:
+    """Number of cells whose coefficients, of `parts` each, are computed together."""
+    return max(64, (ROOM if xp is np else TRACED_ROOM) // (bernstein.count(form.space) * parts))
 
-    Else XLA would compute it from constants while it compiles, which takes many seconds.
+
+@by_place
+def _sizes(kinds: tuple[str, ...], cells: tuple[Any, ...], points: Float[Either, "n d"], signs: Any) -> tuple:
+    """Computes the mean of det J over each undeformed cell, with the sign that the cell should have.
+
+    Where that is zero, and of boundary elements, it is that sign.
     """
-    xp, d, x = np if on_host(cells, points) else jnp, points.shape[1], points
-    if xp is np:
-        cells, x = jax.tree.map(np.asarray, (cells, points))
-
-    def mean(kind: str, ids: Any) -> Either:
+    xp, sizes = namespace(points), []
+    for kind, ids, sign in zip(kinds, cells, signs, strict=True):
+        if DIMENSION[kind] != points.shape[1]:
+            sizes.append(xp.ones(len(ids), points.dtype) * sign)
+            continue
         form = form_of(kind)
-        size = max(64, (ROOM if xp is np else TRACED_ROOM) // bernstein.count(form.space))
-        return in_blocks(xp, lambda ids: form.mean(form.coefficients(nodes_of(x, ids))), ids.T, size=size)
-
-    none = functools.partial(xp.ones, dtype=points.dtype)
-    means = (
-        mean(kind, ids) if DIMENSION[kind] == d else none(len(ids)) for kind, ids in zip(kinds, cells, strict=True)
-    )
-    return tuple(xp.where(size == 0, 1, size) for size in means)
+        size = in_blocks(xp, functools.partial(_mean, form, points), ids.T, size=_room(xp, form))
+        sizes.append(abs(xp.where(size == 0, 1, size)) * sign)
+    return tuple(sizes)
 
 
-def _joined(
-    kinds: tuple[str, ...],
+@by_place
+def _margins(
+    static: tuple[tuple[str, ...], int],
     cells: tuple[Any, ...],
     sizes: tuple[Either, ...],
     ends: tuple[Either, ...],
-    depth: int,
     sharpness: Any,
 ) -> Float[Either, " k"]:
-    xp, (_, d), margins = namespace(ends[0]), ends[0].shape, []
+    (kinds, depth), xp, d, margins = static, namespace(ends[0]), ends[0].shape[1], []
     for kind, ids, own in zip(kinds, cells, sizes, strict=True):
         if DIMENSION[kind] != d:
             margins.append(xp.full(len(ids), np.inf, ends[0].dtype))
             continue
         form = form_of(kind, len(ends) == 2)
-        parts = bernstein.count(form.space) * 2 ** (depth * sum(m for m, _ in form.space))
-        size = max(64, (ROOM if xp is np else TRACED_ROOM) // parts)
-        margins.append(in_blocks(xp, functools.partial(_margin, kind, ends, depth, sharpness), ids.T, own, size=size))
+        size = _room(xp, form, 2 ** (depth * sum(m for m, _ in form.space)))
+        margins.append(in_blocks(xp, functools.partial(_margin, form, ends, depth, sharpness), ids.T, own, size=size))
     return xp.concatenate(margins)
 
 
-_measured = compiled(_joined)
-
-
 def _margin(
-    kind: str,
+    form: Form,
     ends: tuple[Either, ...],
     depth: int,
     sharpness: Any,
     ids: Int[Either, "c k"],
     size: Float[Either, " k"],
 ) -> Float[Either, " k"]:
-    xp, form = namespace(ends[0]), form_of(kind, len(ends) == 2)
+    xp = namespace(ends[0])
     parts = zip(*(nodes_of(end, ids) for end in ends), strict=True)
     values = form.coefficients([xp.concatenate(part) for part in parts]) / size[None]
     for _ in range(depth):
