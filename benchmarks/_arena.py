@@ -10,7 +10,7 @@ from _walls import bump, camber, flap, pitch, up
 import jaxmorph as jm
 from jaxmorph import cases
 from jaxmorph._advice import methods
-from jaxmorph._advice.rivals import Extent
+from jaxmorph._advice.methods import Lengths
 
 Motion = Callable[[np.ndarray, float], np.ndarray]
 
@@ -34,8 +34,8 @@ class Case:
         return np.asarray(self.mesh.points)[self.mesh.patch(self.moving)]
 
     @property
-    def extent(self) -> Extent:
-        return Extent(self.wall, np.asarray(self.mesh.points)[self.mesh.patch(*self.fixed)])
+    def extent(self) -> Lengths:
+        return Lengths(self.wall, np.asarray(self.mesh.points)[self.mesh.patch(*self.fixed)])
 
 
 def thicker(base: np.ndarray, amount: float) -> np.ndarray:
@@ -159,7 +159,7 @@ def _others(mesh: jm.Mesh) -> tuple[str, ...]:
     return tuple(name for name in mesh.patches if name != _moving(mesh))
 
 
-METHODS: dict[str, Callable[[Extent], jm.AbstractMethod]] = {
+METHODS: dict[str, Callable[[Lengths], jm.AbstractMethod]] = {
     **{entry.title or entry.name: entry.make for entry in methods.METHODS},
     "compact RBF": lambda wall: jm.CompactRBF(wall.size),
     "elasticity 1/d": lambda wall: jm.LinearElasticity(jm.ByDistance(1.0)),

@@ -35,7 +35,7 @@ MEMORY = {}
 """Largest resident memory of each worker, bytes."""
 
 LONG = (
-    *("notebooks", "openfoam_runs", "wing", "fuzz", "choose", "improve", "shared_cases", "conditioning", "demo_wing"),
+    *("notebooks", "openfoam_runs", "wing", "fuzz", "compare", "improve", "shared_cases", "conditioning", "demo_wing"),
     *("mpi", "halves", "cli_chunks", "free_faces", "agard445", "demo", "mphys", "tesseract", "docs", "one_core"),
 )
 """Files of few tests, each of which takes long. They come first, so that no worker waits for another at the end."""

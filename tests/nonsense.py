@@ -27,7 +27,7 @@ def each(names: str, value: Any) -> dict[str, Any]:
 
 
 BUILT = words("""
-io.Box jm.BoundaryQuality jm.Choice jm.Control jm.Estimate jm.FaceQuality jm.FreeFaces jm.Improvement jm.Inspection
+io.Box jm.BoundaryQuality jm.Comparison jm.Control jm.FaceQuality jm.FreeFaces jm.Improvement jm.Inspection
 jm.LargestStep jm.MeshError jm.Plan jm.Proof jm.QualityReport jm.SmoothQuality jm.Steps jm.Surface jm.SurfaceHalf jm.Verdict
 jm.WallQuality plot.SurfaceErrors shapes.Fit shapes.QualityRows shapes.Stations
 """)
@@ -156,8 +156,7 @@ GOOD: dict[str, dict[str, Any]] = {
     },
     "jm.Slide": {"patch": np.array([0]), "on": jm.Plane([0.0, 1.0], [0.0, 0.0])},
     "jm.boundary_faces": {"*": "wall"},
-    "jm.choose": {"fixed": FAR, "leaves": (4,), "methods": {}},
-    "jm.estimate": {"fixed": FAR},
+    "jm.compare": {"methods": {"graph": jm.DelaunayGraph()}},
     "jm.load": {"path": FOLDER / "a.npz"},
     **each("jm.prepare jm.Boundary", {"mesh": POINTS, "fixed": FAR}),
     "jm.shard": {"devices": ()},
@@ -275,7 +274,6 @@ EXTRA: dict[str, dict[str, Any]] = {
     "measure": {"unknown": "nonsense"},
     "counts": {"half": (2.5, 3), "less": (1, 3)},
     "shapes.FreeForm.counts": {"half": (2.5, 3), "less": (1, 3), "longer": (3, 3, 3), "flags": (True, True)},
-    "jm.choose.leaves": {"empty": (), "half": (2.5,), "less": (0,)},
     "jm.Plane.normal": {"zero": np.zeros(2), "wide": np.ones(3)},
     "jm.Revolution.axis": {"zero": np.zeros(3), "short": np.ones(2)},
     "jm.Revolution.profile": {"back": [[1.0, 1.0], [0.0, 1.0]]},
@@ -425,7 +423,7 @@ SENSE = {
     **each("jm.face_quality.points jm.refit.points jm.smooth_quality.points", "nan infinite"),
     **each("jm.proof.points jm.proven_margin.points", "nan infinite"),
     **each("jm.wall_quality.points jm.soft_maximum.values plot.values", "nan infinite number axis"),
-    **each("jm.save.path jm.soft_maximum.axis jm.choose.leaves", "ending less list"),
+    **each("jm.save.path jm.soft_maximum.axis", "ending less list"),
     "jm.KDTree.with_sources.points": "short",
     "jm.Mesh.points": "nan infinite short",
     **each("jm.Mesh.moved.points jm.Mesh.in_file_order.points", "nan infinite"),

@@ -112,7 +112,7 @@ def test_free_patches_are_not_warned_of_in_python():
     with pytest.warns(UserWarning, match=r"36 of 54 boundary faces .* 'x0' \(9\)") as caught:
         plan = jm.prepare(mesh, "z1", "z0")
     with pytest.raises(ValueError, match="`motions`"), pytest.warns(UserWarning, match="boundary faces") as chosen:
-        jm.choose(mesh, "z1", "z0", np.ones((1, 3)))
+        jm.compare(jm.Boundary(mesh, "z1", "z0"), np.ones((1, 3)))
     assert {each.filename for each in (*caught, *chosen)} == {__file__}  # the caller's line
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -3,7 +3,6 @@
 import dataclasses
 import importlib
 import itertools
-import textwrap
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -18,7 +17,7 @@ from jaxmorph._kernels.compile import quickly_compiled
 from ._attempt import Attempt, explain
 from ._describe import check_files, described, mesh_of, say_proven, wrapped, write_job
 from ._judged import Judged
-from ._method import NamedMethod, patches_of
+from ._method import patches_of
 from ._motion import motion
 from ._output import Output, title
 from ._requests import Deform
@@ -36,9 +35,6 @@ Chunks = Iterator[tuple[np.ndarray, jm.Plan]]
 SMALL = 10_000
 """Points, times steps, up to which compilation takes longer than all else."""
 
-LARGE = 500_000
-"""Points from which on the estimate is printed."""
-
 
 def deform(request: Deform, out: Output) -> int:
     """Reads, moves, judges and writes a mesh; prints all. Returns the exit status."""
@@ -49,8 +45,7 @@ def deform(request: Deform, out: Output) -> int:
 
 
 def _deform(request: Deform, mesh: Mesh, out: Output) -> int:
-    attempt, choice, chunks = _attempt(request, mesh, out)
-    _foresee(attempt, choice, out)
+    attempt, chunks = _attempt(request, mesh, out)
     nodes, plan, way = _moved(attempt, chunks, out)
     judging = Beside(attempt.judge, way)
     with Writing(_write, attempt, way.moved, judging) as writing:
@@ -78,7 +73,7 @@ def _write(attempt: Attempt, points: np.ndarray, judging: Beside[Judgement]) -> 
     judged.write(path)
 
 
-def _attempt(request: Deform, mesh: Mesh, out: Output) -> tuple[Attempt, NamedMethod, Chunks]:
+def _attempt(request: Deform, mesh: Mesh, out: Output) -> tuple[Attempt, Chunks]:
     """Checks the request, describes it on the terminal, and collects what an attempt needs."""
     _check(request, mesh)
     undeformed = Judged(mesh, mesh.points)
@@ -93,25 +88,7 @@ def _attempt(request: Deform, mesh: Mesh, out: Output) -> tuple[Attempt, NamedMe
     cells = ", ".join(f"{number} {kind}" for kind, number in mesh.cell_counts.items())
     out.say(f"{title(request.file)}: {n} points in {d}-D, {cells}", points=n)
     described(request, patches, choice, moves.path(wall, 1)[-1], out)
-    return Attempt(request, patches, moves, undeformed, summing), choice, chunks
-
-
-def _foresee(attempt: Attempt, choice: NamedMethod, out: Output) -> None:
-    """Estimates the memory, and warns where it may not fit.
-
-    It is printed if the mesh is large, or with `--verbose`.
-    """
-    patches, request = attempt.patches, attempt.request
-    mesh = patches.mesh.moved(patches.points(choice))
-    surface = (patches.nodes, patches.fixed_nodes)
-    foreseen = jm.estimate(mesh, *surface, method=choice.method, chunk=request.chunk)
-    if foreseen.points >= LARGE or request.speech.verbose:
-        out.say(textwrap.fill(str(foreseen), 80, subsequent_indent=" " * 9))
-    if foreseen.is_too_large:
-        size = f"{foreseen.memory / 1e9:.2g} GB"
-        fewer = "fewer --sources, " if choice.entry.sources == "some" else ""
-        other = "--method default and" if choice.method.needs_cells else f"{fewer}--chunk and"
-        out.warn(f"{size} may not fit into memory; {other} --dtype float32 need less.")
+    return Attempt(request, patches, moves, undeformed, summing), chunks
 
 
 def _moved(attempt: Attempt, chunks: Chunks, out: Output) -> tuple[np.ndarray, jm.Plan, Way]:

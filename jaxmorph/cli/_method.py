@@ -9,8 +9,7 @@ from jaxtyping import ArrayLike, Float, Int
 
 import jaxmorph as jm
 from jaxmorph import io
-from jaxmorph._advice.methods import Entry, entry
-from jaxmorph._advice.rivals import Extent
+from jaxmorph._advice.methods import Entry, Lengths, entry
 from jaxmorph._boundary.names import planes_of
 from jaxmorph._boundary.symmetry import check_planes
 from jaxmorph._plan.prepare import default_for
@@ -43,7 +42,7 @@ def named_method(
         raise ValueError(
             f"--sources must be {wall.shape[1] + 1} or more in {wall.shape[1]}-D, found {request.sources}."
         )
-    method = listed.make(Extent(wall, fixed))
+    method = listed.make(Lengths(wall, fixed))
     if listed.sources != "some":
         return NamedMethod(method, listed, listed.sentence, len(wall) * (listed.sources == "all"), request.dtype)
     assert isinstance(method, jm.SurfaceReconstruction)
