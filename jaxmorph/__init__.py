@@ -9,14 +9,12 @@ page on theory prints the equations that docstrings cite. The paper builds on
 - their reduction to few sources: Rendall and Allen, Journal of Computational Physics 228, 2009;
 - Delaunay graph mapping: Liu, Qin and Xia, Journal of Computational Physics 211, 2006.
 
-The public names stand in `_public.py`. The first use of a name imports its module, and JAX with it:
-the command line shows its help without. Submodules are imported when they are first used.
+The first use of a public name imports its module, and JAX with it: the command line shows its help
+without. Submodules are imported when they are first used.
 """
 
 import importlib
 import typing
-
-from ._host.package.names import Names
 
 if typing.TYPE_CHECKING:
     from . import cases as cases
@@ -29,14 +27,93 @@ if typing.TYPE_CHECKING:
 
 __version__: str
 
-_names = Names(__name__, ("cases", "cli", "integrations", "io", "plot", "shapes"))
+_SUBMODULES = ("cases", "cli", "integrations", "io", "plot", "shapes")
+_NAMES = {
+    "._advice.choice": "Choice",
+    "._advice.choose": "choose",
+    "._advice.estimate": "Estimate estimate",
+    "._advice.fewest_steps": "Steps fewest_steps",
+    "._advice.inspect": "inspect",
+    "._advice.inspection": "Inspection",
+    "._advice.largest_step": "LargestStep largest_step",
+    "._advice.valid_steps": "ValidSteps",
+    "._boundary.boundary": "Boundary",
+    "._boundary.outer_faces": "FreeFaces boundary_faces",
+    "._boundary.periodic": "Periodic",
+    "._boundary.slide": "Revolution Slide",
+    "._boundary.symmetry": "Plane",
+    "._host.package.errors": "MeshError",
+    "._host.sources.farthest": "FarthestPoints",
+    "._host.sources.graded": "Graded",
+    "._host.sources.greedy": "Greedy",
+    "._host.sources.power": "PGreedy",
+    "._host.sources.reduction": "AbstractReduction AbstractSearchPoints AllPoints Centre Corners GaussPoints KDTree",
+    "._improve.curve": "curve",
+    "._improve.improve": "Improvement improve",
+    "._mesh.elevate": "elevate",
+    "._mesh.mesh": "Mesh",
+    "._methods.base": "AbstractField AbstractMethod Control",
+    "._methods.cells.cells": "AbstractCellMethod",
+    "._methods.cells.elasticity": "LinearElasticity",
+    "._methods.cells.laplacian": "Biharmonic Laplacian",
+    "._methods.cells.springs": "SpringAnalogy TorsionalSprings",
+    "._methods.cells.stiffness": "AbstractStiffness ByDistance ByVolume",
+    "._methods.delaunay": "DelaunayGraph",
+    "._methods.inverse_distance": "InverseDistance",
+    "._methods.local": "LocalCorrection",
+    "._methods.multiscale": "Multiscale",
+    "._methods.nearwall": "NearWall",
+    "._methods.placing": "AbstractPlacing",
+    "._methods.rbf.basis": "AbstractBasis CubicSpline Gaussian InverseMultiquadric InverseQuadratic LinearSpline"
+    " Multiquadric ThinPlateSpline",
+    "._methods.rbf.compact": "CompactRBF",
+    "._methods.rbf.compact_bases": "CompactC0 CompactC1 CompactC2a CompactC2b WendlandC0 WendlandC2 WendlandC4"
+    " WendlandC6",
+    "._methods.rbf.fitted": "FittedRBF",
+    "._methods.rbf.rbf": "RBF",
+    "._methods.rbf.solvers": "Direct Iterative",
+    "._methods.reconstruction": "SurfaceReconstruction",
+    "._methods.rigid": "RigidBlend",
+    "._methods.surface": "Surface",
+    "._plan.deform": "deform pullback velocity",
+    "._plan.halves": "SurfaceHalf prepare_in_chunks prepare_surface",
+    "._plan.judge": "BoundaryQuality boundary_quality",
+    "._plan.plan": "Plan",
+    "._plan.prepare": "prepare",
+    "._plan.refit": "refit",
+    "._plan.save": "load save",
+    "._plan.shard": "shard",
+    "._plan.steps": "march replay",
+    "._quality.distortion": "distortion",
+    "._quality.face_quality": "face_quality",
+    "._quality.face_report": "FaceQuality",
+    "._quality.proof.margin": "proven_margin",
+    "._quality.proof.proof": "proof",
+    "._quality.proof.report": "Proof",
+    "._quality.quality": "inverted quality",
+    "._quality.report": "QualityReport",
+    "._quality.smooth": "soft_maximum",
+    "._quality.smooth_quality": "SmoothQuality smooth_quality",
+    "._quality.verdict": "Limits Verdict judge",
+    "._quality.wall_quality": "WallQuality wall_quality",
+}
+"""Public names by module; type checkers read them in `_public.py`."""
+_MODULES = {name: module for module, names in _NAMES.items() for name in names.split()}
 
 
 def __getattr__(name: str) -> typing.Any:
+    if name == "__all__":
+        return [*_MODULES, *_SUBMODULES]
     if name == "__version__":
         return importlib.import_module("importlib.metadata").version(__name__)
-    return _names.found(name)
+    if name in _SUBMODULES:
+        return importlib.import_module(f".{name}", __name__)
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(importlib.import_module(_MODULES[name], __name__), name)
+    globals()[name] = value  # the next use is as fast as that of any name
+    return value
 
 
 def __dir__() -> list[str]:
-    return sorted({*_names.listed(), "__version__"})
+    return sorted([*_MODULES, *_SUBMODULES, "__version__"])

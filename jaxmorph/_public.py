@@ -1,4 +1,4 @@
-"""The public names of jaxmorph, by room: `__init__` reads these lines, and imports what is used."""
+"""Public names for type checkers and the documentation; `__init__` imports them on first use."""
 
 from ._advice.choice import Choice as Choice
 from ._advice.choose import choose as choose
@@ -77,11 +77,11 @@ from ._methods.rbf.solvers import Iterative as Iterative
 from ._methods.reconstruction import SurfaceReconstruction as SurfaceReconstruction
 from ._methods.rigid import RigidBlend as RigidBlend
 from ._methods.surface import Surface as Surface
-from ._plan.chunks import prepare_in_chunks as prepare_in_chunks
 from ._plan.deform import deform as deform
 from ._plan.deform import pullback as pullback
 from ._plan.deform import velocity as velocity
 from ._plan.halves import SurfaceHalf as SurfaceHalf
+from ._plan.halves import prepare_in_chunks as prepare_in_chunks
 from ._plan.halves import prepare_surface as prepare_surface
 from ._plan.judge import BoundaryQuality as BoundaryQuality
 from ._plan.judge import boundary_quality as boundary_quality

@@ -29,9 +29,6 @@ if "JAX_DISABLE_MOST_OPTIMIZATIONS" not in os.environ:
     os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = "true"
     jax.config.update("jax_disable_most_optimizations", True)
 
-# no program of another process: tests change the package while they run
-os.environ.setdefault("JAXMORPH_CACHE", "off")
-
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 MEMORY = {}

@@ -1,13 +1,18 @@
 """`inspect` and `fewest_steps`: what a motion asks for, before and while it is tried."""
 
+import re
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from meshes import grid, ring
+from meshes import grid, ring, turn
+from runs import runs
 from scipy.interpolate import RBFInterpolator
+from scipy.spatial.transform import Rotation
 
 import jaxmorph as jm
 from jaxmorph import cases
+from jaxmorph._advice.cures import Turn
 from jaxmorph._advice.resolved import missed
 
 
@@ -87,6 +92,19 @@ def test_sliding_is_advised_only_where_a_fixed_boundary_touches_the_moving_one()
     (said,) = found.warnings
     assert f"{len(found.contradictions)} of them lie across a gap to a fixed wall" in said
     assert "sliding" not in said
+
+
+def test_a_duct_whose_fixed_ends_are_torn_is_told_to_free_them():
+    patches = {"walls": lambda ids: np.r_[ids[:, 0], ids[:, -1]], "ends": lambda ids: np.r_[ids[0], ids[-1]]}
+    mesh = grid(np.linspace(0, 3, 31), np.linspace(0, 1, 11), patches=patches)
+    walls = mesh.points[mesh.patches["walls"]]
+    u = np.stack([0.35 + 0 * walls[:, 0], 0.3 * (walls[:, 1] - 0.5)], axis=1)
+    plan = jm.prepare(mesh, "walls", "ends")
+    inspection = jm.inspect(plan, u, mesh=mesh)
+    assert inspection.folds
+    assert "Name it in `free` (--free)" in inspection.warnings[0]
+    moved = jm.deform(jm.prepare(mesh, "walls", free="ends"), u)
+    assert int(jm.quality(mesh, moved).inverted) == 0
 
 
 def test_shape_is_checked(mesh):
@@ -270,3 +288,83 @@ def test_what_sources_miss_is_what_scipys_interpolation_by_distances_misses(coun
     field = RBFInterpolator(points[rows], u[rows], kernel="linear", degree=0)(points)
     expected = np.linalg.norm(field - u, axis=1).max() / np.linalg.norm(u, axis=1).max()
     np.testing.assert_allclose(missed(points, u, rows), expected, rtol=1e-9)
+
+
+def sleeve():
+    """An ellipse with axes 2 and 1 in a round sleeve of radius 1.6."""
+    lattice = ring(80, np.linspace(1, 1.6, 13), ("body", "sleeve"))
+    share = np.linspace(0, 1, 13)[:, None, None]
+    circle = lattice.points[:80]
+    points = (1 - share) * circle * [1.0, 0.5] + share * 1.6 * circle
+    return jm.Mesh(points.reshape(-1, 2), lattice.cells, lattice.patches)
+
+
+def channel():
+    patches = {"body": lambda ids: ids[:, 0], "rest": lambda ids: np.r_[ids[0, 1:], ids[-1, 1:], ids[1:-1, -1]]}
+    return grid(np.linspace(0, 4, 41), np.linspace(0, 1, 11), patches=patches)
+
+
+def turned(points, degrees):
+    return points @ turn(np.radians(degrees), 2).T - points
+
+
+SHIFT = np.array([0.1, 0.05])
+MOTIONS = {
+    "sleeve turned by 60 degrees": (sleeve, lambda x: turned(x, 60), "sliding"),
+    "sleeve turned by 170 degrees": (sleeve, lambda x: turned(x, 170), "sliding"),
+    "sleeve turned and shifted": (sleeve, lambda x: turned(x, 60) + SHIFT, "steps"),
+    "channel with a bump of 90 %": (
+        channel,
+        lambda x: np.stack([0 * x[:, 0], 0.9 * np.exp(-((x[:, 0] - 2) ** 2) / 0.5)], axis=1),
+        "steps",
+    ),
+}
+
+
+@pytest.mark.parametrize(
+    "name", runs(["sleeve turned by 60 degrees", "channel with a bump of 90 %"], nightly=[*MOTIONS][1:3])
+)
+def test_advice_on_folded_cells_cures(name):
+    make, motion, kind = MOTIONS[name]
+    mesh = make()
+    (outer,) = set(mesh.patches) - {"body"}
+    plan, x = jm.prepare(mesh, "body", outer), mesh.points[mesh.patches["body"]]
+    u = motion(x)
+    count = int(jm.quality(mesh, jm.deform(plan, u)).inverted)
+    share = jm.largest_step(plan, 0 * u, u, mesh).step
+    said = jm.inspect(plan, u, mesh=mesh).folds
+    assert count > 0
+    assert said.startswith(f"one step folds {count} cells, the first after {100 * share:.3g} % of the motion. With ")
+    if kind == "sliding":
+        assert f"With sliding=['{outer}'] in place of `fixed` none folds." in said
+        moved = jm.deform(jm.prepare(mesh, "body", sliding=outer), u)
+    else:
+        found = re.search(r"With (\d) steps none folds: `march\(plan, path\)`(, on a path that turns)?", said)
+        assert found
+        count = int(found[1])
+        turning = [turned(x, 60 * k / count) + (u - turned(x, 60)) * k / count for k in range(1, count + 1)]
+        straight = [u * k / count for k in range(1, count + 1)]
+        moved = jm.march(plan, np.stack(turning if found[2] else straight))[1]
+    assert int(jm.quality(mesh, moved).inverted) == 0
+    assert jm.inspect(plan, 0.9 * share * u, mesh=mesh).folds == ""
+
+
+def test_advice_where_nothing_cures_says_what_was_tried():
+    mesh = sleeve()
+    plan = jm.prepare(mesh, "body", "sleeve")
+    said = jm.inspect(plan, np.tile([2.0, 0.0], (80, 1)), mesh=mesh).folds
+    assert said.endswith("2 steps, 4 steps, 8 steps, jm.LinearElasticity(), jm.TorsionalSprings() do not cure it.")
+
+
+def test_a_cylinder_with_flat_ends_is_round_about_its_axis_alone():
+    angle = np.linspace(0, 2 * np.pi, 12, endpoint=False)
+    rim, centre = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1), np.array([3, -1, 1])
+    along = np.array([0, 0, 2])
+    side, end = np.concatenate([rim, rim + along]) + centre, np.concatenate([rim, rim / 2]) + centre
+    arms = np.random.default_rng(0).normal(size=(20, 3))
+    for vector, holds in (([0, 0, 1.0], True), ([0, 1.0, 0], False)):
+        body, (u, half) = arms + centre, (Rotation.from_rotvec(np.array(vector) / k).apply(arms) - arms for k in (1, 2))
+        found = Turn.of(body, u)
+        np.testing.assert_allclose(found.path(body, u, 3)[-1], u, atol=1e-12)
+        np.testing.assert_allclose(found.path(body, u, 2)[0], half, atol=1e-12)
+        assert [found.keeps(points, 3) for points in (side, end)] == [holds, holds]

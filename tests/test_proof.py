@@ -357,3 +357,18 @@ def test_cells_around_a_pole_have_one_handedness():
     found = [np.asarray(jm.quality(reflected(mesh.moved(points), seed)).is_inverted) for seed in range(4)]
     assert all((other == found[0]).all() for other in found)
     assert 0 < found[0].sum() <= 4
+
+
+def test_flat_cells_and_parts_apart_leave_the_verdict_alone():
+    """Cells of no size lead from neighbour to neighbour; each part of a mesh has its own handedness."""
+    points = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0.5, 0.5], [0.5, 0.5], [0.5, 1.4]])
+    cells = np.array([[0, 1, 4], [1, 2, 4], [2, 5, 4], [2, 3, 5], [3, 0, 4], [3, 4, 5], [3, 2, 6]])
+    for seed in range(4):
+        mesh = renumbered(jm.Mesh(np.vstack([points, points + 5]), {"triangle": np.vstack([cells, cells + 7])}), seed)
+        assert int(jm.quality(mesh).inverted) == 0
+        assert int(jm.proof(mesh).invalid) == 0
+        bent = np.array(mesh.points)
+        bent[6] = [0.5, 0.9]
+        for report in (jm.quality(mesh.moved(bent)), jm.quality(mesh.moved(bent), bent)):
+            assert np.flatnonzero(report.is_inverted).tolist() == [6]
+        assert np.flatnonzero(jm.proof(mesh.moved(bent), bent).is_invalid).tolist() == [6]

@@ -302,6 +302,9 @@ def test_a_folded_piece_of_a_polyhedron_is_unknown(tmp_path):
     assert (is_folded & is_piece).any()
     assert not report.is_invalid[is_piece].any()
     assert report.is_unknown[is_folded & is_piece].all()
+    arrived = mesh.moved(moved)  # the same where the mesh arrives so
+    for again in (jm.proof(arrived), jm.proof(arrived, moved)):
+        np.testing.assert_array_equal(again.is_valid, report.is_valid)
 
 
 def test_tables_fit_on_a_terminal():

@@ -602,7 +602,7 @@ def test_the_host_says_what_is_wrong():
     x, y = moved[mesh.cells["quad"][first]].mean(axis=0)
     message = (
         f"{count} of 300 cells are inverted, first cell {first} near ({x:.3g}, {y:.3g}). "
-        "Try more sources or more steps."
+        "jm.inspect(plan, u, mesh=mesh) looks for what helps."
     )
     with pytest.raises(ValueError) as error:  # noqa: PT011
         report.raise_if_inverted()

@@ -21,6 +21,7 @@ OPTIONAL = (
     "matplotlib",
     "pyvista",
     "vtk",
+    "vtkmodules",
     "k3d",
     "gmsh",
     "rich",
@@ -307,6 +308,15 @@ else:
     raise AssertionError
 """
     run_silently(code)
+
+
+def test_type_checkers_see_the_public_names():
+    """`_public.py` has for them, and for the documentation, what `jaxmorph` imports on first use."""
+    import jaxmorph as jm
+    from jaxmorph import _public
+
+    seen = {name: value for name, value in vars(_public).items() if callable(value) and name[0] != "_"}
+    assert seen == {name: getattr(jm, name) for name in jm._MODULES}
 
 
 def test_every_public_name_is_documented():

@@ -16,9 +16,12 @@ from .._host.surface.skin import edges
 from .._host.surface.walls import walls
 from .._mesh.mesh import Mesh
 from .._methods.rbf.fitted import FittedRBF
+from .._plan.deform import deform
 from .._plan.judge import ended
 from .._plan.plan import Plan
+from .._quality.quality import quality
 from .collisions import crossings, names_of, simplices
+from .cures import advice_on_folds
 from .inspection import Inspection
 from .overshoot import overshoot
 from .resolved import UNRESOLVED, leaves_enough, missed
@@ -49,7 +52,8 @@ def inspect(
     the faces of other walls. It also finds moved walls that cross another boundary or themselves.
     Faces that crossed before do not count, nor do faces that share a node or touch in coincident
     nodes, as at a sharp trailing edge. Faces with a node that is neither moving nor fixed are left
-    out: where they go is not known yet.
+    out: where they go is not known yet. If one step folds cells, it tries what may help: round
+    walls that slide, 2, 4 and 8 steps, methods on cells.
 
     **Arguments:**
 
@@ -64,7 +68,14 @@ def inspect(
     **Raises:** `ValueError` when the shape of `u` is not (m, d), or a component is not finite, or
     the mesh has another number of points than the plan.
     """
-    return inspected(plan, u, mesh, nodes)
+    if mesh is None or nodes is not None:
+        return inspected(plan, u, mesh, nodes)
+    moved = np.asarray(deform(plan, u))
+    inspection = inspected(plan, u, mesh, nodes, moved)
+    count = int(quality(mesh, moved).inverted)
+    if not count:
+        return inspection
+    return dataclasses.replace(inspection, folds=advice_on_folds(plan, mesh, np.asarray(u, dtype=float), count))
 
 
 def inspected(plan: Plan, u: Any, mesh: Mesh | None, nodes: Any, moved: np.ndarray | None = None) -> Inspection:

@@ -54,6 +54,8 @@ class Inspection:
       relative to the largest displacement.
     - `leaves`: leaves of a `KDTree` whose sources miss less than a third of the displacement. None
       if the plan's sources do already, or if no number does.
+    - `folds`: how many cells one step folds, from where on, and what was found to help. Empty if
+      none folds, and without a mesh.
     - `touches` (k,): whether the boundaries of a pair's two nodes have faces in common at the pair.
       Without a mesh: `rests`.
     """
@@ -81,6 +83,7 @@ class Inspection:
     touches: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=bool))
     missed: float = 0.0
     leaves: int | None = None
+    folds: str = ""
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -112,7 +115,7 @@ class Inspection:
     @property
     def advice(self) -> tuple[str, ...]:
         """One sentence for another method, or for more steps, that may do better."""
-        return (*self._narrow, *self._short, *self._unresolved, *self._steep)
+        return (*filter(None, [self.folds]), *self._narrow, *self._short, *self._unresolved, *self._steep)
 
     @property
     def _unresolved(self) -> tuple[str, ...]:

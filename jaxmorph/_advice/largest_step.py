@@ -85,12 +85,13 @@ def largest_step(
     between("max_step", max_step, 0)
     shape = plan.n_moving, plan.points.shape[1]
     u, direction = finite_array("u", u, shape), finite_array("direction", direction, shape)
-    bounds = Bounds(mesh, plan.points.dtype, min_jacobian_ratio, proven)
 
     def at(step: float) -> np.ndarray:
         return np.asarray(places(mesh, deform(plan, jnp.asarray(u) + step * jnp.asarray(direction))))
 
-    share, cell = bounds.share(at(0.0), at(max_step))
+    start, end = at(0.0), at(max_step)
+    bounds = Bounds(mesh, plan.points.dtype, min_jacobian_ratio, proven)
+    share, cell = bounds.share(start, end)
     step, less = share * max_step, float(np.finfo(plan.points.dtype).eps)
     # the points at the step have a round-off of their own
     while step > 0 and (broken := bounds.broken(at(step))) >= 0:

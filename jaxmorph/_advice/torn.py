@@ -45,8 +45,8 @@ def remedies(rests: np.ndarray, touches: np.ndarray) -> str:
     slides, gap, both = (int(mask.sum()) for mask in (touches, rests & ~touches, ~rests))
     at = "" if slides == len(rests) else f"At {slides} of them a fixed boundary touches the moving one. "
     texts = (
-        f"{at}If a boundary slides along the moving one, name it in `sliding` (--sliding) in place of `fixed`, or make it a "
-        "symmetry plane.",
+        f"{at}Name the fixed boundary in `sliding` (--sliding) in place of `fixed`, or make it a symmetry plane, if it slides "
+        "along the moving one. Name it in `free` (--free) if its nodes may follow, as those of a duct's ends.",
         f"{gap} of them lie across a gap to a fixed wall, which is narrower than the motion: cells in it shear as much.",
         f"In {both} of them both nodes move, and come to more than twice their distance. Row i of `u` moves node "
         "`plan.moving[i]`: is the order right? If so, the motion is too steep for the spacing of the nodes: smooth it "

@@ -13,12 +13,9 @@ from .._host.package.errors import MeshError, place_of, warn
 from .._host.surface.skin import has_free_faces
 from .._mesh.mesh import Mesh
 from .curved_faces import with_own_curves
-from .kinds import by_kinds
-from .matching import paired
-from .names import check_named_once, checked_points, nodes_named, planes_named, slides
+from .names import by_kinds, check_named_once, checked_points, nodes_named, planes_named, slides
 from .outer_faces import FreeFaces, OuterFaces, free_faces, outer_faces
-from .pairing import Pairing, merged
-from .periodic import Periodic
+from .periodic import Pairing, Periodic, merged, paired
 from .slide import Slide, walls_of_patch
 from .symmetry import Plane, check_dimension
 from .tracks import Track, check_repeated, tracks_of
@@ -195,8 +192,11 @@ def changed(boundary: Boundary, **fields: Any) -> Boundary:
     return other
 
 
-def with_cells(boundary: Boundary, mesh: Mesh, outer: OuterFaces) -> Boundary:
-    """Adds the cells of a mesh, and its boundary faces."""
+def with_cells(boundary: Boundary, mesh: Mesh, outer: OuterFaces | None = None) -> Boundary:
+    """Adds the cells of a mesh, and its boundary faces. Default: these are found."""
+    outer = outer_faces(mesh) if outer is None else outer
+    if outer is None:
+        return boundary
     cells = {kind: np.asarray(corners) for kind, corners in solid(mesh.linear.cells, boundary.points.shape[1]).items()}
     loose = np.setdiff1d(of_no_cell(mesh), boundary.nodes) if cells else boundary.loose
     return with_faces(changed(boundary, mesh=mesh, cells=cells, loose=loose), mesh, outer)

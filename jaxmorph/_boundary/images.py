@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float, Int
 from .._host.package.orders import rows_in
 from .._host.package.trees import Tree
 from .._kernels.values import as_jax
-from .pairing import Pairing
+from .periodic import Pairing
 from .symmetry import Plane, facing, tolerance
 
 

@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from .._boundary.pairing import Pairing
+from .._boundary.periodic import Pairing
 from .._boundary.tracks import Track
 
 

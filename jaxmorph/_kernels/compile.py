@@ -12,7 +12,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from .contexts import holding
-from .kept import kept
 from .values import is_known
 
 OPTIONS = {
@@ -64,7 +63,7 @@ def compiled(function: Function) -> Function:
     def call(*arguments, **keywords):
         arguments = tuple(map(_array, arguments))
         keywords = {name: _array(value) for name, value in keywords.items()}
-        leaves, tree = jax.tree.flatten((arguments, keywords))
+        leaves = jax.tree.leaves((arguments, keywords))
         arrays = [leaf for leaf in leaves if isinstance(leaf, jax.Array | np.ndarray)]
         if _is_for_cpu.get():
             return function(*arguments, **keywords)  # traced into the program of a direct call
@@ -72,11 +71,7 @@ def compiled(function: Function) -> Function:
             return plain(*arguments, **keywords)
         for_cpu = any(isinstance(leaf, jax.Array) for leaf in arrays)
         with holding(_is_for_cpu, for_cpu):
-            state = _is_quick.get(), for_cpu
-            program = kept(function, leaves, tree, state, lambda: _known_options(state[0]))
-            if program is not None:
-                return program()
-            return direct(len(arrays) == len(leaves), *state)(*arguments, **keywords)
+            return direct(len(arrays) == len(leaves), _is_quick.get(), for_cpu)(*arguments, **keywords)
 
     return call  # pyright: ignore[reportReturnType]
 
@@ -109,8 +104,12 @@ def float64_mode(is_on: bool = True) -> contextlib.AbstractContextManager[Any]:
     return enable_x64(is_on)
 
 
-@functools.cache
 def _known_options(is_quick: bool) -> dict[str, Any]:
+    return {name: value for name, value in _all_known_options().items() if is_quick or name in OPTIONS}
+
+
+@functools.cache
+def _all_known_options() -> dict[str, Any]:
     """Selects the options that this XLA knows: it refuses a program for an unknown option."""
 
     def is_known(options: dict[str, Any]) -> bool:
@@ -120,7 +119,7 @@ def _known_options(is_quick: bool) -> dict[str, Any]:
             return False
         return True
 
-    options = OPTIONS | UNTUNED if is_quick else OPTIONS
+    options = OPTIONS | UNTUNED
     return options if is_known(options) else {name: value for name, value in options.items() if is_known({name: value})}
 
 

@@ -1,11 +1,17 @@
-"""The method that moves nodes along boundaries that are neither moving nor fixed."""
+"""The methods that move nodes along boundaries, or carry a grid, where nothing is fixed."""
 
 from .base import AbstractMethod
 from .delaunay import DelaunayGraph
+from .inverse_distance import InverseDistance
 from .multiscale import Multiscale
 from .nearwall import NearWall
 from .rbf.fitted import FittedRBF
 from .reconstruction import SurfaceReconstruction
+
+
+def carrying() -> AbstractMethod:
+    """Returns the method for a body whose grid nothing holds, as an overset grid: IDWarp's."""
+    return InverseDistance(rotations=True)
 
 
 def guiding(method: AbstractMethod) -> AbstractMethod:

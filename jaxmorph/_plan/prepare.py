@@ -10,26 +10,22 @@ from jaxtyping import Array, ArrayLike, Bool, Float, PyTree, Real
 
 from .._boundary.boundary import Boundary, Nodes, changed
 from .._boundary.images import Images, images_of
-from .._boundary.matching import across_one_layer
-from .._boundary.pairing import check_pairings
-from .._boundary.periodic import Periodic
+from .._boundary.periodic import Periodic, across_one_layer, check_pairings
 from .._boundary.slide import Slide
 from .._boundary.symmetry import Plane, check_planes, on_facing
 from .._host.package.errors import warn
 from .._host.package.rounding import SAME
 from .._host.surface.walls import ordered_rows
 from .._kernels.compile import compiled, quickly_compiled
-from .._kernels.kept import kept_in_jaxs_folder
 from .._kernels.values import as_jax
 from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod, check_kind
 from .._methods.blocks import place_points
-from .._methods.guiding import guiding
-from .._methods.inverse_distance import InverseDistance
+from .._methods.guiding import carrying, guiding
 from .._methods.reconstruction import SurfaceReconstruction
 from .._methods.surface import Cells, Surface
-from .base import refitted
 from .plan import Guide, Plan, SurfacePart, VolumePart
+from .refit import refitted
 
 FEW = 50_000, 2_000
 """Points, and surface nodes, below which compiling takes longer than one compiled run."""
@@ -101,7 +97,7 @@ def default_for(boundary: Boundary) -> AbstractMethod:
     surface, points = surface_of(changed(between_planes(boundary), pairings=()))[0].points, boundary.of_cells
     slack = SAME * np.ptp(points, axis=0).max()
     is_beyond = (points < surface.min(axis=0) - slack) | (points > surface.max(axis=0) + slack)
-    return InverseDistance(rotations=True) if is_beyond.any() else SurfaceReconstruction()
+    return carrying() if is_beyond.any() else SurfaceReconstruction()
 
 
 def between_planes(boundary: Boundary, method: AbstractMethod | None = None) -> Boundary:
@@ -156,7 +152,7 @@ def _plan_of(boundary: Boundary, method: AbstractMethod, guide: Guide | None = N
     )
     sizes = len(boundary.points), len(surface.points)
     is_quick = not method.needs_cells and all(size <= most for size, most in zip(sizes, FEW, strict=True))
-    with quickly_compiled(is_quick), kept_in_jaxs_folder():
+    with quickly_compiled(is_quick):
         plan = refitted(plan, plan.points)
         method.check(plan.surface.ids, plan.surface.factors, _trial(plan))
     return plan

@@ -85,7 +85,7 @@ def check_inverted(report: Report) -> None:
         are = "cell is" if len(bad) == 1 else "cells are"
         raise ValueError(
             f"{len(bad)} of {report.count} {are} inverted, first cell {bad[0]} near {place_of(report, bad[0])}. "
-            "Try more sources or more steps."
+            "jm.inspect(plan, u, mesh=mesh) looks for what helps."
         )
 
 

@@ -13,21 +13,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     JAX's x64 mode is switched on. `SystemExit` (2) is raised for arguments that make no sense,
     `SystemExit` (0) after a page of help.
     """
-    from . import _interrupt
-
     words = list(sys.argv[1:] if arguments is None else arguments)
-    name = " ".join(["jaxmorph", *(word for word in words[:1] if not word.startswith("-"))])
-    if arguments is None:
-        _interrupt.end_at_once(name)
-        if isinstance(sys.stdout, io.TextIOWrapper):
-            sys.stdout.reconfigure(errors="backslashreplace")  # the locale may lack a letter of a name
+    if arguments is None and isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")  # the locale may lack a letter of a name
     try:
         from ._entry import answer
 
-        status = answer(words, is_own=arguments is None)
+        return answer(words)
     except KeyboardInterrupt:
+        name = " ".join(["jaxmorph", *(word for word in words[:1] if not word.startswith("-"))])
         print(f"{name}: interrupted.", file=sys.stderr)
-        return _interrupt.STATUS
-    if arguments is None:
-        _interrupt.end_at_once(name)
-    return status
+        return 130

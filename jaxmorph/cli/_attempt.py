@@ -8,23 +8,17 @@ import numpy as np
 from jaxtyping import Float, Int
 
 import jaxmorph as jm
-from jaxmorph._advice.methods import METHODS, entry
-from jaxmorph._advice.rivals import MOST_POINTS
+from jaxmorph._advice.cures import Cure, cures
 from jaxmorph._host.package.cores import Beside
 
 from ._judged import Judged
-from ._method import NamedMethod, Patches, in_double
+from ._method import Patches, in_double
 from ._motion import Motion
 from ._output import Output
-from ._parts import Method
 from ._requests import Deform
 from ._summary import Summary
 from ._tables import faults
 from ._way import Way, followed
-
-MORE = "more --sources or --steps"
-CURES = tuple(method.name for method in METHODS if method.is_cure)
-"""Methods that are tried after the default, where the mesh is small enough for them."""
 
 PATIENCE = 120.0
 """Seconds that an attempt may have taken for others to be tried after it."""
@@ -91,7 +85,7 @@ class Attempt:
         return judged, after, faults(self.before, after)
 
 
-def explain(attempt: Attempt, choice: NamedMethod, bad: list[str], out: Output) -> None:
+def explain(attempt: Attempt, bad: list[str], out: Output) -> None:
     """Prints what is wrong, and other flags that cure it, if an attempt with them succeeds."""
     request = attempt.request
     for sentence in bad[:-1]:
@@ -99,59 +93,51 @@ def explain(attempt: Attempt, choice: NamedMethod, bad: list[str], out: Output) 
     if any(gate.beyond for gate in attempt.before.gates):  # no way of moving the mesh cures it
         out.complain(bad[-1])
         return
-    hint = _hint(choice)
     if out.seconds > PATIENCE or not request.dry_run:
-        out.complain(f"{bad[-1]} Try {hint}.")
+        out.complain(f"{bad[-1]} No other flags were tried.")
         return
-    worked = _tried(attempt, choice, out)
-    advice = f"With {worked} all is well." if worked else f"A dry run with {hint} does not cure it."
-    out.complain(f"{bad[-1]} {advice}")
+    trials, worked = _trials(attempt), ""
+    with out.progress("trying others") as stage:
+        for k, cure in enumerate(trials):
+            if _works(attempt, cure):
+                worked = _flags(attempt, cure)
+                break
+            stage.done((k + 1) / len(trials))
+    tried = ", ".join(_flags(attempt, cure) for cure in trials)
+    advice = f"With {worked} all is well." if worked else f"A dry run with each of {tried} does not cure it."
+    out.complain(f"{bad[-1]} {advice}" if trials else bad[-1])
     out.say(suggestion=worked)
 
 
-def _hint(choice: NamedMethod) -> str:
-    """Returns what to try after a method fails."""
-    if choice.entry.name == "default":
-        return f"{MORE}, or --method {' or '.join(CURES)}"
-    default = "--method default"
-    return {"some": f"{default}, or {MORE}", "all": f"more --steps, or {default}"}.get(choice.entry.sources, default)
+def _trials(attempt: Attempt) -> list[Cure]:
+    """Lists cures in the order in which they are tried: the default method first."""
+    patches, request = attempt.patches, attempt.request
+    moving = patches.nodes
+    fixed = np.setdiff1d(patches.fixed_nodes, moving)
+    found = [Cure(method="default"), *cures(patches.mesh, moving, fixed, attempt.motion.path(attempt.wall, 1)[-1])]
+    found = [dataclasses.replace(cure, steps=cure.steps * request.steps) for cure in found]
+    return [cure for cure in found if cure.method != request.method.method]
 
 
-def _tried(attempt: Attempt, choice: NamedMethod, out: Output) -> str:
-    """Returns other flags of the first attempt whose mesh is good; empty if there is none."""
-    first, steps = attempt.request.method, attempt.request.steps
-    n, d = attempt.base.shape
-    trials = _trials(first, steps, choice.sources, len(attempt.wall), n <= MOST_POINTS[d])
-    with out.progress("trying others") as stage:
-        for k, (method, number) in enumerate(trials):
-            if _works(attempt, method, number):
-                flags = [f"--method {method.method}"] if method.method != first.method else []
-                flags += [f"--sources {method.sources}"] if method.sources != first.sources else []
-                return " ".join([*flags, *([f"--steps {number}"] if number != steps else [])])
-            stage.done((k + 1) / len(trials))
-    return ""
+def _flags(attempt: Attempt, cure: Cure) -> str:
+    flags = [f"--sliding {' '.join(cure.sliding)} in place of --fixed"] if cure.sliding else []
+    flags += [f"--method {cure.method}"] if cure.method else []
+    return " ".join([*flags, *([f"--steps {cure.steps}"] if cure.steps != attempt.request.steps else [])])
 
 
-def _trials(first: Method, steps: int, sources: int, most: int, with_cells: bool) -> list[tuple[Method, int]]:
-    """Lists methods and numbers of steps, in the order in which they are tried."""
-    if first.method != "default":
-        better = dataclasses.replace(first, method="default")
-        slower = [(first, 2 * steps)] if entry(first.method).sources == "all" else []
-        return [*slower, (better, steps), (better, 4 * steps)]
-    more = [dataclasses.replace(first, sources=min(factor * sources, most)) for factor in (2, 4)]
-    trials = [(more[0], steps), (first, 2 * steps), (more[1], 4 * steps)]
-    if with_cells and first.sources is None:
-        trials += [(dataclasses.replace(first, method=name), steps) for name in CURES]
-    return [trial for trial in trials if trial != (first, steps)]
-
-
-def _works(attempt: Attempt, method: Method, steps: int) -> bool:
-    """Checks whether another method leaves the mesh good. False if it refuses."""
+def _works(attempt: Attempt, cure: Cure) -> bool:
+    """Checks whether a cure leaves the mesh good. False if it is refused."""
+    patches, method = attempt.patches, attempt.request.method
+    fixed = tuple(name for name in patches.fixed if name not in cure.sliding)
+    attempt = dataclasses.replace(
+        attempt, patches=dataclasses.replace(patches, fixed=fixed, sliding=(*patches.sliding, *cure.sliding))
+    )
+    method = dataclasses.replace(method, method=cure.method or method.method)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
             chunks = attempt.patches.chunks(attempt.patches.method(method), attempt.request.chunk)
-            way = attempt.way(chunks, steps)
+            way = attempt.way(chunks, cure.steps)
         except (ValueError, ImportError):  # ImportError: a solver for large 3-D meshes is not installed
             return False
         return not attempt.judge(way)[2]

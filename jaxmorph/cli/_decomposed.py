@@ -14,7 +14,6 @@ from jaxmorph import io
 from jaxmorph._host.package.orders import rows_in
 from jaxmorph._host.package.ranks import Alone, Ranks, together
 
-from ._attempt import MORE
 from ._describe import check_files, described, say_proven, write_job
 from ._judged import Judged
 from ._method import in_double, patches_of
@@ -64,10 +63,10 @@ def deform_parts(request: Deform, out: Output) -> int:
             if bad and not request.allow_inverted:
                 raise _Bad
     except _Bad:
-        _complain(request, bad, out)  # pyright: ignore[reportPossiblyUnboundVariable]
+        _complain(bad, out)  # pyright: ignore[reportPossiblyUnboundVariable]
         out.complain(f"{request.output} is not written; --allow-inverted writes it anyway.")
         return 1
-    _complain(request, bad, out)
+    _complain(bad, out)
     out.say(f"wrote {request.output} ({out.seconds:.1f} s)", output=str(request.output))
     return 1 if bad else 0
 
@@ -97,11 +96,9 @@ def _print_summary(parts: list[tuple[Summary, Summary]], is_straight: bool, step
     return faults(before, after)
 
 
-def _complain(request: Deform, bad: list[str], out: Output) -> None:
-    """Prints the faults of all parts, and what to try."""
-    hint = MORE if request.method.method == "default" else "--method default"
-    for k, sentence in enumerate(bad):
-        out.complain(f"{sentence} Try {hint}." if k + 1 == len(bad) else sentence)
+def _complain(bad: list[str], out: Output) -> None:
+    for sentence in bad:
+        out.complain(sentence)
 
 
 def _say_warnings_of_all(out: Output, ranks: Ranks) -> None:
@@ -213,4 +210,4 @@ class Parts:
             in_double(base, np.asarray(points)[: len(ids)], here, u[of_moving], plan.method.exact)
             for u, points in steps
         )
-        return Way.into(self.output / name, mesh, list(ends), plan.is_linear)
+        return Way.into(self.output, mesh, list(ends), plan.is_linear)

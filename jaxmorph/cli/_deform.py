@@ -60,10 +60,8 @@ def _deform(request: Deform, mesh: Mesh, out: Output) -> int:
         _tell(attempt, way, judgement[1], inspection, boundary, out)
         bad = judgement[2]
         _write_beside(attempt, judgement[0], out)
-        if bad and not request.allow_inverted:
-            writing.drop()
         if bad:
-            explain(attempt, choice, bad, out)
+            explain(attempt, bad, out)
         if bad and not request.allow_inverted:
             out.complain(f"{request.output} is not written; --allow-inverted writes it anyway.")
             return 1

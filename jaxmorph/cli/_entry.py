@@ -3,23 +3,19 @@
 Nothing of JAX is imported before the words are understood.
 """
 
-import contextlib
-import gc
 import importlib
 import os
 import warnings
-from collections.abc import Callable, Iterator, Sequence
-from pathlib import Path
+from collections.abc import Callable, Sequence
 
 from ._flags import parser, request_of
-from ._interrupt import STATUS, raise_again
 from ._output import Output
 from ._parser import Parser, meant
 from ._parts import Speech
-from ._requests import COMMANDS, SU2, Demo, Info, Request
+from ._requests import COMMANDS, Request
 
 
-def answer(words: Sequence[str], *, is_own: bool = False) -> int:
+def answer(words: Sequence[str]) -> int:
     """Runs one command and returns its exit status, as `main` does."""
     top, parsers = parser(is_short="--help-all" not in words and "_ARGCOMPLETE" not in os.environ)
     _complete(top)
@@ -31,11 +27,9 @@ def answer(words: Sequence[str], *, is_own: bool = False) -> int:
     with warnings.catch_warnings():
         warnings.showwarning = lambda message, *_: out.warn(one_line(message))
         try:
-            request = request_of(words, top, parsers)
+            request = request_of(words, top)
             importlib.import_module("._early", __package__).check(request)
-            with _without_collection() if is_own else contextlib.nullcontext():
-                run = _command(request, is_own)
-            raise_again()
+            run = _command(request)
             out.verbose = getattr(request, "speech", Speech()).verbose
             return out.end(run(request, out))
         except OSError as error:
@@ -48,40 +42,20 @@ def answer(words: Sequence[str], *, is_own: bool = False) -> int:
             out.complain("out of memory; fewer --sources and --dtype float32 need less.")
         except KeyboardInterrupt:
             out.complain("interrupted; no file is half written.")
-            return out.end(STATUS)
+            return out.end(130)
     return out.end(2)
 
 
-def _command(request: Request, is_own: bool) -> Callable[[Request, Output], int]:
+def _command(request: Request) -> Callable[[Request, Output], int]:
     """Imports the command, and JAX with it, in double precision and with a cache."""
-    if is_own and (file := _mesh_file(request)) is not None:
-        importlib.import_module("jaxmorph.io._ahead").begin(file)
-    importlib.import_module("._compiled", __package__).begin(is_own)
+    importlib.import_module("._compiled", __package__).begin()
     module, name = request.run.split(".")
     return getattr(importlib.import_module(f".{module}", __package__), name)
-
-
-def _mesh_file(request: Request) -> Path | None:
-    """Returns the file that the command reads by `io.read`, if any."""
-    if isinstance(request, SU2 | Demo | Info) or getattr(request, "decomposed", False):
-        return None
-    return request.file if getattr(request, "zone", None) is None else None
 
 
 def one_line(message: object) -> str:
     """Joins the words of a message by single spaces."""
     return " ".join(str(message).split())
-
-
-@contextlib.contextmanager
-def _without_collection() -> Iterator[None]:
-    """Turns the garbage collector off during imports: it would search all modules many times."""
-    gc.disable()
-    try:
-        yield
-    finally:
-        gc.freeze()
-        gc.enable()
 
 
 def _checked(words: Sequence[str], top: Parser, parsers: dict[str, Parser]) -> str:

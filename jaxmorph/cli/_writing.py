@@ -1,8 +1,8 @@
 """Writing beside judging: the file is there, under another name, when the verdict comes."""
 
 import contextlib
-import threading
 from collections.abc import Callable
+from concurrent.futures import Future
 from typing import Any
 
 from jaxmorph._host.package.cores import Beside, cores
@@ -16,30 +16,21 @@ class Writing:
     """
 
     def __init__(self, write: Callable[..., None], *arguments: Any):
-        self._is_wanted, self._is_decided = False, threading.Event()
-        with appearing_if(self._wait):
+        self._is_wanted: Future[bool] = Future()
+        with appearing_if(self._is_wanted.result):
             self._call = Beside(write, *arguments)
 
     def finish(self) -> None:
         """Waits for the file, which appears. Raises what the call raises."""
-        self._is_wanted = True
-        self._is_decided.set()
+        self._is_wanted.set_result(True)
         self._call.result()
-
-    def drop(self) -> None:
-        """Removes what has been written, and waits for it, unless the file is there already."""
-        self._is_wanted = False
-        self._is_decided.set()
-        if cores() > 1:
-            with contextlib.suppress(Exception):  # a fault of a file that nobody wants
-                self._call.result()
-
-    def _wait(self) -> bool:
-        self._is_decided.wait()
-        return self._is_wanted
 
     def __enter__(self) -> "Writing":
         return self
 
     def __exit__(self, *error: Any) -> None:
-        self.drop()
+        if not self._is_wanted.done():
+            self._is_wanted.set_result(False)
+        if cores() > 1:
+            with contextlib.suppress(Exception):  # a fault of a file that nobody wants, or that `finish` has told
+                self._call.result()

@@ -1,11 +1,28 @@
 """Meshes from files and into files: everything but the coordinates as it was."""
 
-import typing
-
-from jaxmorph._host.package.names import Names
-
-if typing.TYPE_CHECKING:
-    from ._public import *  # noqa: F403
-
-_names = Names(__name__)
-__getattr__, __dir__ = _names.found, _names.listed
+from ._box import read_box as read_box
+from ._boxes import Box as Box
+from ._boxes import boxes as boxes
+from ._boxes import with_boxes as with_boxes
+from ._displacement import read_displacement as read_displacement
+from ._gradient import check_gradient_output as check_gradient_output
+from ._gradient import write_gradient as write_gradient
+from ._lattice import check_lattice_output as check_lattice_output
+from ._lattice import write_lattice as write_lattice
+from ._moved import cell_arrays as cell_arrays
+from ._moved import write_moved as write_moved
+from ._moved import write_pvd as write_pvd
+from ._registry import as_written as as_written
+from ._registry import check_output as check_output
+from ._registry import periodic as periodic
+from ._registry import read as read
+from ._registry import symmetry as symmetry
+from ._registry import write as write
+from ._sensitivity import check_sensitivity_output as check_sensitivity_output
+from ._sensitivity import read_sensitivity as read_sensitivity
+from ._sensitivity import write_sensitivity as write_sensitivity
+from ._surface import read_surface as read_surface
+from ._zones import read_zones as read_zones
+from ._zones import write_zones as write_zones
+from .openfoam.parts import Decomposed as Decomposed
+from .openfoam.parts import global_nodes as global_nodes

@@ -10,7 +10,6 @@ from jaxmorph import Mesh, Periodic
 from jaxmorph._host.package import files
 from jaxmorph._host.package.arguments import checked
 
-from . import _ahead
 from ._format import Checking, Format, Source, own_source, source_of
 from ._reading import file_mesh, format_of
 from ._rounding import warn_of_loss
@@ -20,10 +19,10 @@ from ._rounding import warn_of_loss
 def read(path: str | os.PathLike[str]) -> Mesh:
     """Reads the mesh in a file or an OpenFOAM case.
 
-    Files are SU2 (.su2), VTK (.vtu, .vtk), gmsh (.msh), CGNS (.cgns), MFEM (.mesh), MED (.med),
-    Exodus (.e, .exo, .ex2, .exoii, .g) and PLOT3D (.xyz, .p3d, .p3dfmt, .x, .g). Of an OpenFOAM
-    case `path` is its folder, or a time folder. VTK, gmsh, CGNS, MED and Exodus need the extra
-    `io`.
+    Files are SU2 (.su2), VTK (.vtu, .vtk, .vts, .vtp, .pvtu, .vtm), gmsh (.msh), CGNS (.cgns) and
+    MFEM (.mesh). Others are MED (.med), Exodus (.e, .exo, .ex2, .exoii, .g) and PLOT3D (.xyz, .p3d,
+    .p3dfmt, .x, .g). Of an OpenFOAM case `path` is its folder, or a time folder. VTK, gmsh, CGNS,
+    MED and Exodus need the extra `io`.
 
     Coordinates are float64, in the units and the order of the file. A mesh of 2-D cells has two
     coordinates when all z of the file are equal. Patches are
@@ -52,7 +51,7 @@ def read(path: str | os.PathLike[str]) -> Mesh:
     **Raises:** `ValueError` for a file that is not a good mesh, with file, line and what stands
     there. `OSError` for a file that cannot be opened. `ImportError` when the extra is missing.
     """
-    return Mesh(*(_ahead.taken(path) or file_mesh(files.input_path(path))))
+    return Mesh(*file_mesh(files.input_path(path)))
 
 
 @checked
@@ -128,12 +127,16 @@ def as_written(path: str | os.PathLike[str], mesh: Mesh) -> Float[np.ndarray, "n
 
     **Returns:** points (n, d), those of `mesh` for a file that holds them as they are.
 
+    **Raises:** `ValueError` for an unknown ending, and a folder that does not exist.
+
     **Warns:** where rounding takes more than a tenth of the motion, or of an edge of a cell.
     """
-    points, source = np.asarray(mesh.points), source_of(mesh, format_of(pathlib.Path(path), mesh.source).name)
+    chosen = format_of(pathlib.Path(path), mesh.source)
+    path = files.output_path(path, folder=chosen.is_folder)
+    points, source = np.asarray(mesh.points), source_of(mesh, chosen.name)
     if source is None or source.held is None:
         return points
-    return warn_of_loss(pathlib.Path(path), mesh.cells, source.held, points)
+    return warn_of_loss(path, mesh.cells, source.held, points)
 
 
 @checked

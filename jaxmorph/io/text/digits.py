@@ -4,7 +4,6 @@ import io
 import warnings
 
 import numpy as np
-import scipy.io
 
 ENOUGH = 1 << 14
 """Bytes from which SciPy's writer of Matrix Market files pays: `repr`'s digits, much faster."""
@@ -59,6 +58,8 @@ def lines(values: np.ndarray) -> bytes:
     values = values.astype(float, copy=False)
     if 16 * len(values) < ENOUGH:
         return repr(values.tolist())[1:-1].encode().replace(b", ", b"\n")
+    import scipy.io  # 40 modules, which a reader does not need
+
     file = io.BytesIO()
     scipy.io.mmwrite(file, values.reshape(-1, 1), symmetry="general")
     text = file.getvalue()

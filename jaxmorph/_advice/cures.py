@@ -1,0 +1,165 @@
+"""What keeps a motion from folding cells: each cure is tried before it is named."""
+
+import contextlib
+import dataclasses
+import warnings
+from collections.abc import Iterator
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial.transform import Rotation
+
+from .._boundary.boundary import with_cells
+from .._mesh.mesh import Mesh
+from .._plan.deform import deform
+from .._plan.plan import Plan
+from .._plan.prepare import plan_of, prepare
+from .._plan.steps import march
+from .._quality.quality import quality
+from .largest_step import largest_step
+from .methods import METHODS, entry
+from .rivals import MOST_POINTS, Extent
+
+STEPS = 2, 4, 8
+"""Numbers of steps that are tried."""
+
+ROUND = 1e-3
+"""Largest change of radius, or of place along the axis, of a patch that turns within itself.
+
+It is relative to the radius.
+"""
+
+TURNS = 0.1
+"""Angle of a motion in radians from which on its path turns, and round patches may slide."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Cure:
+    """A change of a call: fixed patches that slide, more steps, or another method by name."""
+
+    sliding: tuple[str, ...] = ()
+    steps: int = 1
+    method: str = ""
+
+    def __str__(self) -> str:
+        if self.sliding:
+            return f"sliding={[*self.sliding]} in place of `fixed`"
+        return f"{self.steps} steps" if self.steps > 1 else f"{_class_of(self.method)}()"
+
+
+@dataclasses.dataclass(frozen=True)
+class Turn:
+    """The rigid motion nearest to a displacement, in space also for a mesh in 2-D.
+
+    `rotation` turns about `centre`, which moves by `shift` along the axis.
+    """
+
+    rotation: Rotation
+    centre: Float[np.ndarray, "3"]
+    shift: Float[np.ndarray, "3"]
+
+    @classmethod
+    def of(cls, points: Float[np.ndarray, "m 3"], u: Float[np.ndarray, "m 3"]) -> "Turn":
+        middle, way, rotation = points.mean(axis=0), u.mean(axis=0), Rotation.identity()
+        with contextlib.suppress(ValueError), warnings.catch_warnings():  # nodes at one place, or on one line
+            warnings.simplefilter("ignore")
+            found = Rotation.align_vectors(points + u - middle - way, points - middle)[0]
+            rotation = found if found.magnitude() > TURNS else rotation
+        change = np.eye(3) - rotation.as_matrix()
+        arm = np.linalg.lstsq(change, way, rcond=1e-9)[0]
+        return cls(rotation, middle + arm, way - change @ arm)
+
+    def path(self, points: Float[np.ndarray, "m 3"], u: Float[np.ndarray, "m 3"], steps: int) -> list[np.ndarray]:
+        """Computes the displacement at the end of each step; what is no rotation grows evenly."""
+        arms = points - self.centre
+        rest = u + arms - self.rotation.apply(arms)
+        shares = [step / steps for step in range(1, steps + 1)]
+        return [(self.rotation**share).apply(arms) - arms + share * rest for share in shares]
+
+    def keeps(self, points: Float[np.ndarray, "k 3"], dimension: int) -> bool:
+        """Checks whether points turn within a cylinder about the axis, or a plane across it."""
+        if not self.rotation.magnitude():
+            return False
+        axis = self.rotation.as_rotvec() / self.rotation.magnitude()
+        height = (points - self.centre) @ axis
+        radius = np.linalg.norm(points - self.centre - height[:, None] * axis, axis=1)
+        slack = ROUND * radius.max()
+        return bool(np.ptp(radius) <= slack or (dimension == 3 and np.ptp(height) <= slack))
+
+
+def in_space(points: Float[np.ndarray, "k d"]) -> Float[np.ndarray, "k 3"]:
+    return np.pad(points.astype(float), ((0, 0), (0, 3 - points.shape[1])))
+
+
+def cures(
+    mesh: Mesh, moving: Int[np.ndarray, " m"], fixed: Int[np.ndarray, " f"], u: Float[np.ndarray, "m d"]
+) -> Iterator[Cure]:
+    """Lists what may help a mesh whose `moving` nodes move by `u`, the surest first.
+
+    It lists nothing for a mesh so large that trials take long.
+    """
+    points, dimension = in_space(np.asarray(mesh.points)), mesh.points.shape[1]
+    if len(points) > MOST_POINTS[dimension]:
+        return
+    turn = Turn.of(points[moving], in_space(u))
+    held = {name: nodes for name, nodes in mesh.patches.items() if len(nodes) and np.isin(nodes, fixed).all()}
+    names = tuple(name for name, nodes in held.items() if turn.keeps(points[nodes], dimension))
+    if names:
+        yield Cure(sliding=names)
+    yield from (Cure(steps=steps) for steps in STEPS)
+    yield from (Cure(method=method.name) for method in METHODS if method.is_cure)
+
+
+def advice_on_folds(plan: Plan, mesh: Mesh, u: Float[np.ndarray, "m d"], count: int) -> str:
+    """Says from where on a motion folds `count` cells, and what was tried and helps."""
+    share = ""
+    if plan.is_linear:
+        part = largest_step(plan, np.zeros_like(u), u, mesh).step
+        share = f", the first after {100 * part:.3g} % of the motion"
+    tried = []
+    for cure in cures(mesh, np.asarray(plan.moving), np.asarray(plan.fixed), u):
+        if _folds_none(plan, mesh, u, cure):
+            return f"one step folds {count} cells{share}. With {cure} none folds{_how(cure, plan, u)}."
+        tried.append(str(cure))
+    last = f"{', '.join(tried)} do not cure it" if tried else "jm.fewest_steps tells how many steps it takes"
+    return f"one step folds {count} cells{share}: {last}."
+
+
+def _how(cure: Cure, plan: Plan, u: np.ndarray) -> str:
+    if cure.steps == 1:
+        return ""
+    turn = Turn.of(in_space(np.asarray(plan.moving_points)), in_space(u))
+    turns = ", on a path that turns as the wall does (`shapes.path`)" if turn.rotation.magnitude() else ""
+    return f": `march(plan, path)`{turns}"
+
+
+def _folds_none(plan: Plan, mesh: Mesh, u: np.ndarray, cure: Cure) -> bool:
+    """Moves the mesh with a cure; False also for a cure that is refused."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            points = _moved(plan, mesh, u, cure)
+        except (ValueError, ImportError):  # ImportError: a solver for large 3-D meshes is not installed
+            return False
+        return not int(quality(mesh, points).inverted)
+
+
+def _moved(plan: Plan, mesh: Mesh, u: np.ndarray, cure: Cure) -> np.ndarray:
+    moving, fixed = np.asarray(plan.moving), np.asarray(plan.fixed)
+    if cure.sliding:
+        planes = () if plan.images is None else plan.images.planes
+        others = np.setdiff1d(fixed, mesh.patch(*cure.sliding))
+        return np.asarray(
+            deform(prepare(mesh, moving, others, method=plan.method, symmetry=planes, sliding=cure.sliding), u)
+        )
+    if cure.method:
+        points = np.asarray(mesh.points)
+        method = entry(cure.method).make(Extent(points[moving], points[fixed]))
+        return np.asarray(deform(plan_of(with_cells(plan.boundary, mesh), method), u))
+    base = in_space(np.asarray(mesh.points)[moving])
+    path = Turn.of(base, in_space(u)).path(base, in_space(u), cure.steps)
+    return np.asarray(march(plan, np.stack(path)[..., : mesh.points.shape[1]])[1])
+
+
+def _class_of(method: str) -> str:
+    return "jm." + entry(method).path.rsplit(".", 1)[-1]
