@@ -12,12 +12,11 @@ from jaxtyping import Array, Float, Int, PyTree
 from .._host.package.arguments import checked, whole
 from .._kernels.module import Module
 from .._kernels.values import is_known
-from ._arguments import Numbers, known_positions, positions
-from ._combine import Part, Together
+from ._arguments import Numbers, check_finite, positions
 from ._curves import CST
 from ._displacement import neutral
 from ._section import Chord, upper_side
-from ._shape import AbstractLinearShape
+from ._shape import AbstractLinearShape, Part, Together
 
 
 class Fit(Module):
@@ -74,9 +73,7 @@ def fit(
     """
     whole("max_steps", max_steps)
     points, targets = positions(points, "points"), positions(targets, "targets")
-    for x, name in ((points, "points"), (targets, "targets")):
-        if is_known(x):
-            known_positions(x, name)
+    check_finite(points=points, targets=targets)
     if points.shape != targets.shape:
         raise ValueError(f"`points` has shape {points.shape}, `targets` {targets.shape}; they belong row to row.")
     start = neutral(shape) if start is None else start

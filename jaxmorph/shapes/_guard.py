@@ -9,16 +9,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
-from .._advice.largest_step import Bounds, corner_jacobians
+from jaxmorph import Mesh, Plan
+
+from .._advice.largest_step import DesignedMesh
 from .._host.package.arguments import between, checked, finite_array, whole
-from .._kernels.compile import compiled
 from .._kernels.module import Module
-from .._mesh.mesh import Mesh
-from .._plan.deform import deform
-from .._plan.plan import Plan
-from .._quality.quality import places
 from ._arguments import Numbers
 
 
@@ -70,13 +67,7 @@ class MeshGuard(Module):
     **Raises:** `ValueError` for numbers out of their range, and for a mesh that is not the plan's.
     """
 
-    plan: Plan
-    displacement: Callable[[Any], Float[Array, "m d"]]
-    ids: tuple[Int[Array, "k c"], ...]
-    signs: tuple[Float[Array, " k"], ...]
-    scales: tuple[Float[Array, "s k"], ...]
-    judged: tuple[Bool[Array, "s k"], ...]
-    kinds: tuple[str, ...] = eqx.field(static=True)
+    mesh: DesignedMesh
     bound: float = eqx.field(static=True)
     sharpness: float = eqx.field(static=True)
     last: LastDesign = eqx.field(static=True)
@@ -91,31 +82,15 @@ class MeshGuard(Module):
         min_jacobian_ratio: float = 0.1,
         sharpness: float = 100.0,
     ):
-        between("min_jacobian_ratio", min_jacobian_ratio, 0, 1, "[)")
         between("sharpness", sharpness, 0)
-        places(mesh, plan.points)
-        parts = Bounds(mesh, plan.points.dtype, 1.0).parts
-        self.plan, self.displacement = plan, displacement
-        self.kinds = tuple(kind for kind, *_ in parts)
-        self.ids, self.signs = (tuple(jnp.asarray(part[k]) for part in parts) for k in (1, 2))
-        self.judged = tuple(jnp.asarray(part[3]) for part in parts)
-        self.scales = tuple(jnp.asarray(np.where(part[3], part[4], 1)) for part in parts)
+        self.mesh = DesignedMesh(plan, mesh, displacement, min_jacobian_ratio)
         self.bound, self.sharpness = float(min_jacobian_ratio), float(sharpness)
         self.last = LastDesign()
 
     def __call__(self, design: Any) -> Float[Array, ""]:
         """Computes the soft smallest ratio less the bound; 0 or more keeps the bound. Traced."""
-        ratios, judged = self._ratios(design)
-        least = -jax.scipy.special.logsumexp(-self.sharpness * ratios, b=judged.astype(ratios.dtype)) / self.sharpness
-        return least - self.bound
-
-    def _ratios(self, design: Any) -> tuple[Float[Array, " s"], Bool[Array, " s"]]:
-        """Computes the Jacobian ratio at each corner of a cell, and marks corners that count."""
-        points = deform(self.plan, self.displacement(design))
-        ratios = []
-        for kind, ids, sign, scale in zip(self.kinds, self.ids, self.signs, self.scales, strict=True):
-            ratios.append((sign[None] * corner_jacobians(kind, points, ids) / scale).ravel())
-        return jnp.concatenate(ratios), jnp.concatenate([judged.ravel() for judged in self.judged])
+        ratios = self.mesh.ratios(design)
+        return -jax.scipy.special.logsumexp(-self.sharpness * ratios) / self.sharpness - self.bound
 
     @checked
     def value(self, design: Numbers) -> float:
@@ -148,14 +123,11 @@ class MeshGuard(Module):
 
         **Raises:** `ValueError` for more rows than Jacobians.
         """
-        values, chosen, matrix = _rows(self, _flat(design), self._checked_count(count))
-        return QualityRows(np.asarray(values, float), np.asarray(matrix, float), self._cell[np.asarray(chosen)])
-
-    def _checked_count(self, count: int) -> int:
-        total = sum(int(np.asarray(judged).sum()) for judged in self.judged)
-        if not 1 <= whole("count", count) <= total:
+        cells = self.mesh.bounds.cells
+        if whole("count", count) > (total := (cells >= 0).sum()):
             raise ValueError(f"`count` is {count}; the cells have {total} Jacobians.")
-        return int(count)
+        values, chosen, matrix = _rows(self, _flat(design), count)
+        return QualityRows(np.asarray(values, float), np.asarray(matrix, float), cells[np.asarray(chosen)])
 
     def constraint(self, count: int | None = None) -> dict[str, Any]:
         """Makes the constraint of `scipy.optimize.minimize` with its derivative.
@@ -164,14 +136,9 @@ class MeshGuard(Module):
         """
         if count is None:
             return {"type": "ineq", "fun": self.value, "jac": self.gradient}
-        count = self._checked_count(count)
         rows = functools.lru_cache(1)(lambda design: self.quality_rows(np.frombuffer(design), count))
-        as_bytes = lambda design: np.asarray(design, float).tobytes()  # noqa: E731
-        return {
-            "type": "ineq",
-            "fun": lambda design: rows(as_bytes(design)).values,
-            "jac": lambda design: rows(as_bytes(design)).matrix,
-        }
+        at = lambda design: rows(np.asarray(design, float).tobytes())  # noqa: E731
+        return {"type": "ineq", "fun": lambda design: at(design).values, "jac": lambda design: at(design).matrix}
 
     def guarded(self, objective: Callable[[Any], Any]) -> Callable[[Any], Any]:
         """Makes an objective that is infinite where a cell is below the bound.
@@ -198,42 +165,32 @@ class MeshGuard(Module):
         """
         return lambda *_: None if self.last.value is None else function(self.last.value)
 
-    @property
-    def _cell(self) -> Int[np.ndarray, " s"]:
-        """The cell of each corner."""
-        numbers, first = [], 0
-        for judged in self.judged:
-            numbers.append(np.broadcast_to(first + np.arange(judged.shape[1]), judged.shape).ravel())
-            first += judged.shape[1]
-        return np.concatenate(numbers)
-
 
 def _flat(design: Any) -> Float[Array, " p"]:
     return jnp.asarray(finite_array("design", design, (None,)), float)
 
 
-@compiled
+@eqx.filter_jit
 def _value(guard: MeshGuard, design: Float[Array, " p"]) -> Float[Array, ""]:
     return guard(design)
 
 
-@compiled
+@eqx.filter_jit
 def _smallest(guard: MeshGuard, design: Float[Array, " p"]) -> Float[Array, ""]:
-    ratios, judged = guard._ratios(design)
-    return jnp.min(jnp.where(judged, ratios, jnp.inf))
+    return guard.mesh.ratios(design).min()
 
 
-@compiled
+@eqx.filter_jit
 def _gradient(guard: MeshGuard, design: Float[Array, " p"]) -> Float[Array, " p"]:
     return jax.grad(guard)(design)
 
 
-@compiled
+@eqx.filter_jit
 def _rows(
     guard: MeshGuard, design: Float[Array, " p"], count: int
 ) -> tuple[Float[Array, " k"], Int[Array, " k"], Float[Array, "k p"]]:
-    ratios, judged = guard._ratios(design)
-    chosen = jax.lax.top_k(-jnp.where(judged, ratios, jnp.inf), count)[1]
+    ratios = guard.mesh.ratios(design)
+    chosen = jax.lax.top_k(-ratios, count)[1]
     slopes = jax.jacfwd if len(design) <= count else jax.jacrev
-    matrix = slopes(lambda design: guard._ratios(design)[0][chosen])(design)
+    matrix = slopes(lambda design: guard.mesh.ratios(design)[chosen])(design)
     return ratios[chosen] - guard.bound, chosen, matrix
