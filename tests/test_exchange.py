@@ -118,16 +118,23 @@ def test_other_data_sets_of_pyvista():
     assert surface.points.shape[1] == 3
 
 
-def test_what_cannot_be_taken_is_named():
+def test_polyhedra_and_voxels_of_pyvista():
     corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=float)
     faces = [4, 3, 0, 2, 1, 3, 0, 1, 3, 3, 1, 2, 3, 3, 0, 3, 2]
-    polyhedron = pyvista.UnstructuredGrid(np.array([len(faces), *faces]), np.array([42], np.uint8), corners)
-    with pytest.raises(ValueError, match=r"type polyhedron are not supported; known are line, triangle"):
-        jm.Mesh.from_pyvista(polyhedron)
+    mesh = jm.Mesh.from_pyvista(
+        pyvista.UnstructuredGrid(np.array([len(faces), *faces]), np.array([42], np.uint8), corners)
+    )
+    np.testing.assert_allclose(np.asarray(jm.quality(mesh).volume), [1 / 6])
+    voxels = jm.Mesh.from_pyvista(pyvista.ImageData(dimensions=(3, 2, 2)))
+    np.testing.assert_allclose(np.asarray(jm.quality(voxels).volume), [1, 1])
+
+
+def test_what_cannot_be_taken_is_named():
+    polygon = pyvista.UnstructuredGrid(np.array([5, 0, 1, 2, 3, 4]), np.array([7], np.uint8), np.eye(5, 3))
+    with pytest.raises(ValueError, match=r"type polygon are not supported"):
+        jm.Mesh.from_pyvista(polygon)
     with pytest.raises(ValueError, match="single grid of PyVista, not a MultiBlock"):
-        jm.Mesh.from_pyvista(pyvista.MultiBlock([polyhedron]))
-    with pytest.raises(ValueError, match="type voxel are not supported"):
-        jm.Mesh.from_pyvista(pyvista.ImageData(dimensions=(2, 2, 2)))
+        jm.Mesh.from_pyvista(pyvista.MultiBlock([polygon]))
     with pytest.raises(ValueError, match="type triangle21 are not supported"):
         jm.Mesh.from_meshio(meshio.Mesh(SPACE, [("triangle21", [[*range(8), *range(8), *range(5)]])]))
     with pytest.raises(ValueError, match="point 3 is not finite"):

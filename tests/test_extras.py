@@ -12,8 +12,8 @@ import jaxmorph
 
 CODE = """
 import sys
-missing = ("meshio", "h5py", "matplotlib", "pyvista", "vtk", "gmsh", "rich", "platformdirs", "openmdao", "openmdao.api")
-sys.modules.update(dict.fromkeys((*missing, "mphys.core", "mpi4py")))
+missing = ("meshio", "h5py", "matplotlib", "pyvista", "vtkmodules", "gmsh", "rich", "platformdirs", "openmdao")
+sys.modules.update(dict.fromkeys((*missing, "openmdao.api", "mphys.core", "mpi4py")))
 import importlib, pathlib, numpy, jaxmorph
 from jaxmorph import cases, io
 mesh = cases.naca0015(points=300)

@@ -21,6 +21,7 @@ OPTIONAL = (
     "matplotlib",
     "pyvista",
     "vtk",
+    "vtkmodules",
     "k3d",
     "gmsh",
     "rich",

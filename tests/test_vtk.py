@@ -1,7 +1,16 @@
-"""Legacy VTK files: VTK itself reads what is written, and what VTK and gmsh write is read."""
+"""VTK's files: VTK itself reads what is written, and what VTK, gmsh and meshio write is read and kept."""
+
+import itertools
+import pathlib
+import pickle
+import struct
+import subprocess
+import sys
+import zlib
 
 import numpy as np
 import pytest
+import vtk_files
 from meshes import bricks, gmsh_session
 
 import jaxmorph as jm
@@ -41,18 +50,6 @@ def test_vtk_reads_all_arrays_that_are_written(tmp_path, ending, dtype):
     assert {name: nodes.tolist() for name, nodes in again.patches.items()} == {
         name: nodes.tolist() for name, nodes in mesh.patches.items()
     }
-
-
-def test_a_compression_that_is_not_read_is_told(tmp_path):
-    from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridWriter
-
-    writer = vtkXMLUnstructuredGridWriter()
-    writer.SetInputData(mixed().to_pyvista())
-    writer.SetFileName(str(tmp_path / "a.vtu"))
-    writer.SetCompressorTypeToLZ4()
-    writer.Write()
-    with pytest.raises(ValueError, match=r"a\.vtu: compressed by LZ4"):
-        io.read(tmp_path / "a.vtu")
 
 
 @pytest.mark.parametrize("large", [2**31, -(2**31) - 1])
@@ -115,14 +112,6 @@ def test_what_gmsh_writes_is_read(tmp_path, dimension, binary):
     np.testing.assert_array_equal(corners, grid.cells_dict[5 if dimension == 2 else 10])
 
 
-def test_strings_that_belong_to_points_are_refused(tmp_path):
-    grid = mixed().to_pyvista()
-    grid.point_data["label"] = ["x"] * grid.n_points
-    grid.save(tmp_path / "a.vtk")
-    with pytest.raises(ValueError, match=r"a\.vtk: .*the array label holds strings"):
-        io.read(tmp_path / "a.vtk")
-
-
 @pytest.mark.parametrize("binary", [False, True])
 def test_no_damage_of_sizes_is_taken(tmp_path, binary):
     """A number more or less in any section is told."""
@@ -136,3 +125,188 @@ def test_no_damage_of_sizes_is_taken(tmp_path, binary):
             (tmp_path / "b.vtk").write_bytes(data[:at] + count + data[end:])
             with pytest.raises(ValueError, match=r"b\.vtk: a damaged \.vtk file"):
                 io.read(tmp_path / "b.vtk")
+
+
+FORMS = [("xml", *form) for form in vtk_files.FORMS] + [
+    ("legacy", version, binary) for version, binary in itertools.product((42, 51), (False, True))
+]
+
+
+def foreign(folder: pathlib.Path, kind: str, form: tuple, name: str = "a") -> pathlib.Path:
+    """A file of a kind of data set in one form, by VTK's writer."""
+    data = vtk_files.with_arrays(vtk_files.KINDS[kind]())
+    if form[0] == "legacy":
+        vtk_files.write_legacy(folder / f"{name}.vtk", data, form[1], binary=form[2])
+        return folder / f"{name}.vtk"
+    path = folder / f"{name}{vtk_files.ENDINGS.get(kind, '.vtu')}"
+    vtk_files.write(path, data, *form[1:])
+    return path
+
+
+@pytest.mark.parametrize("form", FORMS[::3] + FORMS[-1:], ids=str)
+@pytest.mark.parametrize("kind", vtk_files.KINDS)
+def test_all_that_a_file_says_is_kept(tmp_path, kind, form):
+    """VTK finds the same arrays, field data and cells in both files, and points to the last bit where they were moved to."""
+    path = foreign(tmp_path, kind, form)
+    mesh, d = io.read(path), 2 if kind in ("pixels", "surface") else 3
+    assert mesh.points.shape[1] == d
+    assert mesh.patch("floor").tolist() == np.flatnonzero(vtk_files.places(vtk_files.read(path))[:, 1] == 0).tolist()
+    moved = mesh.moved(mesh.points * 1.1 + 0.123456789)
+    out = path.with_stem("b")
+    io.write(out, moved)
+    before, after = vtk_files.read(path), vtk_files.read(out)
+    assert vtk_files.said(before) == vtk_files.said(after)
+    expected = vtk_files.places(before).copy()
+    expected[:, :d] = expected[:, :d] * 1.1 + 0.123456789
+    np.testing.assert_array_equal(vtk_files.places(after), expected)
+
+
+@pytest.mark.parametrize("form", FORMS[:9] + FORMS[-4:], ids=str)
+def test_the_form_of_a_file_is_kept(tmp_path, form):
+    """Text, binary, appended, raw, compressed, the type of headers: an unmoved mesh written is the same file, but for its notes."""
+    path = foreign(tmp_path, "hexahedra", form)
+    io.write(path.with_stem("b"), io.read(path))
+    first, second = path.read_bytes(), path.with_stem("b").read_bytes()
+    assert first.split(b"<FieldData>")[0][:120] == second.split(b"<FieldData>")[0][:120]
+    for mark in (b'format="appended"', b'format="binary"', b'format="ascii"', b'encoding="raw"', b"BINARY", b"ASCII"):
+        assert (mark in first) == (mark in second)
+
+
+@pytest.mark.parametrize("ending", [".vtu", ".vtk"])
+def test_single_precision_stays_single(tmp_path, ending):
+    grid = pyvista.UnstructuredGrid(mixed().to_pyvista())
+    grid.points = np.asarray(grid.points, np.float32)
+    grid.save(tmp_path / f"a{ending}")
+    mesh = io.read(tmp_path / f"a{ending}")
+    io.write(tmp_path / f"b{ending}", mesh.moved(mesh.points / 3))
+    found = vtk_files.places(vtk_files.read(tmp_path / f"b{ending}"))
+    assert found.dtype == np.float32
+    np.testing.assert_array_equal(found, (mesh.points / 3).astype(np.float32))
+
+
+def test_polyhedra_are_those_of_openfoam(tmp_path):
+    """A cube whose top is two triangles is cut, a cube given by its faces is a hexahedron; each volume is VTK's."""
+    path = foreign(tmp_path, "polyhedra", FORMS[0])
+    mesh = io.read(path)
+    assert mesh.polyhedra is not None
+    assert mesh.polyhedra.cut.tolist() == [0]
+    assert len(mesh.cells["hexahedron"]) == 2
+    volumes = np.bincount(mesh.cell_ids, np.asarray(jm.quality(mesh).volume))
+    sizes = pyvista.wrap(vtk_files.read(path)).compute_cell_sizes().cell_data["Volume"]
+    np.testing.assert_allclose(volumes, sizes[:3], rtol=1e-12)
+    ids = mesh.cell_ids.astype(float)
+    io.write(tmp_path / "b.vtu", mesh, cell_data={"number": ids})
+    found = pyvista.read(tmp_path / "b.vtu").cell_data["number"]
+    np.testing.assert_array_equal(found, [0, 1, 2, np.nan, np.nan])
+
+
+def test_pieces_and_blocks_are_one_mesh(tmp_path):
+    """Pieces of one file, of a .pvtu and of a .vtm give all cells; blocks of a boundary are patches."""
+    from vtkmodules.vtkCommonDataModel import vtkMultiBlockDataSet
+    from vtkmodules.vtkIOXML import vtkXMLMultiBlockDataWriter
+
+    cells = [(12, [x, x + 1, x + 5, x + 4, x + 8, x + 9, x + 13, x + 12]) for x in range(3)]
+    for k, cell in enumerate(cells):
+        vtk_files.write(tmp_path / f"p{k}.vtu", vtk_files.unstructured(vtk_files.BOX, [cell]))
+    names = "".join(f'<Piece Source="p{k}.vtu"/>' for k in range(3))
+    (tmp_path / "a.pvtu").write_text(
+        f'<VTKFile type="PUnstructuredGrid"><PUnstructuredGrid>{names}</PUnstructuredGrid></VTKFile>'
+    )
+    assert len(io.read(tmp_path / "a.pvtu").cells["hexahedron"]) == 3
+    blocks = vtkMultiBlockDataSet()
+    blocks.SetBlock(0, vtk_files.unstructured(vtk_files.BOX, cells))
+    blocks.SetBlock(
+        1, vtk_files.unstructured(vtk_files.BOX[:8], [(9, [0, 1, 5, 4]), (9, [1, 2, 6, 5]), (9, [2, 3, 7, 6])])
+    )
+    for k, name in enumerate(("inside", "low wall")):
+        blocks.GetMetaData(k).Set(vtkMultiBlockDataSet.NAME(), name)
+    writer = vtkXMLMultiBlockDataWriter()
+    writer.SetInputData(blocks)
+    writer.SetFileName(str(tmp_path / "b.vtm"))
+    writer.Write()
+    mesh = io.read(tmp_path / "b.vtm")
+    assert len(mesh.cells["hexahedron"]) == 3
+    assert {name: nodes.tolist() for name, nodes in mesh.patches.items()} == {"low wall": [*range(8)]}
+    io.write(tmp_path / "c.vtu", mesh.moved(mesh.points + 1))
+    assert io.read(tmp_path / "c.vtu").patch("low wall").tolist() == [*range(8)]
+    with pytest.raises(ValueError, match=r"c\.vtm: \.vtm files name other files, and are not written; write \.vtu"):
+        io.write(tmp_path / "c.vtm", mesh)
+
+
+def test_a_mesh_is_kept_by_pickle(tmp_path):
+    mesh = io.read(foreign(tmp_path, "polyhedra", FORMS[0]))
+    again = pickle.loads(pickle.dumps(mesh))
+    for name, each in (("b", mesh), ("c", again)):
+        io.write(tmp_path / f"{name}.vtu", each)
+    found = [vtk_files.read(tmp_path / f"{name}.vtu") for name in "bc"]
+    assert vtk_files.said(found[0]) == vtk_files.said(found[1])
+
+
+def test_only_what_a_file_needs_is_imported():
+    code = "import sys, jaxmorph.cli, jaxmorph.io; print(sorted(name for name in sys.modules if 'vtk' in name.split('.')[0]))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def packed(values: np.ndarray) -> str:
+    """Numbers in base64 as VTK packs them: a header of one block, and the block."""
+    import base64
+
+    data = zlib.compress(values.tobytes(), 9)
+    head = struct.pack("<4Q", 1, values.nbytes, 0, len(data))
+    return base64.b64encode(head).decode() + base64.b64encode(data).decode()
+
+
+def hostile(kind: str) -> bytes:
+    """A small file whose numbers ask for gigabytes."""
+    n, zeros = 10**8, packed(np.zeros(3 * 10**7))
+    tag = '<DataArray type="{}" Name="{}" NumberOfComponents="{}" format="{}">{}</DataArray>'
+    points = tag.format("Float64", "Points", 3, "binary", zeros if kind in ("bomb", "points") else packed(np.zeros(9)))
+    counts = {"bomb": (10**7, 0), "points": (n, 0), "cells": (3, n), "components": (3, 0), "field": (3, 0)}
+    if kind in counts:
+        count, cells = counts[kind]
+        more = tag.format("Float64", "a", n if kind == "components" else 1, "binary", packed(np.zeros(3)))
+        field = tag.format("Float64", "f", 1, "ascii", "0").replace("<DataArray", f'<DataArray NumberOfTuples="{n}"')
+        return (
+            '<VTKFile type="UnstructuredGrid" version="1.0" byte_order="LittleEndian" header_type="UInt64" '
+            f'compressor="vtkZLibDataCompressor"><UnstructuredGrid><FieldData>{field * (kind == "field")}</FieldData>'
+            f'<Piece NumberOfPoints="{count}" NumberOfCells="{cells}"><PointData>{more * (kind == "components")}</PointData>'
+            f"<Points>{points}</Points><Cells>{tag.format('Int64', 'offsets', 1, 'ascii', '0')}</Cells></Piece>"
+            "</UnstructuredGrid></VTKFile>"
+        ).encode()
+    sections = {
+        "legacy points": f"POINTS {n} double\n",
+        "legacy cells": f"POINTS 1 double\n0 0 0\nCELLS {n} {4 * n}\n",
+        "legacy field": f"FIELD f 1\na {n} 1 double\n",
+        "legacy grid": f"DIMENSIONS {n} 9 9\n",
+    }
+    kind_of_grid = "STRUCTURED_POINTS" if kind == "legacy grid" else "UNSTRUCTURED_GRID"
+    return f"# vtk DataFile Version 4.2\nt\nASCII\nDATASET {kind_of_grid}\n{sections[kind]}".encode()
+
+
+KINDS_OF_HOSTILE = ("bomb", "points", "cells", "components", "field")
+KINDS_OF_HOSTILE += ("legacy points", "legacy cells", "legacy field", "legacy grid")
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="memory is limited as Linux does it")
+def test_a_hostile_file_costs_no_memory(tmp_path):
+    """Each is refused with its name, in a process that may take 300 MB more than its imports."""
+    for kind in KINDS_OF_HOSTILE:
+        (tmp_path / f"{kind}{'.vtk' if 'legacy' in kind else '.vtu'}").write_bytes(hostile(kind))
+    code = f"""
+import pathlib, resource
+from jaxmorph.io.vtk import file
+from vtkmodules import vtkIOXML, vtkIOLegacy, vtkFiltersCore
+from vtkmodules.util import numpy_support
+used = int(pathlib.Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+resource.setrlimit(resource.RLIMIT_AS, (used + 3 * 10**8, -1))
+for path in sorted(pathlib.Path({str(tmp_path)!r}).iterdir()):
+    try:
+        file.read(path)
+    except ValueError as error:
+        assert path.name in str(error)
+        print(path.name, "refused")
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert done.stdout.count("refused") == len(KINDS_OF_HOSTILE), done.stdout

@@ -1,4 +1,4 @@
-"""The paper's airfoil from one command; apart from its table and figures, for the command line starts without matplotlib."""
+"""The paper's airfoil from one command; `check` is apart, for it needs no matplotlib."""
 
 import pathlib
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from .._host.cells.orders import MESHIO, VTK_ORDER, reordered
 from .._host.cells.pieces import boundary_faces
-from .._host.cells.topology import CORNERS, DIMENSION, KNOWN, NODES, SHAPES, VTK, VTK_LAGRANGE, VTK_QUADRATIC, filling
+from .._host.cells.topology import CORNERS, DIMENSION, KNOWN, NODES, SHAPES, VTK_LAGRANGE, VTK_QUADRATIC, filling
 from .._host.package.arguments import shown
 
 PREFIX = "patch:"
@@ -42,12 +42,14 @@ Arrays = Mapping[str, Any]
 class Origin:
     """The mesh of another library that a mesh came from, and numbers of the mesh's cells by type.
 
-    `notes` are sentences on what was left, or has another name. It is compared by identity, as a
-    static field of a pytree must be.
+    `polyhedra` and `cell_ids` are as in `Mesh`, `notes` sentences on what was left, or has another
+    name. It is compared by identity, as a static field of a pytree must be.
     """
 
     content: Any
     cells: Mapping[str, int]
+    polyhedra: Any = None
+    cell_ids: np.ndarray | None = None
     notes: tuple[str, ...] = ()
 
 
@@ -93,7 +95,8 @@ def intact_source(mesh: Any) -> Any:
 class Grid:
     """A mesh of another library: `blocks` of one cell type; `cell_data` has one array a block.
 
-    `content` is the library's own mesh.
+    `outer` are the nodes of the outer faces, None where those of the cells tell them; `content` is
+    the library's own mesh.
     """
 
     points: np.ndarray
@@ -104,11 +107,12 @@ class Grid:
     field_data: Arrays = dataclasses.field(default_factory=dict)
     point_sets: Arrays = dataclasses.field(default_factory=dict)
     content: Any = None
+    outer: np.ndarray | None = None
 
     @property
     def levels(self) -> list[int]:
         """Dimensions of the blocks."""
-        return [DIMENSION.get(kind, 0) for kind, _ in self.blocks]
+        return [DIMENSION.get(kind, 2 if kind == "polygon" else 0) for kind, _ in self.blocks]
 
 
 def of_meshio(mesh: Any) -> Grid:
@@ -123,39 +127,8 @@ def of_meshio(mesh: Any) -> Grid:
     return Grid(np.asarray(mesh.points), blocks, *arrays, content=mesh)
 
 
-def of_pyvista(grid: Any) -> Grid:
-    """Reads points, cells and arrays of a PyVista grid. Raises `ValueError` for unknown types."""
-    numbers = np.asarray(grid.celltypes)
-    pyvista = imported("pyvista", "plot")
-    starts, ids = offsets_of(grid), np.asarray(grid.cell_connectivity)
-    sizes = np.diff(starts)
-    blocks, masks = [], []
-    for number, size in np.unique(np.stack([numbers, sizes], axis=1)[numbers > 0], axis=0).tolist():
-        masks.append((numbers == number) & (sizes == size))
-        kind = kind_of_vtk(number, size) or pyvista.CellType(number).name.lower()
-        _refuse_unknown([kind])
-        if kind in NODES and NODES[kind] != size:
-            raise ValueError(f"cells of type {kind} have {size} nodes, not {NODES[kind]}.")
-        nodes = ids[starts[:-1][masks[-1]][:, None] + np.arange(size)]
-        blocks.append((kind, reordered(kind, nodes, VTK_ORDER, None) if kind in NODES else nodes))
-    cell_data = {name: [np.asarray(values)[mask] for mask in masks] for name, values in grid.cell_data.items()}
-    return Grid(np.asarray(grid.points), blocks, dict(grid.point_data), cell_data, content=grid)
-
-
-def kind_of_vtk(number: int, size: int) -> str:
-    """Names the type of a cell by VTK's number and the cell's number of nodes; "" if unknown."""
-    kinds = {n: kind for kind, n in (VTK | VTK_QUADRATIC).items()} | {1: "vertex"}
-    shapes = {n: shape for shape, n in VTK_LAGRANGE.items()}
-    return _of_size(shapes[number], size) if number in shapes else kinds.get(number, "")
-
-
 def _of_size(shape: str, size: int) -> str:
     return shape if size == CORNERS[shape] else f"{shape}{size}"
-
-
-def offsets_of(grid: Any) -> np.ndarray:
-    """Returns where each cell's nodes begin in a PyVista grid's connectivity, and where all end."""
-    return np.asarray(grid.cell_offsets if hasattr(grid, "cell_offsets") else grid.offset)
 
 
 def kind_of_block(kind: str, ids: np.ndarray) -> tuple[str, np.ndarray]:
@@ -190,7 +163,7 @@ def imported(name: str, extra: str) -> Any:
     try:
         return importlib.import_module(name)
     except ImportError as error:
-        raise ImportError(f"this needs {name}: pip install 'jaxmorph[{extra}]'") from error
+        raise ImportError(f"this needs {name.split('modules')[0]}: pip install 'jaxmorph[{extra}]'") from error
 
 
 class Parts(NamedTuple):
@@ -230,7 +203,9 @@ def parts(grid: Grid, more: Iterable[Patch] = ()) -> Parts:
     patches, notes = distinct([*more, *flags, *_sets(grid), *_physical(grid)])
     taken, marked = ("", {}) if patches else _marked(grid)
     patches = patches or marked
-    if not patches:
+    if not patches and grid.outer is not None:
+        patches = {"boundary": grid.outer}
+    elif not patches:
         outer = boundary_faces(cells, len(points))
         patches = {"boundary": np.concatenate([corners.ravel() for corners in outer.values()])}
         faces = sum(len(corners) for kind, corners in grid.blocks if kind not in cells)
@@ -243,11 +218,12 @@ def parts(grid: Grid, more: Iterable[Patch] = ()) -> Parts:
 def _cells(grid: Grid) -> dict[str, np.ndarray]:
     blocks: dict[str, list[np.ndarray]] = {}
     for kind, corners in grid.blocks:
-        if len(corners) and kind != "vertex":
+        if len(corners) and kind in DIMENSION:
             blocks.setdefault(kind, []).append(corners)
     cells = filling(blocks)
     if not cells:
-        raise ValueError(f"no cells of an area or a volume, only {', '.join(blocks) or 'single nodes'}.")
+        there = ", ".join(dict.fromkeys(kind for kind, _ in grid.blocks)) or "nodes"
+        raise ValueError(f"no cells of an area or a volume, only {there}.")
     return {kind: np.concatenate(parts) for kind, parts in cells.items()}
 
 

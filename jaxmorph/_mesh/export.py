@@ -1,14 +1,12 @@
 """Meshes of meshio and PyVista made of a `Mesh`: its origin with other points, or a new mesh."""
 
 import urllib.parse
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from .._host.cells.orders import VTK_ORDER, reordered
-from .._host.cells.topology import SHAPES, VTK, VTK_LAGRANGE, VTK_QUADRATIC
-from .exchange import PREFIX, Arrays, Parts, block_of, imported, intact_source, kind_of_block, kind_of_vtk, offsets_of
+from . import vtk
+from .exchange import PREFIX, Arrays, Parts, block_of, imported, intact_source, kind_of_block
 
 
 def to_meshio(mesh: Parts, point_data: Arrays | None, cell_data: Arrays | None) -> Any:
@@ -31,34 +29,46 @@ def to_meshio(mesh: Parts, point_data: Arrays | None, cell_data: Arrays | None) 
 
 def to_pyvista(mesh: Parts, point_data: Arrays | None, cell_data: Arrays | None) -> Any:
     pyvista = imported("pyvista", "plot")
-    point_arrays, cell_arrays = _checked(mesh, point_data, cell_data)
     old = _origin(mesh, pyvista.UnstructuredGrid)
-    points = _points(mesh, None if old is None else np.asarray(old.points))
-    if old is None:
-        new = unstructured_grid(pyvista, mesh.cells, points)
-    else:
-        new = old.copy()
-        new.points = points
-    both, inverse = np.unique([new.celltypes, np.diff(offsets_of(new))], axis=1, return_inverse=True)
-    kinds = np.array([kind_of_vtk(*pair) for pair in both.T.tolist()], dtype="<U13")[inverse.ravel()]
+    new = pyvista.wrap(vtk.new_grid(mesh.cells, _points(mesh, None))) if old is None else old.copy()
+    new.points = _points(mesh, np.asarray(new.points))
+    point_arrays, cell_arrays = _for_grid(mesh, new, point_data, cell_data)
     for name, values in point_arrays.items():
         new.point_data[name] = values
-    for name, values in _dealt(mesh, cell_arrays, kinds).items():
+    for name, values in cell_arrays.items():
         new.cell_data[name] = values
     return new
 
 
-def unstructured_grid(pyvista: Any, cells: Mapping[str, Any], points: np.ndarray) -> Any:
-    """Makes a PyVista grid; raises `ValueError` for high-order pyramids, which VTK lacks."""
-    numbers, rows = [np.zeros(0, np.uint8)], [np.zeros(0, np.int64)]
-    for kind, ids in cells.items():
-        number = (VTK | VTK_QUADRATIC).get(kind, VTK_LAGRANGE.get(SHAPES[kind]))
-        if number is None:
-            raise ValueError(f"VTK has no cells of type {kind}; it has pyramids of 5 and 13 nodes.")
-        nodes = reordered(kind, np.asarray(ids), None, VTK_ORDER)
-        rows.append(np.column_stack([np.full(len(nodes), nodes.shape[1]), nodes]).ravel())
-        numbers.append(np.full(len(nodes), number, np.uint8))
-    return pyvista.UnstructuredGrid(np.concatenate(rows), np.concatenate(numbers), points)
+def to_vtk(mesh: Parts, old: Any, point_data: Arrays | None, cell_data: Arrays | None) -> Any:
+    """Makes a VTK grid: the unstructured, structured or surface grid `old`, or if it is None a new one.
+
+    An old grid keeps its precision, cells and arrays.
+    """
+    if old is None:
+        new = vtk.new_grid(mesh.cells, _points(mesh, None))
+    else:
+        new = old.NewInstance()
+        new.ShallowCopy(old)
+        was = vtk.coordinates(old)
+        new.SetPoints(vtk.points_of(_points(mesh, was).astype(np.float32 if was.dtype == np.float32 else float)))
+    point_arrays, cell_arrays = _for_grid(mesh, vtk.unstructured(new), point_data, cell_data)
+    vtk.add_arrays(new.GetPointData(), point_arrays)
+    vtk.add_arrays(new.GetCellData(), cell_arrays)
+    return new
+
+
+def _for_grid(mesh: Parts, grid: Any, point_data: Arrays | None, cell_data: Arrays | None) -> tuple[Arrays, Arrays]:
+    """Checks arrays, adds those of patches, and brings those of cells into the order of a grid."""
+    point_arrays, cell_arrays = _checked(mesh, point_data, cell_data)
+    kinds = vtk.kinds_of(grid) if cell_arrays else np.zeros(0, object)
+    if "polyhedron" not in kinds:
+        return point_arrays, _dealt(mesh, cell_arrays, kinds)
+    # A cell that was cut has the value of its first piece.
+    solid, ids = vtk.solid_cells(kinds), mesh.source.cell_ids
+    place = np.full(len(kinds), -1)
+    place[solid[ids[::-1]]] = np.arange(len(ids))[::-1]
+    return point_arrays, _placed(cell_arrays, place)
 
 
 def _origin(mesh: Parts, kind: type) -> Any:
@@ -107,14 +117,16 @@ def _dealt(mesh: Parts, arrays: Arrays, kinds: np.ndarray) -> dict[str, np.ndarr
     """Reorders arrays from `mesh.cells` to cells of types `kinds`; other cells get NaN."""
     # Cells of one type have one order in both meshes. `place` is the row of a cell in the arrays,
     # or -1 for a cell of another type, which takes the row of NaN at the end.
-    if not arrays:
-        return {}
     place = np.full(len(kinds), -1)
     first = 0
     for kind, corners in mesh.cells.items():
         ids = np.flatnonzero(kinds == kind)
         place[ids] = first + np.arange(len(ids))
         first += len(corners)
+    return _placed(arrays, place)
+
+
+def _placed(arrays: Arrays, place: np.ndarray) -> dict[str, np.ndarray]:
     dealt = {}
     for name, values in arrays.items():
         if (place < 0).any():

@@ -14,7 +14,7 @@ from .._host.cells.topology import SHAPES
 from .._host.package.arguments import check, checked, shown
 from .._kernels.module import Module
 from .._kernels.values import is_known
-from . import exchange, export
+from . import exchange, export, vtk
 from .arrays import checked_parts, floats
 from .patches import patch_names
 from .polyhedra import Polyhedra
@@ -216,7 +216,9 @@ class Mesh(Module):
                     f"`grid` must be a single grid of PyVista, not {shown(grid)}; one of several blocks has `combine`."
                 )
             grid = grid.cast_to_unstructured_grid()
-        return Mesh(*exchange.parts(exchange.of_pyvista(grid)))
+        parts, whole = vtk.mesh_of(grid)
+        numbers, notes = exchange.numbers_of_cells(parts.cells), parts.source.notes
+        return Mesh(*parts[:3], exchange.Origin(grid, numbers, *(whole or (None, None)), notes))
 
     @checked
     def to_pyvista(

@@ -1,4 +1,4 @@
-"""Generated meshes: the paper's airfoil and its relatives, a wing, bricks of each type of cell, bodies in a box."""
+"""Generated meshes: the paper's airfoil and its relatives, a wing, bricks, bodies in a box."""
 
 from ._meshes import bodies as bodies
 from ._meshes import bricks as bricks

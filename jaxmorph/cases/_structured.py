@@ -1,4 +1,4 @@
-"""Parts of structured meshes: ids in a block, cells between them, spacings that grow; C-grids around any section."""
+"""Parts of structured meshes: ids, cells, spacings that grow; C-grids around any section."""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple, cast

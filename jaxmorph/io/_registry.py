@@ -19,10 +19,10 @@ from ._rounding import warn_of_loss
 def read(path: str | os.PathLike[str]) -> Mesh:
     """Reads the mesh in a file or an OpenFOAM case.
 
-    Files are SU2 (.su2), VTK (.vtu, .vtk), gmsh (.msh), CGNS (.cgns), MFEM (.mesh), MED (.med),
-    Exodus (.e, .exo, .ex2, .exoii, .g) and PLOT3D (.xyz, .p3d, .p3dfmt, .x, .g). Of an OpenFOAM
-    case `path` is its folder, or a time folder. VTK, gmsh, CGNS, MED and Exodus need the extra
-    `io`.
+    Files are SU2 (.su2), VTK (.vtu, .vtk, .vts, .vtp, .pvtu, .vtm), gmsh (.msh), CGNS (.cgns), MFEM
+    (.mesh), MED (.med), Exodus (.e, .exo, .ex2, .exoii, .g) and PLOT3D (.xyz, .p3d, .p3dfmt, .x,
+    .g). Of an OpenFOAM case `path` is its folder, or a time folder. VTK, gmsh, CGNS, MED and Exodus
+    need the extra `io`.
 
     Coordinates are float64, in the units and the order of the file. A mesh of 2-D cells has two
     coordinates when all z of the file are equal. Patches are
@@ -127,12 +127,16 @@ def as_written(path: str | os.PathLike[str], mesh: Mesh) -> Float[np.ndarray, "n
 
     **Returns:** points (n, d), those of `mesh` for a file that holds them as they are.
 
+    **Raises:** `ValueError` for an unknown ending, and a folder that does not exist.
+
     **Warns:** where rounding takes more than a tenth of the motion, or of an edge of a cell.
     """
-    points, source = np.asarray(mesh.points), source_of(mesh, format_of(pathlib.Path(path), mesh.source).name)
+    chosen = format_of(pathlib.Path(path), mesh.source)
+    path = files.output_path(path, folder=chosen.is_folder)
+    points, source = np.asarray(mesh.points), source_of(mesh, chosen.name)
     if source is None or source.held is None:
         return points
-    return warn_of_loss(pathlib.Path(path), mesh.cells, source.held, points)
+    return warn_of_loss(path, mesh.cells, source.held, points)
 
 
 @checked

@@ -111,6 +111,11 @@ def main(name: str, seed: int, first: int, last: int, folder: pathlib.Path) -> N
         has_other_lines = kind in ("cut", "line less", "line twice")
         is_whole = not has_other_lines or place.suffix == ".patches"
         is_whole |= kind == "cut" and len(text[len(damaged) :].split()) < 2
+        is_whole |= (
+            kind == "line less" and b"DataArray" in text and damaged.count(b"<DataArray") < text.count(b"<DataArray")
+        )
+        is_whole |= kind == "cut" and text[at:].lstrip().startswith((b"POINT_DATA", b"METADATA"))
+        is_whole |= kind == "cut" and damaged.rstrip()[-400:].rfind(b"METADATA") >= 0
         is_whole |= b"arch " in text and b"arch " not in damaged
 
         if not is_whole:

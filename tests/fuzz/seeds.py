@@ -16,6 +16,7 @@ import exodus
 import foam
 import h5py
 import meshio
+import vtk_files
 from cgns import joined_polyhedra
 from foam import PATCHES, mixed, split, strip
 from meshes import bricks
@@ -58,7 +59,19 @@ def vtk(folder: pathlib.Path) -> list[Seed]:
     plain = mesh_3d().to_meshio()
     meshio.vtu.write(str(folder / "b.vtu"), plain, binary=False)
     meshio.vtk.write(str(folder / "b.vtk"), plain, binary=False)
-    return [single(folder / name) for name in ("a.vtu", "a.vtk", "b.vtu", "b.vtk")]
+    files = [folder / name for name in ("a.vtu", "a.vtk", "b.vtu", "b.vtk")]
+    # not flat ones, of which a damaged z makes a mesh in 3-D
+    for k, (kind, make) in enumerate(list(vtk_files.KINDS.items())[:4]):
+        data = vtk_files.with_arrays(make(), on_cells=False)
+        for form in vtk_files.FORMS[k % 3 :: 3]:
+            if form[1] == "LZ4" or (form[0] != "appended raw" and form[1] == "None"):
+                continue  # a byte is part of several numbers, and there is no checksum
+            files.append(folder / f"{kind}{len(files)}{vtk_files.ENDINGS.get(kind, '.vtu')}")
+            vtk_files.write(files[-1], data, *form)
+        for version, binary in itertools.product((42, 51), (False, True)):
+            files.append(folder / f"{kind}{len(files)}.vtk")
+            vtk_files.write_legacy(files[-1], data, version, binary=binary)
+    return [single(file) for file in files]
 
 
 def single_type():

@@ -163,20 +163,6 @@ CGNS_ORDER = NodeOrder(
 """CGNS's order: SIDS, section "Unstructured grid element numbering conventions"."""
 
 
-def swapped_edges(kind: str, ids: np.ndarray) -> np.ndarray:
-    """Changes hexahedra of any order between VTK's node order and that before version 9.
-
-    In files of an older version the inner nodes of the last two edges stand the other way round.
-    """
-    if kind != "VTK_LAGRANGE_HEXAHEDRON" or not ids.size:
-        return ids
-    inner = round(ids.shape[1] ** (1 / 3)) - 2
-    columns = np.arange(ids.shape[1])
-    last = slice(8 + 10 * inner, 8 + 12 * inner)
-    columns[last] = np.roll(columns[last], inner)
-    return ids[:, columns]
-
-
 class _Meshio(NodeOrder):
     """Describes meshio's node order: VTK's for cells of order 2, gmsh's for higher orders."""
 

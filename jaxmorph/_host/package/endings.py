@@ -4,7 +4,7 @@ import pathlib
 
 MESHES = {
     "SU2": (".su2",),
-    "VTK": (".vtu", ".vtk"),
+    "VTK": (".vtu", ".vtk", ".vts", ".vtp", ".pvtu", ".vtm"),
     "gmsh": (".msh",),
     "CGNS": (".cgns",),
     "MFEM": (".mesh",),

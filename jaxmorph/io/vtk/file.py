@@ -1,119 +1,140 @@
-"""VTK's unstructured grids, XML (.vtu) and legacy (.vtk), through meshio."""
+"""VTK's files of one mesh, read and written by VTK: XML (.vtu, .vts, .vtp, .pvtu, .vtm), legacy (.vtk)."""
 
-import functools
+import dataclasses
 import pathlib
-import re
-import tempfile
+import urllib.parse
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 
-from jaxmorph._host.cells.orders import swapped_edges
-from jaxmorph._host.cells.topology import CORNERS, NODES, SHAPES, VTK, VTK_QUADRATIC
-from jaxmorph._mesh.exchange import Parts
+from jaxmorph._mesh import vtk
+from jaxmorph._mesh.exchange import PREFIX, Parts
+from jaxmorph._mesh.export import to_vtk
 
-from .._format import Arrays, FilePoints, MeshLike, Source
-from .._meshio import load, meshio, of_mesh, to_mesh
-from . import legacy
+from .._format import Arrays, FilePoints, MeshLike, Source, faults_of, source_of
+from . import legacy, xml
+from .checks import errors_told
 
 NAME = "VTK"
 
+GRIDS = {".vtu": "vtkUnstructuredGrid", ".vts": "vtkStructuredGrid", ".vtp": "vtkPolyData"}
+"""What each kind of XML file holds; a legacy file holds any of it."""
+
+FILES_OF_FILES = (".pvtu", ".vtm")
+"""Files that name pieces and blocks in other files."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Content:
+    """A data set of VTK as it was read, and how its file says it."""
+
+    data: Any
+    encoding: xml.Encoding | legacy.Encoding
+
+    def __reduce__(self) -> tuple:
+        vtk.vtk("util.pickle_support")  # teaches `pickle` VTK's data sets
+        return type(self), (self.data, self.encoding)
+
 
 def read(path: pathlib.Path) -> Parts:
-    """Reads points, cells and patches as `Mesh.from_meshio` finds them.
+    """Reads points, cells and patches, as `Mesh.from_pyvista` finds them in the same grid.
 
     Patches are point arrays `patch:NAME`, as `write` leaves them, or come from numbers.
     """
-    if path.suffix.lower() == ".vtu":
-        data = path.read_bytes()
-        version = re.search(rb'<VTKFile[^>]*\sversion="(\d+)\.(\d+)"', data[:4096])
-        number = 10 * int(version[1]) + int(version[2]) if version else 1
-        if b"vtkLZ4DataCompressor" in data[:4096]:
-            raise ValueError(
-                f"{path}: compressed by LZ4, which is not read; write it with ZLib (ParaView: Compressor Type)."
-            )
-        reader = meshio.vtu.read
-        if version is not None and number >= 20:
-            reader = functools.partial(_read_newer, data, version.end())
-        mesh = load(path, ".vtu", reader)
-        if number < 22:
-            for block in mesh.cells:
-                block.data = swapped_edges(block.type, block.data)
-        if b'"ascii"' in data:
-            _check_counts(path)
-    else:
-        mesh = legacy.read(path)
-    return to_mesh(path, mesh, Source(path, NAME, mesh, in_file=FilePoints(np.asarray(mesh.points, float)).in_file))
-
-
-def _read_newer(data: bytes, head: int, _: str) -> Any:
-    """Reads a file of version 2.3, unknown to meshio: only the order of hexahedra differs."""
-    with tempfile.TemporaryDirectory() as folder:
-        older = pathlib.Path(folder) / "older.vtu"
-        older.write_bytes(re.sub(rb'(\sversion=")[\d.]+"', rb'\g<1>1.0"', data[:head]) + data[head:])
-        return meshio.vtu.read(str(older))
-
-
-def _check_counts(path: pathlib.Path) -> None:
-    """Raises `ValueError` for text lists of points or cells longer or shorter than announced."""
-    for piece in ElementTree.parse(path).iter("Piece"):
-        values = {}
-        for array in [*piece.iterfind("Points/DataArray"), *piece.iterfind("Cells/DataArray")]:
-            if array.get("format") == "ascii":
-                values[array.get("Name", "Points").lower()] = (array.text or "").split()
-        points, cells = int(piece.get("NumberOfPoints", 0)), int(piece.get("NumberOfCells", 0))
-        wanted = {"points": 3 * points, "offsets": cells, "types": cells}
-        wanted["connectivity"] = int((values.get("offsets") or ["0"])[-1])
-        for name, count in wanted.items():
-            if name in values and len(values[name]) != count:
-                raise ValueError(f"{path}: {len(values[name])} numbers in {name}, {count} expected.")
-        if {"offsets", "types"} <= values.keys():
-            ends = [0, *map(int, values["offsets"])]
-            sizes = {number: CORNERS[kind] for kind, number in VTK.items()} | {1: 1}
-            sizes |= {number: NODES[kind] for kind, number in VTK_QUADRATIC.items()}
-            for k, kind in enumerate(map(int, values["types"])):
-                if sizes.get(kind, ends[k + 1] - ends[k]) != ends[k + 1] - ends[k]:
-                    raise ValueError(f"{path}: cell {k} is of type {kind} and has {ends[k + 1] - ends[k]} nodes.")
+    with faults_of(path):
+        content = _read(path)
+        mesh, whole = vtk.mesh_of(vtk.unstructured(content.data))
+    polyhedra, cell_ids = whole or (None, None)
+    places = vtk.coordinates(content.data)
+    points = FilePoints(np.asarray(places, float))
+    known = {"in_file": points.in_file, "held": points.held([places.dtype] * 3), "notes": mesh.source.notes}
+    return mesh._replace(source=Source(path, NAME, content, polyhedra, cell_ids, **known))
 
 
 def check(path: pathlib.Path, mesh: MeshLike) -> None:
-    """Raises `ValueError` for pyramids that VTK does not have.
+    """Raises `ValueError` for cells that VTK does not have, and for files that cannot hold them.
 
     All other meshes fit, with patches as flags of points.
     """
-    unknown = [kind for kind in mesh.cells if SHAPES[kind] == "pyramid" and kind not in VTK | VTK_QUADRATIC]
-    if unknown:
-        raise ValueError(f"{path}: VTK has no cells of type {', '.join(unknown)}; it has pyramids of 5 and 13 nodes.")
+    suffix = path.suffix.lower()
+    content = _content(mesh)
+    if suffix in FILES_OF_FILES:
+        raise ValueError(f"{path}: {suffix} files name other files, and are not written; write .vtu, which holds all.")
+    try:
+        for kind in mesh.cells if content is None else ():
+            vtk.number_of(kind)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+    holds = GRIDS.get(suffix, "vtkDataSet")
+    if suffix != ".vtu" and not (content.data.IsA(holds) if content else holds == "vtkDataSet"):
+        raise ValueError(f"{path}: the cells of the mesh are not those of a {holds}; write .vtu.")
 
 
 def write(path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arrays) -> None:
-    """Writes in double precision, .vtu compressed; keeps the cells and arrays of its own file."""
-    made = of_mesh(mesh, point_data, cell_data)
-    is_legacy = path.suffix.lower() == ".vtk"
-    blocks: Any = [(block.type, swapped_edges(block.type, block.data)) for block in made.cells]
-    out: Any = meshio.Mesh(made.points, blocks, made.point_data, made.cell_data, field_data=made.field_data)
-    ends = np.cumsum([len(block.data) for block in out.cells])[:-1]
-    name_of = _quoted if is_legacy else str
-    out.point_data = {name_of(name): _storable(values, is_legacy) for name, values in out.point_data.items()}
-    joined = {name_of(name): _storable(np.concatenate(parts), is_legacy) for name, parts in out.cell_data.items()}
-    out.cell_data = {name: np.split(values, ends) for name, values in joined.items()}
-    if is_legacy:  # VTK and meshio know the names of types in 4.2; VTK does not know meshio's names in 5.1
-        meshio.vtk.write(str(path), out, fmt_version="4.2")
-    else:
-        meshio.vtu.write(str(path), out)
+    """Writes what was read with other points, or a new grid in double precision.
+
+    The file is encoded as the one that was read, where that was of the same kind.
+    """
+    content = _content(mesh)
+    parts = Parts(mesh.points, mesh.cells, mesh.patches, mesh.source)
+    data = to_vtk(parts, content and content.data, point_data, cell_data)
+    suffix = path.suffix.lower()
+    kind = legacy if suffix == ".vtk" else xml
+    encoding = content.encoding if content and isinstance(content.encoding, kind.Encoding) else kind.Encoding()
+    with errors_told():
+        path.write_bytes(kind.written(vtk.unstructured(data) if suffix == ".vtu" else data, encoding))
 
 
-def _quoted(name: str) -> str:
-    """Writes the name of an array as VTK does in legacy files: `%20` for a blank."""
-    return re.sub(r"[^!#$&-~]", lambda sign: "".join(f"%{byte:02X}" for byte in sign[0].encode()), name)
+def _content(mesh: MeshLike) -> Content | None:
+    source = source_of(mesh, NAME)
+    return None if source is None else source.content
 
 
-def _storable(values: np.ndarray, is_legacy: bool) -> np.ndarray:
-    """Gives an array a type of fixed size: `long` has four bytes or eight, by the system."""
-    if values.dtype.kind == "b":
-        return values.astype(np.uint8)
-    if values.dtype.kind == "f":
-        return values.astype(np.float32 if values.dtype.itemsize <= 4 else np.float64)
-    is_long = is_legacy and values.dtype.itemsize == 8 and values.size
-    return values.astype(np.int32) if is_long and -(2**31) <= values.min() <= values.max() < 2**31 else values
+def _read(path: pathlib.Path) -> Content:
+    """Reads the data set of a file, or those of the files that it names."""
+    if path.suffix.lower() in FILES_OF_FILES:
+        named = xml.named_files(path)
+        parts = [_data(file) for _, file in named]
+        return Content(_joined([(name, data) for (name, _), (data, _) in zip(named, parts, strict=True)]), parts[0][1])
+    data, encoding = _data(path)
+    if not any(data.IsA(kind) for kind in GRIDS.values()):  # a lattice has no points that can move
+        data = vtk.unstructured(data)
+    return Content(data, encoding)
+
+
+def _data(path: pathlib.Path) -> tuple[Any, Any]:
+    """Reads one file by VTK, after a look at the sizes that it announces."""
+    kind = legacy if path.suffix.lower() == ".vtk" else xml
+    raw, encoding, announced = kind.checked(path.read_bytes())
+    reader = kind.reader(path, raw, encoding)
+    with errors_told():
+        reader.Update()
+    data = reader.GetOutput()
+    announced.check(data)
+    return data, encoding
+
+
+def _joined(named: list[tuple[str, Any]]) -> Any:
+    """Joins pieces and blocks, without ghost cells.
+
+    Of blocks of lower dimension, as those of a boundary, whose points are points of the mesh, the
+    points are patches.
+    """
+    grids = [(name, vtk.unstructured(data)) for name, data in named]
+    levels = [vtk.dimension_of(grid) for _, grid in grids]
+    joined = vtk.vtk("vtkFiltersCore").vtkAppendFilter()
+    for level, (_, grid) in zip(levels, grids, strict=True):
+        if level == max(levels):
+            joined.AddInputData(grid)
+    joined.Update()
+    whole = joined.GetOutput()
+    whole.RemoveGhostCells()
+    whole.GetFieldData().ShallowCopy(grids[levels.index(max(levels))][1].GetFieldData())
+    place = {point.tobytes(): k for k, point in enumerate(vtk.coordinates(whole))}
+    for level, (name, grid) in zip(levels, grids, strict=True):
+        nodes = [place.get(point.tobytes(), -1) for point in vtk.coordinates(grid)] if level < max(levels) else []
+        if nodes and min(nodes) >= 0:
+            inside = np.zeros(whole.GetNumberOfPoints(), np.uint8)
+            inside[nodes] = 1
+            vtk.add_arrays(whole.GetPointData(), {f"{PREFIX}{urllib.parse.quote(name)}": inside})
+    return whole

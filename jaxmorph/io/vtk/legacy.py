@@ -1,225 +1,312 @@
-"""VTK's legacy files (.vtk) of unstructured grids, versions 1 to 5.1, with VTK's arrays."""
+"""VTK's legacy files (.vtk): the sizes that a file announces are compared with its own, then VTK reads it."""
 
 import dataclasses
+import math
 import pathlib
 import re
-import urllib.parse
 from typing import Any
 
 import numpy as np
 
-from jaxmorph._host.cells.orders import swapped_edges
-from jaxmorph._host.cells.topology import NODES, VTK, VTK_QUADRATIC
+from jaxmorph._host.cells.topology import VTK_LAGRANGE
+from jaxmorph._mesh import vtk
 
-from .._meshio import load, meshio
-from .scanner import Scanner
-
-CELLS_OF_ANY_ORDER = ("curve", "triangle", "quadrilateral", "tetrahedron", "hexahedron", "wedge")
-
-COMPONENTS = {
-    "VECTORS": 3,
-    "NORMALS": 3,
-    "TENSORS": 9,
-    "TENSORS6": 6,
-    "GLOBAL_IDS": 1,
-    "PEDIGREE_IDS": 1,
-    "EDGE_FLAGS": 1,
-}
-OTHERS = {7: "polygon", 8: "pixel", 11: "voxel", 42: "polyhedron"}
-LAGRANGE = {number: f"VTK_LAGRANGE_{name.upper()}" for number, name in enumerate(CELLS_OF_ANY_ORDER, start=68)}
-KINDS = {1: "vertex"} | {number: kind for kind, number in (VTK | VTK_QUADRATIC).items()} | LAGRANGE
-"""Types of cells that a mesh may have, by VTK's number."""
-
-ORDER = {"wedge": [0, 2, 1, 3, 5, 4]}
-"""Order in which meshio takes the nodes of a cell from VTK's files, where it is another one."""
+from ..text.sections import scan
+from .checks import Announced, check_streams, numbers
 
 HEAD = re.compile(
-    rb"# vtk DataFile Version (?P<version>\d\.\d)\s*\n[^\n]*\n\s*(ASCII|BINARY)\s+DATASET\s+(\w+)[^\n]*\n",
+    rb"# vtk DataFile Version (?P<version>\d\.\d)[^\n]*\n(?P<title>[^\n]*)\n\s*(?P<mode>ASCII|BINARY)\s+DATASET\s+(?P<kind>\w+)",
     re.IGNORECASE,
 )
 
+KINDS = {
+    **{"UNSTRUCTURED_GRID": "UnstructuredGrid", "STRUCTURED_GRID": "StructuredGrid", "POLYDATA": "PolyData"},
+    **{"STRUCTURED_POINTS": "StructuredPoints", "RECTILINEAR_GRID": "RectilinearGrid"},
+}
 
-def read(path: pathlib.Path) -> meshio.Mesh:
-    """Reads a grid with its arrays, as meshio has it; meshio reads grids that are not unstructured.
+CELLS = ("CELLS", "VERTICES", "LINES", "POLYGONS", "TRIANGLE_STRIPS")
 
-    It raises `ValueError` for a damaged file, with its last section.
-    """
-    data = path.read_bytes()
-    head = HEAD.match(data)
-    if head is None:
-        raise ValueError(f"{path}: not a .vtk file; `# vtk DataFile Version` and three lines more are expected first.")
-    if head[3].upper() != b"UNSTRUCTURED_GRID":
-        return load(path, ".vtk", meshio.vtk.read)
-    scanner = Scanner(data, head.end(), head[2].upper() == b"ASCII")
-    try:
-        grid = _grid(scanner)
-    except (ValueError, IndexError, KeyError, OverflowError) as error:
-        place = f"in the section that begins with {scanner.section!r}" if scanner.section else "before any section"
-        detail = f"{error.args[0]!r} is not known" if isinstance(error, KeyError) else str(error)
-        raise ValueError(f"{path}: a damaged .vtk file, or one cut short, {place} ({detail[:200]}).") from error
-    if head["version"] < b"5.1":
-        for block in grid.cells:
-            block.data = swapped_edges(block.type, block.data)
-    return grid
+COLUMNS = {"VECTORS": 3, "NORMALS": 3, "TENSORS": 9, "TENSORS6": 6, "GLOBAL_IDS": 1, "PEDIGREE_IDS": 1, "EDGE_FLAGS": 1}
+"""Numbers in a row of an array, by the word before its name and type."""
 
+TYPES = {
+    **{"signed_char": "i1", "char": "i1", "unsigned_char": "u1", "short": "i2", "unsigned_short": "u2"},
+    **{"int": "i4", "unsigned_int": "u4", "vtkidtype": "i4", "long": "l", "unsigned_long": "L"},
+    **{"long_long": "i8", "unsigned_long_long": "u8", "float": "f4", "double": "f8", "bit": "u1"},
+    **{f"vtktype{sign}int{8 * n}": f"{sign or 'i'}{n}" for sign in ("", "u") for n in (1, 2, 4, 8)},
+}
 
-def _grid(scanner: Scanner) -> meshio.Mesh:
-    """Reads section after section, and makes a mesh of them."""
-    points, cells, types, sizes = None, None, None, {"POINT_DATA": -1, "CELL_DATA": -1}
-    arrays: dict[str, Any] = {"": {}, "POINT_DATA": {}, "CELL_DATA": {}}
-    place = ""
-    while words := scanner.words():
-        key = words[0].upper()
-        if key in ("POINTS", "CELLS", "CELL_TYPES", *sizes):
-            scanner.section = " ".join(words)
-        if key == "POINTS":
-            points = scanner.array(int(words[1]), 3, words[2]).reshape(-1, 3)
-        elif key == "CELLS":
-            cells = _cells(scanner, int(words[1]), int(words[2]))
-        elif key == "CELL_TYPES":
-            types = scanner.numbers(int(words[1]), "i4")
-        elif key in sizes:
-            place, sizes[key] = key, int(words[1])
-        else:
-            _attribute(scanner, key, words, arrays[place], sizes.get(place, -1))
-    missing = [
-        name for name, section in (("POINTS", points), ("CELLS", cells), ("CELL_TYPES", types)) if section is None
-    ]
-    if points is None or cells is None or types is None:
-        raise ValueError(f"no {' and no '.join(missing)}")
-    for name, size, wanted in (("POINT_DATA", "points", len(points)), ("CELL_DATA", "cells", len(types))):
-        if sizes[name] not in (-1, wanted) or (sizes[name] == wanted and not arrays[name]):
-            raise ValueError(f"{name} of {sizes[name]} rows and {len(arrays[name])} arrays, for {wanted} {size}")
-    blocks, ends = _blocks(cells, types, len(points))
-    cell_data: Any = {name: np.split(values, ends) for name, values in arrays["CELL_DATA"].items()}
-    return meshio.Mesh(points, blocks, arrays["POINT_DATA"], cell_data, field_data=arrays[""])
+TYPES_OF_MESHIO = {
+    **{b"vtktypeint8": b"signed_char", b"vtktypeuint8": b"unsigned_char", b"vtktypeint16": b"short"},
+    **{b"vtktypeuint16": b"unsigned_short", b"vtktypeint32": b"int", b"vtktypeuint32": b"unsigned_int"},
+}
+"""Names of types that meshio writes, and VTK's own."""
+
+MESHIO = re.compile(rb"(?<=\s)vtktypeu?int(?:8|16|32)(?=\s)")
+
+LATTICE = 10**6
+"""Points of a lattice without coordinates that a file of any size may have."""
 
 
 @dataclasses.dataclass(frozen=True)
-class _Cells:
-    """Number of cells, where each one's nodes begin and all end (None before 5.1), all nodes."""
+class Encoding:
+    """How a file says a data set: its title, its version, in text or not."""
 
-    count: int
-    offsets: np.ndarray | None
-    nodes: np.ndarray
-
-
-def _cells(scanner: Scanner, count: int, size: int) -> _Cells:
-    """Reads the nodes of cells. A cell's number stands before it up to 5.0, then in offsets."""
-    start = scanner.at
-    words = scanner.words()
-    if words[:1] != ["OFFSETS"]:
-        scanner.at = start
-        return _Cells(count, None, scanner.numbers(size, "i4").astype(np.int64))
-    offsets = scanner.array(count, 1, words[1])
-    words = scanner.words()
-    if words[:1] != ["CONNECTIVITY"]:
-        raise ValueError("no CONNECTIVITY after OFFSETS")
-    return _Cells(count - 1, offsets, scanner.array(size, 1, words[1]).astype(np.int64))
+    kind: str = "UnstructuredGrid"
+    title: str = "written by jaxmorph"
+    version: str = "4.2"
+    is_text: bool = False
 
 
-def _begins(cells: _Cells, types: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Finds where the nodes of each cell begin, and their number.
+def checked(raw: bytes) -> tuple[bytes, Encoding, Announced]:
+    """Raises `ValueError` for sizes that do not fit to the file.
 
-    The number follows from the type, and what the file says must agree.
+    Returns the file in a form that VTK reads, and its encoding.
     """
-    strange = sorted({*types.tolist()} - {*KINDS})
-    if strange:
-        told = ", ".join(f"{OTHERS.get(number, 'others')} (type {number})" for number in strange)
-        raise ValueError(f"cells that are not supported: {told}. They would be lost")
-    # The sizes by type say where each cell begins. Before 5.1 a cell's number of nodes stands
-    # before its nodes, so places are shifted by one more for each cell.
-    known = np.array(sorted(KINDS))
-    sizes = np.array([NODES.get(KINDS[number], 1) for number in known])[np.searchsorted(known, types)]
-    _measure_lagrange(cells, types, sizes)
-    ends = np.append(0, np.cumsum(sizes))
-    if cells.offsets is None:
-        ends += np.arange(len(ends))
-    if len(types) != cells.count or ends[-1] != len(cells.nodes):
-        raise ValueError(f"{len(types)} types of {ends[-1]} nodes, for {cells.count} cells of {len(cells.nodes)}")
-    if cells.offsets is not None:
-        agree, begins = cells.offsets == ends, ends[:-1]
-    else:
-        agree, begins = cells.nodes[ends[:-1]] == sizes, ends[:-1] + 1
-    if not agree.all():
-        raise ValueError(f"cell {agree.argmin()} has not as many nodes as its type")
-    return begins, sizes
+    head = HEAD.match(raw)
+    if head is None:
+        raise ValueError("not a .vtk file; `# vtk DataFile Version` and three lines more are expected first.")
+    words = {name: value.decode(errors="replace") for name, value in head.groupdict().items()}
+    kind = words["kind"].upper()
+    if kind not in KINDS:
+        raise ValueError(f"{kind} in it is no mesh; read are {', '.join(KINDS)}.")
+    encoding = Encoding(KINDS[kind], words["title"].strip("\r"), words["version"], words["mode"].upper() == "ASCII")
+    sections = _Sections(raw, head.end(), encoding.is_text, words["version"] < "5")
+    keys = set()
+    try:
+        while line := sections.words():
+            keys.add(line[0].upper())
+            sections.skip(*line)
+        missing = [key for key in ("POINTS", "CELLS", "CELL_TYPES") if key not in keys]
+        if missing and kind == "UNSTRUCTURED_GRID":
+            raise ValueError(f"no {' and no '.join(missing)}")
+    except (ValueError, KeyError, IndexError, TypeError) as error:
+        place = f"in the section that begins with {sections.section!r}" if sections.section else "before any section"
+        raise ValueError(f"a damaged .vtk file, or one cut short, {place} ({str(error)[:200]}).") from error
+    return sections.readable(), encoding, Announced(arrays=sections.arrays)
 
 
-def _measure_lagrange(cells: _Cells, types: np.ndarray, sizes: np.ndarray) -> None:
-    """Takes the number of nodes of cells of any order, in `sizes`, from the file."""
-    rows = np.flatnonzero(np.isin(types, list(LAGRANGE)))
-    if cells.offsets is not None and len(cells.offsets) == len(types) + 1:
-        sizes[rows] = np.diff(cells.offsets)[rows]
-    elif cells.offsets is None:
-        begins = np.cumsum(np.append(0, sizes + 1))
-        beyond = 0  # nodes of the cells before that `begins` does not count
-        for row in rows.tolist():
-            begin = int(begins[row]) + beyond
-            if begin >= len(cells.nodes):
-                raise ValueError(f"the file ends before cell {row}")
-            beyond += int(cells.nodes[begin]) - int(sizes[row])
-            sizes[row] = cells.nodes[begin]
-    if len(rows) and sizes[rows].min() < 1:
-        raise ValueError(f"a cell of {sizes[rows].min()} nodes")
+@dataclasses.dataclass
+class _Sections:
+    """Goes through a file as VTK does: `at` is where it stands, `section` the last line that began one.
 
+    VTK crashes where it takes other bytes for an array than a file means.
+    """
 
-def _blocks(cells: _Cells, types: np.ndarray, n: int) -> tuple[list, np.ndarray]:
-    """Makes blocks of consecutive cells of one type; and the first cells of later blocks."""
-    begins, sizes = _begins(cells, types)
-    ends = np.flatnonzero((np.diff(types) != 0) | (np.diff(sizes) != 0)) + 1
-    blocks = []
-    for rows in np.split(np.arange(len(types)), ends) if len(types) else []:
-        kind = KINDS[int(types[rows[0]])]
-        corners = cells.nodes[begins[rows][:, None] + np.arange(int(sizes[rows[0]]))]
-        if corners.min() < 0 or corners.max() >= n:
-            raise ValueError(f"nodes {corners.min()} to {corners.max()} in cells, of {n} points")
-        blocks.append((kind, corners[:, ORDER.get(kind, slice(None))]))
-    return blocks, ends
+    raw: bytes
+    at: int
+    is_text: bool
+    is_old: bool
+    section: str = ""
+    rows: int = -1
+    points: int | None = None
+    arrays: int = 0
+    nodes: np.ndarray | None = None
+    ends: np.ndarray | None = None
+    edits: list[tuple[int, int, bytes]] = dataclasses.field(default_factory=list)
 
+    def readable(self) -> bytes:
+        """Returns the file as VTK reads it, after `edits`."""
+        starts, stops, texts = zip(*self.edits, (len(self.raw), 0, b""), strict=True)
+        kept = (self.raw[a:b] for a, b in zip((0, *stops), starts, strict=False))
+        return b"".join(part for pair in zip(kept, texts, strict=True) for part in pair)
 
-def _attribute(scanner: Scanner, key: str, words: list[str], arrays: dict[str, np.ndarray], rows: int) -> None:
-    """Reads the arrays of one keyword, without lookup tables."""
-    if key == "FIELD":
-        if rows < 0 and scanner.section:
+    def words(self) -> list[str]:
+        """Returns the words of the next line with any; none at the end."""
+        while self.at < len(self.raw):
+            begin, line = self.at, self._line()
+            for name in MESHIO.findall(line):
+                place = begin + line.index(name)
+                self.edits.append((place, place + len(name), TYPES_OF_MESHIO[name]))
+            if words := line.decode(errors="replace").split():
+                return words
+        return []
+
+    def skip(self, key: str, *words: str) -> None:
+        """Goes over the section, or the array, that a line begins."""
+        key = key.upper()
+        if key in (*CELLS, "POINTS", "CELL_TYPES", "POINT_DATA", "CELL_DATA"):
+            self.section = " ".join([key, *words])
+        if key == "METADATA":
+            self._notes()
+        elif key == "FIELD":
+            self._field(int(words[1]))
+        elif key == "DIMENSIONS":
+            self.points = math.prod(max(int(word), 0) for word in words[:3])
+            if self.points > LATTICE + 8 * len(self.raw):
+                raise ValueError(f"a lattice of {self.points} points in {len(self.raw)} bytes")
+        elif key == "POINTS":
+            if self.points not in (None, int(words[0])):
+                raise ValueError(f"a grid has {self.points} points")
+            self.after(3 * int(words[0]), words[1])
+        elif key in CELLS:
+            self._cells(int(words[0]), int(words[1]))
+        elif key == "CELL_TYPES":
+            self._check_polyhedra(self.after(int(words[0]), "int"))
+        elif key in ("POINT_DATA", "CELL_DATA"):
+            self.rows = int(words[0])
+            if self.rows and not self.raw[self.at :].strip():
+                raise ValueError("no arrays")
+        elif key in ("X_COORDINATES", "Y_COORDINATES", "Z_COORDINATES"):
+            self.after(int(words[0]), words[1])
+        elif key not in ("SPACING", "ORIGIN", "ASPECT_RATIO"):
+            self._attribute(key, words)
+
+    def _attribute(self, key: str, words: tuple[str, ...]) -> None:
+        """Goes over an array of points or cells that is no field."""
+        if self.rows < 0:
+            raise ValueError(f"{' '.join([key, *words])[:60]!r} is neither a section nor an array")
+        colour = "float" if self.is_text else "unsigned_char"
+        if key == "LOOKUP_TABLE":
+            self.after(4 * int(words[1]), colour)
+        elif key == "COLOR_SCALARS":
+            self.after(self.rows * int(words[1]), colour)
+        elif key == "TEXTURE_COORDINATES":
+            self.after(self.rows * int(words[1]), words[2])
+        elif key == "SCALARS":
+            if (table := self.words())[:1] != ["LOOKUP_TABLE"]:
+                raise ValueError(f"{' '.join(table)[:60]!r} where LOOKUP_TABLE is expected")
+            self.after(self.rows * int((*words, "1")[2]), words[1])
+        else:
+            self.after(self.rows * COLUMNS[key], words[1])
+
+    def _notes(self) -> None:
+        """Goes over notes on an array. VTK crashes on damaged ones, and reads names of components alone."""
+        begin, words = self.at, [b""]
+        while words and words[0] != b"INFORMATION":
+            begin = self.at
+            words = self._line().split()
+        while words:
+            words = self._line().split()
+        self.edits.append((begin, self.at, b"INFORMATION 0\n\n"))
+
+    def _line(self) -> bytes:
+        end = self.raw.find(b"\n", self.at) + 1 or len(self.raw)
+        line, self.at = self.raw[self.at : end], end
+        return line
+
+    def _field(self, count: int) -> None:
+        """Goes over a field of so many arrays."""
+        if self.rows < 0 and self.section:
             raise ValueError("a field of arrays, but neither POINT_DATA nor CELL_DATA before it")
-        for _ in range(int(words[2])):
-            _field(scanner, arrays, rows)
-        return
-    if rows < 0:
-        raise ValueError(f"{' '.join(words)[:60]!r} is neither a section nor an array")
-    name = urllib.parse.unquote(words[1])
-    if key == "LOOKUP_TABLE":
-        scanner.numbers(4 * int(words[2]), "f4" if scanner.is_text else "u1")
-    elif key == "COLOR_SCALARS":
-        columns = int(words[2])
-        values = scanner.numbers(rows * columns, "f4" if scanner.is_text else "u1")
-        values = np.round(255 * values).astype(np.uint8) if scanner.is_text else values
-        arrays[name] = values if columns == 1 else values.reshape(rows, columns)
-    elif key == "SCALARS":
-        columns = int(words[3]) if len(words) > 3 else 1
-        if (table := scanner.words())[:1] != ["LOOKUP_TABLE"]:
-            raise ValueError(f"{' '.join(table)[:60]!r} where LOOKUP_TABLE is expected")
-        arrays[name] = scanner.array(rows, columns, words[2])
-    elif key == "TEXTURE_COORDINATES":
-        arrays[name] = scanner.array(rows, int(words[2]), words[3])
-    else:
-        arrays[name] = scanner.array(rows, COMPONENTS[key], words[2])
+        for _ in range(count):
+            words = self.words()
+            while words == ["METADATA"]:
+                self._notes()
+                words = self.words()
+            if words == ["NULL_ARRAY"]:
+                continue
+            if len(words) != 4:
+                raise ValueError(f"{' '.join(words)[:60]!r} where the name, sizes and type of an array are expected")
+            columns, rows = int(words[1]), int(words[2])
+            if columns < 1 or (self.rows >= 0 and rows != self.rows):
+                raise ValueError(f"an array of {columns} times {rows} numbers, for {self.rows} rows")
+            self.after(columns * rows, words[3])
+            self.arrays += 1
+
+    def _cells(self, count: int, size: int) -> None:
+        """Goes over cells. The number of a cell's nodes stands before them up to 5.0, then in offsets."""
+        if not self.is_old:
+            found = []
+            for key, length in (("OFFSETS", count), ("CONNECTIVITY", size)):
+                words = self.words()
+                if words[:1] != [key]:
+                    raise ValueError(f"no {key}")
+                found.append(self.after(length, words[1]))
+            self.ends, self.nodes = found
+            if count and (self.ends[0] != 0 or self.ends[-1] != size or (self.ends[1:] < self.ends[:-1]).any()):
+                raise ValueError(f"offsets that are not those of {size} nodes")
+            return
+        self.nodes = self.after(size, "int")
+        # Cells of one size are gone through together: numbers of nodes stand at equal steps.
+        place, block, begins = 0, 1, [np.zeros(0, np.int64)]
+        while place < size:
+            step = int(self.nodes[place]) + 1
+            rows = self.nodes[place : place + block * step : step] if step > 0 else self.nodes[:0]
+            same = len(rows) if (rows == step - 1).all() else int((rows != step - 1).argmax())
+            if not same:
+                raise ValueError(f"a cell of {step - 1} nodes")
+            begins.append(place + step * np.arange(same))
+            place, block = place + same * step, 2 * block if same == block else 1
+        self.ends = np.append(np.concatenate(begins), place)
+        if place != size or len(self.ends) - 1 != count:
+            raise ValueError(f"{len(self.ends) - 1} cells of {place} numbers")
+
+    def _check_polyhedra(self, kinds: np.ndarray) -> None:
+        """Raises `ValueError` where cells that are polyhedra do not list their faces."""
+        rows = np.flatnonzero(kinds == vtk.POLYHEDRON)
+        if len(rows) and (self.ends is None or self.nodes is None or len(kinds) != len(self.ends) - 1):
+            raise ValueError(f"{len(kinds)} types, for other cells")
+        if len(rows):
+            skip = int(self.is_old)  # the number of a cell's nodes
+            check_streams(self.nodes, self.ends[rows] + skip, self.ends[rows + 1])
+
+    def after(self, count: int, name: str) -> np.ndarray:
+        """Reads so many numbers of a type by VTK's name. Raises `ValueError` where there are others."""
+        kind, raw = name.lower(), self.raw
+        if kind == "string":
+            self._strings(count)
+            return np.zeros(0)
+        if not 0 <= count <= 8 * len(raw):  # bits are the smallest numbers
+            raise ValueError(f"{count} numbers in a file of {len(raw)} bytes")
+        if not self.is_text:
+            begin, dtype = self.at, np.dtype(TYPES[kind]).newbyteorder(">")
+            length = -(-count // 8) if kind == "bit" else count
+            self.at += length * dtype.itemsize
+            rest = re.compile(rb"[ \t\r]*(\n|\Z)").match(raw, self.at)
+            if rest is None or self.at > len(raw):
+                raise ValueError(f"other than {count} numbers announced")
+            self.at = rest.end()
+            return np.frombuffer(raw, dtype, length, begin)
+        left, parts = count, [np.zeros(0, np.int64)]
+        while left:
+            end = raw.find(b"\n", self.at + min(24 * left, 1 << 20)) + 1 or len(raw)
+            _, ends, _ = scan(raw[self.at : end])
+            wanted = min(left, len(ends))
+            stop = self.at + int(ends[wanted - 1]) if wanted else self.at
+            parts.append(numbers(raw[self.at : stop], TYPES[kind]))
+            if not wanted or len(parts[-1]) != wanted:
+                raise ValueError(f"something that is no number, or {count - left} numbers and not {count}")
+            self.at, left = stop, left - wanted
+        return np.concatenate(parts)
+
+    def _strings(self, count: int) -> None:
+        """Goes over strings: a line each in a text, length and bytes in a binary file.
+
+        The length has 1 to 8 bytes, as its first two bits tell.
+        """
+        for _ in range(count):
+            if self.at >= len(self.raw):
+                raise ValueError(f"fewer than {count} strings")
+            if self.is_text:
+                self.at = self.raw.find(b"\n", self.at) + 1 or len(self.raw)
+            else:
+                size = {3: 1, 2: 2, 1: 4, 0: 8}[self.raw[self.at] >> 6]
+                head = int.from_bytes(self.raw[self.at : self.at + size], "big")
+                self.at += size + (head & ((1 << (8 * size - 2)) - 1))
 
 
-def _field(scanner: Scanner, arrays: dict[str, np.ndarray], rows: int) -> None:
-    """Reads one array of a field; strings are left out where they belong to no points or cells."""
-    words = scanner.words()
-    if words == ["NULL_ARRAY"]:
-        return
-    if len(words) != 4:
-        raise ValueError(f"{' '.join(words)[:60]!r} where the name, sizes and type of an array are expected")
-    columns, count = int(words[1]), int(words[2])
-    if (rows >= 0 and count != rows) or columns < 1:
-        raise ValueError(f"an array of {columns} times {count} numbers, for {rows} rows")
-    if words[3].lower() != "string":
-        arrays[urllib.parse.unquote(words[0])] = scanner.array(count, columns, words[3])
-    elif rows >= 0:
-        raise ValueError(f"the array {words[0]} holds strings, which are not kept: save the file without it")
-    else:
-        scanner.strings(columns * count)
+def reader(_: pathlib.Path, raw: bytes, encoding: Encoding) -> Any:
+    new = getattr(vtk.vtk("vtkIOLegacy"), f"vtk{encoding.kind}Reader")()
+    for name in ("Scalars", "Vectors", "Normals", "Tensors", "ColorScalars", "TCoords", "Fields"):
+        getattr(new, f"ReadAll{name}On")()
+    new.ReadFromInputStringOn()
+    new.SetBinaryInputString(raw, len(raw))
+    return new
+
+
+def written(data: Any, encoding: Encoding) -> bytes:
+    """Makes the file. VTK itself tells no error where a device is full, so it writes to memory."""
+    kind = data.GetClassName().removeprefix("vtk")
+    writer = getattr(vtk.vtk("vtkIOLegacy"), f"vtk{kind}Writer")()
+    writer.SetInputData(data)
+    writer.SetHeader(encoding.title)
+    # before 5.1 files have another order of the nodes of hexahedra, in which VTK does not write
+    is_new = encoding.version > "5" or VTK_LAGRANGE["hexahedron"] in vtk.numbers_of(vtk.unstructured(data))
+    writer.SetFileVersion(51 if is_new else 42)
+    (writer.SetFileTypeToASCII if encoding.is_text else writer.SetFileTypeToBinary)()
+    writer.SetPrecision(17)
+    writer.WriteToOutputStringOn()
+    writer.Write()
+    text = writer.GetOutputStdString()
+    return text.encode() if isinstance(text, str) else text

@@ -1,0 +1,309 @@
+"""VTK's unstructured grids as a `Grid`, and a `Mesh` as one of VTK's grids."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .._host.cells.orders import VTK_ORDER, reordered
+from .._host.cells.topology import CORNERS, DIMENSION, NODES, SHAPES, VTK, VTK_LAGRANGE, VTK_QUADRATIC
+from .arrays import checked_parts
+from .exchange import Arrays, Grid, Parts, imported, parts
+from .faces import Faces, faces_of_cells, joined_faces, open_cells, standard_cells
+from .polyhedra import Polyhedra, spread, tetrahedra
+
+POLYHEDRON = 42
+
+AXIS_ALIGNED = {8: ("quad", [0, 1, 3, 2]), 11: ("hexahedron", [0, 1, 3, 2, 4, 5, 7, 6])}
+"""Pixels and voxels: the type with their corners, and the order of these."""
+
+OTHERS = {
+    **{0: ("empty", 0), 1: ("vertex", 0), 2: ("poly_vertex", 0), 4: ("poly_line", 1), 6: ("triangle_strip", 2)},
+    **{7: ("polygon", 2), POLYHEDRON: ("polyhedron", 3)},
+}
+"""Names and dimensions of VTK's other linear cells."""
+
+_KINDS = {number: kind for kind, number in (VTK | VTK_QUADRATIC).items()}
+_KINDS |= {number: kind for number, (kind, _) in (AXIS_ALIGNED | OTHERS).items()}
+_SHAPES = {number: shape for shape, number in VTK_LAGRANGE.items()}
+
+
+class Whole(NamedTuple):
+    """Whole cells of a grid with polyhedra: see `Mesh.polyhedra`, `Mesh.cell_ids`."""
+
+    polyhedra: Polyhedra | None
+    cell_ids: np.ndarray
+
+
+def vtk(name: str) -> Any:
+    """Imports one of VTK's modules."""
+    return imported(f"vtkmodules.{name}", "io")
+
+
+def _as_numpy(array: Any) -> np.ndarray:
+    return vtk("util.numpy_support").vtk_to_numpy(array)
+
+
+def _arrays_of(cells: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Returns where the rows of a `vtkCellArray` begin, with the end, and all of its ids."""
+    if cells is None or not cells.GetNumberOfCells():
+        return np.zeros(1, np.int64), np.zeros(0, np.int64)
+    return _as_numpy(cells.GetOffsetsArray()), _as_numpy(cells.GetConnectivityArray())
+
+
+def numbers_of(grid: Any) -> np.ndarray:
+    """Returns VTK's number of each cell's type."""
+    if not grid.GetNumberOfCells():
+        return np.zeros(0, np.uint8)
+    is_new = hasattr(vtk("vtkCommonDataModel"), "vtkCellTypeUtilities")  # from 9.6 on
+    return _as_numpy(grid.GetCellTypes() if is_new else grid.GetCellTypesArray())
+
+
+def data_of(attributes: Any) -> dict[str, np.ndarray]:
+    """Returns the numerical arrays of a grid's points or cells by name."""
+    found = {}
+    for k in range(attributes.GetNumberOfArrays()):
+        array, name = attributes.GetArray(k), attributes.GetAbstractArray(k).GetName()
+        if array is not None and name is not None and array.GetDataType() != 1:  # of bits NumPy has no view
+            found[name if isinstance(name, str) else name.decode("latin-1")] = _as_numpy(array)
+    return found
+
+
+def coordinates(grid: Any) -> np.ndarray:
+    return _as_numpy(grid.GetPoints().GetData()) if grid.GetNumberOfPoints() else np.zeros((0, 3))
+
+
+def cell_arrays(data: Any) -> list[Any]:
+    """Lists the `vtkCellArray`s of a data set, each with the nodes of some of its cells."""
+    names = {"vtkUnstructuredGrid": ("Cells",), "vtkPolyData": ("Verts", "Lines", "Polys", "Strips")}
+    return [getattr(data, f"Get{name}")() for kind, all_names in names.items() if data.IsA(kind) for name in all_names]
+
+
+def unstructured(data: Any) -> Any:
+    """Makes an unstructured grid of any of VTK's data sets, with its points and cells in their order."""
+    if data.IsA("vtkUnstructuredGrid"):
+        return data
+    joined = vtk("vtkFiltersCore").vtkAppendFilter()
+    joined.AddInputData(data)
+    joined.Update()
+    grid = joined.GetOutput()
+    grid.GetFieldData().ShallowCopy(data.GetFieldData())
+    return grid
+
+
+def kinds_of(grid: Any) -> np.ndarray:
+    """Names the type of each cell (k,), as a mesh that is read has it; VTK's name if it cannot."""
+    starts, _ = _arrays_of(grid.GetCells())
+    pairs = np.stack([numbers_of(grid).astype(np.int64), np.diff(starts)])
+    both, which = np.unique(pairs, axis=1, return_inverse=True)
+    names = [_kind(number, size) for number, size in both.T.tolist()]
+    return np.array(names, dtype=object)[which.ravel()] if names else np.zeros(0, object)
+
+
+def _kind(number: int, size: int) -> str:
+    if number in _SHAPES:
+        shape = _SHAPES[number]
+        return shape if size == CORNERS[shape] else f"{shape}{size}"
+    if number not in _KINDS:
+        model = vtk("vtkCommonDataModel")
+        names = getattr(model, "vtkCellTypeUtilities", model.vtkCellTypes)
+        return names.GetClassNameFromTypeId(number).removeprefix("vtk")
+    return _KINDS[number]
+
+
+def _dimension(kind: str) -> int:
+    return DIMENSION.get(kind, dict(OTHERS.values()).get(kind, 3))
+
+
+def solid_cells(kinds: np.ndarray) -> np.ndarray:
+    """Finds the cells of the highest dimension."""
+    levels = {kind: _dimension(kind) for kind in set(kinds.tolist())}
+    highest = max(levels.values(), default=0)
+    return np.flatnonzero(np.isin(kinds, [kind for kind, level in levels.items() if level == highest]))
+
+
+def dimension_of(grid: Any) -> int:
+    return max(map(_dimension, set(kinds_of(grid).tolist())), default=0)
+
+
+def of_vtk(grid: Any) -> tuple[Grid, Whole | None]:
+    """Reads points, cells and arrays of an unstructured grid.
+
+    Polyhedra become standard cells or are cut, as `Whole` has it. It raises `ValueError` for cells
+    that no mesh has, and for ids of nodes that are not there.
+    """
+    points = coordinates(grid)
+    n = len(points)
+    starts, ids = _arrays_of(grid.GetCells())
+    outside = ids[(ids < 0) | (ids >= n)]
+    if len(outside):
+        raise ValueError(f"a cell names node {outside[0]}, but there are {n} points.")
+    kinds, numbers = kinds_of(grid), numbers_of(grid)
+    solid = solid_cells(kinds)
+    top = set(kinds[solid].tolist())
+    unknown = [kind for kind in dict.fromkeys(kinds[solid].tolist()) if kind not in NODES and _dimension(kind) > 1]
+    unknown = [kind for kind in unknown if kind != "polyhedron"]
+    if unknown:
+        raise ValueError(f"cells of type {', '.join(unknown)} are not supported; they would be lost.")
+    blocks, rows_of = [], []
+    for kind in dict.fromkeys(kinds.tolist()):
+        if kind in top and "polyhedron" in top:
+            continue
+        rows = np.flatnonzero(kinds == kind)
+        sizes = np.diff(starts)[rows]
+        if kind in NODES and (sizes != NODES[kind]).any():
+            raise ValueError(f"cells of type {kind} have {sizes[sizes != NODES[kind]][0]} nodes, not {NODES[kind]}.")
+        for size in np.unique(sizes).tolist():
+            chosen = rows[sizes == size]
+            blocks.append((kind, _canonical(kind, ids[starts[chosen][:, None] + np.arange(size)], numbers[chosen])))
+            rows_of.append(chosen)
+    whole, outer = None, None
+    if "polyhedron" in top:
+        more, more_rows, whole, outer = _polyhedral(grid, points.astype(float), kinds, solid)
+        blocks, rows_of = [*blocks, *more], [*rows_of, *more_rows]
+    cell_data = {name: [values[rows] for rows in rows_of] for name, values in data_of(grid.GetCellData()).items()}
+    return Grid(points, blocks, data_of(grid.GetPointData()), cell_data, outer=outer), whole
+
+
+def _canonical(kind: str, nodes: np.ndarray, numbers: np.ndarray) -> np.ndarray:
+    """Orders nodes (k, nodes) canonically; pixels and voxels count their corners by rows."""
+    nodes = np.asarray(nodes, np.int64)
+    for number, (other, order) in AXIS_ALIGNED.items():
+        if other == kind and (numbers == number).any():
+            nodes[numbers == number] = nodes[numbers == number][:, order]
+    return reordered(kind, nodes, VTK_ORDER, None) if kind in NODES else nodes
+
+
+def _polyhedral(grid: Any, points: np.ndarray, kinds: np.ndarray, solid: np.ndarray) -> tuple[list, list, Whole, Any]:
+    """Makes standard cells and tetrahedra of all solid cells of a grid with polyhedra.
+
+    It returns blocks, the grid's cells of each block, whole cells, and the nodes of outer faces.
+    """
+    curved = sorted({kind for kind in kinds[solid].tolist() if kind not in CORNERS and kind != "polyhedron"})
+    if curved:
+        raise ValueError(f"cells of type {', '.join(curved)} beside polyhedra are not supported; they would be lost.")
+    starts, ids = _arrays_of(grid.GetCells())
+    numbers = numbers_of(grid)
+    sides = [_sides(grid, points, solid, kinds)]
+    for kind in dict.fromkeys(kinds[solid].tolist()):
+        if kind != "polyhedron":
+            cell = np.flatnonzero(kinds[solid] == kind)
+            nodes = ids[starts[solid[cell]][:, None] + np.arange(CORNERS[kind])]
+            sides.append(faces_of_cells(kind, _canonical(kind, nodes, numbers[solid[cell]]), cell))
+    faces = joined_faces(sides)
+    ajar = open_cells(faces)
+    if len(ajar):
+        raise ValueError(f"{len(ajar)} cells do not close, first cell {solid[ajar[0]]}.")
+    typed, cell_ids = standard_cells(faces)
+    cut = cell_ids.pop("polyhedron", np.zeros(0, np.int64))
+    pieces, owner = tetrahedra(faces, cut, points) if len(cut) else (np.zeros((0, 4), np.int64), cut)
+    if len(cut):
+        typed["tetra"] = np.concatenate([typed.get("tetra", pieces[:0]), pieces])
+        cell_ids["tetra"] = np.concatenate([cell_ids.get("tetra", owner[:0]), owner])
+    blocks = [(kind, typed[kind].astype(np.int64)) for kind in sorted(typed)]
+    rows = [cell_ids[kind] for kind in sorted(typed)]
+    outer = np.unique(faces.labels[spread(*(faces.starts[np.flatnonzero(faces.neighbour < 0) + k] for k in (0, 1)))[0]])
+    return (
+        blocks,
+        [solid[row] for row in rows],
+        Whole(Polyhedra(faces, cut) if len(cut) else None, np.concatenate(rows)),
+        outer,
+    )
+
+
+def _sides(grid: Any, points: np.ndarray, solid: np.ndarray, kinds: np.ndarray) -> Faces:
+    """Lists the faces of polyhedra, outward; inner faces come twice."""
+    first, face_of = _arrays_of(grid.GetPolyhedronFaceLocations())
+    starts, ids = _arrays_of(grid.GetPolyhedronFaces())
+    cells = np.flatnonzero(kinds[solid] == "polyhedron")
+    if len(first) != len(kinds) + 1:
+        raise ValueError(f"faces of {len(first) - 1} cells, for {len(kinds)}.")
+    rows, cell = spread(first[solid[cells]], first[solid[cells] + 1])
+    face, cell = face_of[rows], cells[cell]
+    if len(face) and (face.min() < 0 or face.max() >= len(starts) - 1):
+        raise ValueError(f"a polyhedron names face {face.max()}, but there are {len(starts) - 1}.")
+    places, which = spread(starts[face], starts[face + 1])
+    labels, sizes = ids[places], np.diff(starts)[face]
+    outside = labels[(labels < 0) | (labels >= len(points))]
+    if len(outside) or (sizes < 3).any():
+        raise ValueError(f"a face of a polyhedron has {sizes.min()} nodes, or a node that is not there.")
+    begins = np.cumsum(sizes) - sizes
+    inward = _inward(points, labels, begins, np.searchsorted(cells, cell))
+    back = begins[which] + sizes[which] - 1 - (np.arange(len(labels)) - begins[which])
+    labels = labels[np.where(inward[which], back, np.arange(len(labels)))].astype(np.int64)
+    return Faces(labels, np.concatenate([[0], np.cumsum(sizes)]), cell, np.full(len(sizes), -1))
+
+
+def _inward(points: np.ndarray, labels: np.ndarray, begins: np.ndarray, cell: np.ndarray) -> np.ndarray:
+    """Finds faces of polyhedra that point into their cell.
+
+    VTK asks for outward faces, and some programs write inward ones, or faces of both senses.
+    """
+    sizes = np.diff(begins, append=len(labels))
+    which = np.repeat(np.arange(len(begins)), sizes)
+    after = np.arange(1, len(labels) + 1)
+    after[begins + sizes - 1] = begins
+    # A cell's faces have one sense where its edges are gone along once each way. An edge of a cell
+    # has +1 in the one sense and -1 in the other, which are summed.
+    low, high = np.sort(np.stack([labels, labels[after]]), axis=0)
+    order = np.lexsort((high, low, cell[which]))
+    edges = np.stack([cell[which], low, high])[:, order]
+    first = np.flatnonzero((np.diff(edges, axis=1, prepend=-1) != 0).any(axis=0))
+    ways = np.add.reduceat(np.where(labels < labels[after], 1, -1)[order], first)
+    count = int(cell.max(initial=-1)) + 1
+    is_mixed = np.bincount(edges[0, first], ways != 0, count) > 0
+    # Normals are summed over the triangles between a face's mean and its edges.
+    middle = np.add.reduceat(points[labels], begins) / sizes[:, None]
+    arms = points[labels] - middle[which]
+    normal = np.add.reduceat(np.cross(arms, points[labels[after]] - middle[which]), begins)
+    number = np.bincount(cell, minlength=count)[:, None]
+    centre = np.stack([np.bincount(cell, middle[:, k], count) for k in range(3)], axis=1) / number
+    volume = np.einsum("fk,fk->f", normal, middle - centre[cell])
+    most = np.bincount(cell, volume, count)[~is_mixed]
+    return np.where(is_mixed[cell], volume < 0, 2 * (most < 0).sum() > len(most))
+
+
+def mesh_of(grid: Any) -> tuple[Parts, Whole | None]:
+    """Makes points, cells and patches of an unstructured grid, in the order that a mesh has."""
+    read, whole = of_vtk(grid)
+    return checked_parts(*parts(read)), whole
+
+
+def new_grid(cells: Mapping[str, Any], points: np.ndarray) -> Any:
+    """Makes an unstructured grid; raises `ValueError` for high-order pyramids, which VTK lacks."""
+    model, numpy = vtk("vtkCommonDataModel"), vtk("util.numpy_support")
+    numbers, ids, ends = [np.zeros(0, np.uint8)], [np.zeros(0, np.int64)], [np.zeros(1, np.int64)]
+    for kind, corners in cells.items():
+        nodes = reordered(kind, np.asarray(corners), None, VTK_ORDER)
+        numbers.append(np.full(len(nodes), number_of(kind), np.uint8))
+        ids.append(nodes.ravel().astype(np.int64))
+        ends.append(ends[-1][-1] + nodes.shape[1] * np.arange(1, len(nodes) + 1))
+    array = model.vtkCellArray()
+    array.SetData(*(numpy.numpy_to_vtkIdTypeArray(np.concatenate(part), deep=1) for part in (ends, ids)))
+    grid = model.vtkUnstructuredGrid()
+    grid.SetPoints(points_of(points))
+    grid.SetCells(numpy.numpy_to_vtk(np.concatenate(numbers), deep=1), array)
+    return grid
+
+
+def number_of(kind: str) -> int:
+    number = (VTK | VTK_QUADRATIC).get(kind, VTK_LAGRANGE.get(SHAPES[kind]))
+    if number is None:
+        raise ValueError(f"VTK has no cells of type {kind}; it has pyramids of 5 and 13 nodes.")
+    return number
+
+
+def points_of(points: np.ndarray) -> Any:
+    new = vtk("vtkCommonCore").vtkPoints()
+    new.SetData(vtk("util.numpy_support").numpy_to_vtk(np.ascontiguousarray(points), deep=1))
+    return new
+
+
+def add_arrays(attributes: Any, arrays: Arrays) -> None:
+    """Adds arrays to a grid's points or cells, in the place of others of the same name."""
+    for name, values in arrays.items():
+        kind = {"b": np.uint8, "f": np.float32 if values.dtype.itemsize <= 4 else np.float64}
+        values = np.ascontiguousarray(values, kind.get(values.dtype.kind, values.dtype.newbyteorder("=")))
+        array = vtk("util.numpy_support").numpy_to_vtk(values, deep=1)
+        array.SetName(name)
+        attributes.AddArray(array)
