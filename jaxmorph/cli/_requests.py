@@ -224,7 +224,7 @@ class Demo:
 
     run: ClassVar = "_inspect.demo"
 
-    case: str = positional("naca0015 (default) or agard445", "CASE", nargs="?", default="naca0015")
+    case: str = positional("naca0015 (default)", "CASE", nargs="?", default="naca0015")
     output: Path = flag(
         "where to write (default jaxmorph-demo)",
         "--output",

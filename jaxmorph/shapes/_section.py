@@ -115,9 +115,8 @@ def upper_side(points: Numbers, chord: Chord | None = None, *, wall: Any = None)
     rows of the points.
     """
     x = known_positions(points, "points").astype(float)
-    if wall is None:
-        ids = np.arange(len(x))
-    else:
+    ids = np.arange(len(x))
+    if wall is not None:
         ids = triangles_of(wall, x.shape) if x.shape[1] == 3 else _loop_rows(wall, len(x))
     rows = np.unique(ids)
     chord = Chord.along(x[rows]) if chord is None else chord
