@@ -263,3 +263,42 @@ def strip(normal, around=14):
         ("hole", "wall", lambda face: True),
     ]
     return shuffled, cells, patches
+
+
+ANGLE = np.radians(2.5)
+PRISM = ((0, 1, 4, 3), (0, 3, 5, 2), (1, 2, 5, 4), (0, 2, 1), (3, 4, 5))
+
+
+def around(x, r, side):
+    return np.stack([x, r * np.cos(ANGLE), side * r * np.sin(ANGLE)], axis=-1)
+
+
+def pipe_of(is_cut=False):
+    """Cells of x from 0 to 2 and r from 0 to 1, two along and two across; those at the axis are prisms.
+
+    A cut at r = 0.4 gives both sides nodes of their own, at the same places.
+    """
+    x, r = np.meshgrid([0.0, 1, 2], [0.0, 0.4, 1], indexing="ij")
+    front, back = np.arange(9).reshape(3, 3), np.arange(9).reshape(3, 3)
+    back[:, 1:] = 9 + np.arange(6).reshape(3, 2)
+    points = np.concatenate([around(x, r, 1).reshape(-1, 3), around(x[:, 1:], r[:, 1:], -1).reshape(-1, 3)])
+    cells = []
+    for i in range(2):
+        a, b = back[i], back[i + 1]
+        c, d = front[i], front[i + 1]
+        # seen along x: the triangle of the axis and both sides
+        prism = [a[0], a[1], c[1], b[0], b[1], d[1]]
+        cells.append([[int(prism[k]) for k in face] for face in PRISM])
+        brick = [a[1], b[1], b[2], a[2], c[1], d[1], d[2], c[2]]
+        cells.append([[int(brick[k]) for k in face] for face in HEXAHEDRON])
+    sides = {"front": set(front.ravel()), "back": set(back.ravel())}
+    if is_cut:
+        shared = np.concatenate([front[:, 1], back[:, 1]])
+        new = dict(zip(shared.tolist(), range(len(points), len(points) + 6), strict=True))
+        points = np.concatenate([points, points[shared]])
+        cells[1::2] = [[[new.get(k, k) for k in face] for face in cell] for cell in cells[1::2]]
+        sides = {name: ids | {new[k] for k in ids & set(new)} for name, ids in sides.items()}
+    patches = [(name, "wedge", lambda face, ids=ids: set(face) <= ids) for name, ids in sides.items()]
+    patches += [("wall", "wall", lambda face: bool((np.hypot(*points[face][:, 1:].T) > 0.99).all()))]
+    patches += [("ends", "patch", lambda face: True)]
+    return points, cells, patches, x, r

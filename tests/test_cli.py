@@ -188,10 +188,10 @@ MOTIONS = {
         ["--translate", "1", "2", "3"],
         "--translate needs 2 numbers for a mesh in 2-D, found: 1 2 3",
     ),
-    "not a number": (["--scale", "nan"], "--scale needs 2 numbers"),
+    "not a number": (["--scale", "nan"], "--scale needs 1, 2 or 3 numbers"),
     "axis in 2-D": (["--rotate", "1", "--axis", "0", "0", "1"], "--axis is for meshes in 3-D"),
     "no steps": (["--rotate", "1", "--steps", "0"], "--steps must be 1 or more, found 0"),
-    "few sources": (["--rotate", "1", "--sources", "2"], "--sources must be 3 or more in 2-D, found 2"),
+    "few sources": (["--rotate", "1", "--sources", "2"], "--sources must be 3 or more in 2-D, 4 in 3-D, found 2"),
     "sources of what": (
         ["--rotate", "1", "--sources", "9", "--method", "graph"],
         "--sources is for the methods default and",
@@ -479,7 +479,7 @@ AT_ONCE = {
     f"deform in.su2 out.su2 {MOVE} --sources 1": "--sources must be 3 or more",
     f"deform in.su2 out.su2 {MOVE} --sources 9 --method graph": "graph has no sources to choose",
     f"deform in.su2 out.su2 {MOVE} --chunk 9 --method laplacian": "--chunk is not for laplacian",
-    f"deform in.su2 out.su2 {MOVE} --picture a.gif": "a picture ends in .png",
+    f"deform in.su2 out.su2 {MOVE} --picture a.gif": "a picture of this mesh ends in .png",
     f"deform in.su2 out.su2 {MOVE} --picture none/a.png": "there is no such folder",
     f"deform in.su2 out.su2 {MOVE} --save-job out.su2": "--save-job out.su2 is the file of OUT",
     f"deform in.su2 out.su2 {MOVE} --periodic a": "name pairs of patches",
@@ -574,9 +574,9 @@ def test_names_that_begin_with_a_dash(tmp_path, capsys, words):
     turned = np.asarray(mesh.points)[wall] @ [[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]
     np.testing.assert_allclose(io.read(tmp_path / "out.su2").points[wall], turned, atol=1e-14)
     with pytest.raises(SystemExit):
-        main(["deform", *paths, "--moving", "-wall", "--fixed", "--far"])
+        main(["deform", *paths, "--moving", "-wall", "--fixed", "--qqq"])
     assert (
-        "there is no flag --far; a patch of this name is written with =, as in --moving=--far"
+        "there is no flag --qqq; a patch of this name is written with =, as in --moving=--qqq"
         in capsys.readouterr().err
     )
     with pytest.raises(SystemExit):

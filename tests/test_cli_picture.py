@@ -92,7 +92,11 @@ def test_a_bad_mesh_is_drawn_though_not_written(here, capsys):
 
 @pytest.mark.parametrize(
     ("name", "said"),
-    [("ring.jpg", r"ends in \.png\."), ("ring.html", r"ends in \.png\."), ("no/ring.png", "no such folder")],
+    [
+        ("ring.jpg", r"ends in \.png, in 3-D also in \.html\."),
+        ("ring.html", r"ends in \.png\."),
+        ("no/ring.png", "no such folder"),
+    ],
 )
 def test_what_cannot_be_drawn_is_told_before_the_work(here, capsys, name, said):
     assert ring("--rotate", "20", "--picture", name) == 2

@@ -12,7 +12,6 @@ import pytest
 from formats import ENDINGS, SINGLE, written
 from meshes import bricks
 from plot3d import write as write_plot3d
-from test_openfoam_wedge import pipe_of
 
 import jaxmorph as jm
 from jaxmorph import io
@@ -59,8 +58,11 @@ HELD |= {
     "exodus z": (".e", of_two_columns),
     "exodus joined": (".e", lambda path: exodus.solid(path, real="f4", is_joined=True)),
     "openfoam plane": ("", lambda path: foam.write_case(path, *foam.strip(1), foam.FORMS["binary-32-scalars"])),
-    "openfoam wedge": ("", lambda path: foam.write_case(path, *pipe_of()[:3])),
-    "openfoam single wedge": ("", lambda path: foam.write_case(path, *pipe_of()[:3], foam.FORMS["binary-32-scalars"])),
+    "openfoam wedge": ("", lambda path: foam.write_case(path, *foam.pipe_of()[:3])),
+    "openfoam single wedge": (
+        "",
+        lambda path: foam.write_case(path, *foam.pipe_of()[:3], foam.FORMS["binary-32-scalars"]),
+    ),
 }
 HELD |= {
     f"mfem {name}": (".mesh", lambda path, name=name: path.write_text(getattr(mfem_meshes, name)))

@@ -210,4 +210,4 @@ class Parts:
             in_double(base, np.asarray(points)[: len(ids)], here, u[of_moving], plan.method.exact)
             for u, points in steps
         )
-        return Way.into(self.output / name, mesh, list(ends), plan.is_linear)
+        return Way.into(self.output, mesh, list(ends), plan.is_linear)

@@ -12,6 +12,7 @@ from jaxmorph import _demo
 from jaxmorph._advice.methods import METHODS, entry
 from jaxmorph._host.package.endings import GRADIENTS, LATTICES, SENSITIVITIES, is_folder
 from jaxmorph._host.package.files import check_apart, input_path, is_same, output_path
+from jaxmorph.integrations import su2
 
 from ._flags import request_of
 from ._groups import MOTIONS, Group, as_json, is_json
@@ -133,11 +134,11 @@ def _check_motion(group: Group) -> None:
     for name in TABLES:
         if getattr(group, name) is not None:
             as_json(name.replace("_", "-"), getattr(group, name))
-    for file in _files_of(group):
-        input_path(file).stat()
     for file, amplitude in group.mode:
         if not np.isfinite(amplitude):
             raise ValueError(f"--mode {file} needs an amplitude, found {amplitude}.")
+    for file in _files_of(group):
+        input_path(file).stat()
     for name in ("rotate", "bend", "twist"):
         if _is_given(group, name):
             angle_of(flag_of(name), getattr(group, name))
@@ -194,12 +195,9 @@ def _check_sensitivity(request: Sensitivity) -> None:
 
 
 def _check_su2(request: SU2) -> None:
-    from jaxmorph.integrations.su2 import _options, _variables
-
     if request.action == "def" and request.sensitivity is not None:
         raise ValueError("--sensitivity is for su2 dot, and su2 def moves the mesh.")
-    options = _options.read_options(request.file)
-    _variables.checked_variables(options, request.definition)
+    options = su2.checked_options(request.file, definition=request.definition)
     _check_input(options.mesh_file)
     if request.sensitivity is not None:
         input_path(request.sensitivity).stat()
@@ -234,7 +232,7 @@ def _check_picture(path: Path | None) -> None:
     if path is None:
         return
     if path.suffix.lower() not in (".png", ".html"):
-        raise ValueError(f"--picture {path}: a picture ends in .png, in 3-D also in .html.")
+        raise ValueError(f"--picture {path}: a picture of this mesh ends in .png, in 3-D also in .html.")
     if not path.parent.is_dir():
         raise ValueError(f"--picture {path}: there is no such folder.")
 

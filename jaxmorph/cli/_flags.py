@@ -66,6 +66,5 @@ def request_of(words: Sequence[str], top: Parser | None = None, parsers: Mapping
     if top is None:
         top, parsers = parser()
     words = with_job(words)
-    flags = parsers[words[0]].flags if words and words[0] in parsers else ()
-    arguments = top.parse_args(quoted(words, flags))
+    arguments = top.parse_args(quoted(words, parsers.get(words[0], top).short))
     return made(COMMANDS[arguments.command], arguments)

@@ -3,6 +3,7 @@
 import argparse
 import dataclasses
 import functools
+import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, TypeVar
 
@@ -78,18 +79,19 @@ def made(fields: type[T], values: argparse.Namespace) -> T:
 class Parser(argparse.ArgumentParser):
     """Describes in one line what is wrong with the arguments, and guesses what was meant.
 
-    A short page of help leaves out all flags that are not for every day. `flags` are the flags of
-    this command.
+    A short page of help leaves out all flags that are not for every day. `flags` are the long flags
+    of this command, `short` those of one letter.
     """
 
     def __init__(self, *, is_short: bool = False, **settings: Any):
         super().__init__(**settings, formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False)
-        self.is_short, self.flags = is_short, ["--help"]
+        self.is_short, self.flags, self.short = is_short, ["--help"], ["-h"]
         self.sections: dict[str, Any] = {"": self}
 
     def add(self, names: Sequence[str], settings: dict[str, Any], *, section: str = "", everyday: bool = False):
         """Adds a flag, or a word without one, to a section of the page of help."""
-        self.flags += [name for name in names if name.startswith("-")]
+        self.flags += [name for name in names if name.startswith("--")]
+        self.short += [name for name in names if re.match("-[^-]", name)]
         if settings.get("nargs") != 0 and not str(settings.get("action")).startswith(("store_", "help")):
             settings = settings | {"type": unquoted(settings.get("type", str))}
         if self.is_short and not everyday:
@@ -152,19 +154,20 @@ def meant(word: str, known: Iterable[str]) -> str:
     return f"; did you mean {near}?" if near else ""
 
 
-def quoted(words: Sequence[str], flags: Iterable[str] = ()) -> list[str]:
+def quoted(words: Sequence[str], short: Iterable[str] = ("-h",)) -> list[str]:
     """Puts a space before words that argparse would take for flags: numbers, and names as `-wall`.
 
-    `--moving=-wall` becomes two words, so that more names may follow. `flags` are the command's.
+    `--moving=-wall` becomes two words, so that more names may follow. `short` are
+    the command's flags of one letter; a value may follow one without a blank, but not `-h`.
     """
-    short = tuple({"-h", *(flag for flag in flags if not flag.startswith("--"))})
+    with_values = tuple({*short} - {"-h"})
     done: list[str] = []
     for word in words:
         name, equals, value = word.partition("=")
         if name.startswith("--") and equals and value.startswith("-"):
             done += [name, f" {value}"]
         else:
-            is_flag = word.startswith("--") or word in ("-", *short) or word.startswith(tuple({*short} - {"-h"}))
+            is_flag = word in ("-", "-h") or word.startswith(("--", *with_values))
             done.append(f" {word}" if word.startswith("-") and not is_flag else word)
     return done
 

@@ -188,7 +188,7 @@ class FilePoints:
         return np.concatenate([as_in_file(points, self.points[:, :d]), self.points[:, d:]], axis=1)
 
     def in_mesh(self, values: np.ndarray) -> np.ndarray:
-        """Returns the mesh's points from the file's, without z where all z of the file are equal."""
+        """Returns the mesh's points from the file's, without z where all z are equal."""
         is_flat = self.points.shape[1] == 3 and np.ptp(self.points[:, 2]) == 0
         return values[:, :2] if is_flat else values
 

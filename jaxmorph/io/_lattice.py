@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from .._host.package.arguments import checked, finite_array
+from .._host.package.endings import LATTICES
 from .._host.package.files import complete, output_path
 from .._mesh.exchange import imported
 

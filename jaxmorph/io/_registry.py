@@ -127,12 +127,16 @@ def as_written(path: str | os.PathLike[str], mesh: Mesh) -> Float[np.ndarray, "n
 
     **Returns:** points (n, d), those of `mesh` for a file that holds them as they are.
 
+    **Raises:** `ValueError` for an unknown ending, and a folder that does not exist.
+
     **Warns:** where rounding takes more than a tenth of the motion, or of an edge of a cell.
     """
-    points, source = np.asarray(mesh.points), source_of(mesh, format_of(pathlib.Path(path), mesh.source).name)
+    chosen = format_of(pathlib.Path(path), mesh.source)
+    path = files.output_path(path, folder=chosen.is_folder)
+    points, source = np.asarray(mesh.points), source_of(mesh, chosen.name)
     if source is None or source.held is None:
         return points
-    return warn_of_loss(pathlib.Path(path), mesh.cells, source.held, points)
+    return warn_of_loss(path, mesh.cells, source.held, points)
 
 
 @checked

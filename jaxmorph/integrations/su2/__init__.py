@@ -12,12 +12,14 @@ if typing.TYPE_CHECKING:
     from ._motion import DesignVariables as DesignVariables
     from ._sensitivity import Sensitivity as Sensitivity
     from ._sensitivity import read_sensitivity as read_sensitivity
+    from ._variables import checked_options as checked_options
     from ._variables import write_gradient as write_gradient
 
 _MODULES = {
     "Config": "_config",
     "DesignVariables": "_motion",
     "Sensitivity": "_sensitivity",
+    "checked_options": "_variables",
     "read_config": "_config",
     "read_sensitivity": "_sensitivity",
     "write_gradient": "_variables",

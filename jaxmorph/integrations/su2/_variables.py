@@ -2,6 +2,7 @@
 
 import dataclasses
 import os
+import pathlib
 from collections.abc import Sequence
 
 import numpy as np
@@ -12,7 +13,7 @@ from jaxmorph._host.package.errors import warn
 from jaxmorph._host.package.files import complete, output_path
 from jaxmorph._host.package.words import similar
 
-from ._options import Options, split
+from ._options import Options, read_options, split
 
 NUMBERS = {
     **{1: "TRANSLATION", 2: "ROTATION", 3: "SCALE", 10: "FFD_SETTING", 11: "FFD_CONTROL_POINT", 12: "FFD_NACELLE"},
@@ -83,6 +84,23 @@ def variables(options: Options, definition: bool) -> tuple[list[Variable], list[
         raise options.error("DV_PARAM", f"{len(groups)} groups of parameters for {len(kinds)} of DV_KIND")
     listed = [_variable(options, "DV_PARAM", *entry) for entry in zip(kinds, groups, strict=True)]
     return listed, options.words("DV_MARKER")
+
+
+@checked
+def checked_options(path: str | os.PathLike[str], *, definition: bool = False) -> Options:
+    """Reads the options of a config file, and checks what needs no mesh.
+
+    **Arguments:**
+
+    - `path`, `definition`: as for `read_config`.
+
+    **Returns:** the options, with `mesh_file` and `output`.
+
+    **Raises:** `ValueError` for kinds, words and numbers that are not taken, each with its option.
+    """
+    options = read_options(pathlib.Path(path))
+    checked_variables(options, definition)
+    return options
 
 
 def checked_variables(options: Options, definition: bool) -> tuple[list[Variable], list[str]]:

@@ -40,7 +40,7 @@ class Sector(Front):
         return np.stack([arms @ self.axis, np.where(self.on_axis, 0, arms @ self.out)], axis=1)
 
     def fitted(self, points: np.ndarray) -> "Sector":
-        """Finds the axis and both planes in other points (N, 3) of the file, as reading them does."""
+        """Finds the axis and both planes in other points (N, 3), as reading them does."""
         front, back = self.front, np.unique(self.back)
         axis, origin, outward = _frame((front, back) if self.is_first else (back, front), points)
         out, out_behind = outward if self.is_first else outward[::-1]
