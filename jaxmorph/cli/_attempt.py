@@ -11,14 +11,11 @@ import jaxmorph as jm
 from jaxmorph._advice.cures import Cure, cures
 from jaxmorph._host.package.cores import Beside
 
-from ._judged import Judged
-from ._method import Patches, in_double
+from ._method import Patches
 from ._motion import Motion
 from ._output import Output
 from ._requests import Deform
-from ._summary import Summary
-from ._tables import faults
-from ._way import Way, followed
+from ._way import Way, followed, in_double
 
 PATIENCE = 120.0
 """Seconds that an attempt may have taken for others to be tried after it."""
@@ -28,19 +25,18 @@ PATIENCE = 120.0
 class Attempt:
     """All that an attempt needs but the method and the steps.
 
-    `summing` sums up the `undeformed` mesh in another thread.
+    `judging` judges the undeformed mesh in another thread.
     """
 
     request: Deform
     patches: Patches
     motion: Motion
-    undeformed: Judged
-    summing: Beside[Summary]
+    judging: Beside[jm.Verdict]
 
     @property
-    def before(self) -> Summary:
-        """The summary of the undeformed mesh. Raises `ValueError` for what cannot be judged."""
-        return self.summing.result()
+    def before(self) -> jm.Verdict:
+        """The verdict on the undeformed mesh. Raises `ValueError` for what cannot be judged."""
+        return self.judging.result()
 
     @property
     def base(self) -> Float[np.ndarray, "n d"]:
@@ -76,13 +72,10 @@ class Attempt:
             is_straight &= plan.is_linear
             if done is not None:
                 done(is_moved.mean())
-        return Way.into(self.request.output, self.patches.mesh, list(ends.values()), is_straight)
+        return Way(self.request.output, self.patches.mesh, tuple(ends.values()), is_straight)
 
-    def judge(self, way: Way) -> tuple[Judged, Summary, list[str]]:
-        """Judges the moved mesh, sums it up, and writes one sentence for each fault."""
-        judged = Judged(self.patches.mesh, way.ends[-1], self.undeformed, way)
-        after = Summary.from_judged(judged, self.request.gates.limits)
-        return judged, after, faults(self.before, after)
+    def judge(self, way: Way) -> jm.Verdict:
+        return way.judge(self.request.gates.limits, self.before)
 
 
 def explain(attempt: Attempt, bad: list[str], out: Output) -> None:
@@ -140,4 +133,4 @@ def _works(attempt: Attempt, cure: Cure) -> bool:
             way = attempt.way(chunks, cure.steps)
         except (ValueError, ImportError):  # ImportError: a solver for large 3-D meshes is not installed
             return False
-        return not attempt.judge(way)[2]
+        return attempt.judge(way).ok

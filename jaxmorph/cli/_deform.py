@@ -16,19 +16,13 @@ from jaxmorph._host.package.cores import Beside
 from jaxmorph._kernels.compile import quickly_compiled
 
 from ._attempt import Attempt, explain
-from ._describe import check_files, described, mesh_of, say_proven, wrapped, write_job
-from ._judged import Judged
+from ._describe import check_files, described, mesh_of, write_job
 from ._method import NamedMethod, patches_of
 from ._motion import motion
-from ._output import Output, title
+from ._output import Output, coordinates, count, title, wrapped
 from ._requests import Deform
-from ._summary import Summary, coordinates, count
-from ._tables import gate_facts, gate_table, table
-from ._way import Way
+from ._way import Way, faults, say_proven
 from ._writing import Writing
-
-Judgement = tuple[Judged, Summary, list[str]]
-"""The moved mesh as it was judged, its summary, and one sentence for each fault."""
 
 Chunks = Iterator[tuple[np.ndarray, jm.Plan]]
 """Nodes and plans of a mesh in chunks, one after the other."""
@@ -53,13 +47,13 @@ def _deform(request: Deform, mesh: Mesh, out: Output) -> int:
     _foresee(attempt, choice, out)
     nodes, plan, way = _moved(attempt, chunks, out)
     judging = Beside(attempt.judge, way)
-    with Writing(_write, attempt, way.moved, judging) as writing:
-        inspection, boundary = _inspected(attempt, nodes, plan, way.ends[-1], out)
+    with Writing(way.write, judging.result) as writing:
+        inspection, boundary = _inspected(attempt, nodes, plan, way.stored, out)
         with out.progress("judging the cells"):
-            judgement = judging.result()
-        _tell(attempt, way, judgement[1], inspection, boundary, out)
-        bad = judgement[2]
-        _write_beside(attempt, judgement[0], out)
+            verdict = judging.result()
+        _tell(attempt, way, verdict, inspection, boundary, out)
+        bad = faults(verdict)
+        _write_beside(attempt, way, verdict, out)
         if bad:
             explain(attempt, bad, out)
         if bad and not request.allow_inverted:
@@ -71,18 +65,10 @@ def _deform(request: Deform, mesh: Mesh, out: Output) -> int:
     return 1 if bad else 0
 
 
-def _write(attempt: Attempt, points: np.ndarray, judging: Beside[Judgement]) -> None:
-    """Writes the moved mesh; a format that holds arrays gets the quality, and waits for it."""
-    path, mesh = attempt.request.output, attempt.patches.mesh
-    judged = judging.result()[0] if io.check_output(path, mesh) else Judged(mesh, points)
-    judged.write(path)
-
-
 def _attempt(request: Deform, mesh: Mesh, out: Output) -> tuple[Attempt, NamedMethod, Chunks]:
     """Checks the request, describes it on the terminal, and collects what an attempt needs."""
     _check(request, mesh)
-    undeformed = Judged(mesh, mesh.points)
-    summing = Beside(Summary.from_judged, undeformed, request.gates.limits)
+    judging = Beside(jm.judge, mesh, None, request.gates.limits)
     patches = patches_of(request, mesh)
     wall = np.asarray(mesh.points)[patches.nodes]
     moves = motion(request, mesh, patches.nodes)
@@ -93,7 +79,7 @@ def _attempt(request: Deform, mesh: Mesh, out: Output) -> tuple[Attempt, NamedMe
     cells = ", ".join(f"{number} {kind}" for kind, number in mesh.cell_counts.items())
     out.say(f"{title(request.file)}: {n} points in {d}-D, {cells}", points=n)
     described(request, patches, choice, moves.path(wall, 1)[-1], out)
-    return Attempt(request, patches, moves, undeformed, summing), choice, chunks
+    return Attempt(request, patches, moves, judging), choice, chunks
 
 
 def _foresee(attempt: Attempt, choice: NamedMethod, out: Output) -> None:
@@ -120,7 +106,7 @@ def _moved(attempt: Attempt, chunks: Chunks, out: Output) -> tuple[np.ndarray, j
     with out.progress("preparing"):
         nodes, plan = next(chunks)
     with out.progress("judging the cells"):
-        attempt.summing.result()  # it raises for limits on measures that the cells do not have
+        attempt.judging.result()  # it raises for limits on measures that the cells do not have
     with out.progress(f"deforming in {count(steps, 'step')}") as stage:
         return nodes, plan, attempt.way(itertools.chain([(nodes, plan)], chunks), steps, stage.done)
 
@@ -141,24 +127,23 @@ def _inspected(
 def _tell(
     attempt: Attempt,
     way: Way,
-    after: Summary,
+    verdict: jm.Verdict,
     inspection: jm.Inspection,
     boundary: jm.BoundaryQuality,
     out: Output,
 ) -> None:
     """Prints tables of quality before and after."""
-    wall = _wall_numbers(attempt, way.ends[-1])
-    tables = [table(attempt.before, after, _rows(wall, inspection)), gate_table(attempt.before, after)]
-    out.say("\n" + "\n\n".join(filter(None, tables)) + "\n")
-    say_proven(after, way.is_straight, attempt.request.steps, out)
+    wall = _wall_numbers(attempt, way.stored)
+    out.say(f"\n{verdict.table(_rows(wall, inspection))}\n")
+    say_proven(verdict, way.is_straight, attempt.request.steps, out)
     if boundary.nodes:
         wrapped(out, f"boundary: {boundary}")
         measures = {name: getattr(boundary, name) for name in boundary.nodes}
         out.say(boundary=measures | {"ended": boundary.ended.tolist()})
     start, end = ({number.name: getattr(number, when) for number in wall} for when in ("before", "after"))
-    out.say(before=attempt.before.facts | start, after=after.facts | end)
+    out.say(before=attempt.before.facts | start, after=verdict.facts | end)
     out.say(overshoot=inspection.overshoot, overshoot_behind=inspection.overshoot_behind)
-    out.say(gates=gate_facts(attempt.before, after))
+    out.say(gates=verdict.gate_facts)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -202,7 +187,7 @@ def _rows(wall: list[WallNumber], inspection: jm.Inspection) -> list[str]:
     return rows
 
 
-def _write_beside(attempt: Attempt, judged: Judged, out: Output) -> None:
+def _write_beside(attempt: Attempt, way: Way, verdict: jm.Verdict, out: Output) -> None:
     """Writes the job file, lattices and the picture, also if cells are bad."""
     picture = attempt.request.picture
     write_job(attempt.request, out)
@@ -213,10 +198,8 @@ def _write_beside(attempt: Attempt, judged: Judged, out: Output) -> None:
             with out.progress("drawing"):
                 from jaxmorph import plot
 
-                reports = attempt.undeformed.corners, judged.corners
-                plot.picture(
-                    picture, attempt.patches.mesh, judged.points, moving=attempt.patches.nodes, reports=reports
-                )
+                reports = attempt.before.corners, verdict.corners
+                plot.picture(picture, way.mesh, way.stored, moving=attempt.patches.nodes, reports=reports)
             out.say(f"picture  {picture}", picture=str(picture))
         except (ValueError, OSError) as error:  # the mesh is worth more
             out.warn(f"no picture: {error}")

@@ -1,6 +1,5 @@
 """Checks and descriptions of a request of `deform`, for a whole mesh and a mesh in parts."""
 
-import textwrap
 from pathlib import Path
 
 import numpy as np
@@ -10,11 +9,8 @@ from jaxmorph._host.package.files import complete
 
 from ._job import text_of
 from ._method import NamedMethod, Patches
-from ._output import Output
-from ._parts import PROVEN
+from ._output import Output, count, wrapped
 from ._requests import Deform
-from ._summary import Summary, count
-from ._way import instants
 
 
 def mesh_of(path: Path, zone: int | None) -> Mesh:
@@ -66,17 +62,3 @@ def write_job(request: Deform, out: Output) -> None:
         with complete(request.save_job) as partial:
             partial.write_bytes(text_of(request, request.save_job.parent).encode())
         out.say(f"job      {request.save_job}")
-
-
-def say_proven(after: Summary, is_straight: bool, steps: int, out: Output) -> None:
-    """Says how many cells the gate `--proven` has proven, and for which instants of the motion."""
-    beyond = [gate.beyond for gate in after.gates if gate.flag == PROVEN]
-    if not beyond:
-        return
-    valid = after.cells - beyond[0]
-    wrapped(out, f"proven: {valid} of {after.cells} cells fold nowhere inside, {instants(is_straight, steps)}.")
-    out.say(proven={"cells": valid, "steps": steps, "on_the_way": is_straight})
-
-
-def wrapped(out: Output, text: str) -> None:
-    out.say(textwrap.fill(text, 80, subsequent_indent=" " * 9, break_long_words=False, break_on_hyphens=False))

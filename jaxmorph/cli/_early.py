@@ -48,7 +48,7 @@ def check(request: Request) -> None:
             _check_input(request.file)
             if request.moved is not None:
                 _check_input(request.moved)
-            elif "min_jacobian_ratio" in request.gates.limits:
+            elif request.gates.min_jacobian_ratio is not None:
                 raise ValueError("--min-jacobian-ratio compares two meshes: give FILE2.")
             _check_least("--zone", request.zone)
         case Info():

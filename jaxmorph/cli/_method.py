@@ -5,7 +5,7 @@ import dataclasses
 from collections.abc import Iterator
 
 import numpy as np
-from jaxtyping import ArrayLike, Float, Int
+from jaxtyping import Float, Int
 
 import jaxmorph as jm
 from jaxmorph import io
@@ -217,23 +217,3 @@ def _periodic(surface: Boundary, mesh: jm.Mesh, lists: set[str]) -> tuple[jm.Per
     known = {*lists, *surface.periodic}
     of_file = [pair for pair in io.periodic(mesh) if not {str(pair.patch), str(pair.partner)} & known]
     return (*(jm.Periodic(*(mesh.patch_names(name)[0] for name in pair)) for pair in pairs), *of_file)
-
-
-def in_double(
-    base: Float[np.ndarray, "n d"],
-    moved: Float[ArrayLike, "n d"],
-    nodes: Int[np.ndarray, " m"],
-    u: Float[np.ndarray, "m d"],
-    is_exact: bool,
-) -> Float[np.ndarray, "n d"]:
-    """Converts moved points to double precision.
-
-    Nodes that do not move in single precision keep all their digits.
-    """
-    moved = np.asarray(moved)
-    if moved.dtype == np.float64:
-        return moved
-    points = base + (moved.astype(float) - base.astype(moved.dtype).astype(float))
-    if is_exact:
-        points[nodes] = base[nodes] + u
-    return points

@@ -3,18 +3,13 @@
 import dataclasses
 from typing import Any, ClassVar
 
+import jaxmorph as jm
 from jaxmorph._advice.methods import METHODS
 
 from ._parser import flag, flag_of, one_of, switch
 
 SEVERAL: dict[str, Any] = {"metavar": "NAME", "nargs": "+", "default": ()}
 """Settings of flags of several patches."""
-
-PRESETS = {"checkmesh": {"max_face_aspect_ratio": 1000.0, "max_non_orthogonality": 70.0, "max_face_skewness": 4.0}}
-"""Limits of OpenFOAM's checkMesh."""
-
-PROVEN = "min_proven_margin"
-"""The limit that `--proven` sets, to 0."""
 
 NAMES = [entry.name for entry in METHODS]
 
@@ -81,24 +76,19 @@ class Gates:
     )
     preset: str | None = flag(
         "limits of OpenFOAM's checkMesh, by its own measures: aspect ratio 1000, 70 degrees, skewness 4",
-        choices=tuple(PRESETS),
+        choices=("checkmesh",),
     )
 
     def __post_init__(self):
-        wrong = [name for name, limit in self.limits.items() if limit != limit]
+        wrong = [name for name, limit in vars(self).items() if limit != limit]
         if wrong:
             raise ValueError(f"{flag_of(wrong[0])} needs a number, found nan.")
 
     @property
-    def limits(self) -> dict[str, float]:
-        """Limits by the names of their flags: the preset's limits, replaced by limits of flags."""
-        fields = dataclasses.fields(self)
-        flags = {field.name: getattr(self, field.name) for field in fields if field.name not in ("preset", "proven")}
-        flags[PROVEN] = 0.0 if self.proven else None
-        limits = PRESETS.get(self.preset or "", {}) | {
-            name: limit for name, limit in flags.items() if limit is not None
-        }
-        return {name: limits[name] for name in flags if name in limits}
+    def limits(self) -> jm.Limits:
+        """The preset's limits, replaced by those of flags."""
+        flags = {name: limit for name, limit in vars(self).items() if name != "preset" and limit not in (None, False)}
+        return dataclasses.replace(jm.Limits.checkmesh() if self.preset else jm.Limits(), **flags)
 
 
 @dataclasses.dataclass(frozen=True)

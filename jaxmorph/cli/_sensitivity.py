@@ -11,10 +11,8 @@ from jaxmorph import io, shapes
 from ._early import job_of
 from ._method import patches_of
 from ._motion import Motion, motion
-from ._output import Output, title
+from ._output import LISTED, Output, coordinates, count, steepest, title
 from ._requests import Sensitivity
-from ._summary import coordinates, count
-from ._tables import LISTED, steepest
 
 
 def sensitivity(request: Sensitivity, out: Output) -> int:

@@ -13,12 +13,9 @@ from jaxmorph._kernels.compile import quickly_compiled
 from jaxmorph.integrations import su2
 
 from ._deform import SMALL
-from ._judged import Judged
 from ._method import NamedMethod, named_method
-from ._output import Output, title
+from ._output import Output, count, steepest, title
 from ._requests import SU2
-from ._summary import Summary, count
-from ._tables import faults, steepest, table
 
 
 def run(request: SU2, out: Output) -> int:
@@ -99,15 +96,14 @@ def _method(request: SU2, config: su2.Config) -> NamedMethod:
 
 def _judge(request: SU2, mesh: jm.Mesh, points: np.ndarray, output: Path, out: Output) -> int:
     with out.progress("judging the cells"):
-        undeformed = Judged(mesh, mesh.points)
-        before, after = Summary.from_judged(undeformed, {}), Summary.from_judged(Judged(mesh, points, undeformed), {})
-    out.say(f"\n{table(before, after)}\n", before=before.facts, after=after.facts)
-    bad = faults(before, after)
-    if bad:
-        out.complain(bad[0])
-        if not request.allow_inverted:
-            out.complain(f"{output} is not written; --allow-inverted writes it anyway.")
-    return 1 if bad else 0
+        verdict = jm.judge(mesh, points)
+    assert verdict.before is not None
+    out.say(f"\n{verdict.table()}\n", before=verdict.before.facts, after=verdict.facts)
+    for sentence in verdict.faults():
+        out.complain(sentence)
+    if not verdict.ok and not request.allow_inverted:
+        out.complain(f"{output} is not written; --allow-inverted writes it anyway.")
+    return 0 if verdict.ok else 1
 
 
 def _project(request: SU2, config: su2.Config, out: Output) -> int:
