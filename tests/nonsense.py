@@ -160,6 +160,7 @@ GOOD: dict[str, dict[str, Any]] = {
     "jm.load": {"path": FOLDER / "a.npz"},
     **each("jm.prepare jm.Boundary", {"mesh": POINTS, "fixed": FAR}),
     "jm.shard": {"devices": ()},
+    "jm.Verdict.together": {"parts": Lazy(lambda: [jm.judge(MESH), jm.judge(MESH)])},
     "jm.save": {"path": FOLDER / "a.npz"},
     "io.Decomposed": {"path": FOLDER / "case"},
     "io.Decomposed.check_output": {"path": FOLDER / "new"},

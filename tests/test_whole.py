@@ -13,6 +13,8 @@ from foam import PATCHES, mixed, split
 
 import jaxmorph as jm
 from jaxmorph import cases, io
+from jaxmorph._mesh.faces import Faces
+from jaxmorph._mesh.polyhedra import tetrahedra
 from jaxmorph.cli import main
 
 HANGING = [[0, 1, 4, 7, 6], [1, 2, 5, 4], [4, 5, 8, 7], [2, 9, 10, 5], [5, 10, 8]]
@@ -226,3 +228,25 @@ def test_a_mesh_turned_inside_out_as_a_whole_is_inverted(turned):
     assert not jm.face_quality(mesh).is_inverted.any()
     assert not jm.face_quality(mesh, np.array(mesh.points) @ [[0.8, 0.6], [-0.6, 0.8]]).is_inverted.any()
     assert jm.face_quality(mesh, mesh.points * [1, -1]).is_inverted.all()
+
+
+def test_polyhedra_are_cut_alike_however_they_are_numbered():
+    """Two prisms on a regular hexagon: all fans and all apexes are equally good."""
+    angle = np.pi / 3 * np.arange(6)
+    points = np.concatenate([np.stack([np.cos(angle), np.sin(angle), 0 * angle + z], axis=1) for z in range(3)])
+    around = [
+        [6 * c + k, 6 * c + (k + 1) % 6, 6 * c + 6 + (k + 1) % 6, 6 * c + 6 + k] for c in (0, 1) for k in range(6)
+    ]
+    sides = [[*range(6, 12)], *around, [*range(5, -1, -1)], [*range(12, 18)]]
+    owner, neighbour = np.array([0, *[0] * 6, *[1] * 6, 0, 1]), np.array([1, *[-1] * 14])
+    random, found = np.random.default_rng(0), []
+    for _ in range(5):
+        new = random.permutation(18)
+        old = np.argsort(new)
+        turned = [np.roll(new[side], random.integers(6)) for side in sides]
+        faces = Faces(np.concatenate(turned), np.cumsum([0, *map(len, turned)]), owner, neighbour)
+        corners, cell = tetrahedra(faces, np.arange(2), points[old])
+        volumes = np.linalg.det(points[old][corners[:, 1:]] - points[old][corners[:, :1]]) / 6
+        np.testing.assert_allclose(np.bincount(cell, volumes), 1.5 * 3**0.5)
+        found.append(sorted(np.sort(old[corners], axis=1).tolist()))
+    assert all(each == found[0] for each in found)

@@ -9,10 +9,11 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
+from .._boundary.boundary import with_cells
 from .._mesh.mesh import Mesh
 from .._plan.deform import deform
 from .._plan.plan import Plan
-from .._plan.prepare import boundary_of, plan_of, prepare
+from .._plan.prepare import plan_of, prepare
 from .._plan.steps import march
 from .._quality.quality import quality
 from .largest_step import largest_step
@@ -23,7 +24,7 @@ STEPS = 2, 4, 8
 """Numbers of steps that are tried."""
 
 ROUND = 1e-3
-"""Largest change of radius, or of place along the axis, of a patch that a motion may turn in itself.
+"""Largest change of radius, or of place along the axis, of a patch that turns within itself.
 
 It is relative to the radius.
 """
@@ -87,7 +88,7 @@ class Turn:
 
 
 def in_space(points: Float[np.ndarray, "k d"]) -> Float[np.ndarray, "k 3"]:
-    return np.pad(np.asarray(points, dtype=float), ((0, 0), (0, 3 - points.shape[1])))
+    return np.pad(points.astype(float), ((0, 0), (0, 3 - points.shape[1])))
 
 
 def cures(
@@ -97,7 +98,7 @@ def cures(
 
     It lists nothing for a mesh so large that trials take long.
     """
-    points, dimension = in_space(mesh.points), mesh.points.shape[1]
+    points, dimension = in_space(np.asarray(mesh.points)), mesh.points.shape[1]
     if len(points) > MOST_POINTS[dimension]:
         return
     turn = Turn.of(points[moving], in_space(u))
@@ -110,7 +111,7 @@ def cures(
 
 
 def advice_on_folds(plan: Plan, mesh: Mesh, u: Float[np.ndarray, "m d"], count: int) -> str:
-    """Says how much of a motion that folds `count` cells folds none, and what has been found to help."""
+    """Says from where on a motion folds `count` cells, and what was tried and helps."""
     share = ""
     if plan.is_linear:
         part = largest_step(plan, np.zeros_like(u), u, mesh).step
@@ -154,7 +155,7 @@ def _moved(plan: Plan, mesh: Mesh, u: np.ndarray, cure: Cure) -> np.ndarray:
     if cure.method:
         points = np.asarray(mesh.points)
         method = entry(cure.method).make(Extent(points[moving], points[fixed]))
-        return np.asarray(deform(plan_of(boundary_of(plan).with_faces_of(mesh), method), u))
+        return np.asarray(deform(plan_of(with_cells(plan.boundary, mesh), method), u))
     base = in_space(np.asarray(mesh.points)[moving])
     path = Turn.of(base, in_space(u)).path(base, in_space(u), cure.steps)
     return np.asarray(march(plan, np.stack(path)[..., : mesh.points.shape[1]])[1])

@@ -52,8 +52,8 @@ def inspect(
     the faces of other walls. It also finds moved walls that cross another boundary or themselves.
     Faces that crossed before do not count, nor do faces that share a node or touch in coincident
     nodes, as at a sharp trailing edge. Faces with a node that is neither moving nor fixed are left
-    out: where they go is not known yet. If one step folds cells, it looks for what helps, and tries it:
-    round walls that slide, 2, 4 and 8 steps, methods on cells.
+    out: where they go is not known yet. If one step folds cells, it tries what may help: round
+    walls that slide, 2, 4 and 8 steps, methods on cells.
 
     **Arguments:**
 

@@ -195,8 +195,11 @@ def changed(boundary: Boundary, **fields: Any) -> Boundary:
     return other
 
 
-def with_cells(boundary: Boundary, mesh: Mesh, outer: OuterFaces) -> Boundary:
-    """Adds the cells of a mesh, and its boundary faces."""
+def with_cells(boundary: Boundary, mesh: Mesh, outer: OuterFaces | None = None) -> Boundary:
+    """Adds the cells of a mesh, and its boundary faces. Default: these are found."""
+    outer = outer_faces(mesh) if outer is None else outer
+    if outer is None:
+        return boundary
     cells = {kind: np.asarray(corners) for kind, corners in solid(mesh.linear.cells, boundary.points.shape[1]).items()}
     loose = np.setdiff1d(of_no_cell(mesh), boundary.nodes) if cells else boundary.loose
     return with_faces(changed(boundary, mesh=mesh, cells=cells, loose=loose), mesh, outer)

@@ -4,6 +4,8 @@ import dataclasses
 
 import numpy as np
 
+from .._host.package.orders import canonical_order
+from .._host.package.rounding import SAME
 from .faces import BLOCK, Faces
 
 SLIVER = 1e-3
@@ -44,7 +46,8 @@ def triangles(faces: Faces, chosen: np.ndarray, points: np.ndarray) -> tuple[np.
     """Cuts the faces `chosen` into triangles (t, 3), with each one's place in `chosen`.
 
     Triangles have the sense of their face. A face is a fan about the corner that makes its smallest
-    triangle largest. So both cells of a face see equal triangles.
+    triangle largest; of equal corners, the first by place. So both cells of a face see equal
+    triangles, however it is listed.
     """
     sizes = faces.sizes[chosen]
     parts, owners = [], []
@@ -54,13 +57,23 @@ def triangles(faces: Faces, chosen: np.ndarray, points: np.ndarray) -> tuple[np.
         x = points[corners]
         normal = np.cross(x - x[:, :1], np.roll(x, -1, axis=1) - x[:, :1]).sum(axis=1)
         least = np.stack([_least(np.roll(x, -turn, axis=1), normal) for turn in range(size)], axis=1)
-        best = least.argmax(axis=1)
+        top = least.max(axis=1, keepdims=True)
+        best = _first_by_place(x, least >= top - SAME * np.abs(top))
         corners = np.take_along_axis(corners, (best[:, None] + np.arange(size)) % size, axis=1)
         fan = np.stack([corners[:, [0, i, i + 1]] for i in range(1, size - 1)], axis=1)
         parts.append(fan.reshape(-1, 3))
         owners.append(np.repeat(rows, size - 2))
     order = np.argsort(np.concatenate(owners), kind="stable")
     return np.concatenate(parts)[order], np.concatenate(owners)[order]
+
+
+def _first_by_place(x: np.ndarray, is_allowed: np.ndarray) -> np.ndarray:
+    """Finds the allowed corner (f,) of faces (f, c, d) that comes first in lexical order."""
+    slack, is_first = SAME * np.ptp(x, axis=1).max(axis=1, keepdims=True), is_allowed
+    for axis in range(x.shape[2]):
+        along = np.where(is_first, x[..., axis], np.inf)
+        is_first = is_first & (along <= along.min(axis=1, keepdims=True) + slack)
+    return is_first.argmax(axis=1)
 
 
 def _least(x: np.ndarray, normal: np.ndarray) -> np.ndarray:
@@ -127,10 +140,13 @@ class _Pieces:
 
     def best_apex(self) -> np.ndarray:
         """Chooses the apex of all cells: one node a cell."""
-        # The nodes of all cells are sorted by cell. Round `turn` tries node number `turn` of every
-        # cell whose best node is not yet good enough.
+        # The nodes of all cells are sorted by cell, then by place. Round `turn` tries node number
+        # `turn` of every cell whose best node is not yet good enough.
         count = int(self.cell[-1]) + 1
-        pairs = np.unique(np.stack([np.repeat(self.cell, 3), self.corners.ravel()], axis=1), axis=0)
+        nodes, corners = np.unique(self.corners, return_inverse=True)
+        order = canonical_order(self.points[nodes])
+        pairs = np.unique(np.stack([np.repeat(self.cell, 3), np.argsort(order)[corners.ravel()]], axis=1), axis=0)
+        pairs[:, 1] = nodes[order[pairs[:, 1]]]
         first = np.searchsorted(pairs[:, 0], np.arange(count + 1))
         apex, best = pairs[first[:-1], 1], np.full(count, -np.inf)
         for turn in range(int(np.diff(first).max())):
@@ -139,7 +155,7 @@ class _Pieces:
                 break
             tried = pairs[np.minimum(first[:-1] + turn, first[1:] - 1), 1]
             share = self._least(tried, np.flatnonzero(open_cells[self.cell]), count)
-            better = open_cells & (share > best)
+            better = open_cells & (share - SAME > best)
             apex, best = np.where(better, tried, apex), np.where(better, share, best)
         return apex
 

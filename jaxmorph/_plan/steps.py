@@ -8,7 +8,6 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Real
 
 from .._boundary.boundary import changed, with_cells
-from .._boundary.outer_faces import outer_faces
 from .._host.package.arguments import checked
 from .._kernels.compile import compiled
 from .._mesh.mesh import Mesh
@@ -131,7 +130,6 @@ def _check_piece(plan: Plan, rebuild: bool) -> None:
 
 def _anew(plan: Plan, points, mesh: Mesh | None) -> Plan:
     boundary = changed(plan.boundary, points=np.asarray(points))
-    outer = None if mesh is None else outer_faces(mesh)
-    if mesh is not None and outer is not None:
-        boundary = changed(with_cells(boundary, mesh, outer), left=None)  # `prepare` has warned of free faces
+    if mesh is not None:
+        boundary = changed(with_cells(boundary, mesh), left=None)  # `prepare` has warned of free faces
     return plan_of(boundary, plan.method)

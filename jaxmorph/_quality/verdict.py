@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import ArrayLike, Float, Int, Real
 
-from .._host.package.arguments import between, real_array
+from .._host.package.arguments import between, real_array, shown
 from .._mesh.mesh import Mesh
 from .judged import Judged
 from .report import QualityReport
@@ -162,7 +162,9 @@ class Verdict:
 
     @classmethod
     def together(cls, parts: "Sequence[Verdict]") -> "Verdict":
-        """Joins the verdicts on the parts of a mesh."""
+        """Joins the verdicts on the parts of a mesh. Raises `ValueError` for anything else."""
+        if not isinstance(parts, Sequence) or not parts or not all(isinstance(part, Verdict) for part in parts):
+            raise ValueError(f"`parts` must be verdicts on the parts of a mesh, not {shown(parts)}.")
         first = parts[0]
         spoilt = [part.worst for part in parts if part.worst is not None]
         before = [part.before for part in parts if part.before is not None]

@@ -59,7 +59,7 @@ def check(request: Request) -> None:
                 raise ValueError(f"--output {request.output}: is a file, and pictures and meshes go into a folder.")
 
 
-def inputs_of(request: Deform) -> dict[str, list[Path | str | None]]:
+def inputs_of(request: Deform) -> dict[str, Sequence[Path | str | None]]:
     """Lists the files that a request reads, by what is read from them."""
     displacements = [file for group in request.groups for file in _files_of(group)]
     return {"the mesh is": [request.file], "the job is": [request.job], "the displacements are": displacements}
@@ -225,7 +225,8 @@ def _check_output(path: Path, source: Path) -> None:
         raise ValueError(f"{path}: the mesh was read from this file; write to another one.")
     is_time = re.fullmatch(r"\d+(\.\d*)?(e[+-]?\d+)?", path.name) is not None
     if is_case and not is_time and path.exists() and (not path.is_dir() or any(os.scandir(path))):
-        raise ValueError(f"{path}: exists; name a new folder, or a time folder of the case such as {source / '1'}.")
+        time = f", or a time folder of the case such as {source / '1'}" if source.is_dir() else ""
+        raise ValueError(f"{path}: exists; name a new folder{time}.")
 
 
 def _check_picture(path: Path | None) -> None:

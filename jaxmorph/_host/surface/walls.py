@@ -61,10 +61,7 @@ def walls(
 
 
 def in_order(faces: np.ndarray) -> np.ndarray:
-    """Sorts faces (k, c) by their nodes, each from its first node on: nothing depends on their order.
-
-    Edges (k, 2) keep their direction, which tells the side.
-    """
+    """Sorts faces (k, c) by their nodes, each from its first node on; edges keep their sense."""
     if faces.shape[1] > 2:
         turn = faces.argmin(axis=1)[:, None] + np.arange(faces.shape[1])
         faces = np.take_along_axis(faces, turn % faces.shape[1], axis=1)
