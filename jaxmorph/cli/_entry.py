@@ -27,7 +27,7 @@ def answer(words: Sequence[str]) -> int:
     with warnings.catch_warnings():
         warnings.showwarning = lambda message, *_: out.warn(one_line(message))
         try:
-            request = request_of(words, top)
+            request = request_of(words, top, parsers)
             importlib.import_module("._early", __package__).check(request)
             run = _command(request)
             out.verbose = getattr(request, "speech", Speech()).verbose

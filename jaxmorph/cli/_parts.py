@@ -85,7 +85,7 @@ class Gates:
             raise ValueError(f"{flag_of(wrong[0])} needs a number, found nan.")
 
     @property
-    def limits(self) -> jm.Limits:
+    def limits(self) -> "jm.Limits":
         """The preset's limits, replaced by those of flags."""
         flags = {name: limit for name, limit in vars(self).items() if name != "preset" and limit not in (None, False)}
         return dataclasses.replace(jm.Limits.checkmesh() if self.preset else jm.Limits(), **flags)
