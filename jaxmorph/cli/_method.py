@@ -15,8 +15,7 @@ from jaxmorph._boundary.names import planes_of
 from jaxmorph._boundary.symmetry import check_planes
 from jaxmorph._plan.prepare import default_for
 
-from ._parts import Boundary, Method
-from ._requests import Deform, Modes, Sensitivity
+from ._requests import BoundaryFlags, Deform, Method, Modes, Sensitivity
 
 
 @dataclasses.dataclass(frozen=True)
@@ -211,7 +210,7 @@ def _symmetry(mesh: jm.Mesh, lists: set[str], planes: list[jm.Plane], file: obje
     return names, lying
 
 
-def _periodic(surface: Boundary, mesh: jm.Mesh, lists: set[str]) -> tuple[jm.Periodic, ...]:
+def _periodic(surface: BoundaryFlags, mesh: jm.Mesh, lists: set[str]) -> tuple[jm.Periodic, ...]:
     """Lists the pairs of flags, and the file's pairs of which no patch is in another list."""
     pairs = list(zip(surface.periodic[::2], surface.periodic[1::2], strict=True))
     known = {*lists, *surface.periodic}

@@ -8,7 +8,7 @@ import numpy as np
 import jaxmorph as jm
 from jaxmorph import io, shapes
 
-from ._early import job_of
+from ._job import job_of
 from ._method import patches_of
 from ._motion import Motion, motion
 from ._output import LISTED, Output, coordinates, count, steepest, title
