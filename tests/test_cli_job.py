@@ -246,7 +246,6 @@ def test_json_is_one_object_and_says_what_the_text_says(here, capsys):
 def test_verbose_tells_the_time_of_each_stage(here, capsys):
     assert main(["deform", "ring.su2", "out.su2", *MOVE, "--verbose"]) == 0
     said = capsys.readouterr().out
-    assert "estimate 216 points, 48 surface nodes," in said
     for stage in (
         "reading ring.su2",
         "preparing",
@@ -257,21 +256,6 @@ def test_verbose_tells_the_time_of_each_stage(here, capsys):
     ):
         assert f"\n  {stage} " in said
     assert max(map(len, said.split("\n"))) <= 80
-
-
-@pytest.mark.slow
-def test_what_may_not_fit_into_memory_is_told_before_the_work(here, capsys, monkeypatch):
-    from jaxmorph._advice import estimate as _estimate
-    from jaxmorph.cli import _deform
-
-    monkeypatch.setattr(_estimate, "_physical_memory", lambda: 1e8)
-    assert main(["deform", "ring.su2", "out.su2", *MOVE, "--method", "graph"]) == 0
-    said = capsys.readouterr()
-    assert re.search(r"^jaxmorph deform: warning: \S+ GB may not fit into memory", said.err)
-    assert "estimate" not in said.out
-    monkeypatch.setattr(_deform, "LARGE", 200)
-    assert main(["deform", "ring.su2", "out.su2", *MOVE, "--method", "rbf"]) == 0
-    assert re.search(r"estimate 216 points, 48 surface nodes, 48 sources: about \S+ GB\n", capsys.readouterr().out)
 
 
 @pytest.mark.slow

@@ -13,7 +13,7 @@ from jaxmorph import io
 from jaxmorph._host.package.orders import rows_in
 from jaxmorph._host.package.ranks import Alone, Ranks, together
 
-from ._describe import check_files, described, write_job
+from ._deform import check_files, described, write_job
 from ._method import patches_of
 from ._motion import motion
 from ._output import Output, Stage, title
@@ -151,13 +151,13 @@ def _prepared(request: Deform, surface: jm.Mesh, out: Output) -> tuple[jm.Surfac
         path = moves.path(wall, request.steps)
         out.say(f"{title(request.file)}: boundary of {len(surface.points)} nodes in {surface.points.shape[1]}-D")
         described(request, patches, choice, path[-1], out)
-        half = patches.half(choice)
-        for warning in jm.inspect(half.plan, path[-1].astype(choice.dtype)).warnings:
+        half = patches.half(choice.method)
+        for warning in jm.inspect(half.plan, path[-1].astype(request.method.dtype)).warnings:
             out.warn(warning)
     write_job(request, out)
     for file in moves.write_lattices():
         out.say(f"lattice  {file}")
-    return half, path, choice.dtype
+    return half, path, request.method.dtype
 
 
 @dataclasses.dataclass(frozen=True)

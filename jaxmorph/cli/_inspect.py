@@ -9,7 +9,7 @@ import jaxmorph as jm
 from jaxmorph import Mesh, _demo, io
 from jaxmorph._boundary.boundary import of_no_cell
 
-from ._describe import mesh_of
+from ._method import mesh_of
 from ._output import Output, count, title
 from ._requests import Demo, Info, Quality
 from ._way import faults

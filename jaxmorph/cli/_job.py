@@ -178,7 +178,8 @@ def job_of(request: Sensitivity) -> Deform | None:
         return None
     if (request.moving, request.boundary, request.method) != ((), BoundaryFlags(), Method()):
         raise ValueError("--job names patches and method. Remove the flags of patches and methods.")
-    values = read_job(request.job) | {"file": request.file, "output": request.output, "job": request.job}
+    values = read_job(request.job)
+    values |= {"file": request.file, "output": request.output, "job": request.job}
     values["set"] = [*values["set"], *request.set]
     return made(Deform, argparse.Namespace(**values))
 

@@ -43,7 +43,7 @@ def modes(request: Modes, out: Output) -> int:
         shapes = [io.read_displacement(file, mesh, patches.nodes, is_position=False) for file in request.mode]
     with out.progress("preparing"):
         choice = patches.method(request.method)
-        plan = patches.plan(choice)
+        _, plan = next(patches.chunks(choice.method))
     what = f"{count(len(shapes), 'mode')} at {count(len(request.amplitude), 'amplitude')}"
     out.say(f"{title(request.file)}: {len(mesh.points)} points, {what}", points=len(mesh.points))
     out.say(f"method   {choice.name}", method=choice.name)

@@ -236,6 +236,7 @@ class Patch(NamedTuple):
 
 def _displacement(patch: Patch) -> Parametrised:
     group = patch.group
+    assert group.displacement is not None
     how: dict[str, Any] = {"before": group.displacement_from, "is_position": group.displacement_is == "position"}
     u = io.read_displacement(group.displacement, patch.mesh, patch.nodes, **how)
     return shapes.Function(lambda x, factor: x + factor * u, 0.0), 1.0
@@ -312,7 +313,7 @@ def _class_functions(patch: Patch) -> Parametrised:
     return _on_sides(parts, masks), numbers
 
 
-def _on_sides(parts: Mapping[str, shapes.AbstractShape], masks: Mapping[str, np.ndarray]) -> shapes.Chain:
+def _on_sides(parts: Mapping[str, Any], masks: Mapping[str, np.ndarray]) -> shapes.Chain:
     return shapes.Chain({side: shapes.Part(part, masks[side]) for side, part in parts.items()})
 
 

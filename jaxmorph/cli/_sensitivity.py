@@ -29,7 +29,7 @@ def sensitivity(request: Sensitivity, out: Output) -> int:
         return _of_surface(request, np.asarray(mesh.points, float), moving, moves, sensitivity, out)
     with out.progress("preparing"):
         choice = patches.method((job or request).method)
-        plan = patches.plan(choice)
+        _, plan = next(patches.chunks(choice.method))
     out.say(f"{title(request.file)}: {len(mesh.points)} points, {count(len(moving), 'moving node')}")
     out.say(f"method   {choice.name}", points=len(mesh.points), method=choice.name)
     if job is None or moves is None:

@@ -71,10 +71,10 @@ def _deform(request: SU2, config: su2.Config, out: Output) -> int:
         text = f"largest  {config.largest:.6g}, {config.share:.3g} times the length of what moves"
         out.say(text, largest=config.largest, share=config.share)
         with out.progress("preparing"):
-            base = mesh.moved(points.astype(choice.dtype, copy=False))
+            base = mesh.moved(points.astype(request.method.dtype, copy=False))
             plan = jm.prepare(base, config.moving, config.fixed, method=choice.method, symmetry=config.symmetry)
         with out.progress(f"deforming in {count(config.steps, 'step')}"):
-            points = np.asarray(jm.march(plan, config.path.astype(choice.dtype))[1], float)
+            points = np.asarray(jm.march(plan, config.path.astype(request.method.dtype))[1], float)
         status = _judge(request, mesh, io.as_written(output, mesh.moved(points)), output, out)
     if status and not request.allow_inverted:
         return status

@@ -1,8 +1,10 @@
 """A motion of a mesh: its points step by step, the verdict on them, and the file that they become."""
 
+import contextlib
 import dataclasses
 import functools
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +14,14 @@ from jaxtyping import ArrayLike, Float, Int
 
 import jaxmorph as jm
 from jaxmorph import Mesh, io
+from jaxmorph._host.package.cores import Beside, cores
+from jaxmorph._host.package.files import appearing_if
 
 from ._output import Output, wrapped
 from ._parser import flag_of
+
+PROVEN = "min_proven_margin"
+"""The limit that `--proven` sets."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -44,7 +51,9 @@ class Way:
         """Writes the moved mesh; a format that holds arrays waits for the verdict on its cells."""
         moved = self.mesh.moved(self.ends[-1])
         if io.check_output(self.path, self.mesh):
-            io.write_moved(self.path, self.mesh, moved, verdict().corners)
+            corners = verdict().corners
+            assert corners is not None
+            io.write_moved(self.path, self.mesh, moved, corners)
         else:
             io.write(self.path, moved)
 
@@ -79,13 +88,33 @@ def in_double(
     return points
 
 
+@contextlib.contextmanager
+def writing(write: Callable[..., None], *arguments: Any) -> Iterator[Callable[[], None]]:
+    """Writes a file beside what comes next; it appears when the yielded function is called.
+
+    With one core all is written then. A block that ends without that call leaves no file.
+    """
+    is_wanted: Future[bool] = Future()
+    with appearing_if(is_wanted.result):
+        call = Beside(write, *arguments)
+
+    def finish() -> None:
+        is_wanted.set_result(True)
+        call.result()
+
+    try:
+        yield finish
+    finally:
+        if not is_wanted.done():
+            is_wanted.set_result(False)
+        if cores() > 1:
+            with contextlib.suppress(Exception):  # a fault of a file that nobody wants, or that `finish` has told
+                call.result()
+
+
 def faults(verdict: jm.Verdict) -> list[str]:
     """Lists what is wrong, with limits by their flags."""
     return verdict.faults(lambda gate: "--proven" if gate.name == PROVEN else f"{flag_of(gate.name)} {gate.limit:g}")
-
-
-PROVEN = "min_proven_margin"
-"""The limit that `--proven` sets."""
 
 
 def say_proven(verdict: jm.Verdict, is_straight: bool, steps: int, out: Output) -> None:
