@@ -127,7 +127,7 @@ class Verdict:
     - `before`: the verdict on the undeformed mesh; None of a mesh by itself.
     - `parts`: the number of parts, 0 for a whole mesh. `between`: the number of faces between
       parts, which are not judged.
-    - `corners`: the `QualityReport`; None after pickling, and of joined parts.
+    - `corners`: the `QualityReport`; None after pickling, of parts, and of joined parts.
     """
 
     cells: int
@@ -146,7 +146,12 @@ class Verdict:
 
     def __getstate__(self) -> dict[str, Any]:
         """Returns the numbers, without the arrays of all cells."""
-        return vars(self) | {"judged": None}
+        return vars(self.of_part())
+
+    def of_part(self) -> "Verdict":
+        """Drops the arrays of all cells, which are too large to keep for each part of a mesh."""
+        before = None if self.before is None else self.before.of_part()
+        return dataclasses.replace(self, before=before, judged=None)
 
     @property
     def ok(self) -> bool:
@@ -321,7 +326,8 @@ def judge(
         points = real_array("points", points, tuple(mesh.points.shape))
         before = judge(mesh, None, limits, part=part) if before is None else before
         judged = Judged(mesh, points, before.judged or Judged(mesh, mesh.points), steps, is_straight)
-    return _verdict(judged, limits, before if points is not None else None, part)
+    verdict = _verdict(judged, limits, before if points is not None else None, part)
+    return verdict if part is None or points is None else verdict.of_part()
 
 
 def _verdict(judged: Judged, limits: Limits, before: Verdict | None, part: int | None) -> Verdict:
