@@ -17,7 +17,7 @@ NO_KEYS = ("job", "save_job", "set", *(field.name for field in dataclasses.field
 """Flags that are not keys of a job; `set` is a table of it."""
 
 TYPES = {int: (int,), float: (int, float), table: (str, dict)}
-"""Types in TOML by the type of a flag; others are text, which may be the name of a patch such as 5."""
+"""Types in TOML by the type of a flag; others are text, also the name of a patch such as 5."""
 
 WORDS = {int: ("a whole number", "whole numbers"), float: ("a number", "numbers")}
 
@@ -113,7 +113,7 @@ def with_job(command: str, words: Sequence[str]) -> tuple[list[str], argparse.Na
 
 
 def read_job(path: Path) -> dict[str, Any]:
-    """Reads the values of a job by the fields of a request. Raises `ValueError` for what is none."""
+    """Reads the values of a job by the fields of a request. Raises `ValueError` for others."""
     job = _known(path, "a job", read(str(path), path.read_bytes()), (*JOB, "set", "moving"))
     values = {name: key.from_toml(path, job[name]) for name, key in JOB.items() if name in job}
     moving = job.get("moving", [])

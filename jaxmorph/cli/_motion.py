@@ -202,7 +202,7 @@ class Patch(NamedTuple):
         return self.direction("axis") if is_given else None
 
     def vector(self, name: str) -> np.ndarray:
-        """Returns the d numbers of a flag, zeros without the flag. Raises `ValueError` for others."""
+        """Returns the d numbers of a flag, zeros without it. Raises `ValueError` for others."""
         values, d = getattr(self.group, name), self.dimension
         if values is None:
             return np.zeros(d)

@@ -1,4 +1,4 @@
-"""A motion of a mesh: its points step by step, the verdict on them, and the file that they become."""
+"""A motion of a mesh: its points step by step, the verdict on them, and their file."""
 
 import contextlib
 import dataclasses

@@ -117,8 +117,9 @@ class Piece:
     ) -> jm.Verdict:
         """Judges all pieces, each cell of which is in one: the same `Verdict` in every process.
 
-        `mesh`, `points` and `limits` are as `jaxmorph.judge` takes them, of this piece. Faces between
-        two pieces are not judged. It raises `ValueError`, in every process, as `jaxmorph.judge` does.
+        `mesh`, `points` and `limits` are as `jaxmorph.judge` takes them, of this piece. Faces
+        between two pieces are not judged. It raises `ValueError`, in every process, as
+        `jaxmorph.judge` does.
         """
 
         def of_piece() -> jm.Verdict:

@@ -61,7 +61,7 @@ window.addEventListener("resize", look);
 """Script of a page; words in capitals are replaced by the page's texts, colours and numbers."""
 
 HALF_VIEW = np.tan(np.deg2rad(15))
-"""Half of what the camera of a page sees across the smaller side of its window, over its distance."""
+"""Half of what the camera of a page sees across the smaller side, over its distance."""
 
 SEEN = 1.15
 """Width that the camera of a page sees, over the largest side of the scene."""

@@ -52,11 +52,9 @@ class HicksHenne(AbstractLinearShape):
         self.chord = Chord() if chord is None else chord
 
     def neutral(self) -> Float[Array, " k"]:
-        """Makes the heights that move nothing: zeros (k,)."""
         return jnp.zeros(len(self.centres))
 
     def at(self, x: Numbers) -> Operator:
-        """Computes the bumps at positions (m, d) once."""
         x = positions(x)
         t, _ = self.chord.coordinates(x)
         centres, widths = self.centres.astype(x.dtype)[None, :], self.widths.astype(x.dtype)[None, :]
@@ -93,11 +91,9 @@ class CST(AbstractLinearShape):
         self.order, self.exponents, self.chord = order, exponents, Chord() if chord is None else chord
 
     def neutral(self) -> Float[Array, " k"]:
-        """Makes the weights that add nothing: zeros (order + 2,)."""
         return jnp.zeros(self.order + 2)
 
     def at(self, x: Numbers) -> Operator:
-        """Computes the functions at positions (m, d) once."""
         x = positions(x)
         t, _ = self.chord.coordinates(x)
         beyond = slack(t.dtype)
@@ -160,11 +156,9 @@ class BSplineCurve(AbstractLinearShape):
         self.dimension = known.shape[1]
 
     def neutral(self) -> Float[Array, "k d"]:
-        """Makes the control displacements that move nothing."""
         return jnp.zeros((self.count, self.dimension))
 
     def at(self, x: Numbers) -> Operator:
-        """Computes the weights of the wall's nodes, in the order of `points`."""
         x = positions(x)
         if (*self.shares.shape, self.dimension) != x.shape:
             raise ValueError(f"this curve has {len(self.shares)} nodes in {self.dimension}-D; `x` has shape {x.shape}.")
@@ -196,7 +190,6 @@ class Modes(AbstractLinearShape):
             raise ValueError(f"`fields` has shape {self.fields.shape}; expected (k, m, d).")
 
     def neutral(self) -> Float[Array, " k"]:
-        """Makes the amplitudes that move nothing: zeros (k,)."""
         return jnp.zeros(len(self.fields))
 
     def at(self, x: Numbers) -> Operator:
@@ -247,7 +240,6 @@ class NACA4(AbstractShape):
         self.chord = Chord() if chord is None else chord
 
     def neutral(self) -> Float[Array, " 3"]:
-        """Makes the parameters of the given airfoil."""
         return self.original
 
     def __call__(self, x: Numbers, parameters: Numbers) -> Float[Array, "m d"]:

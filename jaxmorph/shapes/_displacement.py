@@ -50,8 +50,6 @@ def path(shape: AnyShape, x: Numbers, parameters: PyTree, steps: int) -> Float[A
     - `parameters`: the parameters at the end.
     - `steps`: 1 or more.
 
-    **Returns:** displacements (k, m, d).
-
     **Raises:** `ValueError` for no steps, for a plain function in several steps, and as
     `displacement` does.
     """
@@ -82,8 +80,6 @@ def pullback(shape: AnyShape, plan: Plan | Sequence[Plan], parameters: PyTree, c
     - `parameters`: the parameters that moved the mesh.
     - `cotangent`: dJ/d(points) (n, d) at the moved mesh.
 
-    **Returns:** dJ/d(parameters), of the structure of `parameters`.
-
     **Raises:** `ValueError` for another number of nodes, and as `path` does.
     """
     check_parameters(parameters)
@@ -113,8 +109,6 @@ def project(shape: AnyShape, x: Numbers, parameters: PyTree, gradient: Numbers) 
     - `x`: undeformed positions (m, d) of the wall.
     - `parameters`: the parameters that moved the wall.
     - `gradient`: dJ/d(positions) (m, d) of the moved wall.
-
-    **Returns:** dJ/d(parameters), of the structure of `parameters`.
 
     **Raises:** `ValueError` for another number of rows, and as `displacement` does.
     """
@@ -162,8 +156,6 @@ def names(parameters: PyTree) -> list[str]:
     **Arguments:**
 
     - `parameters`: what a shape takes.
-
-    **Returns:** a name for each number.
     """
     check_parameters(parameters)
     return [name for stem, leaf in _leaves(parameters) for name in _of_numbers(stem, np.shape(leaf))]

@@ -66,8 +66,6 @@ def fit(
     - `start`: parameters to begin with; `shape.neutral()` by default.
     - `max_steps`: of the iteration.
 
-    **Returns:** a `Fit`.
-
     **Raises:** `ValueError` for different shapes, values that are not finite, no `start` for a
     function, and parameters of which none moves a point.
     """
@@ -82,7 +80,8 @@ def fit(
     def miss(flat, _=None):
         return (shape(points, unravel(flat)) - targets).ravel()
 
-    if not isinstance(shape, AbstractLinearShape):
+    is_linear = isinstance(shape, AbstractLinearShape)
+    if not is_linear:
         import optimistix  # not before it is needed: it takes a quarter of a second
 
         solver = optimistix.LevenbergMarquardt(rtol=1e-12, atol=1e-14)
@@ -93,10 +92,8 @@ def fit(
         raise ValueError(
             f"none of {len(flat)} parameters moves one of the {len(points)} points: are they outside the box?"
         )
-    if isinstance(shape, AbstractLinearShape):
-        flat = flat + change
-    residual = jnp.linalg.norm(miss(flat).reshape(points.shape), axis=1)
-    return Fit(unravel(flat), residual, rank, len(flat))
+    flat = flat + change if is_linear else flat
+    return Fit(unravel(flat), jnp.linalg.norm(miss(flat).reshape(points.shape), axis=1), rank, len(flat))
 
 
 @checked

@@ -92,8 +92,6 @@ class FreeForm(AbstractLinearShape):
         - `margin`: room on each side, relative to the longest edge of the points' box. Default
           0.05.
 
-        **Returns:** a `FreeForm`.
-
         **Raises:** `ValueError` as the class does, and for points in one plane without a margin.
         """
         points = positions(points, "points")
@@ -107,7 +105,6 @@ class FreeForm(AbstractLinearShape):
         return FreeForm(low - space, jnp.diag(high - low + 2 * space), counts, degree=degree, continuity=continuity)
 
     def neutral(self) -> Float[Array, "..."]:
-        """Makes the control displacements that move nothing: zeros (*counts, d)."""
         return jnp.zeros(self._shape)
 
     @property
@@ -119,7 +116,6 @@ class FreeForm(AbstractLinearShape):
         return free
 
     def at(self, x: Numbers) -> Operator:
-        """Computes the weights of positions (m, d) once, for many control displacements."""
         x = positions(x)
         if x.shape[1] != len(self.counts):
             raise ValueError(f"`x` has shape {x.shape}; this box is in {len(self.counts)}-D.")
@@ -192,10 +188,7 @@ class FreeForm(AbstractLinearShape):
 
     @checked
     def raise_if_outside(self, x: Numbers) -> None:
-        """Raises where positions (m, d) that the box should hold are outside, and would stay.
-
-        **Raises:** `ValueError` with the number of positions and the first of them.
-        """
+        """Raises `ValueError` where positions (m, d) are outside the box, and would stay."""
         known = known_positions(x)
         outside = np.flatnonzero(~np.asarray(self.holds(self.coordinates(jnp.asarray(known)))))
         if len(outside):
@@ -206,15 +199,14 @@ class FreeForm(AbstractLinearShape):
 
     @checked
     def raise_if_torn(self, x: Numbers, control: Numbers) -> None:
-        """Raises where the border of the box passes nodes outside, and so tears a wall.
+        """Raises `ValueError` where the border of the box passes nodes outside: it tears a wall.
+
+        These nodes are nearer to the border than it moves there.
 
         **Arguments:**
 
         - `x`: positions (m, d) of the wall.
         - `control`: displacements (*counts, d) of the control points.
-
-        **Raises:** `ValueError` with the number of nodes that are nearer to the border than it
-        moves there.
         """
         x = known_positions(x)
         t = np.asarray(self.coordinates(jnp.asarray(x)))
@@ -236,10 +228,7 @@ def _carried(weights: Rows | Blocks, free: Array | None, control: Float[Array, "
 
 
 def _checked_counts(counts: Any, degree: Any, d: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Returns the numbers of control points and the degrees, one for each of d directions.
-
-    Raises `ValueError` for numbers that make no lattice.
-    """
+    """Returns numbers of control points and degrees, one for each of d directions."""
     if any(int(count) != count for count in counts):
         raise ValueError(f"`counts` is {tuple(counts)}; expected whole numbers.")
     counts = tuple(int(count) for count in counts)
@@ -264,47 +253,33 @@ def _link_matrix(
     - `mirror`: the direction of the lattice that is reflected, and the signs (d,) of the
       reflection.
     """
-    counts, d = free.shape[:-1], free.shape[-1]
-    ids = np.arange(free.size).reshape(free.shape)
-    pairs = [(ids[group[0]], ids[control], np.ones(d, int)) for group in groups for control in group[1:]]
+    ids, count = np.arange(free.size).reshape(free.shape), free.size
+    pairs = [(ids[:0], ids[:0], ids[:0])]
+    pairs += [(ids[group[0]], ids[control], np.ones(free.shape[-1])) for group in groups for control in group[1:]]
     if mirror is not None:
-        axis, signs = mirror
-        images = np.flip(ids, axis=axis).reshape(-1, d)
-        pairs += [(row, image, signs) for row, image in zip(ids.reshape(-1, d), images, strict=True)]
-    a, b, sign = (np.concatenate([np.asarray(pair[k]) for pair in pairs] or [np.zeros(0, int)]) for k in range(3))
+        pairs.append((ids, np.flip(ids, axis=mirror[0]), np.broadcast_to(mirror[1], ids.shape)))
+    a, b, sign = (np.concatenate([array.ravel() for array in arrays]) for arrays in zip(*pairs, strict=True))
     # each displacement stands twice, as itself and as its opposite (+ count); what is linked to its
-    # own opposite is zero
-    count = int(np.prod(counts)) * d
+    # own opposite is zero; the first of a part has the lower label
     opposite = np.where(sign < 0, count, 0)
     rows, columns = np.concatenate([a, a + count]), np.concatenate([b + opposite, b + count - opposite])
-    labels = parts_of(rows, columns, 2 * count)
-    itself, other = labels[:count], labels[count:]
-    rests = np.concatenate([itself[~free.ravel()], other[~free.ravel()]])
-    moves = (itself != other) & ~np.isin(itself, rests)
-    least = np.minimum(itself, other)
-    names, column = np.unique(least[moves], return_inverse=True)
-    matrix = np.zeros((count, len(names)))
-    matrix[np.flatnonzero(moves), column] = np.where(itself < other, 1.0, -1.0)[moves]
-    first = np.array([matrix[np.flatnonzero(matrix[:, k])[0], k] for k in range(len(names))])
-    return matrix * first if len(names) else matrix
+    itself, other = parts_of(rows, columns, 2 * count).reshape(2, count)
+    moves = (itself != other) & ~np.isin(itself, [itself[~free.ravel()], other[~free.ravel()]])
+    parts, column = np.unique(np.minimum(itself, other)[moves], return_inverse=True)
+    matrix = np.zeros((count, len(parts)))
+    matrix[moves, column] = np.where(itself < other, 1.0, -1.0)[moves]
+    return matrix
 
 
 def _check_groups(groups: Sequence[Sequence[tuple[int, ...]]], counts: tuple[int, ...]) -> None:
-    """Raises `ValueError` for entries of `groups` that are no control points of a lattice."""
-
-    def is_control(control: tuple[int, ...]) -> bool:
-        return len(control) == len(counts) and all(0 <= i < count for i, count in zip(control, counts, strict=True))
-
-    bad = [control for group in groups for control in group if not is_control(control)]
+    lattice = set(np.ndindex(counts))
+    bad = [control for group in groups for control in group if tuple(control) not in lattice]
     if bad:
         raise ValueError(f"{len(bad)} entries of `groups` are no control of {counts}, first {bad[0]}.")
 
 
 def _reflection(axes: Float[np.ndarray, "d d"], mirror: int) -> tuple[int, np.ndarray]:
-    """Returns the mirrored direction of a lattice, and the signs (d,) of its reflection.
-
-    Raises `ValueError` for an edge of the box that is along no axis.
-    """
+    """Returns the mirrored direction of a lattice, and the signs (d,) of its reflection."""
     if whole("mirror", mirror, 0) >= len(axes):
         raise ValueError(f"`mirror` is {mirror}; the lattice has directions 0 to {len(axes) - 1}.")
     edge = np.abs(axes[mirror])

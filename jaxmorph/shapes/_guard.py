@@ -95,17 +95,17 @@ class MeshGuard(Module):
     @checked
     def value(self, design: Numbers) -> float:
         """Computes the constraint at design variables (p,), for optimisers that call NumPy."""
-        return float(_value(self, _flat(design)))
+        return float(eqx.filter_jit(self)(_flat(design)))
 
     @checked
     def smallest(self, design: Numbers) -> float:
         """Computes the smallest ratio itself, which has kinks, at design variables (p,)."""
-        return float(_smallest(self, _flat(design)))
+        return float(eqx.filter_jit(self.mesh.ratios)(_flat(design)).min())
 
     @checked
     def gradient(self, design: Numbers) -> Float[np.ndarray, " p"]:
         """Computes the derivative by each design variable (p,), for optimisers that call NumPy."""
-        return np.asarray(_gradient(self, _flat(design)), float)
+        return np.asarray(eqx.filter_jit(eqx.filter_grad(self))(_flat(design)), float)
 
     @checked
     def quality_rows(self, design: Numbers, count: int) -> QualityRows:
@@ -119,15 +119,25 @@ class MeshGuard(Module):
         - `design`: (p,).
         - `count`: rows, at most as many as the cells have Jacobians.
 
-        **Returns:** `QualityRows`.
-
         **Raises:** `ValueError` for more rows than Jacobians.
         """
-        cells = self.mesh.bounds.cells
-        if whole("count", count) > (total := (cells >= 0).sum()):
+        values, chosen, matrix = eqx.filter_jit(self._rows)(_flat(design), self._checked_count(count))
+        cells = self.mesh.bounds.cells[np.asarray(chosen)]
+        return QualityRows(np.asarray(values, float), np.asarray(matrix, float), cells)
+
+    def _checked_count(self, count: int) -> int:
+        if whole("count", count) > (total := (self.mesh.bounds.cells >= 0).sum()):
             raise ValueError(f"`count` is {count}; the cells have {total} Jacobians.")
-        values, chosen, matrix = _rows(self, _flat(design), count)
-        return QualityRows(np.asarray(values, float), np.asarray(matrix, float), cells[np.asarray(chosen)])
+        return count
+
+    def _rows(
+        self, design: Float[Array, " p"], count: int
+    ) -> tuple[Float[Array, " k"], Int[Array, " k"], Float[Array, "k p"]]:
+        ratios = self.mesh.ratios(design)
+        chosen = jax.lax.top_k(-ratios, count)[1]
+        slopes = jax.jacfwd if len(design) <= count else jax.jacrev
+        matrix = slopes(lambda design: self.mesh.ratios(design)[chosen])(design)
+        return ratios[chosen] - self.bound, chosen, matrix
 
     def constraint(self, count: int | None = None) -> dict[str, Any]:
         """Makes the constraint of `scipy.optimize.minimize` with its derivative.
@@ -136,6 +146,7 @@ class MeshGuard(Module):
         """
         if count is None:
             return {"type": "ineq", "fun": self.value, "jac": self.gradient}
+        count = self._checked_count(count)
         rows = functools.lru_cache(1)(lambda design: self.quality_rows(np.frombuffer(design), count))
         at = lambda design: rows(np.asarray(design, float).tobytes())  # noqa: E731
         return {"type": "ineq", "fun": lambda design: at(design).values, "jac": lambda design: at(design).matrix}
@@ -168,29 +179,3 @@ class MeshGuard(Module):
 
 def _flat(design: Any) -> Float[Array, " p"]:
     return jnp.asarray(finite_array("design", design, (None,)), float)
-
-
-@eqx.filter_jit
-def _value(guard: MeshGuard, design: Float[Array, " p"]) -> Float[Array, ""]:
-    return guard(design)
-
-
-@eqx.filter_jit
-def _smallest(guard: MeshGuard, design: Float[Array, " p"]) -> Float[Array, ""]:
-    return guard.mesh.ratios(design).min()
-
-
-@eqx.filter_jit
-def _gradient(guard: MeshGuard, design: Float[Array, " p"]) -> Float[Array, " p"]:
-    return jax.grad(guard)(design)
-
-
-@eqx.filter_jit
-def _rows(
-    guard: MeshGuard, design: Float[Array, " p"], count: int
-) -> tuple[Float[Array, " k"], Int[Array, " k"], Float[Array, "k p"]]:
-    ratios = guard.mesh.ratios(design)
-    chosen = jax.lax.top_k(-ratios, count)[1]
-    slopes = jax.jacfwd if len(design) <= count else jax.jacrev
-    matrix = slopes(lambda design: guard.mesh.ratios(design)[chosen])(design)
-    return ratios[chosen] - guard.bound, chosen, matrix

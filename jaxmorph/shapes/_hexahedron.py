@@ -92,7 +92,6 @@ class Hexahedron(AbstractLinearShape):
         return np.asarray(self.corners)[tuple(ORDER[len(self.counts)].T)]
 
     def neutral(self) -> Float[Array, "..."]:
-        """Makes the control displacements that move nothing: zeros (*counts, d)."""
         return self.box.neutral()
 
     def at(self, x: Numbers) -> Operator:

@@ -11,9 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._host.package.arguments import checked
+from .._host.package.arguments import checked, finite_array
 from .._kernels.values import clipped, is_known
-from ._arguments import Number, Numbers, axis_for, check_finite, direction, number, positions, positive, vector
+from ._arguments import Number, Numbers, axis_for, direction, number, positions, positive, vector
 from ._shape import AbstractShape
 
 
@@ -28,8 +28,6 @@ def rotate(x: Numbers, angle: Number | Numbers, about: Numbers, axis: Numbers | 
       (m,); 0 is neutral.
     - `about`: a point (d,) that stays.
     - `axis`: direction (3,) of any length; only in 3-D.
-
-    **Returns:** positions (m, d).
 
     **Raises:** `ValueError` for wrong shapes, an axis in 2-D, none in 3-D, or one without length.
     """
@@ -48,8 +46,6 @@ def translate(x: Numbers, by: Numbers) -> Float[Array, "m d"]:
     - `x`: positions (m, d).
     - `by`: vector (d,), in the units of `x`; 0 is neutral.
 
-    **Returns:** positions (m, d).
-
     **Raises:** `ValueError` for wrong shapes.
     """
     x = positions(x)
@@ -65,8 +61,6 @@ def scale(x: Numbers, factors: Numbers | Number, about: Numbers) -> Float[Array,
     - `x`: positions (m, d).
     - `factors`: one number, or one for each coordinate (d,); 1 is neutral.
     - `about`: a point (d,) that stays.
-
-    **Returns:** positions (m, d).
 
     **Raises:** `ValueError` for wrong shapes.
     """
@@ -90,8 +84,6 @@ def twist(x: Numbers, angle: Number, about: Numbers, axis: Numbers, length: Numb
     - `about`: the point (3,) on the axis where the twist begins.
     - `axis`: direction (3,) in which it grows.
     - `length`: distance over which it grows, above 0.
-
-    **Returns:** positions (m, 3).
 
     **Raises:** `ValueError` for positions in 2-D, for wrong shapes, and for an axis or a length
     that is 0.
@@ -123,8 +115,6 @@ def bend(
     - `along`: direction (d,) of the line.
     - `length`: length of the arc, above 0.
     - `axis`: direction (3,) about which the line turns, at right angles to it; only in 3-D.
-
-    **Returns:** positions (m, d).
 
     **Raises:** `ValueError` for wrong shapes, directions or a length that are 0, and an axis not at
     right angles to the line.
@@ -203,16 +193,14 @@ class ReferenceAxis(AbstractShape):
         spanwise: Numbers = (0.0, 1.0, 0.0),
         cubic: bool = False,
     ):
-        known, along, across = np.asarray(points, float), np.asarray(chordwise, float), np.asarray(spanwise, float)
-        check_finite(points=known, chordwise=along, spanwise=across)
-        if along.shape != (3,) or across.shape != (3,) or not along.any() or not across.any():
-            raise ValueError(f"`chordwise` is {along}, `spanwise` {across}; expected directions (3,).")
+        known = finite_array("points", points, (None, 3))
+        along, across = finite_array("chordwise", chordwise, (3,)), finite_array("spanwise", spanwise, (3,))
         along, across = along / np.linalg.norm(along), across / np.linalg.norm(across)
-        if abs(along @ across) > 1e-9:
+        if not abs(along @ across) <= 1e-9:
             raise ValueError(
-                f"`chordwise` and `spanwise` must be at right angles; their cosine is {along @ across:.3g}."
+                f"`chordwise` and `spanwise` must be directions at right angles; their cosine is {along @ across:.3g}."
             )
-        if known.ndim != 2 or known.shape[1] != 3 or len(known) < 2:
+        if len(known) < 2:
             raise ValueError(f"`points` has shape {known.shape}; expected (k, 3), k >= 2.")
         steps = np.diff(known @ across)
         if not (steps > 0).all():
@@ -221,7 +209,6 @@ class ReferenceAxis(AbstractShape):
         self.cubic = cubic
 
     def neutral(self) -> dict[str, Float[Array, " k"]]:
-        """Makes the parameters that move nothing."""
         return {name: jnp.full(len(self.points), value) for name, value in NEUTRAL.items()}
 
     def __call__(self, x: Numbers, parameters: Mapping[str, Any]) -> Float[Array, "m 3"]:

@@ -8,10 +8,10 @@ from jaxtyping import Array, Bool, Float, Int
 from scipy.spatial import KDTree
 
 from .._host.cells.adjacency import parts_of
-from .._host.package.arguments import checked
+from .._host.package.arguments import checked, finite_array
 from .._kernels.module import Module
-from ._arguments import Numbers, check_finite, known_positions, rows_of
-from ._walls import triangles_of
+from ._arguments import Numbers, known_positions, rows_of
+from ._walls import simplices_of
 
 WINDOW = 14
 """Nodes around a node that decide on which side of an airfoil it is."""
@@ -49,18 +49,18 @@ class Chord(Module):
 
     @checked
     def __init__(self, nose: Numbers = (0.0, 0.0), tail: Numbers = (1.0, 0.0), up: Numbers | None = None):
-        nose, tail = np.asarray(nose, float), np.asarray(tail, float)
-        if nose.shape not in ((2,), (3,)) or nose.shape != tail.shape or (nose == tail).all():
-            raise ValueError(f"a chord from {nose} to {tail}: expected two different points in 2-D or 3-D.")
+        nose = finite_array("nose", nose, (2,), (3,))
+        tail = finite_array("tail", tail, nose.shape)
+        if (nose == tail).all():
+            raise ValueError(f"a chord from {nose} to {tail}: expected two different points.")
         if up is None and len(nose) == 3:
             raise ValueError("`up` is missing: a chord in 3-D needs the direction across it.")
-        check_finite(nose=nose, tail=tail, up=up)
         along = (tail - nose) / np.linalg.norm(tail - nose)
-        across = np.array([-along[1], along[0]]) if up is None else np.asarray(up, float)
-        if across.shape != nose.shape or not np.linalg.norm(across) > 0:
+        across = np.array([-along[1], along[0]]) if up is None else finite_array("up", up, nose.shape)
+        if not across.any():
             raise ValueError(f"`up` is {across}; expected a direction ({len(nose)},).")
-        self.nose, self.tail = jnp.asarray(nose), jnp.asarray(tail)
-        self.up = jnp.asarray(across / np.linalg.norm(across))
+        self.nose, self.tail = jnp.asarray(nose, float), jnp.asarray(tail, float)
+        self.up = jnp.asarray(across / np.linalg.norm(across), float)
 
     @property
     def length(self) -> Float[Array, ""]:
@@ -117,8 +117,12 @@ def upper_side(points: Numbers, chord: Chord | None = None, *, wall: Any = None)
     x = known_positions(points, "points").astype(float)
     ids = np.arange(len(x))
     if wall is not None:
-        ids = triangles_of(wall, x.shape) if x.shape[1] == 3 else _loop_rows(wall, len(x))
+        ids = simplices_of(wall, x.shape) if x.shape[1] == 3 else rows_of("wall", wall, len(x))
     rows = np.unique(ids)
+    if x.shape[1] == 2 and wall is not None and (ids.ndim != 1 or not 3 <= len(ids) == len(rows)):
+        raise ValueError(
+            f"`wall` has shape {ids.shape}; a wall in 2-D is a loop (k,) of three different nodes or more."
+        )
     chord = Chord.along(x[rows]) if chord is None else chord
     t, height = (np.asarray(values, float) for values in chord.coordinates(jnp.asarray(x)))
     places = np.column_stack([t, height / float(chord.length)])
@@ -132,15 +136,6 @@ def upper_side(points: Numbers, chord: Chord | None = None, *, wall: Any = None)
     if upper[rows].all() or not upper.any():
         raise ValueError(f"{len(rows)} nodes do not show the two sides of an airfoil around its chord.")
     return upper
-
-
-def _loop_rows(wall: Any, count: int) -> Int[np.ndarray, " k"]:
-    loop = rows_of("wall", wall, count)
-    if loop.ndim != 1 or len(loop) < 3 or len(np.unique(loop)) < len(loop):
-        raise ValueError(
-            f"`wall` has shape {loop.shape}; a wall in 2-D is a loop (k,) of three different nodes or more."
-        )
-    return loop
 
 
 def _by_faces(
@@ -243,11 +238,9 @@ def _cut(corners: Float[np.ndarray, "k 2"], place: float) -> tuple[int, int]:
 
 def _blunt(corners: Float[np.ndarray, "k 2"], first: int, last: int) -> tuple[int, int]:
     """Extends one corner of a blunt tail to both of its corners."""
-    edges = np.roll(corners, -1, axis=0) - corners
-    lengths = np.linalg.norm(edges, axis=1)
-    before = np.roll(edges, 1, axis=0)
+    edges, count = np.roll(corners, -1, axis=0) - corners, len(corners)
+    lengths, before = np.linalg.norm(edges, axis=1), np.roll(edges, 1, axis=0)
     turn = np.sum(edges * before, axis=1) / (lengths * np.linalg.norm(before, axis=1))
-    count = len(corners)
     if first == last or not SHARP < turn[first % count] < CORNER:
         return first, last
     ways = []

@@ -87,7 +87,6 @@ class Function(AbstractShape):
         check_fields(self)
 
     def neutral(self) -> PyTree:
-        """Returns the parameters that move nothing."""
         return self.rest
 
     def __call__(self, x: Numbers, parameters: PyTree) -> Float[Array, "m d"]:
@@ -119,7 +118,6 @@ class Chain(AbstractShape):
         self.names, self.shapes = tuple(shapes), tuple(shapes.values())
 
     def neutral(self) -> dict[str, PyTree]:
-        """Makes the parameters that move nothing."""
         return {name: shape.neutral() for name, shape in zip(self.names, self.shapes, strict=True)}
 
     def __call__(self, x: Numbers, parameters: Mapping[str, Any]) -> Float[Array, "m d"]:
@@ -158,7 +156,6 @@ class OnRows(AbstractShape):
         self.shape, self.rows = shape, as_jax(rows)
 
     def neutral(self) -> PyTree:
-        """Makes the parameters that move nothing."""
         return self.shape.neutral()
 
     def __call__(self, x: Numbers, parameters: PyTree) -> Float[Array, "m d"]:
@@ -195,11 +192,9 @@ class Linked(AbstractLinearShape):
             )
 
     def neutral(self) -> Float[Array, " q"]:
-        """Makes the parameters that move nothing: zeros (q,)."""
         return jnp.zeros(self.matrix.shape[1], self.matrix.dtype)
 
     def at(self, x: Numbers) -> Operator:
-        """Computes the weights of positions (m, d) once."""
         x = positions(x)
         arrays = self.matrix.astype(x.dtype), self.shape.at(x), self.shape.neutral()
         return Operator(_linked, arrays, self.matrix.shape[1:])
@@ -226,11 +221,9 @@ class Together(AbstractLinearShape):
         self.shapes = shapes
 
     def neutral(self) -> tuple[PyTree, ...]:
-        """Makes the parameters that move nothing."""
         return tuple(shape.neutral() for shape in self.shapes)
 
     def at(self, x: Numbers) -> Operator:
-        """Computes the weights of positions (m, d) once."""
         return Operator(_summed, tuple(shape.at(x) for shape in self.shapes))
 
 
@@ -264,11 +257,9 @@ class Part(AbstractLinearShape):
         self.shape, self.kept = shape, jnp.asarray(kept)
 
     def neutral(self) -> PyTree:
-        """Makes the parameters that move nothing."""
         return self.shape.neutral()
 
     def at(self, x: Numbers) -> Operator:
-        """Computes the weights of positions (m, d) once."""
         x = positions(x)
         if self.kept.shape != x.shape[:1]:
             raise ValueError(f"`kept` has {len(self.kept)} rows for {len(x)} positions.")

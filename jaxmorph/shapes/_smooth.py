@@ -21,7 +21,7 @@ from .._host.package.arguments import between, checked, rows_of
 from .._kernels.callback import host_call
 from ._arguments import Numbers, known_positions, positions
 from ._shape import AbstractLinearShape, Operator
-from ._walls import face_arrays, wall_faces
+from ._walls import faces_of, wall_faces
 
 
 class Smoother(AbstractLinearShape):
@@ -82,8 +82,6 @@ class Smoother(AbstractLinearShape):
         - `patch`: the name of the wall's patch.
         - `length`, `held`: as the class takes them.
 
-        **Returns:** a `Smoother`.
-
         **Raises:** `ValueError` as the class does, and for a patch without faces.
         """
         nodes = mesh.patch(patch)
@@ -91,7 +89,6 @@ class Smoother(AbstractLinearShape):
         return Smoother(np.asarray(mesh.points)[nodes], own_rows, length, held=held)
 
     def neutral(self) -> Float[Array, "m d"]:
-        """Makes the parameters that move nothing: zeros (m, d)."""
         return jnp.zeros((len(self.masses), self.dimension))
 
     def at(self, x: Numbers) -> Operator:
@@ -128,20 +125,11 @@ def _pieces(faces: Any, points: np.ndarray) -> list[tuple[np.ndarray, float]]:
 
     A quad becomes its four corner triangles with half their weight.
     """
-    pieces, d = [], points.shape[1]
-    for ids in face_arrays(faces):
-        if ids.ndim != 2 or ids.shape[1] not in ((2,) if d == 2 else (3, 4)) or ids.dtype.kind not in "iu":
-            raise ValueError(
-                f"`faces` has shape {ids.shape} of {ids.dtype}; walls in {d}-D have {'(k, 2)' if d == 2 else '(k, 3) or (k, 4)'}."
-            )
-        if ids.size and (ids.min() < 0 or ids.max() >= len(points)):
-            raise ValueError(f"`faces` names node {ids.max()} of {len(points)}.")
-        if ids.shape[1] == 4:
-            corners = ids[:, [(0, 1, 2), (0, 2, 3), (0, 1, 3), (1, 2, 3)]]
-            pieces.append((np.concatenate(corners.swapaxes(0, 1)), 0.5))
-        else:
-            pieces.append((ids, 1.0))
-    return pieces
+    corners = [(0, 1, 2), (0, 2, 3), (0, 1, 3), (1, 2, 3)]
+    return [
+        (np.concatenate([ids[:, three] for three in corners]), 0.5) if ids.shape[1] == 4 else (ids, 1.0)
+        for ids in faces_of(faces, points.shape)
+    ]
 
 
 def _elements(points: np.ndarray, pieces: list[tuple[np.ndarray, float]]) -> tuple[np.ndarray, Any]:

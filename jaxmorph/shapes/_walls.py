@@ -21,29 +21,21 @@ from ._arguments import Numbers, check_finite, known_positions, positions, rows_
 
 @checked
 def wall_loop(mesh: Mesh, patch: str) -> Int[np.ndarray, " k"]:
-    """Finds the nodes of a closed wall in 2-D in order, counter-clockwise.
-
-    **Arguments:**
-
-    - `mesh`: a `Mesh` in 2-D.
-    - `patch`: the name of the wall's patch.
-
-    **Returns:** node ids (k,).
+    """Finds the nodes (k,) of a closed wall, a patch of a mesh in 2-D, in order, counter-clockwise.
 
     **Raises:** `ValueError` for a patch that is not one closed loop, with a node where it ends or
     branches.
     """
-    segments = boundary_faces(mesh, patch).get("line", np.zeros((0, 2), int))
+    segments = wall_faces(mesh, patch).get("line", np.zeros((0, 2), int))
     ends, degree = np.unique(segments, return_counts=True)
-    if len(segments) == 0 or (degree != 2).any():
-        where = f", first node {ends[degree != 2][0]}" if len(segments) else ""
-        raise ValueError(f"patch {patch!r} is no closed loop: {(degree != 2).sum()} ends or branches{where}.")
+    bad = ends[degree != 2]
+    if len(bad) or not len(ends):
+        raise ValueError(f"patch {patch!r} is no closed loop: {len(bad)} ends or branches, first nodes {bad[:1]}.")
     beside: dict[int, list[int]] = {int(node): [] for node in ends}
     for a, b in segments.tolist():
         beside[a].append(b)
         beside[b].append(a)
-    loop = [int(ends[0])]
-    loop.append(beside[loop[0]][0])
+    loop = [int(ends[0]), beside[int(ends[0])][0]]
     while (following := next(n for n in beside[loop[-1]] if n != loop[-2])) != loop[0]:
         loop.append(following)
     if len(loop) != len(ends):
@@ -57,16 +49,9 @@ def wall_loop(mesh: Mesh, patch: str) -> Int[np.ndarray, " k"]:
 def wall_normals(mesh: Mesh, *patches: str) -> Float[np.ndarray, "m d"]:
     """Sums the areas of a wall's faces at its nodes: vectors from the body into the mesh.
 
-    It runs on the host.
-
     A face gives each of its corners an equal share of its area. In 2-D a node has half the edges
     beside it: its vector is at right angles to the line between its two neighbours. Solvers decide
     by it which side of an airfoil a node is on.
-
-    **Arguments:**
-
-    - `mesh`: a `Mesh` with cells.
-    - `patches`: names of the wall's patches.
 
     **Returns:** vectors (m, d), in the order of `mesh.patch(*patches)`; 0 for a node of no face.
 
@@ -94,26 +79,22 @@ def _areas(corners: Float[np.ndarray, "f c d"]) -> Float[np.ndarray, "f d"]:
     return np.cross(corners[:, 2] - corners[:, 0], corners[:, -1] - corners[:, 1]) / 2
 
 
-def face_arrays(faces: Any) -> list[np.ndarray]:
-    """Lists the arrays of faces that are one array or several."""
+def faces_of(faces: Any, shape: tuple[int, ...]) -> list[Int[np.ndarray, "k c"]]:
+    """Checks faces, one array or several, of a wall whose positions have a shape (n, d)."""
     is_list = isinstance(faces, list | tuple) and np.ndim(faces[0]) == 2
-    return [as_array("faces", ids) for ids in (faces if is_list else [faces])]
+    arrays, widths = [rows_of("faces", ids, shape[0]) for ids in (faces if is_list else [faces])], {2: (2,), 3: (3, 4)}
+    for ids in arrays:
+        if ids.ndim != 2 or ids.shape[1] not in widths[shape[1]] or not ids.size:
+            expected = " or ".join(f"(k, {width})" for width in widths[shape[1]])
+            raise ValueError(f"`faces` has shape {ids.shape}; walls in {shape[1]}-D have {expected}.")
+    return arrays
 
 
-def triangles_of(faces: Any, shape: tuple[int, ...]) -> Int[np.ndarray, "k 3"]:
-    """Cuts faces of a wall into triangles, given the shape (n, 3) of its positions.
-
-    Raises `ValueError` for faces of other shapes.
-    """
-    pieces = []
-    for ids in face_arrays(faces):
-        if shape[1] != 3 or ids.ndim != 2 or ids.shape[1] not in (3, 4) or ids.size == 0:
-            raise ValueError(
-                f"`x` has shape {shape}, `faces` {ids.shape}; expected (n, 3) and its rows (k, 3) or (k, 4)."
-            )
-        ids = rows_of("faces", ids, shape[0])
-        pieces += [ids[:, [0, k, k + 1]] for k in range(1, ids.shape[1] - 1)]
-    return np.concatenate(pieces)
+def simplices_of(faces: Any, shape: tuple[int, ...]) -> Int[np.ndarray, "k d"]:
+    """Cuts faces into segments in 2-D, triangles in 3-D."""
+    d = shape[1]
+    cuts = [(ids, [0, *range(k, k + d - 1)]) for ids in faces_of(faces, shape) for k in range(1, ids.shape[1] - d + 2)]
+    return np.concatenate([ids[:, corners] for ids, corners in cuts])
 
 
 @checked
@@ -125,8 +106,6 @@ def area(x: Numbers, loop: Any) -> Float[Array, ""]:
     - `x`: positions (n, 2).
     - `loop`: ids (k,) of the loop's nodes in order, as `wall_loop` returns them.
 
-    **Returns:** a number, in the square of the unit of `x`.
-
     **Raises:** `ValueError` for other shapes.
     """
     a, b = _segments(x, loop)
@@ -135,14 +114,7 @@ def area(x: Numbers, loop: Any) -> Float[Array, ""]:
 
 @checked
 def centroid(x: Numbers, loop: Any) -> Float[Array, " 2"]:
-    """Computes the centre of the area within a loop (2-D).
-
-    **Arguments:** `x` and `loop` as in `area`.
-
-    **Returns:** a position (2,).
-
-    **Raises:** `ValueError` for other shapes.
-    """
+    """Computes the centre (2,) of the area within a loop; arguments and errors as `area`."""
     x = positions(x)
     a, b = _segments(x, loop)
     origin = a[0]
@@ -162,13 +134,13 @@ def volume(x: Numbers, faces: Any, plane: Numbers | None = None) -> Float[Array,
     - `plane`: a point (3,) of the plane that closes an open wall, such as a symmetry plane; None
       for a closed wall.
 
-    **Returns:** a number, in the cube of the unit of `x`.
-
     **Raises:** `ValueError` for an open wall without a plane, and for a border that is not in one
     plane with the point.
     """
     x = positions(x)
-    triangles = triangles_of(faces, x.shape)
+    if x.shape[1] != 3:
+        raise ValueError(f"`x` has shape {x.shape}; expected (n, 3): a wall in 2-D has an `area`.")
+    triangles = simplices_of(faces, x.shape)
     origin = x[triangles[0, 0]] if plane is None else vector("plane", plane, x)
     _check_closed(x, triangles, None if plane is None else origin)
     a, b, c = (x[triangles[:, k]] - origin[None, :] for k in range(3))
@@ -184,27 +156,19 @@ def chord(x: Numbers, nose: Any, tail: Any) -> Float[Array, ""]:
     - `x`: positions (n, d).
     - `nose`, `tail`: a node, or several whose mean counts, as for a blunt tail.
 
-    **Returns:** a number, in the unit of `x`.
-
     **Raises:** `ValueError` for nodes that are no rows of `x`.
     """
     x = positions(x)
-    known = (rows_of(name, ids, len(x)) for name, ids in (("nose", nose), ("tail", tail)))
-    ends = [jnp.mean(x[np.atleast_1d(ids)], axis=0) for ids in known]
-    return jnp.linalg.norm(ends[1] - ends[0])
+    nose, tail = (np.atleast_1d(rows_of(name, ids, len(x))) for name, ids in (("nose", nose), ("tail", tail)))
+    return jnp.linalg.norm(jnp.mean(x[tail], axis=0) - jnp.mean(x[nose], axis=0))
 
 
 @checked
 def curvature(x: Numbers, loop: Any) -> Float[Array, " k"]:
     """Computes the curvature at each node of a loop (2-D), positive where convex.
 
-    It is the curvature of the circle through the node and its neighbours.
-
-    **Arguments:** `x` and `loop` as in `area`.
-
-    **Returns:** curvatures (k,), in the inverse unit of `x`.
-
-    **Raises:** `ValueError` for other shapes.
+    It is that of the circle through the node and its neighbours. Arguments and errors are those of
+    `area`.
     """
     x = positions(x)
     here, after = _segments(x, loop)
@@ -228,14 +192,9 @@ def leading_edge_radius(x: Numbers, loop: Any, tail: int, around: int = 4) -> Fl
     - `around`: nodes on each side of the nose, 1 or more. Their circle is the osculating circle to
       second order in their spacing.
 
-    **Returns:** a radius, in the unit of `x`.
-
     **Raises:** `ValueError` for a tail that is not in the loop, and for too many nodes.
     """
-    x = positions(x)
-    loop = rows_of("loop", loop, len(x))
-    if loop.ndim != 1:
-        raise ValueError(f"`loop` has shape {loop.shape}; expected the ids (k,) of the airfoil's nodes in order.")
+    x, loop = _loop_in(x, loop)
     if tail not in loop or not 1 <= around < len(loop) // 2:
         raise ValueError(
             f"node {tail} must be in the loop, and {around} nodes on each side of its nose fit in {len(loop)}."
@@ -256,23 +215,20 @@ def leading_edge_radius(x: Numbers, loop: Any, tail: int, around: int = 4) -> Fl
 
 @checked
 def trailing_edge_angle(x: Numbers, upper: Any, lower: Any) -> Float[Array, ""]:
-    """Computes the angle in radians between the two sides at the trailing edge.
+    """Computes the angle between the two sides at the trailing edge: radians, 0 or more.
 
     **Arguments:**
 
     - `x`: positions (n, 2).
     - `upper`, `lower`: two nodes (ahead, at the edge) of each side.
 
-    **Returns:** an angle in radians, 0 or more.
-
     **Raises:** `ValueError` for anything but two nodes.
     """
     x = positions(x)
-    upper, lower = as_array("upper", upper), as_array("lower", lower)
+    upper, lower = (rows_of(name, ids, len(x)) for name, ids in (("upper", upper), ("lower", lower)))
     if upper.shape != (2,) or lower.shape != (2,):
         raise ValueError(f"`upper` is {upper}, `lower` {lower}; expected two nodes each, (ahead, at the edge).")
-    known = (rows_of(name, ids, len(x)) for name, ids in (("upper", upper), ("lower", lower)))
-    a, b = (x[ids[1]] - x[ids[0]] for ids in known)
+    a, b = x[upper[1]] - x[upper[0]], x[lower[1]] - x[lower[0]]
     return jnp.abs(jnp.arctan2(_cross(a, b), a @ b))
 
 
@@ -281,11 +237,15 @@ def _cross(a: Float[Array, "*k 2"], b: Float[Array, "*k 2"]) -> Float[Array, "*k
 
 
 def _segments(x: Numbers, loop: Any) -> tuple[Float[Array, "k 2"], Float[Array, "k 2"]]:
+    x, loop = _loop_in(x, loop)
+    return x[loop], x[np.roll(loop, -1)]
+
+
+def _loop_in(x: Numbers, loop: Any) -> tuple[Float[Array, "n 2"], Int[np.ndarray, " k"]]:
     x, loop = positions(x), as_array("loop", loop)
     if x.shape[1] != 2 or loop.ndim != 1 or len(loop) < 3:
         raise ValueError(f"`x` has shape {x.shape} and `loop` {loop.shape}; expected (n, 2) and three nodes or more.")
-    loop = rows_of("loop", loop, len(x))
-    return x[loop], x[np.roll(loop, -1)]
+    return x, rows_of("loop", loop, len(x))
 
 
 def _check_closed(x: Float[Array, "n 3"], triangles: Int[np.ndarray, "k 3"], plane: Float[Array, " 3"] | None) -> None:
@@ -344,16 +304,12 @@ class Stations(Module):
             raise ValueError(
                 f"`x` has shape {x.shape}, `points` {points.shape}, `direction` {known.shape}; expected (n, d), (s, d), (d,)."
             )
-        lines = np.broadcast_to(known, points.shape)
-        if not np.linalg.norm(lines, axis=1).all():
+        lengths = np.linalg.norm(known, axis=-1, keepdims=True)
+        if not lengths.all():
             raise ValueError("`direction` has length 0; it must be a direction.")
-        lines = lines / np.linalg.norm(lines, axis=1)[:, None]
-        ids = as_array("faces", faces) if x.shape[1] == 2 else triangles_of(faces, x.shape)
-        if ids.ndim != 2 or ids.shape[1] != x.shape[1]:
-            raise ValueError(f"`faces` has shape {ids.shape}; walls in 2-D have segments (k, 2).")
-        rows_of("faces", ids, len(x))
-        chosen = np.zeros((len(points), 2, x.shape[1]), int)
-        missed, same = [], 1e-9 * np.ptp(x, axis=0).max()
+        lines = np.broadcast_to(known / lengths, points.shape)
+        ids, same = simplices_of(faces, x.shape), 1e-9 * np.ptp(x, axis=0).max()
+        chosen, missed = np.zeros((len(points), 2, x.shape[1]), int), []
         for s, (point, line) in enumerate(zip(points, lines, strict=True)):
             place, inside = _meets(x, ids, point, line)
             hits = np.flatnonzero(inside)
@@ -373,27 +329,24 @@ class Stations(Module):
 def thickness(x: Numbers, stations: Stations) -> Float[Array, " s"]:
     """Computes the distance between the two faces that each line meets.
 
+    The faces count as planes, beyond their corners too.
+
     **Arguments:**
 
     - `x`: positions (n, d) of the wall, moved or not; traced.
     - `stations`: from `Stations.on`.
 
-    **Returns:** thickness (s,), in the units of `x`; the faces count as planes, beyond their
-    corners too.
-
     **Raises:** `ValueError` for positions of another wall: another dimension, or fewer rows than
     the faces name.
     """
     x = positions(x)
-    if is_known(stations.faces) and x.shape[1] == stations.points.shape[1]:
-        rows_of("stations.faces", stations.faces, len(x))
-    elif x.shape[1] != stations.points.shape[1]:
+    if x.shape[1] != stations.points.shape[1]:
         raise ValueError(f"`x` has shape {x.shape}; the stations are in {stations.points.shape[1]}-D.")
+    if is_known(stations.faces):
+        rows_of("stations.faces", stations.faces, len(x))
     corners = x[stations.faces]
-    first, line = (
-        corners[:, :, 0],
-        jnp.broadcast_to(stations.directions.astype(x.dtype)[:, None], corners[:, :, 0].shape),
-    )
+    first = corners[:, :, 0]
+    line = jnp.broadcast_to(stations.directions.astype(x.dtype)[:, None], first.shape)
     if x.shape[1] == 2:
         edge = corners[:, :, 1] - first
         normal = jnp.stack([edge[..., 1], -edge[..., 0]], axis=-1)
