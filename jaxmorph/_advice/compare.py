@@ -185,7 +185,8 @@ def _tried(boundary: Boundary, motions: Float[np.ndarray, "s m d"], name: str, m
             plan = plan_of(boundary, make())
         except (ValueError, ImportError) as error:  # ImportError: a solver for large 3-D meshes is not installed
             return Trial(name, refused=str(error) or repr(error)), None
-    mesh, vectors = boundary.mesh, [jnp.asarray(u, plan.points.dtype) for u in motions]
+    mesh: Any = boundary.mesh
+    vectors = [jnp.asarray(u, plan.points.dtype) for u in motions]
     moved = [deform(plan, u) for u in vectors]
     jax.block_until_ready(moved)
     began = time.process_time()
