@@ -1,4 +1,4 @@
-"""Stages of `improve`, each a minimum by Newton's method: a barrier that sharpens, then a bound that falls."""
+"""Stages of `improve`, each a minimum by Newton's method: a barrier, then a falling bound."""
 
 import dataclasses
 import functools
