@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Callable
 
 import _snapped
+import faults
 import numpy as np
 from _walls import bump, camber, flap, pitch, up
 
@@ -135,8 +136,8 @@ def all_cases(points: int) -> list[Case]:
     """Generated meshes of about so many points in 2-D, and a few times as many in 3-D."""
     around = max(60, int((points / 0.5) ** 0.5))
     c_grid, viscous = cases.naca0015(points=points), cases.naca4("4412", points=points)
-    o_grid = cases.sharp_o_grid(around=around, layers=points // around, first_cell=1e-5)
-    blade = cases.cascade(around=around, layers=points // around)
+    o_grid = faults.sharp_o_grid(around=around, layers=points // around, first_cell=1e-5)
+    blade = faults.cascade(around=around, layers=points // around)
     wing = cases.wing(points=max(300, points // 5), stations=7)
     far = ("farfield",)
     return [

@@ -10,7 +10,7 @@ from meshes import lattice, sides, write_ring
 
 import jaxmorph as jm
 from jaxmorph import io
-from jaxmorph.cli import _method, main
+from jaxmorph.cli import main
 
 MOVE = ["--moving", "wall", "--fixed", "far", "--translate", "0.2", "0", "--rotate", "30"]
 
@@ -18,14 +18,14 @@ MOVE = ["--moving", "wall", "--fixed", "far", "--translate", "0.2", "0", "--rota
 @pytest.fixture
 def sizes(monkeypatch):
     """How many points each chunk has that is prepared by the command line."""
-    made, called = _method.chunks_of, []
+    made, called = jm.prepare_in_chunks, []
 
-    def counted(*arguments):
-        for nodes, plan in made(*arguments):
+    def counted(*arguments, **settings):
+        for nodes, plan in made(*arguments, **settings):
             called.append(len(plan.points))
             yield nodes, plan
 
-    monkeypatch.setattr(_method, "chunks_of", counted)
+    monkeypatch.setattr(jm, "prepare_in_chunks", counted)
     return called
 
 

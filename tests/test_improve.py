@@ -13,7 +13,7 @@ from runs import runs
 
 import jaxmorph as jm
 from jaxmorph import cases
-from jaxmorph._boundary.pairing import Pairing
+from jaxmorph._boundary.periodic import Pairing
 from jaxmorph._boundary.tracks import Track
 from jaxmorph._boundary.walls import Flat
 from jaxmorph._host.linear.hessians import pattern, solve

@@ -11,14 +11,12 @@ from scipy.spatial.distance import cdist
 
 from .._boundary.outer_faces import outer_faces
 from .._host.cells.adjacency import parts_of
-from .._host.collisions.crossings import crossing_faces
 from .._host.package.arguments import checked, rows_of
 from .._host.package.cores import Beside
 from .._host.package.errors import MeshError
-from .._host.package.rounding import roundoff
-from .._host.package.trees import Tree
-from .._host.sources.reduction import KDTree
-from .._host.sources.separation import drop_close
+from .._host.package.rounding import Tree, roundoff
+from .._host.sources.reduction import KDTree, drop_close
+from .._host.surface.crossings import crossing_faces
 from .._host.surface.gaps import share_left
 from .._host.surface.skin import edges
 from .._host.surface.walls import walls

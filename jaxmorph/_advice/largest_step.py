@@ -5,8 +5,10 @@ It is exact, for the mesh moves linearly.
 
 import dataclasses
 import itertools
+from collections.abc import Callable
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,6 +16,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from .._host.cells.topology import DIMENSION
 from .._host.package.arguments import between, checked, finite_array
+from .._kernels.module import Module
 from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod
 from .._plan.deform import deform
@@ -117,17 +120,14 @@ class Bounds:
 
     def __init__(self, mesh: Mesh, dtype: Any, min_jacobian_ratio: float, proven: bool = False):
         self.mesh, self.of_cells = mesh, min_jacobian_ratio * least_undeformed(mesh) if proven else None
+        self.min_jacobian_ratio = min_jacobian_ratio
         standards, self.signs = jax.tree.map(np.asarray, (standards_of(mesh, dtype), signs_of(mesh)))
-        self.parts = [
-            (
-                kind,
-                np.asarray(ids),
-                standard.sign,
-                standard.is_judged & ~standard.is_folded,
-                min_jacobian_ratio * standard.jacobian,
-            )
-            for (kind, ids), standard in zip(mesh.cells.items(), standards, strict=True)
-        ]
+        self.parts = []
+        for (kind, ids), standard in zip(mesh.cells.items(), standards, strict=True):
+            ids = np.asarray(ids)
+            rows = slice(len(_corner_jacobians(kind, np.asarray(mesh.points), ids[:1])))
+            judged = (standard.is_judged & ~standard.is_folded)[rows]
+            self.parts.append((kind, ids, standard.sign, judged, standard.jacobian))
 
     def share(self, start: Float[np.ndarray, "n d"], end: Float[np.ndarray, "n d"]) -> tuple[float, int]:
         """Finds the share of the way, at most 1, that keeps all bounds, and the cell that ends it.
@@ -151,10 +151,10 @@ class Bounds:
 
     def _of_corners(self, start: np.ndarray, end: np.ndarray) -> tuple[float, int]:
         best, worst, offset = 1.0, -1, 0
-        for kind, ids, sign, judged, bound in self.parts:
+        for kind, ids, sign, judged, scale in self.parts:
             values = _polynomials(kind, start, end, ids) * sign
-            values[0] -= bound
-            rows, columns = np.nonzero(judged[: values.shape[1]])
+            values[0] -= self.min_jacobian_ratio * scale
+            rows, columns = np.nonzero(judged)
             roots = first_roots(values[:, rows, columns])
             if len(roots) and roots.min() < best:
                 best, worst = float(roots.min()), offset + int(columns[roots.argmin()])
@@ -163,11 +163,50 @@ class Bounds:
 
     def hold(self, points: Float[Array, "n d"]) -> Bool[Array, ""]:
         """Checks whether every corner is above its bound; traced."""
-        is_above = jnp.array(True)
-        for kind, ids, sign, judged, bound in self.parts:
-            jacobians = sign[None] * corner_jacobians(kind, points, ids)
-            is_above &= jnp.all(jnp.where(judged[: len(jacobians)], jacobians > bound[None], True))
-        return is_above
+        return jnp.all(self.ratios(points) > self.min_jacobian_ratio)
+
+    def ratios(self, points: Float[Array, "n d"]) -> Float[Array, " s"]:
+        """Computes the Jacobian ratio at each corner; infinite where there is no bound. Traced."""
+        ratios = []
+        for kind, ids, sign, judged, scale in self.parts:
+            jacobians = sign[None] * _corner_jacobians(kind, points, ids)
+            ratios.append(jnp.where(judged, jacobians / np.where(judged, scale, 1), jnp.inf).ravel())
+        return jnp.concatenate(ratios)
+
+    @property
+    def cells(self) -> Int[np.ndarray, " s"]:
+        """The cell of each ratio, -1 at corners without a bound."""
+        cells, first = [], 0
+        for _, ids, _, judged, _ in self.parts:
+            cells.append(np.where(judged, first + np.arange(len(ids)), -1).ravel())
+            first += len(ids)
+        return np.concatenate(cells)
+
+
+class DesignedMesh(Module):
+    """A mesh that design variables move, with bounds on its corners.
+
+    `displacement` takes the variables, and returns `u` (m, d). Raises `ValueError` for a bound
+    outside of 0 to 1, and for a mesh that is not the plan's.
+    """
+
+    plan: Plan
+    displacement: Callable[[Any], Float[Array, "m d"]]
+    bounds: Bounds = eqx.field(static=True)
+
+    def __init__(self, plan: Plan, mesh: Mesh, displacement: Callable, min_jacobian_ratio: float, proven: bool = False):
+        between("min_jacobian_ratio", min_jacobian_ratio, 0, 1, "[)")
+        places(mesh, plan.points)
+        self.plan, self.displacement = plan, displacement
+        self.bounds = Bounds(mesh, plan.points.dtype, min_jacobian_ratio, proven)
+
+    def points(self, design: Any) -> Float[Array, "n d"]:
+        """Moves the mesh; traced."""
+        return deform(self.plan, self.displacement(design))
+
+    def ratios(self, design: Any) -> Float[Array, " s"]:
+        """Computes the Jacobian ratio at each corner, as `Bounds` does; traced."""
+        return self.bounds.ratios(self.points(design))
 
 
 def _polynomials(kind: str, start: np.ndarray, end: np.ndarray, ids: np.ndarray) -> np.ndarray:
@@ -176,12 +215,12 @@ def _polynomials(kind: str, start: np.ndarray, end: np.ndarray, ids: np.ndarray)
     The lowest coefficient comes first. They follow from four values.
     """
     places = np.arange(4) / 3
-    samples = [corner_jacobians(kind, start + t * (end - start), ids) for t in places]
+    samples = [_corner_jacobians(kind, start + t * (end - start), ids) for t in places]
     inverse = np.linalg.inv(np.vander(places, increasing=True))
     return np.tensordot(inverse, np.stack(samples).astype(float), axes=1)
 
 
-def corner_jacobians(kind: str, points: Any, ids: Any) -> Any:
+def _corner_jacobians(kind: str, points: Any, ids: Any) -> Any:
     """Computes the Jacobians (s, k) at corners of cells of one type, by NumPy or JAX."""
     relative, _ = measures.relative_corners(corners(points, ids))
     return measures.jacobians(kind, relative)[0]

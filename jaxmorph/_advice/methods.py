@@ -30,7 +30,7 @@ class Lengths:
     @property
     def gap(self) -> float:
         """The distance from moving to fixed nodes; 20 times the size without fixed nodes."""
-        from .._host.package.trees import Tree  # SciPy: the command line reads this list before
+        from .._host.package.rounding import Tree  # SciPy: the command line reads this list before
 
         return float(Tree(self.moving).query(self.fixed)[0].min()) if len(self.fixed) else 20 * self.size
 
@@ -91,10 +91,10 @@ METHODS = (
     Entry("graph", "delaunay.DelaunayGraph", "Delaunay graph mapping", is_tried=True),
     Entry("multiscale", "multiscale.Multiscale.whole", "compact functions from the largest scale to the smallest",
           numbers=lambda wall: (2 * wall.size, 0.1), is_tried=True),
-    Entry("laplacian", "cells.laplacian.Laplacian", "Laplace's equation, diffusivity 1/distance^2",
+    Entry("laplacian", "cells.equations.Laplacian", "Laplace's equation, diffusivity 1/distance^2",
           needs_cells=True, title="Laplacian 1/d^2"),
-    Entry("biharmonic", "cells.laplacian.Biharmonic", "the biharmonic equation", needs_cells=True, is_tried=True),
-    Entry("elasticity", "cells.elasticity.LinearElasticity", "linear elasticity, stiff by 1/volume",
+    Entry("biharmonic", "cells.equations.Biharmonic", "the biharmonic equation", needs_cells=True, is_tried=True),
+    Entry("elasticity", "cells.equations.LinearElasticity", "linear elasticity, stiff by 1/volume",
           needs_cells=True, is_tried=True, is_cure=True, title="elasticity 1/V"),
     Entry("springs", "cells.springs.SpringAnalogy", "springs along the edges", needs_cells=True, title="springs 1/l^2"),
     Entry("torsional", "cells.springs.TorsionalSprings", "torsional springs",

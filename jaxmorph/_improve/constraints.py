@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from .._boundary.boundary import Boundary
-from .._boundary.pairing import Pairing
+from .._boundary.periodic import Pairing
 from .._boundary.smooth_faces import smoothed
 from .._boundary.tracks import Track, check_repeated, tracks_of
 from .._boundary.walls import Flat

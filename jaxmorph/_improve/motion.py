@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Integer
 
-from .._boundary.pairing import Pairing
+from .._boundary.periodic import Pairing
 from .._boundary.tracks import Track
 from .._host.cells.topology import CORNERS, DIMENSION
 from .._quality import measures

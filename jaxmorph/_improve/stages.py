@@ -1,4 +1,4 @@
-"""Stages of `improve`, each a minimum by Newton's method: a barrier, then a falling bound."""
+"""Stages of `improve`, each a minimum by Newton's method: first a barrier, then a bound."""
 
 import dataclasses
 import functools

@@ -81,7 +81,7 @@ class Judged:
 
     @functools.cached_property
     def _lost(self) -> Bool[np.ndarray, " k"]:
-        return np.asarray(self.corners.is_inverted) & ~self._repaired
+        return np.asarray(self.corners.is_inverted) & ~self._old
 
     @property
     def _old(self) -> Bool[np.ndarray, " k"]:

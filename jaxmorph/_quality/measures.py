@@ -19,8 +19,7 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int
 
-from .._host.cells.lagrange import PLACES
-from .._host.cells.shape_functions import derivatives_at_nodes, jacobian_samples
+from .._host.cells.lagrange import PLACES, derivatives_at_nodes, jacobian_samples
 from .._host.cells.topology import CORNERS, DIMENSION, EDGES, FACES, FRAMES, HIGH_ORDER, SHAPES
 from .._kernels.values import Either, constant, largest, namespace, smallest
 from .vector import Scalar, Vector, angle, cross, determinant, divide, dot, mean, norm, stack

@@ -14,7 +14,7 @@ from .._kernels.compile import compiled
 from .._kernels.module import Module
 from .._kernels.values import is_known
 from .._mesh.mesh import Mesh
-from .._methods.numbers import number
+from .._methods.base import number
 from . import measures
 from .quality import Standard, link, non_orthogonality, places, standards_of
 from .vector import Vector, corners, dot, in_blocks

@@ -351,7 +351,7 @@ def _room(xp: Any, form: Form, parts: int = 1) -> int:
 
 @by_place
 def _sizes(kinds: tuple[str, ...], cells: tuple[Any, ...], points: Float[Either, "n d"], signs: Any) -> tuple:
-    """Computes the mean of det J over each undeformed cell, with the sign that the cell should have.
+    """Computes the mean of det J over each undeformed cell, with the cell's proper sign.
 
     Where that is zero, and of boundary elements, it is that sign.
     """
