@@ -10,7 +10,7 @@ from meshes import bricks, filled, reflected, with_folds, write_ring
 from runs import runs
 
 import jaxmorph as jm
-from jaxmorph._advice.first_roots import first_roots
+from jaxmorph._advice.largest_step import first_roots
 
 
 def ring(tmp_path):

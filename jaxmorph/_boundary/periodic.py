@@ -13,8 +13,7 @@ from jaxtyping import Array, Float, Int
 
 from .._host.package.arguments import between, check_patch, finite_array, whole
 from .._host.package.errors import MeshError, place_of, worst_first
-from .._host.package.rounding import spacing
-from .._host.package.trees import Tree
+from .._host.package.rounding import Tree, spacing
 from .symmetry import Plane, tolerance
 
 

@@ -9,10 +9,10 @@ from jaxtyping import Float, Int
 from scipy.sparse import csr_array
 
 from .._host.cells.adjacency import parts_of
+from .._host.linear.products import normals
 from .._host.package.arguments import check_patch, finite_array
 from .._host.package.errors import MeshError, place_of, worst_first
-from .._host.package.orders import canonical_order
-from .._host.surface.simplices import normals
+from .._host.package.rounding import canonical_order
 from .._host.surface.walls import in_order
 from .symmetry import Plane
 from .tracks import SMOOTH

@@ -18,7 +18,7 @@ from .._host.package.errors import MeshError, place_of, worst_first
 from .._host.package.rounding import spacing
 from .._kernels.compile import compiled
 from .._kernels.values import is_readable
-from .._methods import placing
+from .._methods.base import carry as carry_factors
 from .._methods.blocks import carry_points, place_points, with_tables_of, without_tables
 from .devices import over_points, pad_rows
 from .judge import deviations
@@ -51,7 +51,7 @@ def _fitted(plan: Plan, points: Any, surface: Float[Array, "o d"] | None = None,
     if guide is not None:
         guide = eqx.tree_at(lambda guide: guide.plan, guide, _fitted(guide.plan, own, carried=carried))
     ids, before = old.ids, old.factors
-    factors = placing.carry(method, ids, before, rows, whole) if carried else method.fit(ids, rows, whole)
+    factors = carry_factors(method, ids, before, rows, whole) if carried else method.fit(ids, rows, whole)
 
     def place(shared: PyTree, volume: VolumePart) -> PyTree:
         points = volume.seen(shared[1][0])

@@ -7,14 +7,15 @@ import numpy as np
 
 from jaxmorph._boundary.outer_faces import outer_faces
 from jaxmorph._host.cells.adjacency import parts_of as parts_of
-from jaxmorph._host.cells.pairs import sorted_columns
 from jaxmorph._host.cells.topology import CORNERS, solid
 from jaxmorph._host.package.arguments import shown
-from jaxmorph._host.package.orders import rows_in
 from jaxmorph._host.package.ranks import together
-from jaxmorph._host.surface.closest import closest as closest
-from jaxmorph._host.surface.closest import fans as fans
 from jaxmorph._mesh.mesh import Mesh
+
+from .._host.cells.adjacency import sorted_columns
+from .._host.package.rounding import rows_in
+from .._host.surface.gaps import closest as closest
+from .._host.surface.gaps import fans as fans
 
 
 def check_comm(comm: Any) -> None:

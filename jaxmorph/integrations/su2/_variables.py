@@ -11,8 +11,8 @@ from jaxtyping import Float
 from jaxmorph._host.package.arguments import checked, finite_array
 from jaxmorph._host.package.errors import warn
 from jaxmorph._host.package.files import complete, output_path
-from jaxmorph._host.package.words import similar
 
+from ..._host.package.text import similar
 from ._options import Options, read_options, split
 
 NUMBERS = {

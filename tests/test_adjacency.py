@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxmorph import cases
-from jaxmorph._host.cells import pairs
+from jaxmorph._host.cells import adjacency
 from jaxmorph._host.cells.pieces import boundary_faces
 from jaxmorph._host.cells.topology import CORNERS, EDGES, FACES, FRAMES
 from jaxmorph._quality.distortion import IDEAL
@@ -26,9 +26,9 @@ def test_twins_and_single_faces(nodes, corners, largest):
     same = collections.defaultdict(list)
     for row, ids in enumerate(table.tolist()):
         same[frozenset(ids)].append(row)
-    columns = pairs.sorted_columns(pairs.columns_of(table), 4)
-    assert pairs.is_single(columns).tolist() == [len(same[frozenset(ids)]) == 1 for ids in table.tolist()]
-    twin = pairs.twins(columns)
+    columns = adjacency.sorted_columns(adjacency.columns_of(table), 4)
+    assert adjacency.is_single(columns).tolist() == [len(same[frozenset(ids)]) == 1 for ids in table.tolist()]
+    twin = adjacency.twins(columns)
     for ids, rows in same.items():
         expected = rows[::-1] if len(rows) == 2 else [-1] * len(rows)
         assert twin[rows].tolist() == expected, ids
@@ -36,16 +36,16 @@ def test_twins_and_single_faces(nodes, corners, largest):
 
 def test_different_faces_with_one_key(monkeypatch):
     table = faces(60, 7, 3)
-    columns = pairs.sorted_columns(pairs.columns_of(table), 3)
-    twin, single = pairs.twins(columns), pairs.is_single(columns)
-    monkeypatch.setattr(pairs, "_keys", lambda columns: columns[0] % 2)
-    assert np.array_equal(pairs.twins(columns), twin)
-    assert np.array_equal(pairs.is_single(columns), single)
+    columns = adjacency.sorted_columns(adjacency.columns_of(table), 3)
+    twin, single = adjacency.twins(columns), adjacency.is_single(columns)
+    monkeypatch.setattr(adjacency, "_keys", lambda columns: columns[0] % 2)
+    assert np.array_equal(adjacency.twins(columns), twin)
+    assert np.array_equal(adjacency.is_single(columns), single)
 
 
 def test_no_faces():
-    columns = pairs.sorted_columns(pairs.columns_of(np.zeros((0, 3), int)), 4)
-    assert len(pairs.twins(columns)) == len(pairs.is_single(columns)) == 0
+    columns = adjacency.sorted_columns(adjacency.columns_of(np.zeros((0, 3), int)), 4)
+    assert len(adjacency.twins(columns)) == len(adjacency.is_single(columns)) == 0
 
 
 def test_boundary_of_mixed_cells():
