@@ -29,9 +29,7 @@ __version__: str
 
 _SUBMODULES = ("cases", "cli", "integrations", "io", "plot", "shapes")
 _NAMES = {
-    "._advice.choice": "Choice",
-    "._advice.choose": "choose",
-    "._advice.estimate": "Estimate estimate",
+    "._advice.compare": "Comparison compare",
     "._advice.fewest_steps": "Steps fewest_steps",
     "._advice.inspect": "inspect",
     "._advice.inspection": "Inspection",
@@ -79,15 +77,11 @@ _NAMES = {
     "._plan.shard": "shard",
     "._plan.steps": "march replay",
     "._quality.distortion": "distortion",
-    "._quality.face_quality": "face_quality",
-    "._quality.face_report": "FaceQuality",
-    "._quality.proof.margin": "proven_margin",
-    "._quality.proof.proof": "proof",
-    "._quality.proof.report": "Proof",
+    "._quality.face_quality": "FaceQuality face_quality",
+    "._quality.proof.proof": "Proof proof proven_margin",
     "._quality.quality": "inverted quality",
     "._quality.report": "QualityReport",
-    "._quality.smooth": "soft_maximum",
-    "._quality.smooth_quality": "SmoothQuality smooth_quality",
+    "._quality.smooth_quality": "SmoothQuality smooth_quality soft_maximum",
     "._quality.verdict": "Limits Verdict judge",
     "._quality.wall_quality": "WallQuality wall_quality",
 }

@@ -1,9 +1,7 @@
 """Public names for type checkers and the documentation; `__init__` imports them on first use."""
 
-from ._advice.choice import Choice as Choice
-from ._advice.choose import choose as choose
-from ._advice.estimate import Estimate as Estimate
-from ._advice.estimate import estimate as estimate
+from ._advice.compare import Comparison as Comparison
+from ._advice.compare import compare as compare
 from ._advice.fewest_steps import Steps as Steps
 from ._advice.fewest_steps import fewest_steps as fewest_steps
 from ._advice.inspect import inspect as inspect
@@ -93,17 +91,17 @@ from ._plan.shard import shard as shard
 from ._plan.steps import march as march
 from ._plan.steps import replay as replay
 from ._quality.distortion import distortion as distortion
+from ._quality.face_quality import FaceQuality as FaceQuality
 from ._quality.face_quality import face_quality as face_quality
-from ._quality.face_report import FaceQuality as FaceQuality
-from ._quality.proof.margin import proven_margin as proven_margin
+from ._quality.proof.proof import Proof as Proof
 from ._quality.proof.proof import proof as proof
-from ._quality.proof.report import Proof as Proof
+from ._quality.proof.proof import proven_margin as proven_margin
 from ._quality.quality import inverted as inverted
 from ._quality.quality import quality as quality
 from ._quality.report import QualityReport as QualityReport
-from ._quality.smooth import soft_maximum as soft_maximum
 from ._quality.smooth_quality import SmoothQuality as SmoothQuality
 from ._quality.smooth_quality import smooth_quality as smooth_quality
+from ._quality.smooth_quality import soft_maximum as soft_maximum
 from ._quality.verdict import Limits as Limits
 from ._quality.verdict import Verdict as Verdict
 from ._quality.verdict import judge as judge

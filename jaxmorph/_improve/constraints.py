@@ -20,8 +20,7 @@ from .._kernels.compile import compiled
 from .._kernels.values import as_jax
 from .._mesh.mesh import Mesh
 from .._quality.distortion import node_scales, signs_of_pieces, targets
-from .motion import Distortion
-from .ways import Ways
+from .motion import Distortion, Ways
 
 
 @dataclasses.dataclass(frozen=True)

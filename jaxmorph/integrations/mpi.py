@@ -21,7 +21,6 @@ from jaxmorph._host.package.ranks import Agreement, together
 from .._host.package.rounding import rows_in
 from ._share import Share, surface_of
 from ._shared import check_comm, faces_of, joined, owned
-from ._summary import Summary as Summary
 
 ROWS = Real[ArrayLike, "k d"] | Sequence[Any]
 
@@ -113,10 +112,21 @@ class Piece:
             raise ValueError(f"{torn} moving nodes are displaced differently by the processes that share them.")
         return whole
 
-    def summary(self, report: jm.QualityReport) -> Summary:
-        """Sums up reports, `quality(piece, points)`, of all pieces: each cell is in one."""
-        together(self.comm, lambda: check("report", report, jm.QualityReport, Piece.summary))
-        return Summary.gathered(self.comm, report)
+    def judge(
+        self, mesh: jm.Mesh, points: Real[ArrayLike, "n d"] | None = None, limits: jm.Limits | None = None
+    ) -> jm.Verdict:
+        """Judges all pieces, each cell of which is in one: the same `Verdict` in every process.
+
+        `mesh`, `points` and `limits` are as `jaxmorph.judge` takes them, of this piece. Faces
+        between two pieces are not judged. It raises `ValueError`, in every process, as
+        `jaxmorph.judge` does.
+        """
+
+        def of_piece() -> jm.Verdict:
+            check("mesh", mesh, jm.Mesh, Piece.judge)
+            return jm.judge(mesh, points, limits, part=self.comm.rank)
+
+        return jm.Verdict.together(self.comm.allgather(together(self.comm, of_piece)))
 
 
 def prepare(

@@ -1,6 +1,7 @@
 """Design variables that move the control points of a free-form box."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -29,7 +30,7 @@ class BoxPart(AbstractPart):
     fixed: Fixed = eqx.field(static=True)
     length: float = eqx.field(static=True)
     control: Float[Array, "..."]
-    operator: shapes.AbstractOperator
+    operator: Callable[[Any], Array]
     inside: Bool[Array, " m"]
 
     def __call__(self, x, values):
