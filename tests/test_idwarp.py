@@ -22,7 +22,7 @@ MPI = pytest.importorskip("mpi4py.MPI")
 pytest.importorskip("h5py")
 idwarp = pytest.importorskip("jaxmorph.integrations.idwarp")
 USMesh, MultiUSMesh = idwarp.USMesh, idwarp.MultiUSMesh
-walls_of = pytest.importorskip("jaxmorph.integrations.idwarp._walls").walls_of
+surface_room = pytest.importorskip("jaxmorph.integrations.idwarp._surface")
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 PLANES = {1: [[[0, 0, 0], [1, 0, 0]]], 2: [[[0, 0, 0], [1, 0, 0]], [[0, 0, 0], [0, 1, 0]]]}
 
@@ -258,12 +258,10 @@ def test_points_that_are_no_nodes_move_the_wall_by_a_linear_map(grids, count, ha
 
 def test_closest_points_of_triangles_are_those_of_a_fine_search():
     """Oracle: the nearest of many points of each triangle; long triangles among short ones."""
-    from jaxmorph.integrations.idwarp._definition import Definition
-
     random = np.random.default_rng(5)
     points = random.normal(size=(30, 3)) * [5, 1, 0.2]
     triangles = np.array([random.choice(30, 3, replace=False) for _ in range(25)])
-    surface = Definition(points, triangles)
+    surface = surface_room.Definition(points, triangles)
     x = random.normal(size=(40, 3)) * [5, 1, 1]
     weights, away, _ = surface.weights(x)
     weights = weights.toarray()
@@ -571,7 +569,7 @@ def test_nonsense_is_refused_by_name(grids, tmp_path):
 def test_the_adapter_stands_on_public_names():
     """What it imports of the package outside of `integrations` has no private part."""
     files = sorted((ROOT / "jaxmorph" / "integrations" / "idwarp").glob("*.py"))
-    assert len(files) > 5
+    assert len(files) > 4
     for file in files:
         for node in ast.walk(ast.parse(file.read_text())):
             if isinstance(node, ast.ImportFrom) and not node.level:
@@ -622,8 +620,8 @@ def test_two_processes_have_what_one_has(grids, tmp_path):
 
 @pytest.mark.parametrize(
     ("name", "kind", "becomes"),
-    [("sym_overset", "", "free"), ("asymmetric_part", "", ""), ("symm", "", "flat"), ("sym", "overset", "free"),
-     ("overset", "BCSymmetryPlane", "flat"), ("near_overset", "UserDefined", "free"), ("side", "symmetryPlane", "flat")],
+    [("sym_overset", "", "overset"), ("asymmetric_part", "", ""), ("symm", "", "symmetry"), ("sym", "overset", "overset"),
+     ("overset", "BCSymmetryPlane", "symmetry"), ("near_overset", "UserDefined", "overset"), ("side", "symmetryPlane", "symmetry")],
 )  # fmt: skip
 def test_patches_are_sorted_by_kind_then_by_name(name, kind, becomes):
     """What the file says counts; a name counts by the beginnings of its words."""
@@ -631,5 +629,5 @@ def test_patches_are_sorted_by_kind_then_by_name(name, kind, becomes):
     source = Source(pathlib.Path("a.cgns"), "CGNS", None, kinds={name: kind} if kind else {})
     mesh = jm.Mesh(points, {"hexahedron": np.array([[0, 4, 6, 2, 1, 5, 7, 3]])}, {name: np.array([0, 2, 4, 6])}, source)
     options = {"specifiedSurfaces": None, "symmetrySurfaces": None, "symmetryPlanes": None}
-    walls = walls_of(mesh, options)
-    assert {part for part in ("flat", "free") if name in getattr(walls, part)} == ({becomes} - {""})
+    found = surface_room.patches_by_kind(mesh, options)
+    assert {kind for kind, names in found.items() if name in names} == ({becomes} - {""})
