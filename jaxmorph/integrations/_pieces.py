@@ -67,7 +67,7 @@ def faces_of(comm: Any, mesh: jm.Mesh | None, nodes: np.ndarray, is_shared: np.n
 def _marked(
     comm: Any, cells: Mapping[str, Any], nodes: np.ndarray, is_shared: np.ndarray
 ) -> Iterator[tuple[str, np.ndarray, np.ndarray, np.ndarray]]:
-    """Yields cells or faces by type with two marks: this piece has them first, others have them too.
+    """Yields cells or faces by type with two marks: first in this piece, also in others.
 
     Other processes are asked only for cells or faces whose nodes are all shared.
     """

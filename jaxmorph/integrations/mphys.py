@@ -64,14 +64,7 @@ class VolumeBuilder(Builder):
 
     def __init__(self, plan: jm.Plan, mesh: jm.Mesh | None = None, *, raise_if_inverted: bool = True):
         super().__init__()
-        kinds = {
-            "plan": (plan, jm.Plan),
-            "mesh": (mesh, jm.Mesh | None),
-            "raise_if_inverted": (raise_if_inverted, bool),
-        }
-        for name, (value, kind) in kinds.items():
-            if not isinstance(value, kind):
-                raise ValueError(f"`{name}` must be of the type {kind}, not {value!r}.")
+        Volume(plan=plan, mesh=mesh, raise_if_inverted=raise_if_inverted)  # OpenMDAO refuses values of other types
         if plan.points.shape[1] != 3:
             raise ValueError(f"this mesh is in {plan.points.shape[1]}-D; MPhys's coordinates are in 3-D.")
         self.plan, self.mesh, self.raise_if_inverted = plan, mesh, raise_if_inverted

@@ -50,10 +50,8 @@ def checked(options: Any) -> dict[str, Any]:
         raise ValueError(f"`options` must be a dictionary of options by name, such as gridFile, not {options!r}.")
     values = {name_of(name): value for name, value in options.items()}
     for name, value in values.items():
-        kinds = OPTIONS[name][0]
-        if value is not None and (not isinstance(value, kinds) or (isinstance(value, bool) and bool not in kinds)):
-            raise ValueError(f"`{name}` is {value!r}; expected {' or '.join(kind.__name__ for kind in kinds)}.")
-    _check_lists(values)
+        if value is not None:
+            _check(name, value)
     values["fileType"] = KINDS.get((values.get("fileType") or "CGNS").lower())
     if values.get("gridFile") is None or values["fileType"] is None:
         raise ValueError(f"`gridFile` must be the name of a grid, and `fileType` one of {', '.join(KINDS.values())}.")
@@ -67,19 +65,24 @@ def name_of(name: str) -> str:
     return known[name.lower()]
 
 
-def _check_lists(values: Mapping[str, Any]) -> None:
-    for name in ("specifiedSurfaces", "symmetrySurfaces"):
-        if not all(isinstance(entry, str) for entry in values.get(name) or ()):
-            raise ValueError(f"`{name}` is {values[name]!r}; expected names of patches.")
-    planes = values.get("symmetryPlanes")
-    if planes is not None and len(planes):
+def _is_of(value: Any, kinds: tuple[type, ...]) -> bool:
+    return isinstance(value, kinds) and (bool in kinds or not isinstance(value, bool))
+
+
+def _check(name: str, value: Any) -> None:
+    kinds = OPTIONS[name][0]
+    if not _is_of(value, kinds):
+        raise ValueError(f"`{name}` is {value!r}; expected {' or '.join(kind.__name__ for kind in kinds)}.")
+    if name in ("specifiedSurfaces", "symmetrySurfaces") and not all(isinstance(entry, str) for entry in value):
+        raise ValueError(f"`{name}` is {value!r}; expected names of patches.")
+    if name == "symmetryPlanes" and len(value):
         try:
-            shape = np.asarray(planes, dtype=float).shape
+            shape = np.asarray(value, dtype=float).shape
         except (TypeError, ValueError):
-            shape = None
-        if shape is None or shape[1:] != (2, 3):
+            shape = ()
+        if shape[1:] != (2, 3):
             raise ValueError(
-                f"`symmetryPlanes` is {planes!r}; expected a point and a normal for each: [[[0, 0, 0], [0, 1, 0]]]."
+                f"`{name}` is {value!r}; expected a point and a normal for each: [[[0, 0, 0], [0, 1, 0]]]."
             )
 
 

@@ -17,6 +17,8 @@ from jaxmorph import io
 from .. import mpi
 from .._pieces import closest, fans, float64_mode
 
+WORDS = {"overset": "overset", "wall": "wall", r"(?<![a-z])(bc)?sym": "symmetry"}
+"""What a patch is, by a word in its kind in the file, or in its name."""
 PART = 0.5
 """Share of a patch's nodes that lie on the surface, from which the patch belongs to it."""
 SAME = 1e-12
@@ -87,15 +89,8 @@ def _spacing(points: np.ndarray) -> np.ndarray:
 
 
 def patches_by_kind(mesh: jm.Mesh, options: Mapping[str, Any]) -> dict[str, tuple[str, ...]]:
-    """Lists the patches of `wall`, `symmetry` and `overset`: by option, kind in the file, or name."""
-    kinds: dict[str, tuple[str, ...]] = {"overset": (), "wall": (), "symmetry": ()}
-    words = {"overset": "overset", "wall": "wall", r"(?<![a-z])(bc)?sym": "symmetry"}
-    for name in mesh.patches:
-        texts = [mesh.kinds.get(name, name).lower()]
-        texts += ["overset"] if "overset" in name.lower() else []  # no type of CGNS says so
-        kind = next((kind for text in texts for word, kind in words.items() if re.search(word, text)), None)
-        if kind:
-            kinds[kind] += (name,)
+    """Lists patches of `wall`, `symmetry` and `overset` by option, kind in the file, or name."""
+    kinds = {kind: tuple(name for name in mesh.patches if _kind_of(mesh, name) == kind) for kind in WORDS.values()}
     for kind, option in (("wall", "specifiedSurfaces"), ("symmetry", "symmetrySurfaces")):
         if options[option] is not None:
             kinds[kind] = _named(mesh, options[option], option)
@@ -105,6 +100,12 @@ def patches_by_kind(mesh: jm.Mesh, options: Mapping[str, Any]) -> dict[str, tupl
         kinds["symmetry"] = tuple(name for name, nodes in mesh.patches.items() if on[np.asarray(nodes)].all())
     walls = kinds.pop("wall")
     return {kind: tuple(name for name in names if name not in walls) for kind, names in kinds.items()} | {"wall": walls}
+
+
+def _kind_of(mesh: jm.Mesh, name: str) -> str | None:
+    text = mesh.kinds.get(name, name).lower()
+    kind = next((kind for word, kind in WORDS.items() if re.search(word, text)), None)
+    return kind or ("overset" if "overset" in name.lower() else None)  # no type of CGNS says so
 
 
 def _named(mesh: jm.Mesh, names: Sequence[str], option: str) -> tuple[str, ...]:

@@ -1,5 +1,6 @@
 """Free-form boxes of a config file and its mesh, and variables that move their control points."""
 
+import itertools
 import math
 from collections.abc import Sequence
 
@@ -73,7 +74,14 @@ def boxes_of(options: Options, mesh: Mesh, moving: Sequence[str], is_setting: bo
         if nested:
             raise ValueError(f"box {nested[0]} is nested in another one; boxes side by side are taken.")
         return present
-    d = mesh.points.shape[1]
+    shapes_by_name = _definition(options, mesh.points.shape[1])
+    return tuple(
+        io.Box(name, shape, np.asarray(shape.lattice()), _surface(shape, mesh, moving))
+        for name, shape in shapes_by_name
+    )
+
+
+def _definition(options: Options, d: int) -> list[tuple[str, shapes.Hexahedron]]:
     blending = options.choice("FFD_BLENDING", "BEZIER", "BEZIER", "BSPLINE_UNIFORM")
     orders = options.words("FFD_BSPLINE_ORDER")[:d] or ["2"] * d
     degree = [options.whole("FFD_BSPLINE_ORDER", word) - 1 for word in orders] if blending != "BEZIER" else None
@@ -90,9 +98,8 @@ def boxes_of(options: Options, mesh: Mesh, moving: Sequence[str], is_setting: bo
         if len(counts) < d or math.prod(counts) > MOST:
             found = " x ".join(map(str, counts))
             raise options.error("FFD_DEGREE", f"{d} degrees of at most {MOST} control points expected, found {found}")
-        shape = shapes.Hexahedron(np.reshape(numbers, (8, 3))[: 2**d, :d], counts, degree=degree)
-        made.append(io.Box(name, shape, np.asarray(shape.lattice()), _surface(shape, mesh, moving)))
-    return tuple(made)
+        made.append((name, shapes.Hexahedron(np.reshape(numbers, (8, 3))[: 2**d, :d], counts, degree=degree)))
+    return made
 
 
 def _surface(shape: shapes.Hexahedron, mesh: Mesh, moving: Sequence[str]) -> dict:
@@ -167,7 +174,7 @@ def _places(box: io.Box, nodes: Int[np.ndarray, " m"], moving: Sequence[str]) ->
 
 
 def _check(variable: Variable, box: io.Box) -> None:
-    """Raises `ValueError` for kinds of the other dimension, and control points that are not there."""
+    """Raises `ValueError` for kinds of the other dimension, and for unknown control points."""
     kind, counts = variable.kind, box.shape.counts
     d, index = len(counts), variable.numbers[: KINDS[kind].indices]
     if kind in TURNS:
@@ -186,22 +193,19 @@ def _check(variable: Variable, box: io.Box) -> None:
 
 def _fixed_planes(options: Options, lattice: Float[np.ndarray, "..."], mesh: Mesh, moving: Sequence[str]) -> Fixed:
     """Finds the planes that stay in each direction of a lattice, so that no wall tears."""
-    segments = _segments(mesh, moving)
-    d, degrees = lattice.shape[-1], [count - 1 for count in lattice.shape[:-1]]
     word = options.choice("FFD_CONTINUITY", "2ND_DERIVATIVE", *KEPT)
-    is_symmetric = options.choice("FFD_SYMMETRY_PLANE", "NO", "NO", "YES") == "YES" and d == 3
-    fixed = []
-    for direction, top in enumerate(degrees):
-        planes: set[float] = set()
-        if word == "USER_INPUT":
-            planes.update(options.numbers(f"FFD_FIX_{'IJK'[direction]}"))
-        elif not (direction == 1 and is_symmetric):
-            count = 0 if KEPT[word] == 3 and top <= 1 else KEPT[word]  # a second derivative needs a degree of 2
-            for last in (0, -1):
-                if _crosses(segments, _face(lattice, direction, last)):
-                    planes.update(k if last == 0 else top - k for k in range(count))
-        fixed.append(frozenset(int(k) for k in planes if 0 <= int(k) <= top))
-    return tuple(fixed)
+    is_symmetric = options.choice("FFD_SYMMETRY_PLANE", "NO", "NO", "YES") == "YES"
+    segments, (*counts, d) = _segments(mesh, moving), lattice.shape
+    planes: list[set[float]] = [set() for _ in counts]
+    if word == "USER_INPUT":
+        planes = [set(options.numbers(f"FFD_FIX_{axis}")) for axis in "IJK"[:d]]
+    for direction, last in itertools.product(range(d), (0, -1)):
+        top = counts[direction] - 1
+        depth = 0 if KEPT[word] == 3 and top <= 1 else KEPT[word]  # a second derivative needs a degree of 2
+        is_mirror = direction == 1 and d == 3 and is_symmetric
+        if depth and not is_mirror and _crosses(segments, _face(lattice, direction, last)):
+            planes[direction].update(k if last == 0 else top - k for k in range(depth))
+    return tuple(frozenset(int(k) for k in own) & {*range(count)} for own, count in zip(planes, counts, strict=True))
 
 
 def _face(lattice: Float[np.ndarray, "..."], direction: int, last: int) -> Float[np.ndarray, "t d d"]:

@@ -111,12 +111,12 @@ def check_axis(kind: str, numbers: Sequence[float], d: int) -> None:
 
 
 def _signs(options: Options, mesh: Mesh, moving: Sequence[str]) -> Float[np.ndarray, " m"]:
-    """Finds the side of each node: 1 where the wall's normal points up, -1 where it points down."""
+    """Finds the side of each node: 1 where the wall's normal points up, -1 where down."""
     return np.sign(shapes.wall_normals(mesh, *moving)[:, 1])
 
 
 def _chord(options: Options, mesh: Mesh, moving: Sequence[str]) -> tuple[shapes.Chord, Float[np.ndarray, " m"]]:
-    """Finds the airfoil's own chord, which SU2 takes to be 1 long, and the nodes not at its tail."""
+    """Finds the airfoil's own chord, which SU2 takes to be 1 long, and nodes ahead of `TAIL`."""
     wall = np.asarray(mesh.points, float)[mesh.patch(*moving)]
     own = shapes.Chord.along(wall)
     nose, along = np.asarray(own.nose), np.asarray(own.tail - own.nose)
@@ -161,7 +161,7 @@ def _displacement(x, values, numbers: Numbers, u):
 
 
 def _hicks_henne(x, values, numbers: Numbers, signs):
-    """Moves each side outwards by sin(pi t^(ln 0.5 / ln c))^3, across a chord of length 1 along x."""
+    """Moves each side outwards by sin(pi t^(ln 0.5 / ln c))^3 across a unit chord along x."""
     sides, tops = np.array(numbers).T
     ways = np.where(sides == LOWER, -1, 1)[None, :]
     return _upwards(x, (_bumps(x[:, 0], tops) * (ways * (signs[:, None] == ways))) @ values)

@@ -197,7 +197,7 @@ def read_options(path: pathlib.Path) -> Options:
 
 @dataclasses.dataclass(frozen=True)
 class Variable:
-    """A design variable: kind, box tag, parameters, number of values, their factor and first row."""
+    """A design variable: kind, box tag, parameters, number of values, factor and first row."""
 
     kind: str
     box: str = ""
