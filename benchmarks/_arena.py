@@ -4,13 +4,14 @@ import dataclasses
 from collections.abc import Callable
 
 import _snapped
+import faults
 import numpy as np
 from _walls import bump, camber, flap, pitch, up
 
 import jaxmorph as jm
 from jaxmorph import cases
 from jaxmorph._advice import methods
-from jaxmorph._advice.rivals import Extent
+from jaxmorph._advice.methods import Lengths
 
 Motion = Callable[[np.ndarray, float], np.ndarray]
 
@@ -34,8 +35,8 @@ class Case:
         return np.asarray(self.mesh.points)[self.mesh.patch(self.moving)]
 
     @property
-    def extent(self) -> Extent:
-        return Extent(self.wall, np.asarray(self.mesh.points)[self.mesh.patch(*self.fixed)])
+    def extent(self) -> Lengths:
+        return Lengths(self.wall, np.asarray(self.mesh.points)[self.mesh.patch(*self.fixed)])
 
 
 def thicker(base: np.ndarray, amount: float) -> np.ndarray:
@@ -135,8 +136,8 @@ def all_cases(points: int) -> list[Case]:
     """Generated meshes of about so many points in 2-D, and a few times as many in 3-D."""
     around = max(60, int((points / 0.5) ** 0.5))
     c_grid, viscous = cases.naca0015(points=points), cases.naca4("4412", points=points)
-    o_grid = cases.sharp_o_grid(around=around, layers=points // around, first_cell=1e-5)
-    blade = cases.cascade(around=around, layers=points // around)
+    o_grid = faults.sharp_o_grid(around=around, layers=points // around, first_cell=1e-5)
+    blade = faults.cascade(around=around, layers=points // around)
     wing = cases.wing(points=max(300, points // 5), stations=7)
     far = ("farfield",)
     return [
@@ -159,7 +160,7 @@ def _others(mesh: jm.Mesh) -> tuple[str, ...]:
     return tuple(name for name in mesh.patches if name != _moving(mesh))
 
 
-METHODS: dict[str, Callable[[Extent], jm.AbstractMethod]] = {
+METHODS: dict[str, Callable[[Lengths], jm.AbstractMethod]] = {
     **{entry.title or entry.name: entry.make for entry in methods.METHODS},
     "compact RBF": lambda wall: jm.CompactRBF(wall.size),
     "elasticity 1/d": lambda wall: jm.LinearElasticity(jm.ByDistance(1.0)),

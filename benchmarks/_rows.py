@@ -3,13 +3,14 @@
 import dataclasses
 from collections.abc import Callable, Iterator
 
+import faults
 import numpy as np
 from matplotlib.path import Path
 from scipy.spatial import Delaunay, KDTree
 
 import jaxmorph as jm
 from jaxmorph import cases
-from jaxmorph.cases._structured import geometric, hexahedra, ids_of, quads, two_sided
+from jaxmorph.cases._structured import geometric, hexahedra, ids_of, quads
 
 Motion = Callable[[np.ndarray], np.ndarray]
 """Displacements (m, d) of the moving nodes (m, d) in the body's own units, for an amount of one."""
@@ -292,7 +293,7 @@ def flat_cases() -> Iterator[Case]:
     yield Case(
         "C-grid 0006, sharp", cases.naca4("0006", points=2000, first_cell=1e-4, sharp=True), ("airfoil",), far, SECTION
     )
-    yield Case("O-grid, sharp", cases.sharp_o_grid(around=96, layers=32, first_cell=1e-5), ("airfoil",), far, SECTION)
+    yield Case("O-grid, sharp", faults.sharp_o_grid(around=96, layers=32, first_cell=1e-5), ("airfoil",), far, SECTION)
     yield Case("O-grid, circle", o_grid(112, 24, 0.04, 20.0), ("body",), far, ROUND)
     three = {"a": circle(40, (0.0, 0.0), 1.0), "b": circle(40, (3.2, 0.5), 1.0), "c": circle(40, (1.2, 3.0), 1.0)}
     mesh = triangles(three, (-4.0, 7.0, -4.0, 7.0), 0.45)
@@ -311,12 +312,12 @@ def flat_cases() -> Iterator[Case]:
     yield Case("pins between walls", mesh, tuple(pins), far, motions)
     angle = 2 * np.pi * np.arange(80) / 80
     ones = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    points, parts = ring(ones, 1.3 * ones + np.array([0.05, 0]), two_sided(10, 0.03))
+    points, parts = ring(ones, 1.3 * ones + np.array([0.05, 0]), faults.two_sided(10, 0.03))
     rod = jm.Mesh(points, {"quad": parts["quad"]}, {"body": parts["inner"], "farfield": parts["outer"]})
     slight = {name: ROUND[name] for name in ("ellipse", "lobes 3", "lobes 6", "shift", "dent")}
     yield Case("rod in a sleeve", rod, ("body",), far, slight)
     yield from joined_cases()
-    blade = cases.cascade(around=80, layers=20, first_cell=1e-3)
+    blade = faults.cascade(around=80, layers=20, first_cell=1e-3)
     sides = ("inlet", "outlet", "lower", "upper")
     yield Case(
         "cascade",
@@ -369,7 +370,7 @@ def around(curve: np.ndarray) -> jm.Mesh:
 
 def joined_cases() -> Iterator[Case]:
     """Moving walls that meet held ones: a channel, a nozzle, a flap on a wall, a hinged tail."""
-    mesh = cases.channel(columns=40, rows=16, gap=0.3, first_cell=0.005)
+    mesh = faults.channel(columns=40, rows=16, gap=0.3, first_cell=0.005)
     yield Case(
         "channel",
         mesh,
@@ -378,7 +379,7 @@ def joined_cases() -> Iterator[Case]:
         floor((0,))
         | {"raise, blended": linear(lambda x: along(-1, 0.1 * smooth(x[:, 0] / 0.2) * smooth((1 - x[:, 0]) / 0.2), 2))},
     )
-    x, t = np.linspace(0, 1, 41), two_sided(16, 0.01)
+    x, t = np.linspace(0, 1, 41), faults.two_sided(16, 0.01)
     top = 0.25 + 0.3 * (x - 0.45) ** 2
     points = np.stack([np.repeat(x, 17).reshape(41, 17), top[:, None] * t[None]], axis=-1)
     ids = ids_of(41, 17)
@@ -431,7 +432,7 @@ def solid_cases() -> Iterator[Case]:
     small = {name: SECTION[name] for name in ("camber", "thickness", "bump", "flap")}
     section = cases.naca4("0012", points=700, first_cell=1e-3, sharp=True)
     yield Case("extruded section, sharp", extruded(section, 5, 1.0), ("airfoil",), far, small, ends)
-    o_section = cases.sharp_o_grid(around=64, layers=16, first_cell=1e-4)
+    o_section = faults.sharp_o_grid(around=64, layers=16, first_cell=1e-4)
     tapered = {
         name: motion for name, motion in small.items() if name != "bump"
     }  # it would tear the tip's shorter chord

@@ -4,6 +4,8 @@ import dataclasses
 import pathlib
 from collections.abc import Callable, Iterator
 
+import agard445
+import faults
 import numpy as np
 
 import jaxmorph as jm
@@ -120,7 +122,7 @@ def shapes(points: int) -> Iterator[Case]:
 def edges(points: int) -> Iterator[Case]:
     """Sharp trailing edges with a very thin first cell; a moving flap that joins a wall at rest."""
     for name, mesh in (
-        ("O-grid, sharp", cases.sharp_o_grid()),
+        ("O-grid, sharp", faults.sharp_o_grid()),
         ("C-grid, sharp", cases.naca4("0012", points=points, first_cell=1e-6, sharp=True)),
     ):
         yield airfoil("edges", name, mesh, lambda base: {"camber 10 %": camber(base), "pitch 30": pitch(base, 30)})
@@ -135,7 +137,7 @@ def edges(points: int) -> Iterator[Case]:
 
 def passages(points: int) -> Iterator[Case]:
     """A blade that turns in its passage, in 5 steps; a bump of half the gap in a channel whose walls touch."""
-    mesh = cases.cascade()
+    mesh = faults.cascade()
     moving, sides = mesh.patch("blade"), mesh.patch("inlet", "outlet", "lower", "upper")
     base = mesh.points[moving] - [0, 0.08]
     steps = {
@@ -143,7 +145,7 @@ def passages(points: int) -> Iterator[Case]:
         for degrees in (38, 42, 44)
     }
     yield Case("passages", "cascade", mesh, moving, sides, steps)
-    mesh = cases.channel()
+    mesh = faults.channel()
     moving = mesh.patch("inner")
     base = mesh.points[moving]
     half = 0.1 * np.exp(-(((base[:, 0] - 0.5) / 0.1) ** 2)) * (16 * (base[:, 0] * (1 - base[:, 0])) ** 2)
@@ -170,12 +172,12 @@ def bricks(points: int) -> Iterator[Case]:
 
 def wing(points: int) -> Iterator[Case]:
     """The AGARD 445.6 wing in its modes, and with a bump on its upper side."""
-    mesh = cases.agard445(points=16_000)
+    mesh = agard445.mesh(points=16_000)
     moving = mesh.patch("wing")
     base = mesh.points[moving]
     motions = {}
     for mode, sizes in ((1, (0.1, 0.25, 0.5)), (2, (0.2, 0.3))):
-        motions |= {f"mode {mode} at {size}": cases.agard445_mode(base, mode, size)[None] for size in sizes}
+        motions |= {f"mode {mode} at {size}": agard445.mode(base, mode, size)[None] for size in sizes}
     middle, extent = base.mean(axis=0), np.ptp(base, axis=0)
     round_about = np.exp(-np.sum(((base - middle)[:, :2] / extent[:2] / 0.15) ** 2, axis=1))
     motions["upper bump"] = up(base, 0.03 * round_about * (base[:, 2] > 0))

@@ -8,6 +8,7 @@ length) that inverts a cell, in one step. For the block, the size-skew of its ce
 
 from collections.abc import Callable, Iterator
 
+import faults
 import jax
 import numpy as np
 from _measure import about, table
@@ -117,7 +118,7 @@ def skews() -> None:
 
 
 def cascades() -> Iterator[list[str]]:
-    passage = cases.cascade(around=160, layers=40, first_cell=1e-3, periodic=True)
+    passage = faults.cascade(around=160, layers=40, first_cell=1e-3, periodic=True)
     blade, ends = np.asarray(passage.points)[passage.patch("blade")], ("inlet", "outlet")
 
     def pitched(degrees):
@@ -134,7 +135,7 @@ def cascades() -> Iterator[list[str]]:
 
 
 def tips() -> Iterator[list[str]]:
-    stage, ends = cases.blade_tip(), ("inlet", "outlet")
+    stage, ends = faults.blade_tip(), ("inlet", "outlet")
     nodes = np.asarray(stage.points)[stage.patch("blade")]
 
     def twisted(degrees):
@@ -155,7 +156,7 @@ def tips() -> Iterator[list[str]]:
 
 
 def wings() -> Iterator[list[str]]:
-    wing = cases.blade_tip(gap=0.4, layers=3)  # its hub is the fuselage
+    wing = faults.blade_tip(gap=0.4, layers=3)  # its hub is the fuselage
     nodes = wing.patch("blade")
     root = nodes[np.linalg.norm(np.asarray(wing.points)[nodes, 1:], axis=1) < 1 + 1e-9]
     outer = ("shroud", "inlet", "outlet", "left", "right")

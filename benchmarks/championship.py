@@ -47,7 +47,7 @@ from _measure import about
 from scipy.interpolate import RBFInterpolator
 
 import jaxmorph as jm
-from jaxmorph._advice.overshoot import overshoot
+from jaxmorph._advice.inspect import overshoot
 
 MOST = 4.0
 CLOSE = 1.1

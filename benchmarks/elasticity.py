@@ -10,12 +10,12 @@ compiled before a motion is timed; the set-up includes their compilation.
 import argparse
 import resource
 
+import agard445
 import jax
 import numpy as np
 from _measure import about, cpu_seconds, once, table
 
 import jaxmorph as jm
-from jaxmorph import cases
 
 MODES = (1, 0.25), (1, 0.5), (2, 0.3)
 """Mode, and how far the tip's trailing edge goes, in semi-spans."""
@@ -30,7 +30,7 @@ def modes(mesh: jm.Mesh) -> None:
         ):
             plan = jm.prepare(mesh, "wing", fixed, symmetry=symmetry, method=method)
             wall = np.asarray(plan.points)[np.asarray(plan.moving)]
-            moved = [jm.deform(plan, cases.agard445_mode(wall, mode, size)) for mode, size in MODES]
+            moved = [jm.deform(plan, agard445.mode(wall, mode, size)) for mode, size in MODES]
             least = [float(jm.quality(mesh, points).min_volume_ratio) for points in moved]
             rows.append([name, what, *(f"{ratio:.3f}" for ratio in least)])
     table(rows, ("method", "plane", *(f"mode {mode} at {size}" for mode, size in MODES)))
@@ -42,7 +42,7 @@ def main() -> None:
     parser.add_argument("--modes", action="store_true")
     asked = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
-    mesh = cases.agard445(points=asked.points)
+    mesh = agard445.mesh(points=asked.points)
     about(points=len(mesh.points))
     if asked.modes:
         modes(mesh)

@@ -7,12 +7,12 @@ import argparse
 import time
 import warnings
 
+import faults
 import jax
 import numpy as np
 from _measure import about, table
 
 import jaxmorph as jm
-from jaxmorph import cases
 
 if __name__ == "__main__":
     jax.config.update("jax_enable_x64", True)
@@ -20,7 +20,7 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--layers", type=int, default=140)
     layers = parser.parse_args().layers
-    mesh = cases.sharp_o_grid(around=2 * layers, layers=layers)
+    mesh = faults.sharp_o_grid(around=2 * layers, layers=layers)
     about(points=len(mesh.points), imports=f"{time.process_time():.2f} s")
     began = [time.process_time()]
     plan = jax.block_until_ready(jm.prepare(mesh, "airfoil", "farfield"))

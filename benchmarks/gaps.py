@@ -7,12 +7,12 @@ Inverted cells and the smallest Jacobian ratio by three methods. What is left of
 
 from collections.abc import Callable, Iterator
 
+import faults
 import jax
 import numpy as np
 from _measure import about, table
 
 import jaxmorph as jm
-from jaxmorph import cases
 
 METHODS = {
     "default": lambda: jm.SurfaceReconstruction(),
@@ -44,7 +44,7 @@ def prepared(mesh: jm.Mesh, moving: str, fixed: tuple[str, ...], **boundaries) -
 def rows() -> Iterator[list[str]]:
     """Makes the table, its heads first."""
     yield ["motion", "gap left", *METHODS]
-    mesh = cases.channel(rows=20)
+    mesh = faults.channel(rows=20)
     base = mesh.points[mesh.patch("inner")]
     x = base[:, 0]
     bump = np.exp(-(((x - 0.5) / 0.1) ** 2)) * (4 * x * (1 - x)) ** 2
@@ -64,7 +64,7 @@ def rows() -> Iterator[list[str]]:
     for degrees in (5, 8, 11):
         yield row(f"channel, a wall turned by {degrees} degrees about its corner", mesh, plans, hinged, degrees)
 
-    mesh = cases.valve()
+    mesh = faults.valve()
     shape = mesh.points[mesh.patch("valve")].shape
     plans = prepared(mesh, "valve", ("seat", "inlet", "outlet", "top"), symmetry="middle")
 
@@ -74,7 +74,7 @@ def rows() -> Iterator[list[str]]:
     for amount, steps in ((-4, 1), (-2, 1), (0.5, 1), (0.8, 1), (0.98, 10)):
         yield row(f"valve, its lift times {1 - amount:.3g}", mesh, plans, closed, amount, steps)
 
-    mesh = cases.blade_tip()
+    mesh = faults.blade_tip()
     blade = mesh.points[mesh.patch("blade")]
     plans = prepared(mesh, "blade", ("hub", "inlet", "outlet", "left", "right", "shroud"))
 

@@ -6,6 +6,7 @@ python benchmarks/graph.py [--large 10000000]
 import argparse
 import resource
 
+import agard445
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,9 +14,8 @@ from _measure import about, cpu_seconds, once, table
 from scipy.spatial import Delaunay
 
 import jaxmorph as jm
-from jaxmorph import cases
-from jaxmorph._host.package.orders import morton_order
-from jaxmorph._host.surface.locate import locate
+from jaxmorph._host.package.rounding import morton_order
+from jaxmorph._host.surface.graph import locate
 
 
 def within(mesh: jm.Mesh, count: int) -> np.ndarray:
@@ -117,7 +117,7 @@ if __name__ == "__main__":
     parser.add_argument("--points", type=int, default=1_000_000)
     parser.add_argument("--large", type=int, default=10_000_000)
     arguments = parser.parse_args()
-    wing = cases.agard445()
+    wing = agard445.mesh()
     about(points=arguments.points, large=arguments.large, dtype="float64")
     rows = set_up(wing, 0, "the 65 thousand node wing", ("2.5 s CPU", "-"))
     rows += location(100_000)

@@ -12,6 +12,7 @@ import sys
 import time
 from collections.abc import Iterator
 
+import agard445
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -105,7 +106,7 @@ def airfoil(points: int) -> None:
 
 
 def wing(points: int) -> None:
-    mesh = cases.agard445(points=points)
+    mesh = agard445.mesh(points=points)
     moving, far = mesh.patch("wing"), mesh.patch("farfield")
     plan = jm.prepare(mesh.points, moving, far, symmetry=jm.Plane((0, 1, 0), (0, 0, 0)))
     for degrees in (30, 45, 60):

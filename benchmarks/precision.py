@@ -13,6 +13,7 @@ import subprocess
 import sys
 import tempfile
 
+import agard445
 import jax
 import numpy as np
 from _measure import about, table
@@ -28,12 +29,12 @@ METHODS = {
 
 
 def problems():
-    airfoil, wing = cases.naca0015(), cases.agard445(points=16_000)
+    airfoil, wing = cases.naca0015(), agard445.mesh(points=16_000)
     wall = airfoil.points[airfoil.patch("airfoil")]
     with jax.enable_x64(True):
         pitched = np.asarray(jm.shapes.rotate(wall, np.deg2rad(-15), [0.25, 0.0])) - wall
     yield "airfoil, 15 degrees", airfoil, "airfoil", pitched
-    yield "wing, mode 1 by 0.25", wing, "wing", cases.agard445_mode(wing.points[wing.patch("wing")], 1, 0.25)
+    yield "wing, mode 1 by 0.25", wing, "wing", agard445.mode(wing.points[wing.patch("wing")], 1, 0.25)
 
 
 def results(dtype) -> dict[str, np.ndarray]:

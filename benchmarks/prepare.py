@@ -10,12 +10,12 @@ import pstats
 import time
 import warnings
 
+import faults
 import jax
 import numpy as np
 from _measure import about, table
 
 import jaxmorph as jm
-from jaxmorph import cases
 
 PARTS = {
     "walls": ("walls.py", "walls"),
@@ -27,7 +27,7 @@ PARTS = {
 
 def extruded(stations: int, first_cell: float) -> jm.Mesh:
     """A swept and tapered wing between two planes: 296 cells around it, 33 from it to the far field."""
-    section = cases.sharp_o_grid(around=296, layers=33, first_cell=first_cell)
+    section = faults.sharp_o_grid(around=296, layers=33, first_cell=first_cell)
     eta, n = np.linspace(0, 1, stations)[:, None], len(section.points)
     x, z = ((1 - 0.3 * eta) * section.points[:, k] for k in (0, 1))
     points = np.stack([x + 0.5 * eta, np.broadcast_to(4 * eta, x.shape), z], axis=-1).reshape(-1, 3)

@@ -7,6 +7,7 @@ import argparse
 import itertools
 from collections.abc import Callable
 
+import faults
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -54,7 +55,7 @@ def stator(count: int) -> jm.Mesh:
     The cascade's quads lie on cylinders about the x axis, 2 to 3 chords from it; `count` is that of
     the cells from hub to shroud.
     """
-    flat = cases.cascade(around=120, layers=30, periodic=True)
+    flat = faults.cascade(around=120, layers=30, periodic=True)
     x, y = np.asarray(flat.points).T
     half = 0.5 * np.geomspace(1e-4, 1, count // 2)
     heights = np.concatenate([[0], half, 1 - half[-2::-1], [1]])
@@ -104,9 +105,9 @@ def valid_meshes() -> None:
     meshes = {
         "bent cylinder": bent_cylinder(20),
         "wing": cases.wing(),
-        "valve": cases.valve(),
-        "blade tip": cases.blade_tip(),
-        "cascade": cases.cascade(),
+        "valve": faults.valve(),
+        "blade tip": faults.blade_tip(),
+        "cascade": faults.cascade(),
         "stator": stator(24),
     }
     rows = []

@@ -12,6 +12,7 @@ import argparse
 import time
 from collections.abc import Callable
 
+import agard445
 import jax
 import matplotlib.pyplot as plt
 import numpy as np
@@ -50,7 +51,6 @@ def families(motions: np.ndarray) -> dict[str, Callable[[int, np.ndarray], jm.Ab
     return {
         "k-d tree": lambda count, base: jm.KDTree.with_sources(count, base),
         "farthest": lambda count, base: jm.FarthestPoints(count, extremes=True),
-        "P-greedy": lambda count, base: jm.PGreedy(count),
         "f-greedy": lambda count, base: jm.Greedy(count, motions, group=0.0),
         "f-greedy, grouped": lambda count, base: jm.Greedy(count, motions),
     }
@@ -73,9 +73,9 @@ def errors(base: np.ndarray, fixed: np.ndarray, motions: np.ndarray) -> dict[str
 
 
 def seconds(count: int) -> None:
-    mesh, rows = cases.agard445(), []
+    mesh, rows = agard445.mesh(), []
     base = np.asarray(mesh.points)[mesh.patch("wing")]
-    motions = np.stack([cases.agard445_mode(base, mode, 0.25) for mode in (1, 2)])
+    motions = np.stack([agard445.mode(base, mode, 0.25) for mode in (1, 2)])
     for name in ("farthest", "f-greedy", "f-greedy, grouped"):
         make, began = families(motions)[name], time.process_time()
         make(count, base)(base)

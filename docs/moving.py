@@ -15,6 +15,9 @@ import numpy as np
 import jaxmorph as jm
 from jaxmorph import cases, plot, shapes
 
+sys.path.append(str(pathlib.Path(__file__).parents[1]))
+from benchmarks import agard445
+
 FRAMES, BENDING, ANGLE = 14, 0.3, 15
 """Pictures in a period, rise of the wing's tip in semi-spans, rotation of the airfoil in degrees."""
 
@@ -27,9 +30,9 @@ LARGEST = 900_000
 
 def wing():
     """Makes the function that draws the bent wing and the cells in a plane across its span, as pixels."""
-    mesh = cases.agard445(points=6_500)
+    mesh = agard445.mesh(points=6_500)
     plan = jm.prepare(mesh, "wing", "farfield", symmetry="symmetry")
-    moved = np.asarray(jm.deform(plan, cases.agard445_mode(mesh.points[plan.moving], 1, BENDING)))
+    moved = np.asarray(jm.deform(plan, agard445.mode(mesh.points[plan.moving], 1, BENDING)))
 
     left = np.array([1.0, -1.0, 1.0])  # the left wing
 

@@ -169,12 +169,6 @@ CASES = [
         exact=False,
         dimensions=(2,),
     ),
-    Case(
-        "power",
-        lambda length: jm.SurfaceReconstruction(jm.RBF(reduction=jm.PGreedy(8)), jm.DelaunayGraph()),
-        turns=False,
-        dimensions=(2,),
-    ),
     Case("iterative", lambda length: iterative(jm.ThinPlateSpline())),
     Case(
         "iterative-wendland-none",

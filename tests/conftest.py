@@ -3,6 +3,7 @@
 import collections
 import contextlib
 import os
+import pathlib
 import resource
 import sys
 import tempfile
@@ -31,18 +32,20 @@ if "JAX_DISABLE_MOST_OPTIMIZATIONS" not in os.environ:
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
+sys.path.append(str(pathlib.Path(__file__).parents[1]))  # for meshes of benchmarks/
+
 MEMORY = {}
 """Largest resident memory of each worker, bytes."""
 
 LONG = (
-    *("notebooks", "openfoam_runs", "wing", "fuzz", "choose", "improve", "shared_cases", "conditioning", "demo_wing"),
+    *("notebooks", "openfoam_runs", "wing", "fuzz", "compare", "improve", "shared_cases", "conditioning"),
     *("mpi", "halves", "cli_chunks", "free_faces", "agard445", "demo", "mphys", "tesseract", "docs", "one_core"),
 )
 """Files of few tests, each of which takes long. They come first, so that no worker waits for another at the end."""
 
 UNCOUNTED = (
-    *("basis", "convex", "generated", "kernel_sum", "nearwall", "wallfit", "wing", "agard445", "agard445_modes", "cli"),
-    *("cli_chunks", "cli_compiled", "cli_help", "cli_picture", "demo", "demo_wing", "mphys", "naca0015", "naca4"),
+    *("basis", "convex", "generated", "kernel_sum", "nearwall", "wallfit", "wing", "agard445", "cli"),
+    *("cli_chunks", "cli_compiled", "cli_help", "cli_picture", "demo", "mphys", "naca0015", "naca4"),
     *("notebooks", "openmdao", "plot", "plot_film", "plot_sources"),
     *("shapes", "shapes_curves", "shapes_freeform", "shapes_measures", "shapes_smooth"),
 )

@@ -66,12 +66,12 @@ assert len(both) == shared
 assert all(places[0][node] == places[1][node] for node in both)  # bit for bit
 
 part = jm.Mesh(points[nodes], piece_cells)
-summary = piece.summary(jm.quality(part, moved))
-report = jm.quality(jm.Mesh(points, {kind: cells}), whole)
-assert (summary.cells, summary.inverted) == (len(cells), int(report.inverted))
-assert abs(summary.largest["skewness"] - float(report.max_skewness)) < 1e-9
-assert abs(summary.mean["skewness"] - float(report.mean_skewness)) < 1e-9
-assert abs(summary.smallest["jacobian_ratio"] - float(report.min_jacobian_ratio)) < 1e-9
+limits = jm.Limits(max_skewness=0.2)
+verdict, expected = piece.judge(part, moved, limits), jm.judge(jm.Mesh(points, {kind: cells}), whole, limits)
+assert (verdict.cells, verdict.inverted, verdict.parts) == (len(cells), expected.inverted, 2)
+for row in (("max", "skewness"), ("mean", "skewness"), ("min", "jacobian_ratio")):
+    assert abs(verdict.rows[row].value - expected.rows[row].value) < 1e-9
+assert verdict.gates[0].beyond == expected.gates[0].beyond > 0
 
 
 # pieces with cells know the faces, so the mesh moves as it does whole: in a passage too, and where pieces have ghost cells
@@ -128,7 +128,7 @@ for wrong in (
     lambda: piece.pullback(u, {} if comm.rank else weight[nodes]),
     lambda: piece.pushforward(u, u[:-1] if comm.rank else u),
     lambda: mpi.attach(comm, None if comm.rank else half, points[nodes], nodes),
-    lambda: piece.summary(None if comm.rank else jm.quality(part, moved)),
+    lambda: piece.judge(None if comm.rank else part, moved),
 ):
     try:
         wrong()

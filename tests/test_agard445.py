@@ -1,20 +1,21 @@
-"""The AGARD 445.6 wing against its published shape and counts, VTK's cell quality, and closed forms."""
+"""The AGARD 445.6 wing and its modes against published shape, tables and counts, VTK's cell quality, closed forms, another fit."""
 
 import resource
-import signal
-import sys
 from pathlib import Path
 
 import gmsh
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import pyvista as pv
 
-from jaxmorph.cases import _agard445, agard445
-from jaxmorph.cases import _agard445_mesh as gmsh_side
-from jaxmorph.cases import _agard445_wing as wing
+from benchmarks import agard445
 
 INCH = 0.0254
+TIP_TRAILING_EDGE = np.array([[(31.866 + 14.496) * INCH, 30 * INCH, 0.0]])
+SHARED = [parent / "shared/cases/agard445-modes" for parent in Path(__file__).resolve().parents]
+PUBLISHED = next((folder for folder in SHARED if folder.is_dir()), None)
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +25,7 @@ def cache(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def coarse(cache):
-    return agard445(points=6_500, cache_directory=cache)
+    return agard445.mesh(6_500, cache)
 
 
 def boundary_faces(tetra):
@@ -85,7 +86,7 @@ def test_boundaries_are_where_they_should_be(coarse):
     assert eta.max() == pytest.approx(1, abs=1e-12)
     assert min(xi.min(), 1 - xi.max()) > -1e-9
     side = eta < 1 - 1e-9
-    half = wing.half_thickness(np.clip(xi, 0, 1)) * INCH * (21.96 + (14.496 - 21.96) * eta)
+    half = agard445.half_thickness(np.clip(xi, 0, 1)) * INCH * (21.96 + (14.496 - 21.96) * eta)
     assert np.abs(z)[side] == pytest.approx(half[side], abs=2e-5)
     assert np.all(np.abs(z)[~side] <= half[~side] + 2e-5)
     corners = [[0, 0, 0], [21.96, 0, 0], [31.866, 30, 0], [46.362, 30, 0]]
@@ -105,144 +106,32 @@ def test_areas_and_volume_agree_with_closed_forms(coarse):
     assert volume == pytest.approx(2 / 3 * np.pi * 512, rel=0.05)
 
 
-@pytest.mark.nightly
-def test_same_bits_and_silence_inside_a_session_of_the_callers(coarse, capfd):
-    gmsh.initialize(readConfigFiles=False, interruptible=False)
-    try:
-        mine = {"General.Terminal": 0, "Mesh.Algorithm": 5, "Mesh.MeshSizeFactor": 0.5, "Mesh.RandomSeed": 7}
-        for option, value in mine.items():
-            gmsh.option.setNumber(option, value)
-        gmsh.model.add("mine")
-        gmsh.model.occ.addSphere(0, 0, 0, 1)
-        gmsh.model.occ.synchronize()
-        gmsh.model.mesh.generate(3)
-        nodes = gmsh.model.mesh.getNodes()[1]
-        again = gmsh_side.generate(gmsh, _agard445.RESOLUTIONS[6_500])
-        assert gmsh.isInitialized()
-        assert gmsh.model.getCurrent() == "mine"
-        assert gmsh.model.list() == ["", "mine"]
-        assert np.array_equal(gmsh.model.mesh.getNodes()[1], nodes)
-        assert {option: gmsh.option.getNumber(option) for option in mine} == mine
-    finally:
-        gmsh.finalize()
-    assert np.array_equal(again["points"], coarse.points)
-    assert np.array_equal(again["tetra"], coarse.cells["tetra"])
-    assert capfd.readouterr() == ("", "")
+def test_the_cache_is_bit_for_bit_and_gmsh_leaves_nothing_behind(coarse, cache, monkeypatch, capfd):
+    limit = resource.getrlimit(resource.RLIMIT_STACK)
 
+    def check_options_and_fail(geo):
+        for option, value in agard445.OPTIONS.items():
+            assert gmsh.option.getNumber(option) == pytest.approx(value), option
+        raise RuntimeError("made again")
 
-def check_options_and_fail(geo):
-    for option, value in gmsh_side.OPTIONS.items():
-        assert gmsh.option.getNumber(option) == pytest.approx(value), option
-    raise RuntimeError("on purpose")
-
-
-def test_a_session_of_its_own_leaves_nothing_behind(capfd, monkeypatch):
-    handler, limit = signal.getsignal(signal.SIGINT), resource.getrlimit(resource.RLIMIT_STACK)
-    monkeypatch.setattr(gmsh_side, "_wing", check_options_and_fail)
-    with pytest.raises(RuntimeError, match="on purpose"):
-        gmsh_side.generate(gmsh, _agard445.RESOLUTIONS[6_500])
-    assert not gmsh.isInitialized()
-    assert signal.getsignal(signal.SIGINT) is handler
-    assert resource.getrlimit(resource.RLIMIT_STACK) == limit
-    assert capfd.readouterr() == ("", "")
-
-
-def no_meshing(*arguments):
-    raise AssertionError("the mesh is in the cache and was made again")
-
-
-def test_cache_is_used_and_bit_for_bit(coarse, cache, monkeypatch):
-    monkeypatch.setattr(_agard445, "generate", no_meshing)
-    cached = agard445(points=6_500, cache_directory=str(cache))
+    monkeypatch.setattr(agard445, "_wing", check_options_and_fail)
+    cached = agard445.mesh(6_500, cache)
     assert np.array_equal(cached.points, coarse.points)
     assert np.array_equal(cached.cells["tetra"], coarse.cells["tetra"])
     assert all(np.array_equal(cached.patch(name), coarse.patch(name)) for name in coarse.patches)
     (file,) = cache.iterdir()
     assert gmsh.__version__ in file.name
-    with pytest.raises(AssertionError, match="made again"):
-        agard445(points=16_000, cache_directory=cache)
-    monkeypatch.setattr(gmsh, "__version__", "0.0")
-    with pytest.raises(AssertionError, match="made again"):
-        agard445(points=6_500, cache_directory=cache)
-
-
-def halve(file):
-    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
-
-
-def flip_a_byte(file):
-    content = bytearray(file.read_bytes())
-    content[len(content) // 2] ^= 0xFF
-    file.write_bytes(content)
-
-
-def lose_an_array(file):
-    np.savez(file, points=np.zeros((4, 3)))
-
-
-def point_nowhere(file):
-    with np.load(file) as stored:
-        arrays = dict(stored)
-    np.savez(file, **arrays | {"tetra": arrays["tetra"] + len(arrays["points"])})
-
-
-def write_an_array(file):
-    with file.open("wb") as stream:
-        np.save(stream, np.zeros(3))
-
-
-@pytest.mark.parametrize("damage", [halve, flip_a_byte, lose_an_array, point_nowhere, write_an_array, Path.unlink])
-def test_a_damaged_cache_is_made_anew(coarse, tmp_path, monkeypatch, damage):
-    arrays = {"points": coarse.points, "tetra": coarse.cells["tetra"], **coarse.patches}
-    monkeypatch.setattr(_agard445, "generate", lambda *_: arrays)
-    agard445(points=6_500, cache_directory=tmp_path / "new")
-    (file,) = (tmp_path / "new").iterdir()
-    damage(file)
-    mesh = agard445(points=6_500, cache_directory=tmp_path / "new")
-    assert np.array_equal(mesh.cells["tetra"], coarse.cells["tetra"])
-    assert list((tmp_path / "new").iterdir()) == [file]
-    monkeypatch.setattr(_agard445, "generate", no_meshing)
-    assert np.array_equal(agard445(points=6_500, cache_directory=tmp_path / "new").points, coarse.points)
-
-
-def test_a_cache_that_cannot_be_written_costs_a_warning(coarse, tmp_path, monkeypatch):
-    arrays = {"points": coarse.points, "tetra": coarse.cells["tetra"], **coarse.patches}
-    monkeypatch.setattr(_agard445, "generate", lambda *_: arrays)
-    (tmp_path / "file").write_text("")
-    with pytest.warns(UserWarning, match="could not be kept in .*file") as caught:
-        mesh = agard445(points=6_500, cache_directory=tmp_path / "file" / "below")
-    assert caught[0].filename != _agard445.__file__  # the caller's line, not the library's
-    assert np.array_equal(mesh.points, coarse.points)
-
-
-def test_what_is_missing_is_named(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "gmsh", None)
-    with pytest.raises(ImportError, match=r"pip install 'jaxmorph\[cases\]'"):
-        agard445()
-    (tmp_path / "gmsh.py").write_text("raise OSError('libGLU.so.1: cannot open shared object file')")
-    monkeypatch.delitem(sys.modules, "gmsh")
-    monkeypatch.syspath_prepend(tmp_path)
-    with pytest.raises(ImportError, match=r"libGLU\.so\.1.*apt-get install libglu1-mesa\."):
-        agard445()
-    monkeypatch.setitem(sys.modules, "platformdirs", None)
-    with pytest.raises(ImportError, match=r"platformdirs.*cache_directory"):
-        _agard445._user_cache()
-
-
-def test_default_cache_is_the_users(tmp_path, monkeypatch):
-    monkeypatch.setattr("platformdirs.user_cache_path", lambda name: tmp_path / name)
-    assert _agard445._user_cache() == tmp_path / "jaxmorph"
-
-
-def test_other_resolutions_are_refused():
-    with pytest.raises(ValueError, match=r"`points` is 5000; .*64_943, 16_000, 6_500"):
-        agard445(points=5_000)
+    with pytest.raises(RuntimeError, match="made again"):
+        agard445.mesh(16_000, cache)
+    assert not gmsh.isInitialized()
+    assert resource.getrlimit(resource.RLIMIT_STACK) == limit
+    assert capfd.readouterr() == ("", "")
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("points", [64_943, 16_000])
 def test_finer_meshes(points, tmp_path):
-    mesh = agard445(points=points, cache_directory=tmp_path)
+    mesh = agard445.mesh(points, tmp_path)
     assert len(mesh.points) == pytest.approx(points, rel=0.05)
     ratios = aspect_ratios(mesh)
     assert ratios.mean() == pytest.approx(1.53, abs=0.06 if points == 64_943 else 0.1)
@@ -251,3 +140,99 @@ def test_finer_meshes(points, tmp_path):
         assert len(mesh.cells["tetra"]) == pytest.approx(334_861, rel=0.05)
         assert len(mesh.patch("wing")) == pytest.approx(16_285, rel=0.05)
         assert len(mesh.patch("farfield")) == pytest.approx(923, rel=0.05)
+
+
+def test_section_is_the_published_one():
+    x = np.linspace(0, 1, 2001)
+    z = agard445.half_thickness(x)
+    assert (
+        np.max(
+            np.abs(agard445.half_thickness(np.array(agard445.STATIONS) / 100) - np.array(agard445.HALF_THICKNESS) / 100)
+        )
+        < 1e-15
+    )
+    assert z.max() == pytest.approx(0.02, abs=2e-5)
+    assert 0.40 < x[z.argmax()] < 0.45
+    nose = np.array([1e-8])
+    assert agard445.half_thickness(nose) ** 2 / (2 * nose) == pytest.approx(0.00102, rel=1e-3)
+    slope = np.diff(z) / np.diff(x)
+    assert np.sum(np.diff(np.sign(slope)) != 0) == 1, "more than one maximum"
+    assert slope[1600:] == pytest.approx(np.full(400, -0.0482), abs=3e-3), "the aft fifth is nearly straight"
+
+
+def test_section_belongs_to_its_family():
+    """Half thickness over thickness is nearly linear in thickness: from the 65A008 and 65A006 of NASA's program.
+
+    Ordinates at 20, 30 .. 90 % of the chord, in percent (public domain program naca456, after NASA TM 4741).
+    """
+    eight = np.array([3.3022, 3.7910, 3.9942, 3.8946, 3.4545, 2.7623, 1.8997, 0.9627]) / 8
+    six = np.array([2.4754, 2.8415, 2.9949, 2.9247, 2.6014, 2.0859, 1.4389, 0.7307]) / 6
+    four = 4 * (2 * six - eight)
+    assert 100 * agard445.half_thickness(np.arange(0.2, 0.95, 0.1)) == pytest.approx(four, abs=0.006)
+
+
+def test_contour_is_even_along_its_arc():
+    steps = np.linalg.norm(np.diff(agard445.upper_contour(400), axis=0), axis=1)
+    assert steps.max() / steps.min() < 1.06  # chords of the round nose are shorter than its arc
+
+
+@pytest.mark.skipif(PUBLISHED is None, reason="the published table is not here")
+@pytest.mark.parametrize("mode", [1, 2])
+def test_table_is_the_published_one(mode):
+    assert PUBLISHED is not None
+    vertices = np.loadtxt(PUBLISHED / "yates_vertices.txt")[:, 1:] * INCH
+    assert agard445.structural_nodes() == pytest.approx(vertices, abs=1e-4 * INCH)
+    normal = np.loadtxt(PUBLISHED / f"yates_mode{mode}.txt")[:, 3]
+    assert np.array_equal(np.ravel(agard445.DEFLECTIONS[mode]), normal)
+
+
+@pytest.mark.parametrize(("mode", "root_mean_square", "largest"), [(1, 0.0008, 0.003), (2, 0.005, 0.033)])
+def test_modes_fit_the_table(mode, root_mean_square, largest):
+    nodes = agard445.structural_nodes()
+    table = np.ravel(agard445.DEFLECTIONS[mode])
+    rest = (agard445.mode(nodes, mode)[:, 2] / (30 * INCH) - table / table[-1])[11:]
+    assert np.sqrt(np.mean(rest**2)) < root_mean_square
+    assert np.abs(rest).max() < largest
+
+
+@pytest.mark.parametrize("mode", [1, 2])
+def test_fit_is_the_least_squares_one(mode):
+    """Against the saddle-point system of the constrained fit, in another basis (Legendre polynomials)."""
+    nodes = agard445.structural_nodes()
+    table = np.ravel(agard445.DEFLECTIONS[mode])
+    eta, xi = agard445.planform_coordinates(nodes)
+    legendre = np.polynomial.legendre.legvander2d(2 * eta - 1, 2 * xi - 1, [4, 3])
+    terms = eta[:, None] ** 2 * legendre
+    normal = terms.T @ terms
+    system = np.block([[normal, terms[-1:].T], [terms[-1:], np.zeros((1, 1))]])
+    solution = np.linalg.solve(system, np.append(terms.T @ (table / table[-1]), 1.0))
+    assert agard445.mode(nodes, mode)[:, 2] == pytest.approx(30 * INCH * terms @ solution[:-1], abs=1e-9)
+
+
+@pytest.mark.parametrize("mode", [1, 2])
+def test_root_is_clamped_and_tip_is_one(mode):
+    x = np.linspace(0, 21.96 * INCH, 20)
+    root = np.column_stack([x, np.zeros(20), np.zeros(20)])
+    assert np.all(agard445.mode(root, mode) == 0)
+    slope = jax.vmap(jax.jacfwd(lambda p: agard445.mode(p[None], mode)[0]))(jnp.asarray(root))
+    assert np.all(np.asarray(slope) == 0)
+    moved = agard445.mode(TIP_TRAILING_EDGE, mode, amplitude=0.25)
+    assert moved == pytest.approx(np.array([[0, 0, 0.25 * 0.762]]), abs=1e-12)
+
+
+@pytest.mark.parametrize("mode", [1, 2])
+def test_mode_is_one_polynomial_for_numpy_and_jax(mode):
+    points = agard445.structural_nodes() + np.array([0, 0, 0.01])
+    u = agard445.mode(points, mode, 0.1)
+    assert isinstance(u, np.ndarray)
+    assert u.shape == points.shape
+    assert np.all(u[:, :2] == 0)
+    traced = jax.jit(agard445.mode, static_argnums=1)(jnp.asarray(points), mode, 0.1)
+    assert np.asarray(traced) == pytest.approx(u, abs=1e-13)
+    eta, xi = agard445.planform_coordinates(points)
+    alpha = np.zeros((7, 4))
+    alpha[2:] = agard445.coefficients(mode)
+    assert u[:, 2] == pytest.approx(0.0762 * np.polynomial.polynomial.polyval2d(eta, xi, alpha), abs=1e-12)
+    assert agard445.mode(points.astype(np.float32), mode).dtype == np.float32
+    assert agard445.mode(jnp.asarray(points, jnp.float32), mode).dtype == jnp.float32
+    assert agard445.mode(points.tolist(), mode, 0.1) == pytest.approx(u)

@@ -185,19 +185,6 @@ def test_a_ridge_smooths_noise():
         jm.RBF(ridge=-1.0)
 
 
-def test_power_greedy_chooses_as_the_dense_power_function():
-    """Each is where 1 - k(x)^T K^-1 k(x), by a dense solve, is largest."""
-    points = np.random.default_rng(2).uniform(size=(200, 3))
-    radius = np.linalg.norm(np.ptp(points, axis=0))
-    kernel = np.asarray(jm.WendlandC2(radius)(((points[:, None] - points[None]) ** 2).sum(axis=2)))
-    chosen = [int(((points - points.mean(axis=0)) ** 2).sum(axis=1).argmax())]
-    while len(chosen) < 15:
-        weights = np.linalg.solve(kernel[np.ix_(chosen, chosen)], kernel[chosen])
-        chosen.append(int((1 - (kernel[chosen] * weights).sum(axis=0)).argmax()))
-    assert set(jm.PGreedy(15)(points).tolist()) == set(chosen)
-    assert len(jm.PGreedy(300)(points)) == 200
-
-
 def test_compact_functions_are_a_sparse_system():
     """Against the dense interpolation with the same function."""
     rng = np.random.default_rng(3)

@@ -12,10 +12,9 @@ from scipy.sparse.linalg import spsolve
 
 import jaxmorph as jm
 from jaxmorph import cases
-from jaxmorph._host.cells.elements import quadrature
-from jaxmorph._host.linear import multigrid, solves
+from jaxmorph._host.linear import solves
 from jaxmorph._host.linear import systems as linear
-from jaxmorph._methods.cells.stiffness import gradients
+from jaxmorph._methods.cells.stiffness import gradients, quadrature
 
 UNIFORM = jm.LinearElasticity(jm.ByVolume(0.0))
 
@@ -220,9 +219,9 @@ def test_a_solve_that_does_not_converge_is_factored_or_no_answer(monkeypatch):
 def test_unknowns_that_nothing_joins_are_solved_by_sparse_factors(join):
     """No negative entry: the last level is the matrix itself."""
     pytest.importorskip("pyamg")
-    n = 2 * multigrid.COARSEST
+    n = 2 * solves.COARSEST
     matrix = sparse.csr_matrix(np.eye(n) + join * (np.eye(n, k=1) + np.eye(n, k=-1)))
-    cycle = multigrid.hierarchy(matrix, np.ones(n))
+    cycle = solves.hierarchy(matrix, np.ones(n))
     right = np.random.default_rng(0).normal(size=n)
     assert not cycle.levels
     np.testing.assert_allclose(matrix @ cycle(right), right, rtol=0, atol=1e-12)
@@ -247,7 +246,7 @@ def test_thin_layers_of_hexahedra_take_few_steps(monkeypatch):
     scaled = (sparse.diags(1 / root) @ matrix @ sparse.diags(1 / root)).tocsr()
     right = np.random.default_rng(0).normal(size=len(root))
     monkeypatch.setattr(linear, "LIMIT", 25)
-    x = linear.iterated(scaled, right, multigrid.hierarchy(scaled, root), 1 / root)
+    x = linear.iterated(scaled, right, solves.hierarchy(scaled, root), 1 / root)
     np.testing.assert_allclose(scaled @ x, right, rtol=0, atol=1e-7)
 
 

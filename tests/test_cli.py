@@ -16,6 +16,7 @@ from runs import runs
 
 import jaxmorph as jm
 from jaxmorph import io
+from jaxmorph._mesh.vtk import data_of
 from jaxmorph.cli import _output, main
 
 
@@ -134,11 +135,12 @@ def test_new_positions_from_a_file_in_any_order_and_arrays_for_paraview(here):
     assert deform("bump.vtu", "--displacement", "wall.dat", "--method", "rbf") == 0
     before, after = io.read("ring.su2"), io.read("bump.vtu")
     np.testing.assert_allclose(after.points[:24], before.points[:24] * [1, 1.25], atol=1e-12)
-    arrays = after.source.content
-    np.testing.assert_allclose(arrays.point_data["displacement"][:, :2], after.points - before.points, atol=1e-15)
+    data = after.source.content.data
+    at_points, at_cells = data_of(data.GetPointData()), data_of(data.GetCellData())
+    np.testing.assert_allclose(at_points["displacement"][:, :2], after.points - before.points, atol=1e-15)
     expected = jm.quality(before, after.points)
-    np.testing.assert_allclose(arrays.cell_data["skewness"][0], expected.skewness, rtol=1e-12, atol=1e-12)
-    np.testing.assert_allclose(arrays.cell_data["volume_ratio"][0], expected.volume_ratio, rtol=1e-12)
+    np.testing.assert_allclose(at_cells["skewness"], expected.skewness, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(at_cells["volume_ratio"], expected.volume_ratio, rtol=1e-12)
 
 
 @pytest.mark.slow

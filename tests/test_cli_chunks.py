@@ -10,7 +10,7 @@ from meshes import lattice, sides, write_ring
 
 import jaxmorph as jm
 from jaxmorph import io
-from jaxmorph.cli import _method, main
+from jaxmorph.cli import main
 
 MOVE = ["--moving", "wall", "--fixed", "far", "--translate", "0.2", "0", "--rotate", "30"]
 
@@ -18,14 +18,14 @@ MOVE = ["--moving", "wall", "--fixed", "far", "--translate", "0.2", "0", "--rota
 @pytest.fixture
 def sizes(monkeypatch):
     """How many points each chunk has that is prepared by the command line."""
-    made, called = _method.chunks_of, []
+    made, called = jm.prepare_in_chunks, []
 
-    def counted(*arguments):
-        for nodes, plan in made(*arguments):
+    def counted(*arguments, **settings):
+        for nodes, plan in made(*arguments, **settings):
             called.append(len(plan.points))
             yield nodes, plan
 
-    monkeypatch.setattr(_method, "chunks_of", counted)
+    monkeypatch.setattr(jm, "prepare_in_chunks", counted)
     return called
 
 
@@ -148,40 +148,3 @@ def test_an_error_carries_its_nodes():
     assert isinstance(whole, ValueError)
     assert (str(error), str(whole)) == ("2 nodes are far away, first node 2.", "2 nodes are far away, first node 8.")
     assert whole.nodes.tolist() == [8, 3]
-
-
-def test_the_estimate_is_of_one_chunk():
-    mesh = brick()
-    large = jm.Mesh(np.random.default_rng(0).random((100_000, 3)), {}, mesh.patches)
-    moving, fixed = mesh.patch("z0"), mesh.patch("z1", "x1", "y1")
-    whole, parts = (jm.estimate(large, moving, fixed, chunk=size) for size in (None, 9000))
-    assert parts.memory < whole.memory - 40e6
-    half = jm.estimate(large.moved(large.points.astype(np.float32)), moving, fixed)
-    assert half.memory < whole.memory - 40e6
-
-
-def test_the_estimate_knows_the_sources():
-    """Of the method's own reductions: what the plan then has."""
-    mesh = brick()
-    moving, fixed = mesh.patch("z0"), mesh.patch("z1", "x1", "y1")
-    for method in (jm.SurfaceReconstruction.published(), jm.RBF.classic(), jm.DelaunayGraph()):
-        estimated = jm.estimate(mesh, moving, fixed, method=method)
-        assert estimated.sources == len(jm.prepare(mesh.points, moving, fixed, method=method).sources)
-        assert estimated.surface == len(np.union1d(moving, fixed))
-
-
-def test_the_estimate_of_many_sources_is_that_of_iterations():
-    """Known from a run: 17,147 sources took 0.55 GB."""
-    rng = np.random.default_rng(0)
-    mesh = jm.Mesh(rng.random((64764, 3)), {"tetra": np.array([[0, 1, 2, 3]])})
-    every = jm.AllPoints()
-    iterated, few, direct = (
-        jm.estimate(
-            mesh,
-            np.arange(17000),
-            np.arange(17000, 17147),
-            method=jm.RBF(jm.ThinPlateSpline(), every, every, solver=solver),
-        )
-        for solver in (None, jm.Iterative(dense=100), jm.Direct())
-    )
-    assert 0.4e9 < few.memory < iterated.memory < 0.8e9 < direct.memory

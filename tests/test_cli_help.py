@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from jaxmorph.cli import main
-from jaxmorph.cli._flags import parser
+from jaxmorph.cli._entry import parser
 
 MEASURES = ("aspect-ratio", "non-orthogonality", "skewness", "face-skewness", "face-aspect-ratio")
 COMMANDS = ("deform", "modes", "sensitivity", "quality", "info", "demo")

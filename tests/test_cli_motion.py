@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 import jaxmorph as jm
 from jaxmorph import io
 from jaxmorph.cli import main
-from jaxmorph.cli._flags import request_of
+from jaxmorph.cli._entry import request_of
 from jaxmorph.cli._motion import motion
 
 

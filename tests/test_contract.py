@@ -20,7 +20,7 @@ from runs import runs
 from scipy.spatial.transform import Rotation
 
 import jaxmorph as jm
-from jaxmorph._methods.placing import place
+from jaxmorph._methods.base import place
 
 FAST = {("delaunay", 2), ("reduced", 2)}
 """Cases whose laws the fast tests hold."""

@@ -16,12 +16,12 @@ from meshes import grid, lattice
 from runs import runs
 
 import jaxmorph as jm
-from jaxmorph._host.cells import pairs
-from jaxmorph._host.package import cores, trees
+from jaxmorph._host.cells import adjacency
+from jaxmorph._host.package import cores, rounding
 from jaxmorph._host.surface.neighbours import near_walls
 from jaxmorph._methods.blocks import is_rows
-from jaxmorph._plan import slabs
-from jaxmorph._quality import batches, sides
+from jaxmorph._plan import deform as slabs
+from jaxmorph._quality import sides, vector
 from jaxmorph.cases import naca4, wing
 
 METHODS = {
@@ -52,11 +52,11 @@ def fine():
 def few_points(monkeypatch):
     """Slabs, searches by threads and blocks of few points, faces and cells."""
     monkeypatch.setattr(slabs, "LEAST", 1024)
-    monkeypatch.setattr(trees, "FEW", 64)
+    monkeypatch.setattr(rounding, "FEW", 64)
     monkeypatch.setattr(cores, "BLOCK", 512)
     monkeypatch.setattr(pairs, "BLOCK", 512)
     monkeypatch.setattr(sides, "BLOCK", 512)
-    monkeypatch.setattr(batches, "CACHED", 512)
+    monkeypatch.setattr(vector, "CACHED", 512)
 
 
 @pytest.mark.parametrize(
@@ -217,7 +217,7 @@ def test_tables_made_while_jax_traces_serve_later():
 
 def test_more_points_than_a_thread_searches_alone_get_equal_neighbours(few_points, monkeypatch):
     points = lattice(*[np.linspace(0, 1, 12)] * 3)
-    tree = trees.Tree(points)
+    tree = rounding.Tree(points)
     monkeypatch.setenv(cores.SWITCH, "1")
     alone = tree.query(points + 0.3, k=3)
     monkeypatch.setenv(cores.SWITCH, "3")
@@ -274,7 +274,7 @@ def test_faces_have_equal_twins_on_any_number_of_cores(few_points, monkeypatch, 
         if len(rows) == 2:
             expected[rows] = rows[::-1]
     assert (expected >= 0).any()
-    np.testing.assert_array_equal(pairs.twins(list(faces.T)), expected)
+    np.testing.assert_array_equal(adjacency.twins(list(faces.T)), expected)
 
 
 @pytest.mark.parametrize("number", ["1", "3"])

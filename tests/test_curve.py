@@ -7,8 +7,7 @@ import pytest
 from runs import runs
 
 import jaxmorph as jm
-from jaxmorph._advice.methods import METHODS, entry
-from jaxmorph._advice.rivals import Extent
+from jaxmorph._advice.methods import METHODS, Lengths, entry
 from jaxmorph._host.cells.lagrange import lagrange_types
 from jaxmorph._host.cells.topology import CORNERS
 
@@ -218,7 +217,7 @@ def test_every_method_moves_a_p2_cylinder_and_no_cell_folds_on_the_way(name):
     angle = np.arctan2(wall[:, 1], wall[:, 0])
     turn = np.deg2rad(20)
     rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
-    method = entry(name).make(Extent(wall, np.asarray(mesh.points)[mesh.patch("far")]))
+    method = entry(name).make(Lengths(wall, np.asarray(mesh.points)[mesh.patch("far")]))
     plan = jm.prepare(mesh, "wall", "far", method=method)
     motions = (
         wall @ rotation.T - wall,

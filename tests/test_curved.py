@@ -7,8 +7,7 @@ from runs import runs
 
 import jaxmorph as jm
 from jaxmorph import io
-from jaxmorph._host.cells.lagrange import lagrange_types
-from jaxmorph._host.cells.shape_functions import values
+from jaxmorph._host.cells.lagrange import lagrange_types, values
 
 gmsh = pytest.importorskip("gmsh")
 

@@ -9,9 +9,8 @@ from meshes import gmsh_session
 
 import jaxmorph as jm
 from jaxmorph import io
-from jaxmorph._host.cells.lagrange import lagrange_types
+from jaxmorph._host.cells.lagrange import derivatives, lagrange_types, values
 from jaxmorph._host.cells.orders import CGNS_ORDER, GMSH
-from jaxmorph._host.cells.shape_functions import derivatives, values
 
 TYPES = lagrange_types()
 HIGH = [name for name in TYPES if TYPES[name].order > 1 and TYPES[name].dimension > 1]

@@ -1,17 +1,19 @@
-"""The demo of the paper's airfoil: on a small mesh in full, on the paper's against its numbers (slow)."""
+"""The paper's two cases from one command each: on small meshes in full, on the paper's against its numbers (by hand the wing)."""
 
+import os
 import pathlib
+import re
+import subprocess
 import sys
 
 import matplotlib.image
 import meshio
 import numpy as np
 import pytest
-from runs import runs
 
 import jaxmorph as jm
 from jaxmorph import cases, io
-from jaxmorph._demo import _airfoil, _terminal, run
+from jaxmorph._demo import _airfoil, run
 
 # Mean and largest skewness at 15 degrees, change at the wall; a prototype's values.
 EXPECTED = {
@@ -24,6 +26,19 @@ EXPECTED = {
     "reduced RBF, 32 + 6": (0.0937, 0.2646, 0.018),
 }
 
+# Mean and largest aspect ratio, smallest V/V0: reduced RBF, 269 + 917 sources, and graph mapping alone.
+WING = {
+    (1, 0.0735): ((1.5285, 7.189, 0.982), (1.5285, 7.151, 0.895)),
+    (1, 0.1): ((1.5301, 7.211, 0.975), (1.5302, 7.159, 0.857)),
+    (1, 0.25): ((1.5480, 7.416, 0.937), (1.5487, 7.289, 0.642)),
+    (1, 0.5): ((1.6080, 8.040, 0.875), (1.6109, 8.618, 0.284)),
+    (1, 0.75): ((1.7018, 8.950, 0.812), (1.7092, 78.4, -0.074)),
+    (2, 0.2): ((1.6272, 11.05, 0.845), (1.6006, 15.31, 0.277)),
+    (2, 0.3): ((1.7429, 16.11, 0.767), (1.6888, 212.1, -0.084)),
+}
+
+ROOT = pathlib.Path(__file__).parents[1]
+
 
 def turned(points, degrees):
     """Nose up about the quarter chord, by complex numbers."""
@@ -31,48 +46,20 @@ def turned(points, degrees):
     return np.column_stack([z.real, z.imag])
 
 
-def turned_airfoil(points):
-    return turned(points, 15)
-
-
-def bent_wing(points):
-    return points + cases.agard445_mode(points, 1, 0.5)
-
-
-DEMOS = {
-    "naca0015": (2000, "airfoil", turned_airfoil, "skewness", ("full-rbf", "dgm", "reduced-rbf")),
-    "agard445": (6500, "wing", bent_wing, "aspect_ratio", ("dgm", "reduced-rbf", "default")),
-}
-"""Nodes, patch, its motion, the measure that is drawn, and the methods, of each demo."""
-SAID = {
-    "naca0015": ("reduced RBF, 4 + ", "DGM, ids found again"),
-    "agard445": ("mode 1, 0.75", "mode 2, 0.3", "reduced RBF", "default", "6592 points"),
-}
-
-
-@pytest.mark.parametrize("name", runs(slow=["naca0015"], nightly=["agard445"]))
-def test_the_demo_leaves_tables_pictures_and_meshes(name, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(_airfoil, "LEAVES", (1,))
-    count, patch, motion, measure, methods = DEMOS[name]
-    output = tmp_path / "made" / "for it"
-    assert run(name, output, points=count) == 0
-    said = capsys.readouterr()
-    assert said.err == ""
-    assert max(map(len, said.out.split("\nwrote")[0].splitlines())) <= 80
-    for words in SAID[name]:
-        assert words in said.out
-    written = [pathlib.Path(line.strip()) for line in said.out.split("\nwrote")[1].strip().splitlines()]
+def check_files(output, said, start, patch, motion, measure, methods):
+    """Pictures and meshes in a folder: all that were announced, coloured, moved as told, the measure of each cell beside."""
+    written = [pathlib.Path(line.strip()) for line in said.split("\nwrote")[1].strip().splitlines()]
     assert sorted(written) == sorted(output.iterdir())
-    for file in output.glob("*.png"):
+    pictures = list(output.glob("*.png"))
+    assert len(pictures) == 2
+    for file in pictures:
         picture = matplotlib.image.imread(file)
         assert picture.shape[1] == 1999
         assert picture[..., :3].std() > 0.05
         red, _, blue = np.moveaxis(picture[..., :3], -1, 0)
-        assert name == "naca0015" or (red - blue > 0.3).mean() > 0.01, "no cell is coloured"
-    assert len(list(output.glob("*.png"))) == 2
-    start = getattr(cases, name)(points=count)
+        assert file.name == "figure6.png" or (red - blue > 0.3).mean() > 0.01, "no cell is coloured"
     wall, far = start.patch(patch), start.patch("farfield")
-    d = start.points.shape[1]
+    d, name = start.points.shape[1], next(output.glob("*-undeformed.su2")).name.split("-")[0]
     for method in methods:
         moved = io.read(output / f"{name}-{method}.su2")
         np.testing.assert_array_equal(moved.patch(patch), wall)
@@ -84,6 +71,47 @@ def test_the_demo_leaves_tables_pictures_and_meshes(name, tmp_path, capsys, monk
         np.testing.assert_allclose(to_look_at.point_data["displacement"][:, :d], displacement, atol=1e-15)
         expected = np.asarray(getattr(jm.quality(start, moved.points), measure))
         np.testing.assert_allclose(to_look_at.cell_data[measure][0], expected, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.slow
+def test_the_demo_leaves_tables_pictures_and_meshes(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(_airfoil, "LEAVES", (1,))
+    output = tmp_path / "made" / "for it"
+    assert run("naca0015", output, points=2000) == 0
+    said = capsys.readouterr()
+    assert said.err == ""
+    assert max(map(len, said.out.split("\nwrote")[0].splitlines())) <= 80
+    assert "reduced RBF, 4 + " in said.out
+    assert "DGM, ids found again" in said.out
+    start, methods = cases.naca0015(points=2000), ("full-rbf", "dgm", "reduced-rbf")
+    check_files(output, said.out, start, "airfoil", lambda x: turned(x, 15), "skewness", methods)
+
+
+@pytest.mark.parametrize(
+    "points", [pytest.param(6_500, marks=pytest.mark.nightly), pytest.param(64_943, marks=pytest.mark.full)]
+)
+def test_the_wing_leaves_tables_pictures_and_meshes(tmp_path, points):
+    agard445 = pytest.importorskip("benchmarks.agard445")
+    command = [sys.executable, ROOT / "benchmarks/wing.py", "--points", str(points), "--output", tmp_path / "wing"]
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
+    assert done.returncode == 0, done.stderr
+    start = agard445.mesh(points)
+    methods = ("dgm", "reduced-rbf", "default")
+    check_files(
+        tmp_path / "wing", done.stdout, start, "wing", lambda x: x + agard445.mode(x, 1, 0.5), "aspect_ratio", methods
+    )
+    _, far = re.search(r"reduced RBF +(\d+) +(\d+) ", done.stdout).groups()
+    assert int(far) == len(start.patch("farfield"))
+    numbers = r"\s+([0-9.]+)\s+([0-9.]+)\s+(-?[0-9.]+)\s+(\d+)"
+    rows = re.findall(rf"(?:DGM|reduced RBF|default){numbers}\n", done.stdout)
+    found = np.array(rows, dtype=float).reshape(len(WING), 3, 4)
+    assert not found[:, 1:, 3].any(), "cells are inverted"
+    if points == 64_943:
+        for (reduced, graph), by_method in zip(WING.values(), found, strict=True):
+            assert by_method[0, 2] == pytest.approx(graph[2], abs=0.005)
+            for method in (1, 2):
+                assert (np.abs(by_method[method, :3] - reduced) < (0.001, 0.1, 0.005)).all()
 
 
 def test_rotation_is_nose_up():
@@ -112,24 +140,17 @@ def test_an_unknown_case_is_named(tmp_path):
 
 
 def test_table_aligns_columns():
-    text = _terminal.table([("method", "mean")], [("a", "0.1"), ("a longer one", "22.25")])
+    text = _airfoil.table([("method", "mean")], [("a", "0.1"), ("a longer one", "22.25")])
     lines = text.splitlines()
     assert lines == ["method         mean", "-------------------", "a               0.1", "a longer one  22.25"]
 
 
-def test_progress_speaks_on_a_terminal_alone(capsys, monkeypatch):
-    with _terminal.progress(2) as say:
-        say("first")
+def test_progress_is_for_a_terminal_alone(capsys, monkeypatch):
+    _airfoil.say("first")
     assert capsys.readouterr() == ("", "")
-    monkeypatch.setenv("FORCE_COLOR", "1")
-    monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setattr(sys.stdout, "isatty", lambda: True, raising=False)
-    with _terminal.progress(2) as say:
-        say("the first step")
-        say("the second step")
-    said = capsys.readouterr()
-    assert "the second step" in said.err
-    assert said.out == ""
+    _airfoil.say("the second step")
+    assert capsys.readouterr() == ("", "the second step ...\n")
 
 
 @pytest.mark.nightly

@@ -34,7 +34,6 @@ calls = {
     "mphys": lambda: importlib.import_module("jaxmorph.integrations.mphys"),
     "mpi": lambda: importlib.import_module("jaxmorph.integrations.mpi"),
     "idwarp": lambda: importlib.import_module("jaxmorph.integrations.idwarp"),
-    "wing": cases.agard445,
 }
 for name, call in calls.items():
     try:
@@ -55,7 +54,7 @@ def test_each_missing_extra_is_named(tmp_path):
     )
     assert remedies == {
         "vtu": "io", "msh": "io", "cgns": "io", "meshio": "io", "pyvista": "plot", "plot": "plot",
-        "openmdao": "openmdao", "mphys": "mphys", "mpi": "mpi", "idwarp": "mpi", "wing": "cases",
+        "openmdao": "openmdao", "mphys": "mphys", "mpi": "mpi", "idwarp": "mpi",
     }  # fmt: skip
     project = tomllib.loads((pathlib.Path(root) / "pyproject.toml").read_text())["project"]
     assert set(remedies.values()) <= set(project["optional-dependencies"])

@@ -10,7 +10,8 @@ from foam import HEXAHEDRON, PATCHES, mixed, split
 from meshes import unit_box
 
 import jaxmorph as jm
-from jaxmorph import cases, io
+from benchmarks import faults
+from jaxmorph import io
 from jaxmorph._kernels.compile import quickly_compiled
 from jaxmorph.cli import main
 
@@ -21,7 +22,7 @@ CHANNEL = ("--moving", "inner", "--fixed", "outer", "inlet", "outlet")
 def folder(tmp_path_factory):
     """A channel whose four patches touch, with a bump for its inner wall, and the same without the name of one patch."""
     folder = tmp_path_factory.mktemp("free")
-    mesh = cases.channel(columns=12, rows=8, first_cell=1e-3)
+    mesh = faults.channel(columns=12, rows=8, first_cell=1e-3)
     io.write(folder / "channel.su2", mesh)
     nameless = {name: nodes for name, nodes in mesh.patches.items() if name != "outlet"}
     io.write(folder / "nameless.vtu", jm.Mesh(mesh.points, mesh.cells, nameless))
@@ -112,7 +113,7 @@ def test_free_patches_are_not_warned_of_in_python():
     with pytest.warns(UserWarning, match=r"36 of 54 boundary faces .* 'x0' \(9\)") as caught:
         plan = jm.prepare(mesh, "z1", "z0")
     with pytest.raises(ValueError, match="`motions`"), pytest.warns(UserWarning, match="boundary faces") as chosen:
-        jm.choose(mesh, "z1", "z0", np.ones((1, 3)))
+        jm.compare(jm.Boundary(mesh, "z1", "z0"), np.ones((1, 3)))
     assert {each.filename for each in (*caught, *chosen)} == {__file__}  # the caller's line
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -6,6 +6,7 @@ from meshes import lattice
 from scipy.spatial.transform import Rotation
 
 import jaxmorph as jm
+from benchmarks import faults
 from jaxmorph import cases
 from jaxmorph._host.surface.gaps import gaps, share_left
 
@@ -16,13 +17,13 @@ def closing(base, left, lift=0.1):
 
 
 def on_its_seat(method=None):
-    mesh = cases.valve()
+    mesh = faults.valve()
     plan = jm.prepare(mesh, "valve", ("seat", "inlet", "outlet", "top"), symmetry="middle", method=method)
     return mesh, plan, mesh.points[mesh.patch("valve")]
 
 
 def test_a_valve_stands_above_its_seat():
-    mesh = cases.valve(lift=0.05, layers=3)
+    mesh = faults.valve(lift=0.05, layers=3)
     assert int(jm.quality(mesh).inverted) == 0
     valve, seat = (mesh.points[mesh.patch(name)] for name in ("valve", "seat"))
     assert valve[:, 1].min() - seat[:, 1].max() == pytest.approx(0.05)
@@ -32,11 +33,11 @@ def test_a_valve_stands_above_its_seat():
     assert float(np.sum(jm.quality(mesh).volume)) == pytest.approx(areas)
     assert (mesh.points[mesh.patch("middle"), 0] == 0).all()
     with pytest.raises(ValueError, match=r"a lift from 0 to 0\.5"):
-        cases.valve(lift=0)
+        faults.valve(lift=0)
 
 
 def test_a_tip_stands_below_its_shroud():
-    mesh = cases.blade_tip(gap=0.02, layers=4)
+    mesh = faults.blade_tip(gap=0.02, layers=4)
     radius = np.linalg.norm(mesh.points[:, 1:], axis=1)
     assert radius[mesh.patch("blade")].max() == pytest.approx(1.98)
     np.testing.assert_allclose(radius[mesh.patch("shroud")], 2)
@@ -45,7 +46,7 @@ def test_a_tip_stands_below_its_shroud():
     images = turn.apply(left)
     assert max(np.abs(right - image[None]).max(axis=1).min() for image in images) < 1e-12
     with pytest.raises(ValueError, match=r"a gap from 0 to 0\.5"):
-        cases.blade_tip(gap=1)
+        faults.blade_tip(gap=1)
 
 
 def test_gaps_are_distances_to_faces():
@@ -90,7 +91,7 @@ def test_layers_end_between_walls_that_have_moved(case):
         mesh, plan, base = on_its_seat()
         path = np.stack([closing(base, 0.02**t) for t in steps])
     else:
-        mesh = cases.channel(columns=20, rows=12, first_cell=1e-3)
+        mesh = faults.channel(columns=20, rows=12, first_cell=1e-3)
         plan = jm.prepare(mesh, "inner", ("outer", "inlet", "outlet"))
         x = mesh.points[mesh.patch("inner"), 0]
         bump = (4 * x * (1 - x)) ** 4

@@ -5,16 +5,17 @@ import pytest
 from oracles import boundary_edges, polydata, shoelace
 from scipy.spatial import cKDTree
 
+from benchmarks import faults
 from jaxmorph import cases
 from jaxmorph._host.cells.pieces import boundary_faces
 
 FLAT = {
-    "sharp_o_grid": lambda: cases.sharp_o_grid(around=96, layers=40),
-    "cambered o-grid": lambda: cases.sharp_o_grid(around=96, layers=40, camber=0.05, edge=5.0),
+    "sharp_o_grid": lambda: faults.sharp_o_grid(around=96, layers=40),
+    "cambered o-grid": lambda: faults.sharp_o_grid(around=96, layers=40, camber=0.05, edge=5.0),
     "sharp c-grid": lambda: cases.naca4("4412", points=4000, sharp=True),
-    "cascade": lambda: cases.cascade(around=120, layers=30),
-    "wide cascade": lambda: cases.cascade(around=120, layers=30, pitch=3.0),
-    "channel": lambda: cases.channel(columns=20, rows=16),
+    "cascade": lambda: faults.cascade(around=120, layers=30),
+    "wide cascade": lambda: faults.cascade(around=120, layers=30, pitch=3.0),
+    "channel": lambda: faults.channel(columns=20, rows=16),
 }
 
 
@@ -38,7 +39,7 @@ def test_cells_are_convex_and_fill_their_boundary(name):
 @pytest.mark.parametrize("first_cell", [1.7e-7, 1e-5])
 def test_o_grid(first_cell):
     """One node at the edge, rays along the normal, the first cell as asked for."""
-    mesh = cases.sharp_o_grid(around=64, layers=32, first_cell=first_cell)
+    mesh = faults.sharp_o_grid(around=64, layers=32, first_cell=first_cell)
     layers = mesh.points.reshape(33, 64, 2)
     np.testing.assert_allclose(layers[0, 0], [1, 0], atol=1e-15)
     np.testing.assert_allclose(np.linalg.norm(layers[1] - layers[0], axis=1), first_cell, rtol=1e-3)
@@ -62,7 +63,7 @@ def test_a_sharp_c_grid_has_its_wake_once():
 
 
 def test_a_channel_shares_its_corners():
-    mesh = cases.channel(columns=10, rows=12, gap=0.3, first_cell=1e-4)
+    mesh = faults.channel(columns=10, rows=12, gap=0.3, first_cell=1e-4)
     sizes = [len(mesh.patch(name)) for name in ("inner", "outer", "inlet", "outlet")]
     assert sizes == [11, 11, 13, 13]
     assert len(mesh.patch(*mesh.patches)) == sum(sizes) - 4
@@ -71,7 +72,7 @@ def test_a_channel_shares_its_corners():
 
 
 def test_a_blade_has_a_passage_around_it():
-    mesh = cases.cascade(around=120, layers=30)
+    mesh = faults.cascade(around=120, layers=30)
     rim = mesh.points[mesh.patch("inlet", "outlet", "upper", "lower")]
     np.testing.assert_allclose(np.ptp(rim, axis=0), [1.7, 1.0])
     for first, second in (("inlet", "lower"), ("inlet", "upper"), ("outlet", "lower"), ("outlet", "upper")):
@@ -114,11 +115,11 @@ def test_wing():
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: cases.sharp_o_grid(around=4), "16 cells around"),
-        (lambda: cases.sharp_o_grid(edge=90), "1 to 60 degrees"),
-        (lambda: cases.cascade(layers=3), "40 cells around and 8 layers"),
-        (lambda: cases.cascade(pitch=0.5), "1 to 3 chords"),
-        (lambda: cases.channel(rows=2), "4 columns and rows"),
+        (lambda: faults.sharp_o_grid(around=4), "16 cells around"),
+        (lambda: faults.sharp_o_grid(edge=90), "1 to 60 degrees"),
+        (lambda: faults.cascade(layers=3), "40 cells around and 8 layers"),
+        (lambda: faults.cascade(pitch=0.5), "1 to 3 chords"),
+        (lambda: faults.channel(rows=2), "4 columns and rows"),
         (lambda: cases.bricks("cube"), "expected one of hexahedron, wedge"),
         (lambda: cases.bricks(first_cell=2.0), "the cube's side is 1"),
         (lambda: cases.wing(stations=1), "2 stations"),

@@ -12,7 +12,7 @@ from cases import body, motion
 
 import jaxmorph as jm
 from jaxmorph._kernels.compile import compiled
-from jaxmorph._kernels.product import few_rows_in_one_loop
+from jaxmorph._kernels.linear import few_rows_in_one_loop
 from jaxmorph._methods.blocks import by_platform, map_rows
 
 sys.path.insert(0, str(pathlib.Path(__file__).parents[1] / "benchmarks"))

@@ -13,8 +13,8 @@ from jax.experimental import pallas
 from runs import runs
 
 import jaxmorph as jm
-from jaxmorph._kernels import contraction, gpu, log
-from jaxmorph._methods.rbf import fused
+from jaxmorph._kernels import gpu, instructions, log
+from jaxmorph._methods.rbf import system
 
 BASES = [
     (jm.ThinPlateSpline(), lambda r: r**2 * np.log(np.maximum(r, 1e-300))),
@@ -39,7 +39,7 @@ def interpreted(monkeypatch):
         words = jax.lax.bitcast_convert_type(1 / x, jnp.uint64)
         return jax.lax.bitcast_convert_type(words & jnp.uint64(0xFFFFFFFF00000000), x.dtype)
 
-    monkeypatch.setattr(contraction, "fma", fma)
+    monkeypatch.setattr(instructions, "fma", fma)
     monkeypatch.setattr(log, "rough_reciprocal", rough_reciprocal)
     monkeypatch.setattr(pallas, "pallas_call", functools.partial(pallas.pallas_call, interpret=True))
 
@@ -78,14 +78,14 @@ def test_products_are_contracted_into_sums(monkeypatch, sign):
         calls.append(negated)
         return (-a if negated == 1 else a) * b + (-c if negated == 3 else c)
 
-    monkeypatch.setattr(contraction, "fma", fma)
+    monkeypatch.setattr(instructions, "fma", fma)
 
     def function(a, b, c):
         once, twice = a * b, b * c
         return once + sign * 2 - c, a - twice, twice, a**2 - b, c - jnp.square(a)
 
     x = tuple(jnp.asarray(numbers(4, seed=i)) for i in range(3))
-    found = contraction.contracted(function, *x)
+    found = instructions.contracted(function, *x)
     np.testing.assert_allclose(found, function(*x), rtol=0, atol=1e-15)
     assert calls == [None, 3, 1]
 
@@ -128,9 +128,9 @@ def test_old_cards_and_those_of_others_have_loops(monkeypatch, capability, is_en
 
 def test_an_exported_program_has_loops():
     """JAX refuses to export the kernel."""
-    phi = fused.Radial(jm.ThinPlateSpline(), jnp.ones(()))
+    phi = system.Radial(jm.ThinPlateSpline(), jnp.ones(()))
     shapes = [jax.ShapeDtypeStruct(shape, "float64") for shape in [(9, 3), (9, 3), (10**5, 3)]]
-    program = jax.jit(lambda sources, weights, points: fused.fused(phi, sources, weights, points))
+    program = jax.jit(lambda sources, weights, points: system.fused(phi, sources, weights, points))
     assert program.trace(*shapes).lower(lowering_platforms=("cuda",)).as_text().count("gpu.triton") == 1
     exported = export.export(program, platforms=["cuda"])(*shapes).mlir_module()
     assert "gpu.triton" not in exported
@@ -140,11 +140,11 @@ def test_an_exported_program_has_loops():
 def test_a_version_of_jax_without_the_instructions_has_loops(monkeypatch):
     """Where Pallas has other names, sums are made by loops, and a warning tells why."""
     monkeypatch.delattr(pallas.triton, "elementwise_inline_asm")
-    monkeypatch.setattr(fused, "has_kernels", lambda: True)
-    spline, gaussian = (fused.Radial(basis, jnp.ones(())) for basis in (jm.ThinPlateSpline(), jm.Gaussian(0.5)))
-    assert not fused.is_fused(spline, jnp.dtype("float64"))
+    monkeypatch.setattr(system, "has_kernels", lambda: True)
+    spline, gaussian = (system.Radial(basis, jnp.ones(())) for basis in (jm.ThinPlateSpline(), jm.Gaussian(0.5)))
+    assert not system.is_fused(spline, jnp.dtype("float64"))
     shapes = [jax.ShapeDtypeStruct(shape, "float64") for shape in [(9, 3), (9, 3), (2000, 3)]]
-    program = jax.jit(lambda sources, weights, points: fused.fused(gaussian, sources, weights, points)).trace(*shapes)
+    program = jax.jit(lambda sources, weights, points: system.fused(gaussian, sources, weights, points)).trace(*shapes)
     with pytest.warns(UserWarning, match="loops take its place: AttributeError"):
         text = program.lower(lowering_platforms=("cuda",)).as_text()
     assert "gpu.triton" not in text
@@ -155,19 +155,19 @@ def test_a_version_of_jax_without_the_instructions_has_loops(monkeypatch):
 def test_every_basis_can_be_in_a_kernel(dtype):
     bases = [each(0.7) for each in (jm.WendlandC4, jm.CompactC2a, jm.InverseMultiquadric)]
     for basis in [*bases, jm.CubicSpline(), jm.LinearSpline(), *(basis for basis, _ in BASES)]:
-        assert gpu.is_elementwise(fused.Radial(basis, jnp.asarray(0.5, dtype)), dtype), basis
+        assert gpu.is_elementwise(system.Radial(basis, jnp.asarray(0.5, dtype)), dtype), basis
 
 
 def test_a_basis_that_is_not_elementwise_is_left_to_blocks(monkeypatch):
-    monkeypatch.setattr(fused, "has_kernels", lambda: True)
+    monkeypatch.setattr(system, "has_kernels", lambda: True)
 
     class Tabled(jm.AbstractBasis):
         def __call__(self, r2):
             return jnp.interp(r2, jnp.arange(4.0), jnp.array([1.0, 0.5, 0.1, 0.0]))
 
-    assert fused.is_fused(fused.Radial(jm.Gaussian(1.0), jnp.ones(())), jnp.dtype("float64"))
-    assert not fused.is_fused(fused.Radial(Tabled(), jnp.ones(())), jnp.dtype("float64"))
-    assert not fused.is_fused(fused.Radial(jm.Gaussian(1.0), jnp.ones(())), jnp.dtype("float16"))
+    assert system.is_fused(system.Radial(jm.Gaussian(1.0), jnp.ones(())), jnp.dtype("float64"))
+    assert not system.is_fused(system.Radial(Tabled(), jnp.ones(())), jnp.dtype("float64"))
+    assert not system.is_fused(system.Radial(jm.Gaussian(1.0), jnp.ones(())), jnp.dtype("float16"))
 
 
 @pytest.mark.nightly
@@ -191,7 +191,7 @@ def test_a_plan_moves_as_without_a_kernel(monkeypatch):
 
     expected = jax.jit(everything)(u, plan.points)
     jax.clear_caches()  # which hold what is traced without
-    monkeypatch.setattr(fused, "has_kernels", lambda: True)
+    monkeypatch.setattr(system, "has_kernels", lambda: True)
     assert "weighted_sum" in str(jax.make_jaxpr(everything)(u, plan.points))
     found = jax.jit(lambda u, x: everything(u, x))(u, plan.points)
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=0, atol=1e-11 * np.abs(b).max()), found, expected)

@@ -7,6 +7,7 @@ from runs import runs
 from scipy.spatial.distance import cdist, pdist
 
 import jaxmorph as jm
+from benchmarks import faults
 from jaxmorph import cases
 
 
@@ -67,7 +68,7 @@ def turned_in_steps(mesh, fixed_reduction, degrees):
 
 @pytest.mark.nightly
 def test_a_cascade_turns_as_far_as_with_every_source():
-    mesh = cases.cascade()
+    mesh = faults.cascade()
     few, graded, classic = (turned_in_steps(mesh, each, -44) for each in (jm.KDTree(16), jm.Graded(), None))
     assert int(few.inverted) > 0
     assert int(classic.inverted) == int(graded.inverted) == 0
@@ -77,7 +78,7 @@ def test_a_cascade_turns_as_far_as_with_every_source():
 @pytest.mark.nightly
 @pytest.mark.parametrize("degrees", [-44, 42])
 def test_the_default_turns_the_cascade_as_far(degrees):
-    mesh = cases.cascade()
+    mesh = faults.cascade()
     blade = mesh.patch("blade")
     plan = jm.prepare(mesh, "blade", ["inlet", "outlet", "upper", "lower"])
     angles = np.deg2rad(degrees) * np.arange(1, 6) / 5

@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 
 import jaxmorph as jm
 from jaxmorph import cases as jm_cases
-from jaxmorph._host.package.orders import morton_order
-from jaxmorph._host.surface.locate import locate
+from jaxmorph._host.package.rounding import morton_order
+from jaxmorph._host.surface.graph import locate
 
 SHARED = pathlib.Path(__file__).parents[2] / "shared" / "cases"
 

@@ -13,15 +13,15 @@ from runs import runs
 
 import jaxmorph as jm
 from jaxmorph import cases
-from jaxmorph._boundary.pairing import Pairing
+from jaxmorph._boundary.periodic import Pairing
 from jaxmorph._boundary.tracks import Track
 from jaxmorph._boundary.walls import Flat
 from jaxmorph._host.linear.hessians import pattern, solve
 from jaxmorph._improve.constraints import constraints_of, prepared
-from jaxmorph._improve.ways import Ways
+from jaxmorph._improve.motion import Ways
 from jaxmorph._kernels.values import as_jax
 from jaxmorph._quality.distortion import IDEAL, energy, samples, solid, target
-from jaxmorph._quality.smooth import positive_part
+from jaxmorph._quality.smooth_quality import positive_part
 from jaxmorph._quality.vector import corners
 
 

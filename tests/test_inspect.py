@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 import jaxmorph as jm
 from jaxmorph import cases
 from jaxmorph._advice.cures import Turn
-from jaxmorph._advice.resolved import missed
+from jaxmorph._advice.inspect import missed
 
 
 @pytest.fixture(scope="module")
@@ -219,7 +219,7 @@ def test_advice_where_the_displacement_is_steep():
     wave = np.column_stack([0 * base[:, 0], 0.2 * np.sin(2 * np.pi * base[:, 0])])
     steep = jm.inspect(plan, wave)
     assert 0.5 < steep.slope < 0.4 * np.pi + 0.4
-    assert "choose" in steep.advice[0]
+    assert "compare" in steep.advice[0]
     assert jm.inspect(jm.prepare(mesh, "airfoil", "farfield", method=FOLLOWS), wave).advice == ()
 
 

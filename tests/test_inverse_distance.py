@@ -38,7 +38,7 @@ def test_one_point_moves_as_among_all():
     plan = jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=jm.InverseDistance())
     surface, u = plan.surface, rng.normal(size=(len(mesh.moving), 2))
     own = jnp.zeros_like(surface.points).at[: plan.n_moving].set(u)
-    field = plan.method.field(surface.ids, surface.factors, surface.points, own)
+    field = plan.method.field(surface.ids, surface.factors, surface.points, own[surface.images.rows])
     node = mesh.inner[7]
     ids = jax.tree.map(lambda leaf: leaf[node], plan.volume.ids)
     moved = np.asarray(jm.deform(plan, u))[node] - mesh.points[node]

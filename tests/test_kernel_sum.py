@@ -11,7 +11,7 @@ from runs import runs
 from scipy.interpolate import RBFInterpolator
 
 import jaxmorph as jm
-from jaxmorph._kernels.product import few_rows_times
+from jaxmorph._kernels.linear import few_rows_times
 from jaxmorph._methods.base import BLOCK
 from jaxmorph._methods.blocks import map_points
 

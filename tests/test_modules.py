@@ -24,7 +24,6 @@ CALLS = {
     "method": lambda: (BOX.at(X), CONTROL),
     "coordinates": lambda: (BOX.coordinates, jnp.asarray(X)),
     "linked": lambda: (BOX.linked(mirror=0), X, jnp.ones(9)),
-    "child": lambda: (shapes.Child(BOX, BOX), X, (CONTROL, CONTROL)),
     "smoother": lambda: (SMOOTHER, X, X),
     "apply": lambda: (SMOOTHER.apply, X),
     "sensitivities": lambda: (SMOOTHER.sensitivities, X),
@@ -39,7 +38,7 @@ CALLS = {
 }
 
 
-BREADTH = ("naca", "together", "child", "chain", "axis")
+BREADTH = ("naca", "together", "chain", "axis")
 """Shapes of which each takes seconds to compile; the fast tests hold what they are made of."""
 
 

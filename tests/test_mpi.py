@@ -18,6 +18,6 @@ def test_two_processes_move_one_mesh():
             "0 `comm` must be a communicator",
         ),
         *("0 process 1: `tangent` has shape", "0 process 1: `half` must be"),
-        *("0 process 1: `cotangent` must be", "0 process 1: `report` must be"),
+        *("0 process 1: `cotangent` must be", "0 process 1: `mesh` must be"),
     ):
         assert line in told

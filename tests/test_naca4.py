@@ -8,7 +8,7 @@ from runs import runs
 from scipy.spatial import cKDTree
 
 from jaxmorph import cases
-from jaxmorph.cases._c_grid import c_grid
+from jaxmorph.cases._structured import c_grid
 
 # Percent of chord: station, upper and lower ordinate of the NACA 4412 as published (NACA Report 824, appendix II).
 NACA4412 = np.array(

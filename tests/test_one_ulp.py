@@ -12,7 +12,7 @@ from runs import runs
 import jaxmorph as jm
 from jaxmorph import cases
 from jaxmorph._host.package.rounding import distinct, first_largest, nearest_few, ranked
-from jaxmorph._host.surface.locate import locate
+from jaxmorph._host.surface.graph import locate
 from jaxmorph._methods.nearwall import Extent, layer_width
 
 LEAST = 1e-9
@@ -82,7 +82,6 @@ METHODS = {
     "KDTree by size": lambda x: reduced(jm.KDTree(largest_box=0.25, smallest_box=0.125)),
     "FarthestPoints": lambda x: reduced(jm.FarthestPoints(12)),
     "extremes": lambda x: reduced(jm.FarthestPoints(12, extremes=True, separation=0.125)),
-    "PGreedy": lambda x: reduced(jm.PGreedy(12)),
     "Greedy": lambda x: reduced(jm.Greedy(12)),
     "motions": lambda x: reduced(jm.Greedy(12, waves(x))),
     "Graded": lambda x: reduced(jm.KDTree(4), fixed_reduction=jm.Graded(0.25)),
@@ -140,7 +139,7 @@ def test_every_choice_beside_a_square(method):
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize("method", ["extremes", "PGreedy", "motions", "Multiscale", "LocalCorrection"])
+@pytest.mark.parametrize("method", ["extremes", "motions", "Multiscale", "LocalCorrection"])
 def test_every_choice_beside_a_cube(method):
     assert change("cube", method, True, seeds=(0,)) < LEAST
 

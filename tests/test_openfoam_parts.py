@@ -22,9 +22,7 @@ from jaxmorph._boundary.outer_faces import OuterFaces
 from jaxmorph._host.package.ranks import Agreement, Alone, together
 from jaxmorph.cli import main
 from jaxmorph.cli._decomposed import STARTED, _ranks, _say_warnings_of_all
-from jaxmorph.cli._judged import Judged
 from jaxmorph.cli._output import Output
-from jaxmorph.cli._summary import Summary
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 
@@ -136,15 +134,11 @@ def test_summaries_of_parts_add_up_to_the_whole(divided):
     """Cells, inverted cells, extremes, means by volume and cells beyond a gate; not skewness, which faces between parts have."""
     whole, case = io.read(divided), io.Decomposed(divided)
     points = whole.points + 0.4 * np.random.default_rng(3).normal(size=whole.points.shape)
-    limits = {"max_face_aspect_ratio": 2.0}
-    undeformed = Judged(whole, whole.points)
-    expected = Summary.from_judged(Judged(whole, points, undeformed), limits)
-    parts = []
-    for k in range(2):
-        part = case.read(k)
-        moved = points[io.global_nodes(part)]
-        parts.append(Summary.from_judged(Judged(part, moved, Judged(part, part.points)), limits, k))
-    found = Summary.together(parts)
+    limits = jm.Limits(max_face_aspect_ratio=2.0)
+    expected = jm.judge(whole, points, limits)
+    parts = [case.read(k) for k in range(2)]
+    moved = [points[io.global_nodes(part)] for part in parts]
+    found = jm.Verdict.together([jm.judge(parts[k], moved[k], limits, part=k) for k in range(2)])
     assert (found.cells, found.inverted, found.spoilt) == (expected.cells, expected.inverted, expected.spoilt)
     assert 0 < found.inverted < 12
     first = {0: 0, 1: 4}

@@ -9,7 +9,7 @@ from meshes import joined, lattice, sector, turn
 from runs import runs
 
 import jaxmorph as jm
-from jaxmorph import cases
+from benchmarks import faults
 
 TPS = full(jm.ThinPlateSpline(), 1)
 LOCAL = jm.SurfaceReconstruction(few(), jm.NearWall(width=0.2))
@@ -108,7 +108,7 @@ def test_two_directions_and_a_plane():
 
 @pytest.mark.nightly
 def test_a_blade_turns_farther_between_periodic_sides():
-    mesh = cases.cascade(around=80, layers=16, first_cell=1e-2, periodic=True)
+    mesh = faults.cascade(around=80, layers=16, first_cell=1e-2, periodic=True)
     blade = np.asarray(mesh.points)[mesh.patch("blade")]
     u = np.asarray(jm.shapes.rotate(blade, np.radians(15), about=(0.5, 0))) - blade
     method, ends = full(jm.WendlandC2(2.0), None), ("inlet", "outlet")

@@ -10,7 +10,7 @@ from meshes import lattice
 from runs import runs
 
 import jaxmorph as jm
-from jaxmorph._host.surface.locate import locate
+from jaxmorph._host.surface.graph import locate
 from jaxmorph._methods.sparse import Interpolation
 
 GRAPH = jm.DelaunayGraph()

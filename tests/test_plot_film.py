@@ -1,18 +1,16 @@
-"""Films and pages: what was written is read again, by Pillow, by ffmpeg, and by a browser."""
+"""Films and pages: what was written is read again, by Pillow and by a browser."""
 
 import base64
 import io
 import itertools
 import re
 import shutil
-import subprocess
 import zlib
 
 import matplotlib
 
 matplotlib.use("Agg")
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from meshes import bricks, mixed
@@ -140,19 +138,6 @@ def test_a_film_in_3d_keeps_its_camera_and_holds_all_frames(tmp_path):
     np.testing.assert_allclose([camera.position for camera in cameras], [placed[0]] * 2)
 
 
-def test_mp4_holds_the_frames(tmp_path):
-    program = shutil.which("ffmpeg") or pytest.importorskip("imageio_ffmpeg").get_ffmpeg_exe()
-    mesh = mixed()
-
-    def draw(points):
-        return plot.mesh(mesh, points, window=WINDOW, ax=plt.subplots(figsize=(2.01, 1), dpi=100)[1])
-
-    path = plot.animate(tmp_path / "m.mp4", draw, plot.swing(mesh.points, raised(mesh), frames=5))
-    read = [program, "-loglevel", "error", "-i", path, "-f", "rawvideo", "-pix_fmt", "gray", "-"]
-    assert len(subprocess.run(read, capture_output=True, check=True).stdout) == 5 * 200 * 100
-    assert [each.name for each in tmp_path.iterdir()] == ["m.mp4"]
-
-
 def never(points):
     raise AssertionError("drawn")
 
@@ -160,7 +145,7 @@ def never(points):
 @pytest.mark.parametrize(
     ("name", "frames", "rate", "said"),
     [
-        ("mode.avi", np.zeros((2, 3, 2)), 12, r"\.gif or \.mp4"),
+        ("mode.avi", np.zeros((2, 3, 2)), 12, r"\.gif"),
         ("nowhere/mode.gif", np.zeros((2, 3, 2)), 12, "no folder"),
         ("mode.gif", np.zeros((1, 3, 2)), 12, "2 or more"),
         ("mode.gif", [np.zeros((3, 2)), np.zeros((4, 2))], 12, "of one shape"),

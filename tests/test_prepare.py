@@ -200,12 +200,15 @@ MISTAKES = {
         lambda: jm.fewest_steps(MESH, ring_plan(), lambda t: t),
         r"fewest_steps\(plan, mesh, motion\)",
     ),
-    "choose without a mesh": (lambda: jm.choose(MESH.points, [0], [1], np.zeros((1, 1, 2))), r"choose\(mesh, moving"),
+    "compare without a mesh": (
+        lambda: jm.compare(jm.Boundary(MESH.points, [0], [1]), U[None]),
+        r"compare\(jm.Boundary",
+    ),
     "motions that are none": (
-        lambda: jm.choose(MESH, "body", "far", np.full((1, 24, 2), np.nan)),
+        lambda: jm.compare(jm.Boundary(MESH, "body", "far"), np.full((1, 24, 2), np.nan)),
         "48 components of `motions` are not finite, the first in motion 0, of moving node 0",
     ),
-    "no motions": (lambda: jm.choose(MESH, "body", "far", []), r"`motions` has shape \(0,\)"),
+    "no motions": (lambda: jm.compare(jm.Boundary(MESH, "body", "far"), []), r"`motions` has shape \(0,\)"),
     "a float as u": (
         lambda: jm.deform(ring_plan(), 0.1),
         r"`u` must be an array of real numbers \(m, d\), not 0.1. Call deform\(plan, u\)",
@@ -247,9 +250,3 @@ def test_nothing_is_written_for_arrays_and_folders_that_are_none(tmp_path):
         with pytest.raises(ValueError, match=rf"no/{re.escape(name)}: there is no folder"):
             write(tmp_path / "no" / name, MESH)
     assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.nightly
-def test_choose_takes_names():
-    motions = np.random.default_rng(0).normal(size=(1, 24, 2)) * 1e-3
-    assert jm.choose(MESH, "body", "far", motions, leaves=(4,), methods={}).plan.n_moving == 24

@@ -16,7 +16,7 @@ from runs import runs
 
 import jaxmorph as jm
 from jaxmorph import cases, io
-from jaxmorph._host.cells import shape_functions
+from jaxmorph._host.cells import lagrange
 from jaxmorph._host.cells.lagrange import lagrange_types
 from jaxmorph.cli import main
 
@@ -273,10 +273,10 @@ def test_curved_cells_of_a_mesh_are_judged_whole(kind):
     points[cell.corners] += 3 * (points.mean(axis=0) - points[cell.corners])
     bent = jm.proof(mesh, points)
     assert bent.invalid == 1
-    value = np.linalg.det(points.T @ shape_functions.derivatives(kind, collapsed(cell.shape, bent.reference))[0])
+    value = np.linalg.det(points.T @ lagrange.derivatives(kind, collapsed(cell.shape, bent.reference))[0])
     assert bent.upper[0] == pytest.approx(value, abs=1e-6)
     assert value < 0
-    near = shape_functions.values(kind, collapsed(cell.shape, bent.reference)) @ points
+    near = lagrange.values(kind, collapsed(cell.shape, bent.reference)) @ points
     np.testing.assert_allclose(bent.near, near, atol=1e-9)
     np.testing.assert_allclose(
         jm.proven_margin(mesh, points, depth=0), jm.proof(mesh, points, depth=0).margin, rtol=1e-6

@@ -19,7 +19,7 @@ from jaxmorph import cases
 from jaxmorph._host.cells.adjacency import handedness, neighbours
 from jaxmorph._host.cells.topology import FACES
 from jaxmorph._kernels.compile import UNTUNED
-from jaxmorph._quality import batches
+from jaxmorph._quality import vector
 from jaxmorph._quality.quality import link
 from jaxmorph._quality.report import Report
 
@@ -565,8 +565,8 @@ def test_cells_in_blocks_are_the_same_and_so_are_derivatives(monkeypatch):
         return jm.quality(mesh), jm.quality(mesh, moved), jm.smooth_quality(mesh, moved), slope
 
     whole = found()
-    monkeypatch.setattr(batches, "BLOCK", 10)
-    monkeypatch.setattr(batches, "CACHED", 10)
+    monkeypatch.setattr(vector, "BLOCK", 10)
+    monkeypatch.setattr(vector, "CACHED", 10)
     jax.clear_caches()
     for a, b in zip(jax.tree.leaves(whole), jax.tree.leaves(found()), strict=True):
         np.testing.assert_allclose(b, a, rtol=1e-12, atol=1e-13)

@@ -80,7 +80,7 @@ def test_order_does_not_matter_and_nothing_is_named_twice(reduction, dimension):
 @pytest.mark.parametrize("size", [2.0**-30, 2.0**30])
 def test_the_unit_of_length_does_not_matter(size):
     points = body(3).points
-    for reduction in (jm.KDTree(16), jm.KDTree(16, extremes=True), jm.FarthestPoints(30), jm.PGreedy(30)):
+    for reduction in (jm.KDTree(16), jm.KDTree(16, extremes=True), jm.FarthestPoints(30)):
         assert (reduction(size * points) == reduction(points)).all()
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import jaxmorph as jm
-from jaxmorph import cases
+from benchmarks import faults
 
 ROOT = pathlib.Path(__file__).parents[1]
 
@@ -100,7 +100,7 @@ def test_cells_beside_a_symmetry_plane_follow_the_wall(rows):
 
 def test_points_alone_are_interpolated():
     """Points show neither thin edges nor who is whose neighbour: the sharp edge of a section lost cells to the fit."""
-    mesh = cases.sharp_o_grid(around=96, layers=32, first_cell=1e-5)
+    mesh = faults.sharp_o_grid(around=96, layers=32, first_cell=1e-5)
     wall = mesh.patch("airfoil")
     plan = jm.prepare(mesh.points, wall, mesh.patch("farfield"))
     x = mesh.points[wall, 0]

@@ -12,7 +12,7 @@ from runs import runs
 
 from jaxmorph import shapes
 from jaxmorph._kernels.values import clipped
-from jaxmorph.shapes._naca import _station
+from jaxmorph.shapes._curves import _station
 
 STEP = 1e-6
 
@@ -54,16 +54,6 @@ def test_what_is_far_from_a_box_has_finite_derivatives():
     box = shapes.FreeForm([0.0, 0.0], np.eye(2), (13, 3))
     slope = jax.jacfwd(lambda x: box(x, np.ones((13, 3, 2))))(jnp.array([[1e40, 0.5], [-1e40, 1e40]]))
     np.testing.assert_array_equal(slope, np.eye(4).reshape(2, 2, 2, 2))
-
-
-@pytest.mark.nightly
-def test_a_child_has_the_derivative_of_its_inside_on_its_border():
-    parent = shapes.FreeForm([0.0, 0.0], np.eye(2), (3, 3))
-    child = shapes.Child(shapes.FreeForm([0.0, 0.25], np.eye(2) / 2, (3, 3)), parent)
-    rng = np.random.default_rng(0)
-    parameters = tuple(0.1 * rng.normal(size=(3, 3, 2)) for _ in range(2))
-    check_border(jax.jit(lambda x: child(x, parameters)), [[0.0, 0.4]], [[1.0, 0.0]])
-    check_border(jax.jit(lambda x: child(x, parameters)), [[0.3, 0.75]], [[0.0, -1.0]])
 
 
 AXIS = shapes.ReferenceAxis([[0.25, 0, 0], [0.45, 1, 0.1], [0.75, 2, 0.2]])

@@ -147,7 +147,7 @@ def test_a_constrained_optimisation_keeps_the_thickness():
             "1 of 2 lines miss the body, first row 1",
         ),
         (lambda: shapes.Stations.on(ELLIPSE, SEGMENTS, [[0.5, 0]], [0, 0]), "length 0"),
-        (lambda: shapes.Stations.on(ELLIPSE, FACES, [[0.5, 0]], [0, 1]), "have segments"),
+        (lambda: shapes.Stations.on(ELLIPSE, FACES, [[0.5, 0]], [0, 1]), r"walls in 2-D have \(k, 2\)"),
         (lambda: shapes.Stations.on(ELLIPSE, SEGMENTS + 1, [[0.5, 0]], [0, 1]), "1 ids of `faces`|2 ids of `faces`"),
         (lambda: shapes.thickness(ELLIPSE[:5], LINES), "are no row of 5 positions"),
         (lambda: shapes.thickness(BALL, LINES), "the stations are in 2-D"),

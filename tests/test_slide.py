@@ -12,7 +12,7 @@ from runs import runs
 from scipy.interpolate import CubicSpline
 
 import jaxmorph as jm
-from jaxmorph import cases
+from benchmarks import faults
 from jaxmorph._boundary.slide import walls_of_patch
 from jaxmorph._boundary.tracks import tracks_of
 from jaxmorph._host.cells.pieces import boundary_faces
@@ -114,7 +114,7 @@ def test_a_shroud_between_sliding_lids(shape, tmp_path):
 @pytest.mark.nightly
 def test_the_root_of_a_wing_travels_along_its_body():
     """Nodes of wing and body stay on the body's cylinder, where its others follow; those of the wing go where `u` says."""
-    mesh = cases.blade_tip(gap=0.4, layers=3)
+    mesh = faults.blade_tip(gap=0.4, layers=3)
     points, wing = np.asarray(mesh.points), mesh.patch("blade")
     is_root = np.linalg.norm(points[wing, 1:], axis=1) < 1 + 1e-9
     body = np.union1d(mesh.patch("hub"), wing[is_root])

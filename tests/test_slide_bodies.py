@@ -5,8 +5,9 @@ import pytest
 from meshes import blocks, lattice
 
 import jaxmorph as jm
+from benchmarks import faults
 from jaxmorph import cases
-from jaxmorph._boundary.holes import filled
+from jaxmorph._boundary.walls import filled
 from jaxmorph._host.cells.pieces import boundary_faces
 
 pytestmark = pytest.mark.nightly
@@ -30,7 +31,7 @@ def off_triangles(points, triangles):
 
 def fuselage():
     """A wing on a fuselage that is no surface of revolution: wider than high, and thinner towards its end."""
-    mesh = cases.blade_tip(gap=0.4, layers=2)
+    mesh = faults.blade_tip(gap=0.4, layers=2)
     x, y, z = np.asarray(mesh.points).T
     patch, on_body = mesh.patch("blade"), np.hypot(y, z) < 1 + 1e-9
     points = np.stack([x, 1.3 * (1 - 0.1 * x) * y, (1 - 0.1 * x - 0.05 * x**2) * z], axis=1)

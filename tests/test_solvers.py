@@ -9,7 +9,7 @@ from meshes import lattice
 from runs import runs
 
 import jaxmorph as jm
-from jaxmorph._host.linear.ordering import far_to_near
+from jaxmorph._host.sources.farthest import far_to_near
 from jaxmorph._methods.rbf import rbf as rbf_module
 from jaxmorph._methods.rbf.iterations import ConjugateGradients
 

@@ -108,7 +108,7 @@ def test_bad_walls():
     mesh = plate()
     with pytest.raises(ValueError, match="no patch is called 'wing'"):
         jm.wall_quality(mesh, "wing")
-    with pytest.raises(ValueError, match="no cell has a boundary side whose corners are all among the 2 wall nodes"):
+    with pytest.raises(ValueError, match="no cell has a boundary side whose nodes are all among the 2 wall nodes"):
         jm.wall_quality(mesh, [0, 2])
     with pytest.raises(ValueError, match=r"1 ids in `wall` are not in 0 to [0-9]+, first 99"):
         jm.wall_quality(mesh, [0, 99])

@@ -12,9 +12,9 @@ from cases import body, motion
 from meshes import circle
 
 import jaxmorph as jm
+from benchmarks import faults
 from jaxmorph import cases
-from jaxmorph._host.surface.sharp import behind_tips, beside_tips, sharp_tips
-from jaxmorph._host.surface.skin import chords, edges, thinned
+from jaxmorph._host.surface.skin import behind_tips, beside_tips, chords, edges, sharp_tips, thinned
 
 
 @functools.cache
@@ -151,7 +151,7 @@ def test_a_bump_stays_on_its_side():
 @pytest.mark.nightly
 def test_a_channel_whose_walls_touch():
     """One wall's bump takes half of the gap."""
-    mesh = cases.channel(columns=40, rows=20)
+    mesh = faults.channel(columns=40, rows=20)
     base = mesh.points[mesh.patch("inner")]
     bump = 0.1 * np.exp(-(((base[:, 0] - 0.5) / 0.1) ** 2)) * 16 * (base[:, 0] * (1 - base[:, 0])) ** 2
     plan = jm.prepare(mesh, "inner", ["outer", "inlet", "outlet"])
@@ -253,7 +253,7 @@ def test_a_bump_leaves_the_far_field_alone():
 @pytest.mark.slow
 def test_a_free_side_is_seen_however_it_is_turned():
     """The outlet is named nowhere: the field is then an interpolation, without edges to be fitted to. So it is of points alone."""
-    mesh = cases.channel(columns=24, rows=12)
+    mesh = faults.channel(columns=24, rows=12)
     z = (mesh.points[:, 0] + 1j * mesh.points[:, 1]) * np.exp(1j * np.deg2rad(30))
     turned = mesh.moved(np.stack([z.real, z.imag], axis=1))
     for each in (mesh, turned):
@@ -310,7 +310,7 @@ def test_sources_stand_beside_a_sharp_tip():
 )
 def test_a_finer_sharp_section_keeps_the_cells_at_its_tip(shape):
     """Of 200 wall nodes 84 are sources: without those beside the tip the waves invert a cell there, which classic RBF does not."""
-    mesh = cases.sharp_o_grid(around=200, layers=40, first_cell=1e-5)
+    mesh = faults.sharp_o_grid(around=200, layers=40, first_cell=1e-5)
     base = np.asarray(mesh.points)[mesh.patch("airfoil")]
     u = np.stack([0 * base[:, 0], shape(base)], axis=1)
     default, classic = (
@@ -323,7 +323,7 @@ def test_a_finer_sharp_section_keeps_the_cells_at_its_tip(shape):
 @pytest.mark.nightly
 def test_a_sharp_blade_turns_in_its_passage():
     """The cell behind the trailing edge, whose corner is nearly straight, no longer decides; what is affine stays so."""
-    mesh = cases.cascade(around=160, layers=40, first_cell=1e-3, periodic=True)
+    mesh = faults.cascade(around=160, layers=40, first_cell=1e-3, periodic=True)
     blade = np.asarray(mesh.points)[mesh.patch("blade")]
     plan = jm.prepare(mesh, "blade", ("inlet", "outlet"), periodic=jm.Periodic("lower", "upper"))
     for degrees, least in ((15, 0.733), (41, 1e-9)):

@@ -5,6 +5,7 @@ import pytest
 from runs import runs
 
 import jaxmorph as jm
+from benchmarks import faults
 from jaxmorph import cases
 from jaxmorph._host.surface.walls import walls
 
@@ -47,7 +48,7 @@ def test_a_structured_wing_is_one_wall(with_faces, points, stations, span):
 
 @pytest.mark.parametrize("with_faces", [True, False])
 def test_walls_that_touch_are_apart(with_faces):
-    found, _ = parts(cases.channel(), ["inner"], ["outer", "inlet", "outlet"], with_faces)
+    found, _ = parts(faults.channel(), ["inner"], ["outer", "inlet", "outlet"], with_faces)
     assert len(found["inner"]) == 1
     assert not found["inner"] & (found["outer"] | found["inlet"] | found["outlet"])
     if with_faces:  # sharp corners that hold the mesh part walls of one kind too
@@ -69,7 +70,7 @@ def test_a_box_has_six_walls_whatever_its_cells(kind, turn):
 @pytest.mark.parametrize(
     "make",
     [
-        lambda: cases.sharp_o_grid(around=64, layers=16),
+        lambda: faults.sharp_o_grid(around=64, layers=16),
         lambda: cases.naca4("4412", points=2000, sharp=True),
         lambda: cases.naca4("4412", points=2000),
     ],
@@ -90,7 +91,7 @@ def extruded(outline, stations, span):
 @pytest.mark.parametrize("stations", [2, 5, 8])
 def test_blades_closer_than_their_stations_are_two_walls(stations):
     """Without faces: sections of one blade follow each other across their planes, those of two blades lie beside each other."""
-    blade = cases.cascade(around=120, layers=10)
+    blade = faults.cascade(around=120, layers=10)
     outline = blade.points[blade.patch("blade")]
     points = np.concatenate([extruded(outline + np.array([0, shift]), stations, 4.0) for shift in (0, 0.5)])
     label = walls(points, len(points))
@@ -145,6 +146,6 @@ def bumped(mesh, method=None, *, whole=True):
 @pytest.mark.parametrize("whole", [True, pytest.param(False, marks=pytest.mark.slow)], ids=["mesh", "points"])
 def test_half_a_gap_is_closed_in_one_step(whole):
     """Graph mapping alone keeps half of each cell; a layer over both walls at once once inverted dozens."""
-    report = bumped(cases.channel(), whole=whole)
+    report = bumped(faults.channel(), whole=whole)
     assert int(report.inverted) == 0
     assert float(report.min_jacobian_ratio) > 0.4

@@ -194,6 +194,38 @@ def test_whole_cells_are_measured_as_checkmesh_does(tmp_path, dimension):
     )
 
 
+@pytest.mark.parametrize("build", [split, mixed])
+def test_the_face_aspect_ratio_of_whole_cells_is_that_of_their_faces(tmp_path, build):
+    """checkMesh's formula, from Newell's area vectors of the case's own lists of faces."""
+    points, cells = build()
+    stretched = np.asarray(points) * [1.0, 2.0, 0.3]
+    foam.write_case(tmp_path / "a", stretched, cells, PATCHES)
+    expected = []
+    for faces in cells:
+        x = [stretched[face] for face in faces]
+        areas = np.array([np.cross(corners, np.roll(corners, -1, axis=0)).sum(axis=0) / 2 for corners in x])
+        volume = sum(area @ corners.mean(axis=0) for area, corners in zip(areas, x, strict=True)) / 3
+        seen = np.abs(areas).sum(axis=0)
+        expected.append(max(seen.max() / seen.min(), seen.sum() / 6 / abs(volume) ** (2 / 3)))
+    found = jm.face_quality(io.read(tmp_path / "a")).aspect_ratio
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("sides", [(1.0, 1.0, 1.0), (3.0, 0.5, 2.0), (0.1, 0.2, 7.0)])
+def test_the_face_aspect_ratio_of_boxes_and_prisms_has_a_closed_form(sides):
+    a, b, c = sides
+    box = [[0, 0, 0], [a, 0, 0], [a, b, 0], [0, b, 0], [0, 0, c], [a, 0, c], [a, b, c], [0, b, c]]
+    prism = [box[k] for k in (0, 1, 3, 4, 5, 7)]
+    seen = {"hexahedron": (2 * b * c, 2 * a * c, 2 * a * b), "wedge": (2 * b * c, 2 * a * c, a * b)}
+    volumes = {"hexahedron": a * b * c, "wedge": a * b * c / 2}
+    for kind, corners in (("hexahedron", box), ("wedge", prism)):
+        mesh = jm.Mesh(np.array(corners), {kind: np.arange(len(corners))[None]})
+        expected = max(max(seen[kind]) / min(seen[kind]), sum(seen[kind]) / 6 / volumes[kind] ** (2 / 3))
+        np.testing.assert_allclose(jm.face_quality(mesh).aspect_ratio, [expected], rtol=1e-12)
+    flat = jm.Mesh(np.array(box)[:4, :2], {"quad": [[0, 1, 2, 3]]})
+    np.testing.assert_allclose(jm.face_quality(flat).aspect_ratio, [max(a / b, b / a)], rtol=1e-12)
+
+
 @pytest.mark.nightly
 def test_a_snapped_mesh_is_judged_as_checkmesh_does(tmp_path, capsys):
     """OpenFOAM's flange, 19,314 cells of which 1,544 are polyhedra and some have collapsed corners: moved, and not refused."""

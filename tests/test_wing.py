@@ -8,7 +8,7 @@ import pytest
 import pyvista as pv
 
 import jaxmorph as jm
-from jaxmorph.cases import agard445, agard445_mode
+from benchmarks import agard445
 
 INCH = 0.0254
 SPAN = 30 * INCH
@@ -37,7 +37,7 @@ class Wing:
     """A mesh, and plans made once."""
 
     def __init__(self, points, cache):
-        self.mesh = agard445(points=points, cache_directory=cache)
+        self.mesh = agard445.mesh(points, cache)
         self.moving, self.fixed = self.mesh.patch("wing"), self.mesh.patch("farfield")
         self.base = self.mesh.points[self.moving]
         self.volume = self._volume(self.mesh.points)
@@ -115,7 +115,7 @@ def wave(base):
 
 
 def mode(number, amplitude):
-    return lambda base: agard445_mode(base, number, amplitude)
+    return lambda base: agard445.mode(base, number, amplitude)
 
 
 OTHERS = {"mode 2, 0.2": mode(2, 0.2), "mode 2, 0.3": mode(2, 0.3), "wave": wave, "flap": flap, "twist": twist}
@@ -134,7 +134,7 @@ def test_the_turn_is_nose_up():
 def test_bending(wing, method, symmetric):
     start = wing.judge(wing.mesh.points)
     for amplitude in (0.25, 0.5, 0.75):
-        end = wing.moved(agard445_mode(wing.base, 1, amplitude), method, symmetric)
+        end = wing.moved(agard445.mode(wing.base, 1, amplitude), method, symmetric)
         assert end.inverted == 0
         assert start.aspect_ratio.mean() < end.aspect_ratio.mean() < start.aspect_ratio.mean() + 0.36 * amplitude**2
 
@@ -142,7 +142,7 @@ def test_bending(wing, method, symmetric):
 @pytest.mark.nightly
 @both_sizes
 def test_bending_spares_the_volumes_that_graph_mapping_squeezes(wing):
-    u = agard445_mode(wing.base, 1, 0.25)
+    u = agard445.mode(wing.base, 1, 0.25)
     squeezed = wing.moved(u, jm.DelaunayGraph()).volume_ratio.min()
     for method in (REDUCED, None):
         spared = wing.moved(u, method).volume_ratio.min()
@@ -162,7 +162,7 @@ def test_other_motions(wing, name):
 @both_sizes
 def test_one_step_of_the_field_and_three_of_the_graph(wing):
     """As the paper does it (section 3.2), with a new graph before each step."""
-    u = agard445_mode(wing.base, 1, 0.5)
+    u = agard445.mode(wing.base, 1, 0.5)
     surface = np.union1d(wing.moving, wing.fixed)
     target = wing.mesh.points[surface].copy()
     target[np.searchsorted(surface, wing.moving)] += u
@@ -209,7 +209,7 @@ def test_reduced_agrees_with_full_interpolation(wing):
     assert sources[1] == pytest.approx(923, rel=0.02)
     full = wing.plan(EVERY)
     for amplitude in (0.0735, 0.1, 0.25, 0.5, 0.75):
-        u = agard445_mode(wing.base, 1, amplitude)
+        u = agard445.mode(wing.base, 1, amplitude)
         expected = wing.judge(jm.deform(full, u))
         for method in (REDUCED, None):
             found = wing.moved(u, method)

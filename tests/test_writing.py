@@ -8,7 +8,7 @@ import pytest
 from meshes import ring
 
 from jaxmorph import io
-from jaxmorph.cli._writing import Writing
+from jaxmorph.cli._way import writing
 
 
 @pytest.fixture(params=["1", "2"], ids=["one core", "two cores"])
@@ -32,10 +32,10 @@ def names(folder):
 @pytest.mark.parametrize("name", ["there.su2", "new.su2"])
 def test_a_file_appears_when_it_is_wanted(tmp_path, meshes, name):
     before = (tmp_path / "there.su2").read_bytes()
-    with Writing(io.write, tmp_path / name, meshes[1]) as writing:
+    with writing(io.write, tmp_path / name, meshes[1]) as finish:
         assert (tmp_path / "there.su2").read_bytes() == before
         assert not (tmp_path / "new.su2").exists()
-        writing.finish()
+        finish()
         np.testing.assert_array_equal(io.read(tmp_path / name).points, meshes[1].points)
     assert names(tmp_path) == sorted({"there.su2", name})
 
@@ -46,7 +46,7 @@ def test_a_file_appears_when_it_is_wanted(tmp_path, meshes, name):
 def test_an_unwanted_file_leaves_nothing(tmp_path, meshes, name, error):
     before = (tmp_path / "there.su2").read_bytes()
     ended = contextlib.nullcontext() if error is None else pytest.raises(error)
-    with ended, Writing(io.write, tmp_path / name, meshes[1]):
+    with ended, writing(io.write, tmp_path / name, meshes[1]):
         if error is not None:
             raise error
     assert names(tmp_path) == ["there.su2"]
@@ -63,16 +63,16 @@ def test_an_unwanted_time_of_a_case_leaves_the_case_as_it_is(tmp_path):
     mesh = io.read(case)
     moved = mesh.moved(np.asarray(mesh.points) * 1.1)
     for time in ("1", "2"):
-        with Writing(io.write, case / time, moved):
+        with writing(io.write, case / time, moved):
             pass
     assert names(case) == before
 
 
 @pytest.mark.usefixtures("number_of_cores")
 def test_an_error_of_the_writer_is_raised_where_the_file_is_wanted(tmp_path, meshes):
-    with pytest.raises(ValueError, match="1 of"), Writing(io.write, tmp_path / "new.su2", broken(meshes[1])) as writing:
-        writing.finish()
-    with Writing(io.write, tmp_path / "new.su2", broken(meshes[1])):
+    with pytest.raises(ValueError, match="1 of"), writing(io.write, tmp_path / "new.su2", broken(meshes[1])) as finish:
+        finish()
+    with writing(io.write, tmp_path / "new.su2", broken(meshes[1])):
         pass
     assert names(tmp_path) == ["there.su2"]
 

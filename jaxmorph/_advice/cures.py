@@ -17,8 +17,7 @@ from .._plan.prepare import plan_of, prepare
 from .._plan.steps import march
 from .._quality.quality import quality
 from .largest_step import largest_step
-from .methods import METHODS, entry
-from .rivals import MOST_POINTS, Extent
+from .methods import METHODS, MOST_POINTS, Lengths, entry
 
 STEPS = 2, 4, 8
 """Numbers of steps that are tried."""
@@ -154,7 +153,7 @@ def _moved(plan: Plan, mesh: Mesh, u: np.ndarray, cure: Cure) -> np.ndarray:
         )
     if cure.method:
         points = np.asarray(mesh.points)
-        method = entry(cure.method).make(Extent(points[moving], points[fixed]))
+        method = entry(cure.method).make(Lengths(points[moving], points[fixed]))
         return np.asarray(deform(plan_of(with_cells(plan.boundary, mesh), method), u))
     base = in_space(np.asarray(mesh.points)[moving])
     path = Turn.of(base, in_space(u)).path(base, in_space(u), cure.steps)

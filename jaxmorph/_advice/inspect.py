@@ -5,12 +5,18 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import ArrayLike, Integer, Real
+from jaxtyping import ArrayLike, Float, Integer, Real
+from scipy import sparse
+from scipy.spatial.distance import cdist
 
+from .._boundary.outer_faces import outer_faces
+from .._host.cells.adjacency import parts_of
 from .._host.package.arguments import checked, rows_of
 from .._host.package.cores import Beside
 from .._host.package.errors import MeshError
-from .._host.package.trees import Tree
+from .._host.package.rounding import Tree, roundoff
+from .._host.sources.reduction import KDTree, drop_close
+from .._host.surface.crossings import crossing_faces
 from .._host.surface.gaps import share_left
 from .._host.surface.skin import edges
 from .._host.surface.walls import walls
@@ -20,18 +26,32 @@ from .._plan.deform import deform
 from .._plan.judge import ended
 from .._plan.plan import Plan
 from .._quality.quality import quality
-from .collisions import crossings, names_of, simplices
 from .cures import advice_on_folds
-from .inspection import Inspection
-from .overshoot import overshoot
-from .resolved import UNRESOLVED, leaves_enough, missed
-from .torn import share_faces, torn_pairs
+from .inspection import Crossings, Inspection
 
 PUT_BACK = 0.01
 """Share of the largest motion by which planes, surfaces and pairs may change a moving node's."""
 
 TOUCHING = 1e-9
 """Distance of a node from another wall, relative to the surface's extent: no gap there."""
+
+SAME = 1e-9
+"""Distance of nodes that count as one place, relative to the extent of the mesh.
+
+They are the two sides of a cut or of a sharp edge.
+"""
+
+RESTS = 1e-3
+"""Share of the largest displacement below which a part of the surface rests."""
+
+UNRESOLVED = 1 / 3
+"""Share of the largest displacement that sources may miss between them."""
+
+ROWS = 4096
+"""Points whose distances from all sources are in memory together."""
+
+LEAVES = (64, 128, 256, 512, 1024, 2048)
+"""Numbers of leaves of a k-d tree that are tried."""
 
 
 @checked
@@ -201,3 +221,161 @@ def _slope(points: np.ndarray, u: np.ndarray) -> float:
     rest = u - terms @ np.linalg.lstsq(terms, u, rcond=None)[0]
     distance, length = (np.linalg.norm(positions[second] - positions[first], axis=1) for positions in (rest, points))
     return float(np.quantile(distance / length, 0.98))
+
+
+def torn_pairs(points: np.ndarray, vectors: np.ndarray, is_fixed: np.ndarray) -> np.ndarray:
+    """Finds pairs of neighbouring rows with contradictory displacements, the worst first."""
+    count = min(2 * points.shape[1], len(points) - 1)
+    distance, nearest = map(np.asarray, Tree(points).query(points, k=count + 1))
+    first, second = np.repeat(np.arange(len(points)), count), nearest[:, 1:].ravel()
+    distance = distance[:, 1:].ravel()
+    difference = np.linalg.norm((vectors[first] - vectors[second]), axis=1)
+    after = np.linalg.norm((points + vectors)[first] - (points + vectors)[second], axis=1)
+    mixed = is_fixed[first] != is_fixed[second]
+    # nodes that nearly coincide are one place by accident: the two sides of a wake, of an
+    # interface, of a sharp edge
+    scale = 1e-9 * np.ptp(points, axis=0).max()
+    excess = np.where(mixed, difference, after - distance) / (distance + scale)
+    torn = np.flatnonzero((excess > 1) & (distance > scale) & (first < second))
+    return np.stack([first, second], axis=1)[torn[np.argsort(-excess[torn], kind="stable")]]
+
+
+def share_faces(pairs: np.ndarray, faces: np.ndarray, count: int) -> np.ndarray:
+    """Marks the pairs (k, 2) of `count` rows that lie on one face, or on faces that share a node.
+
+    `faces` are (f, corners).
+    """
+    corners = np.repeat(np.arange(len(faces)), faces.shape[1])
+    holds = sparse.csr_matrix(
+        (np.ones(faces.size, dtype=np.int64), (faces.ravel(), corners)), shape=(count, len(faces))
+    )
+    around = holds @ holds.T  # neighbours of each row, and itself
+    return np.asarray(around[pairs[:, 0]].multiply(around[pairs[:, 1]]).sum(axis=1)).ravel() > 0
+
+
+def crossings(cut: tuple[np.ndarray, np.ndarray], mesh: Mesh, nodes: np.ndarray, vectors: np.ndarray) -> Crossings:
+    """Finds where the boundary crosses itself after its `nodes` (o,) move by `vectors` (o, d).
+
+    `cut` is what `simplices` returned for the nodes.
+    """
+    faces, ids = cut
+    points = np.asarray(mesh.points, dtype=float)
+    before = points[nodes]
+    together = _together(before, SAME * np.ptp(points, axis=0).max())
+    after = before + vectors
+    pairs, places = crossing_faces(before, after, faces, together)
+    single = np.sort(np.unique(np.sort(ids[pairs], axis=1), axis=0, return_index=True)[1])
+    pairs, places = pairs[single], places[single]
+    first, second = (names_of(mesh, nodes[faces[pairs[:, k]]]) for k in range(2))
+    return Crossings(nodes[faces[pairs, 0]], tuple(zip(first, second, strict=True)), places)
+
+
+def simplices(mesh: Mesh, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    """Cuts the boundary faces between `nodes` (o,) into simplices (f, d); None without faces.
+
+    A simplex has rows of `nodes`, seen from outside.
+
+    It also returns the number (f,) of the file's face that each is a part of.
+    """
+    outer = outer_faces(mesh)
+    if outer is None:
+        return None
+    rows = np.full(len(mesh.points), -1)
+    rows[nodes] = np.arange(len(nodes))
+    parts = [(_simplices(rows[corners]), outer.ids[kind]) for kind, corners in outer.corners.items()]
+    faces = np.concatenate([part for part, _ in parts])
+    ids = np.concatenate([np.resize(face, len(part)) for part, face in parts])
+    known = (faces >= 0).all(axis=1)
+    return faces[known], ids[known]
+
+
+def _simplices(corners: np.ndarray) -> np.ndarray:
+    """Cuts quadrilaterals into two triangles: all first triangles, then all second ones."""
+    if corners.shape[1] < 4:
+        return corners
+    return np.concatenate([corners[:, [0, 1, 2]], corners[:, [0, 2, 3]]])
+
+
+def _together(points: np.ndarray, distance: float) -> np.ndarray:
+    """Numbers the places of nodes (b,): nodes that nearly coincide are at one place."""
+    pairs = Tree(points).query_pairs(distance, output_type="ndarray")
+    return parts_of(pairs[:, 0], pairs[:, 1], len(points))
+
+
+def names_of(mesh: Mesh, faces: np.ndarray) -> list[str]:
+    """Names the smallest patch with all nodes of each face (k, corners); "" without any."""
+    names = np.full(len(faces), "", dtype=object)
+    for name, nodes in sorted(mesh.patches.items(), key=lambda item: -len(item[1])):
+        inside = np.zeros(len(mesh.points), dtype=bool)
+        inside[np.asarray(nodes)] = True
+        names[inside[faces].all(axis=1)] = name
+    return names.tolist()
+
+
+def overshoot(
+    plan: Plan, u: Float[np.ndarray, "m d"], moved: Float[np.ndarray, "n d"] | None = None
+) -> tuple[float, float]:
+    """Compares the largest motion off the surface with that of the surface.
+
+    The second number is for nodes behind a part that rests.
+
+    A node lies behind a part that rests if three conditions hold. The nearest node of the moving
+    surface rests. The part that moves lies on the other side of this node, as the upper side of an
+    airfoil does for nodes below it. And the node is no farther away than the surface is long.
+
+    `moved` is what `deform` returns, where it is known.
+    """
+    points, moving = np.asarray(plan.points), np.asarray(plan.moving)
+    size = np.linalg.norm(u, axis=1)
+    is_inner = np.ones(len(points), dtype=bool)
+    is_inner[moving] = is_inner[np.asarray(plan.fixed)] = False
+    inner = np.flatnonzero(is_inner)
+    if not size.max() or not inner.size:
+        return 0.0, 0.0
+    moved = np.asarray(deform(plan, u)) if moved is None else moved
+    share = np.linalg.norm((moved - points)[inner], axis=1) / size.max()
+    largest, base, active = float(share.max()), points[moving], np.flatnonzero(size > size.max() / 2)
+    extent = np.ptp(base, axis=0).max()
+    is_near = ((points[inner] > base.min(axis=0) - extent) & (points[inner] < base.max(axis=0) + extent)).all(axis=1)
+    inner, share = inner[is_near & (share > RESTS)], share[is_near & (share > RESTS)]
+    if not inner.size:
+        return largest, 0.0
+    nearest = np.asarray(Tree(base).query(points[inner])[1])
+    towards = base[active[np.asarray(Tree(base[active]).query(base)[1])]] - base
+    away = points[inner] - base[nearest]
+    towards = towards[nearest]
+    product, lengths = np.sum(away * towards, axis=1), (np.linalg.norm(away, axis=1), np.linalg.norm(towards, axis=1))
+    is_opposite = product < -lengths[0] * lengths[1] / 2
+    behind = (size[nearest] <= RESTS * size.max()) & is_opposite & (lengths[0] < extent)
+    return largest, float(share[behind].max(initial=0.0))
+
+
+def missed(points: np.ndarray, u: np.ndarray, sources: np.ndarray) -> float:
+    """Measures what an interpolation from `sources` misses of `u` (m, d) at `points` (m, d).
+
+    It is relative to the largest displacement, and zero without one. The interpolation is that by
+    distances, and a constant; SciPy's `RBFInterpolator` takes a tenth of a second to import.
+    """
+    largest = np.linalg.norm(u, axis=1).max(initial=0)
+    rows = drop_close(points, sources, roundoff(points))
+    if largest == 0 or not len(rows):
+        return 0.0
+    system = np.pad(-cdist(points[rows], points[rows]), (0, 1), constant_values=1.0)
+    system[-1, -1] = 0
+    weights = np.linalg.solve(system, np.pad(u[rows], ((0, 1), (0, 0))))
+    off = [
+        u[part] - weights[-1] + cdist(points[part], points[rows]) @ weights[:-1]
+        for part in (slice(start, start + ROWS) for start in range(0, len(points), ROWS))
+    ]
+    return float(np.linalg.norm(np.concatenate(off), axis=1).max() / largest)
+
+
+def leaves_enough(points: np.ndarray, u: np.ndarray) -> int | None:
+    """Finds the least of `LEAVES` whose sources miss less than a third of `u`, or None."""
+    for leaves in LEAVES:
+        sources = KDTree(leaves, extremes=True)(points)
+        if missed(points, u, sources) <= UNRESOLVED:
+            return leaves
+        if len(sources) == len(points):
+            break
+    return None

@@ -2,18 +2,56 @@
 
 import dataclasses
 import math
+from collections.abc import Iterator
 
 import numpy as np
 
 from .._plan.judge import ends
-from .collisions import Crossings
-from .torn import remedies
 
 STEEP = 0.5
 """Slope of a displacement along the wall above which a fitted field strains cells more."""
 
 NARROW = 0.2
 """Share of a gap, left after a motion, below which one step folds cells in it."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Crossings:
+    """Pairs of boundary faces that cross or touch only after the motion; true if any do.
+
+    A wall that has passed through another wall completely does not cross it any more, and is not
+    found.
+
+    - `nodes` (k, 2): one node of each of the two faces.
+    - `patches`: the names of the two patches of each pair, equal for a wall that crosses itself; ""
+      without a patch.
+    - `places` (k, d): a point of each crossing, in the mesh's unit.
+    """
+
+    nodes: np.ndarray
+    patches: tuple[tuple[str, str], ...]
+    places: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.nodes)
+
+    def __str__(self) -> str:
+        """Describes the crossings in two sentences: how many, between which patches, and where."""
+        if not len(self):
+            return ""
+        pairs = dict.fromkeys(tuple(sorted(pair)) for pair in self.patches)
+        between = ", ".join(_between(*pair) for pair in pairs)
+        place = ", ".join(f"{x:.4g}" for x in self.places[0])
+        count = f"{len(self)} {'pair' if len(self) == 1 else 'pairs'}"
+        return (
+            f"{count} of boundary faces cross each other after the motion ({between}), first near ({place}). No mesh can follow: "
+            "move the wall less, or both walls together."
+        )
+
+
+def _between(first: str, second: str) -> str:
+    one, other = (repr(name) if name else "faces of no patch" for name in (first, second))
+    return f"{one} and itself" if first == second else f"{one} and {other}"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -88,71 +126,57 @@ class Inspection:
     @property
     def warnings(self) -> tuple[str, ...]:
         """One sentence for each thing that no method moves well."""
-        crossings = (str(self.crossings),) if self.crossings else ()
-        return (*self._contradicting, *crossings, *self._put_back, *filter(None, [ends(self.ended, self.ended_at)]))
+        return tuple(self._warnings())
 
-    @property
-    def _put_back(self) -> tuple[str, ...]:
-        if not len(self.put_back):
-            return ()
-        return (
-            f"{len(self.put_back)} moving nodes do not go where `u` sends them, the worst is node {self.put_back[0]}, by "
-            f"{self.put_back_by:.3g}: they stay on their plane or surface, and pairs take the mean. Give a motion that does.",
-        )
-
-    @property
-    def _contradicting(self) -> tuple[str, ...]:
-        if not len(self.contradictions):
-            return ()
-        first, second = self.contradictions[0]
-        place = ", ".join(f"{x:.4g}" for x in self.near)
-        both = " and ".join(repr(name) if name else "no patch" for name in self.torn)
-        return (
-            f"{len(self.contradictions)} pairs of neighbouring surface nodes are torn apart by more than their distance, the worst "
-            f"nodes {first} and {second}{f' of {both}' if both else ''} near ({place}). {remedies(self.rests, self.touches)}",
-        )
+    def _warnings(self) -> Iterator[str]:
+        if len(self.contradictions):
+            first, second = self.contradictions[0]
+            place = ", ".join(f"{x:.4g}" for x in self.near)
+            both = " and ".join(repr(name) if name else "no patch" for name in self.torn)
+            yield (
+                f"{len(self.contradictions)} pairs of neighbouring surface nodes are torn apart by more than their distance, the "
+                f"worst nodes {first} and {second}{f' of {both}' if both else ''} near ({place}). "
+                f"{remedies(self.rests, self.touches)}"
+            )
+        if self.crossings:
+            yield str(self.crossings)
+        if len(self.put_back):
+            yield (
+                f"{len(self.put_back)} moving nodes do not go where `u` sends them, the worst is node {self.put_back[0]}, by "
+                f"{self.put_back_by:.3g}: they stay on their plane or surface, and pairs take the mean. Give a motion that does."
+            )
+        if len(self.ended):
+            yield ends(self.ended, self.ended_at)
 
     @property
     def advice(self) -> tuple[str, ...]:
         """One sentence for another method, or for more steps, that may do better."""
-        return (*filter(None, [self.folds]), *self._narrow, *self._short, *self._unresolved, *self._steep)
+        return tuple(self._advice())
 
-    @property
-    def _unresolved(self) -> tuple[str, ...]:
-        if self.leaves is None:
-            return ()
-        return (
-            f"the sources do not resolve the displacement: between them {100 * self.missed:.0f} % of it is missed. Take "
-            f"SurfaceReconstruction(FittedRBF(RBF(reduction=KDTree({self.leaves}, extremes=True)))).",
-        )
-
-    @property
-    def _short(self) -> tuple[str, ...]:
-        if self.reach >= self.largest:
-            return ()
-        return (
-            f"the field ends {self.reach:.2g} from the surface, which moves by {self.largest:.2g}: cells fold between. Take a "
-            "radius of several times the motion, `jm.CompactRBF(radius)`, or a method without one.",
-        )
-
-    @property
-    def _narrow(self) -> tuple[str, ...]:
-        if self.gap_left is None or self.gap_left >= NARROW:
-            return ()
-        return (
-            f"{100 * self.gap_left:.2g} % of the gap between node {self.gap_node} and another wall is left. Go there in several "
-            "steps, each of which leaves half of it or more: `march(plan, path, rebuild=True)`.",
-        )
-
-    @property
-    def _steep(self) -> tuple[str, ...]:
-        if not self.is_fitted or self.slope <= STEEP:
-            return ()
-        return (
-            f"the displacement changes by {self.slope:.2g} per length along the wall. The fitted field keeps grid lines close to "
-            "their angle to the wall, and may cost a quarter of the smallest Jacobian ratio where that is above 0.5. "
-            "SurfaceReconstruction(RBF(reduction=KDTree(64, extremes=True))) does without; `choose` tries both.",
-        )
+    def _advice(self) -> Iterator[str]:
+        if self.folds:
+            yield self.folds
+        if self.gap_left is not None and self.gap_left < NARROW:
+            yield (
+                f"{100 * self.gap_left:.2g} % of the gap between node {self.gap_node} and another wall is left. Go there in "
+                "several steps, each of which leaves half of it or more: `march(plan, path, rebuild=True)`."
+            )
+        if self.reach < self.largest:
+            yield (
+                f"the field ends {self.reach:.2g} from the surface, which moves by {self.largest:.2g}: cells fold between. Take a "
+                "radius of several times the motion, `jm.CompactRBF(radius)`, or a method without one."
+            )
+        if self.leaves is not None:
+            yield (
+                f"the sources do not resolve the displacement: between them {100 * self.missed:.0f} % of it is missed. Take "
+                f"SurfaceReconstruction(FittedRBF(RBF(reduction=KDTree({self.leaves}, extremes=True))))."
+            )
+        if self.is_fitted and self.slope > STEEP:
+            yield (
+                f"the displacement changes by {self.slope:.2g} per length along the wall. The fitted field keeps grid lines close "
+                "to their angle to the wall, and may cost a quarter of the smallest Jacobian ratio where that is above 0.5. "
+                "SurfaceReconstruction(RBF(reduction=KDTree(64, extremes=True))) does without; `compare` tries both."
+            )
 
     def renumbered(self, ids: np.ndarray) -> "Inspection":
         """Renumbers the inspection for a larger mesh, in which node k is node `ids[k]`."""
@@ -164,3 +188,22 @@ class Inspection:
     def __str__(self) -> str:
         """Lists what no method moves well, then what another method may do better."""
         return "\n".join((*self.warnings, *self.advice)) or "nothing to warn of."
+
+
+def remedies(rests: np.ndarray, touches: np.ndarray) -> str:
+    """Describes what tears each kind of pairs (k,), and what to try.
+
+    Either one node of a pair rests, or both move. The boundary of a resting node touches that of
+    the moving node, or lies across a gap.
+    """
+    slides, gap, both = (int(mask.sum()) for mask in (touches, rests & ~touches, ~rests))
+    at = "" if slides == len(rests) else f"At {slides} of them a fixed boundary touches the moving one. "
+    texts = (
+        f"{at}Name the fixed boundary in `sliding` (--sliding) in place of `fixed`, or make it a symmetry plane, if it slides "
+        "along the moving one. Name it in `free` (--free) if its nodes may follow, as those of a duct's ends.",
+        f"{gap} of them lie across a gap to a fixed wall, which is narrower than the motion: cells in it shear as much.",
+        f"In {both} of them both nodes move, and come to more than twice their distance. Row i of `u` moves node "
+        "`plan.moving[i]`: is the order right? If so, the motion is too steep for the spacing of the nodes: smooth it "
+        "(`shapes.Smoother`), or refine the surface.",
+    )
+    return " ".join(text for text, count in zip(texts, (slides, gap, both), strict=True) if count)

@@ -1,39 +1,52 @@
-"""The list of methods, read by the command line, `choose` and the benchmarks."""
+"""The list of methods, read by the command line, `compare` and the benchmarks."""
 
 import dataclasses
 import functools
 import importlib
 import typing
 from collections.abc import Callable, Mapping
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 if typing.TYPE_CHECKING:
     from .._methods.base import AbstractMethod
 
 
-@runtime_checkable
-class Lengths(Protocol):
-    """Lengths of a boundary: extent of the moving nodes, gap to the nearest fixed node."""
+MOST_POINTS = {2: 100_000, 3: 40_000}
+"""Points of a mesh, by dimension, up to which methods on its cells are tried."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Lengths:
+    """Lengths of a boundary, from the points of its moving (m, d) and its fixed nodes (f, d)."""
+
+    moving: Any
+    fixed: Any
 
     @property
-    def size(self) -> float: ...
+    def size(self) -> float:
+        """The extent of the moving nodes."""
+        return float((self.moving.max(axis=0) - self.moving.min(axis=0)).max())
 
     @property
-    def gap(self) -> float: ...
+    def gap(self) -> float:
+        """The distance from moving to fixed nodes; 20 times the size without fixed nodes."""
+        from .._host.package.rounding import Tree  # SciPy: the command line reads this list before
+
+        return float(Tree(self.moving).query(self.fixed)[0].min()) if len(self.fixed) else 20 * self.size
 
 
 @dataclasses.dataclass(frozen=True)
 class Entry:
     """One method of the list.
 
-    - `name`: its name as a word, for flags and the table of `choose`.
+    - `name`: its name as a word, for flags and the table of `compare`.
     - `path`: the class, or its constructor, in `_methods`: `cells.springs.TorsionalSprings` stands
       in `cells/springs.py`.
     - `sentence`: what it is, for help and the output of commands.
     - `needs_cells`: True where it solves on the mesh's cells.
     - `sources`: which nodes of the wall are sources: `some` (then the number is free), `all` or
       `none`.
-    - `is_tried`: True where `choose` tries it, beside the radial functions that it varies itself.
+    - `is_tried`: True where `compare` tries it, beside the default.
     - `is_cure`: True where `jaxmorph deform` tries it after the default has inverted cells.
     - `title`: its name in tables of the benchmarks, where that is not `name`.
     - `numbers`, `options`: what it is called with, the numbers from the lengths of a boundary.
@@ -78,10 +91,10 @@ METHODS = (
     Entry("graph", "delaunay.DelaunayGraph", "Delaunay graph mapping", is_tried=True),
     Entry("multiscale", "multiscale.Multiscale.whole", "compact functions from the largest scale to the smallest",
           numbers=lambda wall: (2 * wall.size, 0.1), is_tried=True),
-    Entry("laplacian", "cells.laplacian.Laplacian", "Laplace's equation, diffusivity 1/distance^2",
+    Entry("laplacian", "cells.equations.Laplacian", "Laplace's equation, diffusivity 1/distance^2",
           needs_cells=True, title="Laplacian 1/d^2"),
-    Entry("biharmonic", "cells.laplacian.Biharmonic", "the biharmonic equation", needs_cells=True, is_tried=True),
-    Entry("elasticity", "cells.elasticity.LinearElasticity", "linear elasticity, stiff by 1/volume",
+    Entry("biharmonic", "cells.equations.Biharmonic", "the biharmonic equation", needs_cells=True, is_tried=True),
+    Entry("elasticity", "cells.equations.LinearElasticity", "linear elasticity, stiff by 1/volume",
           needs_cells=True, is_tried=True, is_cure=True, title="elasticity 1/V"),
     Entry("springs", "cells.springs.SpringAnalogy", "springs along the edges", needs_cells=True, title="springs 1/l^2"),
     Entry("torsional", "cells.springs.TorsionalSprings", "torsional springs",
@@ -96,7 +109,7 @@ METHODS = (
           sources="all", title="compact RBF"),
 )
 # fmt: on
-"""Methods in the order in which `choose` tries them. Methods that are linear in `u` come first."""
+"""Methods in the order in which `compare` tries them. Methods that are linear in `u` come first."""
 
 
 def entry(name: str) -> Entry:

@@ -3,20 +3,17 @@
 from collections.abc import Callable
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import optimistix as optx
-from jaxtyping import Array, Bool, Float, PyTree, Scalar
+from jaxtyping import Array, Bool, PyTree, Scalar
 
 from .._host.package.arguments import between, checked
 from .._kernels.callback import host_call
 from .._kernels.module import Module
 from .._mesh.mesh import Mesh
-from .._plan.deform import deform
 from .._plan.plan import Plan
-from .._quality.quality import places
-from .largest_step import Bounds
+from .largest_step import DesignedMesh
 
 
 class ValidSteps(Module, optx.AbstractSearch):
@@ -51,9 +48,7 @@ class ValidSteps(Module, optx.AbstractSearch):
     0 and 1. With `proven`, also for a mesh with undeformed cells that are not proven valid.
     """
 
-    plan: Plan
-    displacement: Callable[[Any], Float[Array, "m d"]]
-    bounds: Bounds = eqx.field(static=True)
+    mesh: DesignedMesh
     share: float
     slope: float
     decrease: float
@@ -71,17 +66,14 @@ class ValidSteps(Module, optx.AbstractSearch):
         slope: float = 0.1,
         decrease: float = 0.5,
     ):
-        between("min_jacobian_ratio", min_jacobian_ratio, 0, 1, "[)")
         for name, value in (("share", share), ("slope", slope), ("decrease", decrease)):
             between(name, value, 0, 1)
-        places(mesh, plan.points)
-        self.plan, self.displacement = plan, displacement
-        self.bounds = Bounds(mesh, plan.points.dtype, min_jacobian_ratio, proven)
+        self.mesh = DesignedMesh(plan, mesh, displacement, min_jacobian_ratio, proven)
         self.share, self.slope, self.decrease = share, slope, decrease
 
     def holds(self, y: PyTree) -> Bool[Array, ""]:
         """Checks whether every corner of the mesh of these variables keeps its bound."""
-        return self.bounds.hold(deform(self.plan, self.displacement(y)))
+        return self.mesh.bounds.hold(self.mesh.points(y))
 
     def guarded(self, objective: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
         """Makes an objective that is infinite, and runs no flow, where the mesh breaks a bound."""
@@ -101,14 +93,14 @@ class ValidSteps(Module, optx.AbstractSearch):
         self, first_step: Any, y: Any, y_eval: Any, f_info: Any, f_eval_info: Any, state: Any
     ) -> tuple[Any, Any, Any, Any]:
         """Accepts the variables that were tried, or gives a shorter step."""
-        before, after = (deform(self.plan, self.displacement(variables)) for variables in (y, y_eval))
-        bounds, dtype = self.bounds, before.dtype
+        before, after = self.mesh.points(y), self.mesh.points(y_eval)
+        bounds = self.mesh.bounds
 
         def share(before: Any, after: Any) -> Any:
             return bounds.share(before, after)[0]
 
-        way = host_call(share, jax.ShapeDtypeStruct((), dtype), before, after)
-        fits = (way >= 1) & self.bounds.hold(after)
+        way = host_call(share, jax.ShapeDtypeStruct((), before.dtype), before, after)
+        fits = (way >= 1) & bounds.hold(after)
         gain = f_info.compute_grad_dot(jax.tree.map(jnp.subtract, y_eval, y))
         falls = f_eval_info.as_min() - f_info.as_min() <= self.slope * gain
         accept = first_step | (fits & falls & (gain <= 0))

@@ -13,12 +13,9 @@ from .._host.package.errors import MeshError, place_of, warn
 from .._host.surface.skin import has_free_faces
 from .._mesh.mesh import Mesh
 from .curved_faces import with_own_curves
-from .kinds import by_kinds
-from .matching import paired
-from .names import check_named_once, checked_points, nodes_named, planes_named, slides
+from .names import by_kinds, check_named_once, checked_points, nodes_named, planes_named, slides
 from .outer_faces import FreeFaces, OuterFaces, free_faces, outer_faces
-from .pairing import Pairing, merged
-from .periodic import Periodic
+from .periodic import Pairing, Periodic, merged, paired
 from .slide import Slide, walls_of_patch
 from .symmetry import Plane, check_dimension
 from .tracks import Track, check_repeated, tracks_of

@@ -12,9 +12,8 @@ from .._host.cells.lagrange import lagrange_types
 from .._host.cells.pieces import boundary_sides, linear_cells
 from .._host.cells.topology import SHAPES, solid
 from .._mesh.mesh import Mesh
-from .facets import BLOCK, Faceted
 from .slide import faces_around
-from .walls import AbstractWall
+from .walls import BLOCK, AbstractWall, Faceted
 
 SEARCH, POLISH = 8, 2
 """Steps of Gauss and Newton inside each face near a point; of Newton on the nearest face."""

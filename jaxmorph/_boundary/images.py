@@ -9,10 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from .._host.package.orders import rows_in
-from .._host.package.trees import Tree
+from .._host.package.rounding import Tree, rows_in
 from .._kernels.values import as_jax
-from .pairing import Pairing
+from .periodic import Pairing
 from .symmetry import Plane, facing, tolerance
 
 

@@ -1,6 +1,6 @@
 """Checked names of a caller: points, node ids, patches, planes and slides."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import jax
@@ -8,11 +8,12 @@ import numpy as np
 from jaxtyping import Int
 
 from .._host.package.arguments import real_array, rows_of, shown
-from .._host.package.errors import MeshError
+from .._host.package.errors import MeshError, warn
 from .._mesh.mesh import Mesh
 from .outer_faces import outer_faces
+from .periodic import Periodic
 from .slide import Slide
-from .symmetry import Plane, planes_through
+from .symmetry import Plane, check_planes, planes_through
 
 USE = 'prepare(mesh, "airfoil", "farfield") with a Mesh, or prepare(points, moving_ids, fixed_ids)'
 
@@ -141,3 +142,48 @@ def check_named_once(sliding: Any, **lists: Any) -> None:
                 raise ValueError(
                     f"the patch {min(both)!r} is named in `sliding` and in `{name}`: it would not slide. Remove it from one list."
                 )
+
+
+SYMMETRY = frozenset({"BCSymmetryPlane", "symmetry", "symmetryPlane", "axis"})
+"""Kinds of symmetry planes."""
+
+INSIDE = "cyclic", "processor", "empty", "wedge", "overset"
+"""Beginnings of the kinds of patches that are no outer boundary.
+
+An overset patch lies inside of another grid: its nodes follow.
+"""
+
+
+def by_kinds(mesh: Any, moving: Any, periodic: Any) -> tuple[list[str], list[str]]:
+    """Chooses fixed and symmetry patches by their kinds in the file, if only moving ones are named.
+
+    Symmetry patches that lie in planes slide; all other outer patches with a kind are fixed. A
+    warning names the choice. Nothing is chosen without kinds, or where `moving` are no names.
+    """
+    names = names_in(moving)
+    if not isinstance(mesh, Mesh) or names is None:
+        return [], []
+    pairs = [periodic] if isinstance(periodic, Periodic) else periodic if isinstance(periodic, Iterable) else ()
+    sides = [side for pair in pairs if isinstance(pair, Periodic) for side in (pair.patch, pair.partner)]
+    elsewhere = {*mesh.patch_names(*names), *(side for side in sides if isinstance(side, str))}
+    kinds = {name: kind for name, kind in mesh.kinds.items() if name not in elsewhere and len(mesh.patches[name])}
+    fixed = [name for name, kind in kinds.items() if kind not in SYMMETRY and not kind.startswith(INSIDE)]
+    symmetry, planes = [], []
+    for name in (name for name, kind in kinds.items() if kind in SYMMETRY):
+        try:
+            more = [*planes, *planes_of(mesh, name)]
+            check_planes(more, np.asarray(mesh.points))
+        except ValueError:  # a bent patch: the caller must name it
+            continue
+        symmetry, planes = [*symmetry, name], more
+    clauses = [
+        f"{what} are " + ", ".join(f"{name!r} ({kinds[name]})" for name in patches)
+        for what, patches in (("`fixed`", fixed), ("`symmetry`", symmetry))
+        if patches
+    ]
+    if clauses:
+        warn(
+            f"No patches beside `moving` are named. By their kinds in the file {' and '.join(clauses)}. Name the patches to "
+            "choose otherwise."
+        )
+    return fixed, symmetry

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 
 from .._host.cells import topology
-from .._host.cells.pairs import is_among
+from .._host.cells.adjacency import is_among
 from .._host.cells.pieces import linear_cells, owned_sides, owners
+from .._host.linear.products import outward
 from .._host.package.arguments import checked
-from .._host.surface.walls import outward
 from .._mesh.mesh import Mesh
 from .._mesh.polyhedra import Polyhedra, triangles
 

@@ -9,16 +9,14 @@ from jaxtyping import Float, Int
 from scipy.sparse import csr_array
 
 from .._host.cells.adjacency import parts_of
+from .._host.linear.products import normals
 from .._host.package.arguments import check_patch, finite_array
 from .._host.package.errors import MeshError, place_of, worst_first
-from .._host.package.orders import canonical_order
-from .._host.surface.simplices import normals
+from .._host.package.rounding import canonical_order
 from .._host.surface.walls import in_order
-from .facets import Faceted, FlatFaces
-from .holes import CONTINUES, filled
 from .symmetry import Plane
 from .tracks import SMOOTH
-from .walls import AbstractWall, Flat, Round
+from .walls import CONTINUES, AbstractWall, Faceted, Flat, FlatFaces, Round, filled
 
 DEVIATION = 1e-5
 """Distance of nodes on a surface, relative to the patch's extent: files have few digits."""

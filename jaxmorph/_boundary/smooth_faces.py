@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from .._kernels.values import norm
-from .facets import Faceted, nearest_of, normal_of
 from .tracks import Track
+from .walls import Faceted, nearest_of, normal_of
 
 STEPS = 4
 """Steps along the normal to the surface; each leaves a small share of the distance."""

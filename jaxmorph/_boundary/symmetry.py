@@ -5,10 +5,10 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from .._host.linear.products import normals
 from .._host.package.arguments import finite_array, rows_of
 from .._host.package.errors import MeshError, place_of, worst_first
 from .._host.package.rounding import roundoff
-from .._host.surface.simplices import normals
 from .._kernels.module import Module
 
 TOLERANCE = 1e-8

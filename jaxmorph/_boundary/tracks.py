@@ -10,10 +10,9 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._host.package.errors import MeshError, place_of, worst_first
 from .._kernels.values import norm
-from .facets import Faceted
-from .pairing import Pairing
+from .periodic import Pairing
 from .symmetry import Plane
-from .walls import AbstractWall, Flat, Round
+from .walls import AbstractWall, Faceted, Flat, Round
 
 STEPS = 6
 """Newton steps to a curved wall, or to the edge between two walls; they converge quadratically."""

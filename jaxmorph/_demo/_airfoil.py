@@ -2,16 +2,20 @@
 
 import dataclasses
 import pathlib
+import sys
 import time
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 import jaxmorph as jm
-from jaxmorph import cases
+from jaxmorph import cases, io, plot  # before matplotlib: it says what to install
 
-from . import _airfoil_pictures as pictures
-from ._terminal import Study, progress, table, write
+# isort: split
+import matplotlib
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 
 ANGLES = (5.0, 10.0, 15.0)
 """Degrees, nose up, at the end of each step."""
@@ -23,6 +27,26 @@ FAR_FIELD = jm.KDTree(2)
 
 LEAVES = (1, 2, 4, 8)
 """Leaves of the wall's trees to compare, with four sources a leaf."""
+
+STYLE: dict[Any, Any] = {"font.size": 13, "axes.titlesize": 15, "axes.labelsize": 14}
+AIRFOIL: plot.Window = ((-0.35, 1.45), (-0.62, 0.48))
+TRAILING_EDGE: plot.Window = ((0.915, 1.035), (-0.2325, -0.1592))
+LARGEST = 0.5
+"""The skewness at the dark end of the scale."""
+
+REDUCED = ("#08306b", "#2171b5", "#6baed6", "#9ecae1")
+"""Fewest sources first."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Study:
+    """A method to compare; `file` names its deformed mesh, `title` its picture."""
+
+    name: str
+    method: jm.AbstractMethod | None
+    rebuild: bool = False
+    file: str = ""
+    title: str = ""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -47,28 +71,33 @@ class Outcome:
         return max(int(report.inverted) for report in self.reports)
 
 
+def say(what: str) -> None:
+    """Tells what is being done, on a terminal alone."""
+    if sys.stdout.isatty():
+        print(f"{what} ...", file=sys.stderr)
+
+
 def run(output: pathlib.Path, *, points: int | None = None) -> int:
     """Runs the whole comparison; returns 1 when a cell was inverted."""
     mesh = cases.naca0015() if points is None else cases.naca0015(points=points)
     studies = compare(mesh)
     output.mkdir(parents=True, exist_ok=True)
-    with progress(len(studies) + 4) as say:
-        say("generating the mesh, judging it")
-        start, outcomes = jm.quality(mesh), []
-        written = write(output / "naca0015-undeformed.su2", mesh, np.asarray(mesh.points), _skewness(start))
-        for study in studies:
-            say(f"moving the mesh, {study.name}")
-            outcomes.append(measure(mesh, start, study))
-        by_file = {outcome.study.file: outcome for outcome in outcomes if outcome.study.file}
-        say("writing meshes")
-        for name, outcome in by_file.items():
-            path, values = output / f"naca0015-{name}.su2", _skewness(outcome.reports[-1])
-            written += write(path, mesh, outcome.points, values)
-        figures = [output / "figure5.png", output / "figure6.png"]
-        say("drawing airfoil and trailing edge (figure 5)")
-        pictures.figure5(figures[0], mesh, [by_file["dgm"], by_file["reduced-rbf"]])
-        say("drawing the skewness of all methods (figure 6)")
-        pictures.figure6(figures[1], start, outcomes, ANGLES)
+    say("generating the mesh, judging it")
+    start, outcomes = jm.quality(mesh), []
+    written = write(output / "naca0015-undeformed.su2", mesh, np.asarray(mesh.points), _skewness(start))
+    for study in studies:
+        say(f"moving the mesh, {study.name}")
+        outcomes.append(measure(mesh, start, study))
+    by_file = {outcome.study.file: outcome for outcome in outcomes if outcome.study.file}
+    say("writing meshes")
+    for name, outcome in by_file.items():
+        path, values = output / f"naca0015-{name}.su2", _skewness(outcome.reports[-1])
+        written += write(path, mesh, outcome.points, values)
+    figures = [output / "figure5.png", output / "figure6.png"]
+    say("drawing airfoil and trailing edge (figure 5)")
+    figure5(figures[0], mesh, [by_file["dgm"], by_file["reduced-rbf"]])
+    say("drawing the skewness of all methods (figure 6)")
+    figure6(figures[1], start, outcomes, ANGLES)
     print(_tables(mesh, start, outcomes))
     print("\nwrote", "\n      ".join(map(str, [*figures, *written])))
     return int(any(outcome.inverted for outcome in outcomes))
@@ -173,3 +202,85 @@ def _tables(mesh: jm.Mesh, start: jm.QualityReport, outcomes: list[Outcome]) -> 
             table(angles, steps),
         ]
     )
+
+
+def write(path: pathlib.Path, mesh: jm.Mesh, points: np.ndarray, values: dict[str, np.ndarray]) -> list[pathlib.Path]:
+    """Writes a mesh for SU2, and a mesh with displacements and `values` of cells to look at."""
+    moved, picture = mesh.moved(points), path.with_suffix(".vtu")
+    io.write(path, moved)
+    io.write(picture, moved, point_data={"displacement": points - mesh.points}, cell_data=values)
+    return [path, picture]
+
+
+def table(heads: Sequence[tuple[str, ...]], rows: Sequence[tuple[str, ...]]) -> str:
+    """Formats rows with a rule under the heads."""
+    everything = [*heads, *rows]
+    widths = [max(map(len, column)) for column in zip(*everything, strict=True)]
+    lines = []
+    for row in everything:
+        first, *others = (
+            cell.ljust(w) if k == 0 else cell.rjust(w) for k, (cell, w) in enumerate(zip(row, widths, strict=True))
+        )
+        lines.append("  ".join([first, *others]).rstrip())
+    lines.insert(len(heads), "-" * (sum(widths) + 2 * (len(widths) - 1)))
+    return "\n".join(lines)
+
+
+def figure5(path: pathlib.Path, mesh: jm.Mesh, outcomes: Sequence[Outcome]) -> None:
+    """Draws the deformed meshes of some methods side by side."""
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(13.33, 7.5), dpi=150, layout="constrained")
+        axes = figure.subplots(2, len(outcomes), squeeze=False)
+        for column, outcome in zip(axes.T, outcomes, strict=True):
+            skewness = np.asarray(outcome.reports[-1].skewness)
+            for axis, window in zip(column, (AIRFOIL, TRAILING_EDGE), strict=True):
+                plot.mesh(mesh, outcome.points, values=skewness, limits=(0, LARGEST), window=window, bar=False, ax=axis)
+                axis.tick_params(labelsize=11)
+                axis.locator_params(nbins=6)
+            column[0].set_title(f"{outcome.study.title}: largest skewness {outcome.skewness[-1][1]:.2f}")
+            _frame(column[0], TRAILING_EDGE)
+            column[1].set_xlabel("x / chord")
+        for axis, what in zip(axes[:, 0], ("airfoil", "trailing edge and wake"), strict=True):
+            axis.set_ylabel(f"{what}\ny / chord")
+        bar = figure.colorbar(axes[0, 0].collections[0], ax=axes, aspect=35, pad=0.01)
+        bar.set_label("skewness of the cells")
+        figure.savefig(path)
+
+
+def _frame(axis: Any, window: plot.Window) -> None:
+    (left, right), (bottom, top) = window
+    axis.add_patch(Rectangle((left, bottom), right - left, top - bottom, fill=False, color=plot.BLUE, linewidth=2.5))
+
+
+def figure6(path: pathlib.Path, start: jm.QualityReport, outcomes: Sequence[Outcome], angles: Sequence[float]) -> None:
+    """Draws mean and largest skewness against the angle."""
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(13.33, 5.6), dpi=150, layout="constrained")
+        axes = figure.subplots(1, 2)
+        undeformed = float(start.mean_skewness), float(start.max_skewness)
+        for outcome, style in zip(outcomes, _styles(outcomes), strict=True):
+            for column, axis in enumerate(axes):
+                values = [undeformed[column], *(pair[column] for pair in outcome.skewness)]
+                axis.plot([0, *angles], values, label=outcome.study.name, **style)
+        for axis, what in zip(axes, ("Mean skewness, weighted by area", "Largest skewness"), strict=True):
+            axis.set(title=what, xlabel="angle of rotation in degrees", xticks=[0, *angles])
+            axis.grid(axis="y", color="#dddddd")
+            axis.set_axisbelow(True)
+            axis.spines[["top", "right"]].set_visible(False)
+        figure.legend(*axes[0].get_legend_handles_labels(), loc="outside right center", frameon=False)
+        figure.savefig(path)
+
+
+def _styles(outcomes: Sequence[Outcome]) -> list[dict]:
+    """Chooses colours by family of methods; markers and dashes differ too."""
+    styles, shades, markers = [], iter(REDUCED), iter("o^vD")
+    for outcome in outcomes:
+        method = outcome.study.method
+        if isinstance(method, jm.SurfaceReconstruction):
+            styles.append({"color": next(shades), "marker": next(markers), "linewidth": 2})
+        elif isinstance(method, jm.DelaunayGraph):
+            dashes = "--" if outcome.study.rebuild else "-"
+            styles.append({"color": plot.ORANGE, "marker": "s", "linestyle": dashes, "linewidth": 2})
+        else:
+            styles.append({"color": plot.DARK, "marker": "x", "linewidth": 2, "markersize": 9, "zorder": 3})
+    return styles

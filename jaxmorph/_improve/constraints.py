@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from .._boundary.boundary import Boundary
-from .._boundary.pairing import Pairing
+from .._boundary.periodic import Pairing
 from .._boundary.smooth_faces import smoothed
 from .._boundary.tracks import Track, check_repeated, tracks_of
 from .._boundary.walls import Flat
@@ -20,8 +20,7 @@ from .._kernels.compile import compiled
 from .._kernels.values import as_jax
 from .._mesh.mesh import Mesh
 from .._quality.distortion import node_scales, signs_of_pieces, targets
-from .motion import Distortion
-from .ways import Ways
+from .motion import Distortion, Ways
 
 
 @dataclasses.dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """The energy that `improve` minimises, by the motion of the free nodes; its second derivatives."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import equinox as eqx
@@ -10,12 +10,71 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Integer
 
+from .._boundary.periodic import Pairing
+from .._boundary.tracks import Track
 from .._host.cells.topology import CORNERS, DIMENSION
 from .._quality import measures
 from .._quality.distortion import Bounds, Target, energy, energy_of_cells, samples, stiffened
 from .._quality.vector import Vector, corners
 from .hessian import blocks
-from .ways import Ways
+
+
+class Ways(eqx.Module):
+    """Leads nodes along walls, and the second node of a periodic pair as its first moves.
+
+    - `tracks`, `pairings`: of node ids.
+    - `follows` (n,): True for the second node of a pair.
+    - `normals` (n, q, d): unit vectors that span the normals of the walls where a node starts; zero
+      vectors fill up the list.
+    """
+
+    tracks: tuple[Track, ...]
+    pairings: tuple[Pairing, ...]
+    follows: Bool[Array, " n"]
+    normals: Float[Array, "n q d"]
+
+    def at(self, start: Float[Array, "n d"]) -> "Ways":
+        """Computes the ways of nodes from other starting places. Traced."""
+        n, d = start.shape
+        normals = jnp.zeros((n, d - 1, d), start.dtype)
+        for track in self.tracks:
+            normals = normals.at[track.rows, : len(track.walls)].set(track.normals(start))
+        return eqx.tree_at(lambda ways: ways.normals, self, jax.lax.stop_gradient(normals))
+
+    @property
+    def is_linear(self) -> bool:
+        """True if all walls are flat."""
+        return all(track.is_linear for track in self.tracks)
+
+    @property
+    def off(self) -> Float[Array, "n d d"]:
+        """Projections onto the normals."""
+        return jnp.einsum("nqa,nqb->nab", self.normals, self.normals, precision="highest")
+
+    def __call__(
+        self, start: Float[Array, "n d"], step: Float[Array, "n d"], change: Float[Array, "n d"]
+    ) -> Float[Array, "n d"]:
+        """Turns steps into displacements from `start`.
+
+        `change` is zero in value, and carries the derivative of the starting places: a change off a
+        wall, or a difference between partners, remains.
+        """
+        step = step - jnp.einsum("nab,nb->na", self.off, step, precision="highest")
+        off_walls = jnp.zeros_like(change)
+        for track in self.tracks:
+            off_walls = off_walls + change - track.along(start, change)
+            step = track.along(start, step)
+        motion = step + off_walls - change
+        for pairing in self.pairings:
+            motion = pairing.led(motion)
+        return motion + change
+
+    def matched(self, start: Float[Array, "n d"], points: Float[Array, "n d"]) -> Float[Array, "n d"]:
+        """Makes pairs match bit for bit if they do so at `start`."""
+        for pairing in self.pairings:
+            points = pairing.matched(start, points)
+        return points
+
 
 SHIFT = 1e-12
 """Added to a Hessian's diagonal (order one): it may be singular where cells are inverted."""
@@ -60,21 +119,23 @@ class Distortion(eqx.Module):
         moves = moves if self.ways is None else moves & ~self.ways.follows
         return jnp.where(moves, SHIFT, 1.0).astype(self.scale.dtype)
 
-    def least(self, y: Float[Array, "n d"], base: Float[Array, "n d"]) -> Float[Array, ""]:
-        """Computes the smallest determinant of T: negative if a cell is inverted."""
-        points, least = self.points(y, base), []
+    def _samples(self, points: Float[Array, "n d"]) -> Iterator[tuple[str, Array, Array, Array]]:
+        """Yields each type with the mask of samples that count, |T|^2 / d and det T."""
         for kind, ids in self.cells.items():
             goal = self.targets[kind]
-            least.append(jnp.min(jnp.where(goal.counts > 0, samples(kind, corners(points, ids), goal)[1], 1)))
-        return jnp.min(jnp.stack(least))
+            yield kind, goal.counts > 0, *samples(kind, corners(points, ids), goal)
+
+    def least(self, y: Float[Array, "n d"], base: Float[Array, "n d"]) -> Float[Array, ""]:
+        """Computes the smallest determinant of T: negative if a cell is inverted."""
+        rows = self._samples(self.points(y, base))
+        return jnp.min(jnp.stack([jnp.min(jnp.where(counts, tau, 1)) for _, counts, _, tau in rows]))
 
     def worst(self, y: Float[Array, "n d"], base: Float[Array, "n d"]) -> Float[Array, ""]:
         """Computes the largest distortion of a sample, without stiffness."""
-        points, worst = self.points(y, base), []
-        for kind, ids in self.cells.items():
-            goal = self.targets[kind]
-            values = energy(*samples(kind, corners(points, ids), goal), self.softness, self.size, points.shape[1])
-            worst.append(jnp.max(jnp.where(goal.counts > 0, values, 0), initial=0))
+        worst = []
+        for _, counts, squared, tau in self._samples(self.points(y, base)):
+            values = energy(squared, tau, self.softness, self.size, y.shape[1])
+            worst.append(jnp.max(jnp.where(counts, values, 0), initial=0))
         return jnp.max(jnp.stack(worst))
 
     def movable(self) -> "Distortion":
@@ -87,12 +148,11 @@ class Distortion(eqx.Module):
 
     def lost(self, points: Float[Array, "n d"]) -> dict[str, Bool[Array, " _k"]]:
         """Marks the cells with an inverted sample whose nodes are all held, by type."""
-        movable, lost = self.movable().targets, {}
-        for kind, ids in self.cells.items():
-            goal = self.targets[kind]
-            is_held = (goal.counts > 0) & (movable[kind].counts == 0)
-            lost[kind] = jnp.any(is_held & (samples(kind, corners(points, ids), goal)[1] <= 0), axis=0)
-        return lost
+        movable = self.movable().targets
+        return {
+            kind: jnp.any(counts & (movable[kind].counts == 0) & (tau <= 0), axis=0)
+            for kind, counts, _, tau in self._samples(points)
+        }
 
     def blocks(self, y: Float[Array, "n d"], base: Float[Array, "n d"], floor: Any = 0.0) -> Float[Array, "d d pairs"]:
         """Computes second derivatives for pairs of a cell's corners; with `ways`, of single nodes.

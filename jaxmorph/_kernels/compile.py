@@ -3,7 +3,7 @@
 import contextlib
 import contextvars
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, TypeVar
 
 import equinox as eqx
@@ -11,7 +11,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .contexts import holding
 from .values import is_known
 
 OPTIONS = {
@@ -135,3 +134,16 @@ def _is_direct(arrays: list) -> bool:
     devices = next((leaf.sharding.device_set for leaf in arrays if isinstance(leaf, jax.Array)), set())
     on_cpu = all(device.platform == "cpu" for device in devices)
     return on_cpu and is_known(jnp.zeros(()))  # a tracer is made even of a constant under `jit`
+
+
+T = TypeVar("T")
+
+
+@contextlib.contextmanager
+def holding(variable: contextvars.ContextVar[T], value: T) -> Iterator[None]:
+    """Gives a context variable a value within a block, and the old value back at its end."""
+    token = variable.set(value)
+    try:
+        yield
+    finally:
+        variable.reset(token)

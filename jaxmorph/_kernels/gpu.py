@@ -14,8 +14,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .contraction import CALLS, contracted
-from .instructions import INLINE, in_kernel
+from .instructions import CALLS, INLINE, contracted, in_kernel
 
 BLOCK, WARPS = 512, 2
 """Points of a program of the kernel, and its groups of 32 threads: eight points a thread."""

@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from .._host.cells.lagrange import ORDERS, of_order
+from .._host.cells.lagrange import ORDERS, node_keys, of_order
 from .._host.cells.pieces import boundary_sides
-from .._host.cells.shape_functions import node_keys
 from .._host.cells.topology import CORNERS, SHAPES, solid
 from .._host.package.arguments import checked
 from .mesh import Mesh

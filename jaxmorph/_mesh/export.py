@@ -41,10 +41,7 @@ def to_pyvista(mesh: Parts, point_data: Arrays | None, cell_data: Arrays | None)
 
 
 def to_vtk(mesh: Parts, old: Any, point_data: Arrays | None, cell_data: Arrays | None) -> Any:
-    """Makes a VTK grid: the unstructured, structured or surface grid `old`, or if it is None a new one.
-
-    An old grid keeps its precision, cells and arrays.
-    """
+    """Makes a VTK grid: `old` with other points in its precision, or if it is None a new one."""
     if old is None:
         new = vtk.new_grid(mesh.cells, _points(mesh, None))
     else:

@@ -10,7 +10,7 @@ import dataclasses
 import numpy as np
 from scipy import sparse
 
-from .._host.cells.pairs import columns_of, sorted_columns, twins
+from .._host.cells.adjacency import columns_of, sorted_columns, twins
 from .._host.cells.topology import FACES
 
 BLOCK = 1 << 13

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Collection, Mapping, Sequence
 
-from .._host.package.words import similar
+from .._host.package.text import similar
 
 SHOWN = 12
 """Names that an error lists."""

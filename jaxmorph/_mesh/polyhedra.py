@@ -4,8 +4,7 @@ import dataclasses
 
 import numpy as np
 
-from .._host.package.orders import canonical_order
-from .._host.package.rounding import SAME
+from .._host.package.rounding import SAME, canonical_order
 from .faces import BLOCK, Faces
 
 SLIVER = 1e-3

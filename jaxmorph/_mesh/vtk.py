@@ -80,7 +80,7 @@ def cell_arrays(data: Any) -> list[Any]:
 
 
 def unstructured(data: Any) -> Any:
-    """Makes an unstructured grid of any of VTK's data sets, with its points and cells in their order."""
+    """Makes an unstructured grid of any data set, with its points and cells in their order."""
     if data.IsA("vtkUnstructuredGrid"):
         return data
     joined = vtk("vtkFiltersCore").vtkAppendFilter()
@@ -94,10 +94,11 @@ def unstructured(data: Any) -> Any:
 def kinds_of(grid: Any) -> np.ndarray:
     """Names the type of each cell (k,), as a mesh that is read has it; VTK's name if it cannot."""
     starts, _ = _arrays_of(grid.GetCells())
-    pairs = np.stack([numbers_of(grid).astype(np.int64), np.diff(starts)])
-    both, which = np.unique(pairs, axis=1, return_inverse=True)
-    names = [_kind(number, size) for number, size in both.T.tolist()]
-    return np.array(names, dtype=object)[which.ravel()] if names else np.zeros(0, object)
+    sizes = np.diff(starts)
+    base = int(sizes.max(initial=0)) + 1  # a type and a size make one number
+    both, which = np.unique(numbers_of(grid).astype(np.int64) * base + sizes, return_inverse=True)
+    names = [_kind(*divmod(pair, base)) for pair in both.tolist()]
+    return np.array(names, dtype=object)[which] if names else np.zeros(0, object)
 
 
 def _kind(number: int, size: int) -> str:
@@ -279,7 +280,7 @@ def new_grid(cells: Mapping[str, Any], points: np.ndarray) -> Any:
         ids.append(nodes.ravel().astype(np.int64))
         ends.append(ends[-1][-1] + nodes.shape[1] * np.arange(1, len(nodes) + 1))
     array = model.vtkCellArray()
-    array.SetData(*(numpy.numpy_to_vtkIdTypeArray(np.concatenate(part), deep=1) for part in (ends, ids)))
+    array.SetData(*(numpy.numpy_to_vtk(np.concatenate(part), deep=1) for part in (ends, ids)))
     grid = model.vtkUnstructuredGrid()
     grid.SetPoints(points_of(points))
     grid.SetCells(numpy.numpy_to_vtk(np.concatenate(numbers), deep=1), array)

@@ -1,15 +1,19 @@
-"""The contract of a method: the abstract classes of methods and their fields."""
+"""The contract of a method: abstract classes of methods and fields, and converters of numbers."""
 
 import abc
 import dataclasses
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PyTree
 
+from .._host.package.arguments import between
 from .._kernels.module import Module
+from .._kernels.values import is_known
 from .surface import Surface
 
 BLOCK = 512
@@ -138,3 +142,84 @@ def check_kind(value: Any, kind: type, name: str, example: str, *, optional: boo
     if isinstance(value, type):
         raise ValueError(f"`{name}` is the class {value.__name__}: call it, {name}={value.__name__}().")
     raise ValueError(f"`{name}` must be a {what} object such as {name}={example}, not {value!r}.")
+
+
+class AbstractPlacing(AbstractMethod):
+    """A method that computes something for each point once per base mesh: its place.
+
+    Arguments are as in `AbstractMethod`. In `place` and `carry_place`, `ids` is what `connect`
+    returned for the point. The field gets the point's place as its `ids`. `carry` and `carry_place`
+    say what changes on the mesh after a step of `march`. By default the solve is new and points
+    keep their places, for a graph stands on the undeformed mesh.
+    """
+
+    @abc.abstractmethod
+    def place(self, x: Float[Array, " d"], ids: PyTree, factors: PyTree, surface: Float[Array, "b d"]) -> PyTree:
+        """Computes the place of a point: its ids, and numbers that do not depend on `u`. Traced."""
+
+    def carry(self, ids: PyTree, factors: PyTree, surface: Float[Array, "b d"], points: Float[Array, "n d"]) -> PyTree:
+        """Computes factors on the mesh after a step of `march`, by default with `fit`. Traced.
+
+        Factors that belong to the places of points stay as they are.
+        """
+        return self.fit(ids, surface, points)
+
+    def carry_place(
+        self, x: Float[Array, " d"], ids: PyTree, factors: PyTree, surface: Float[Array, "b d"], placed: PyTree
+    ) -> PyTree:
+        """Changes a point's place after a step of `march`; it stays by default. Traced."""
+        return placed
+
+
+def place(
+    method: AbstractMethod, x: Float[Array, " d"], ids: PyTree, factors: PyTree, surface: Float[Array, "b d"]
+) -> PyTree:
+    """Computes a point's place by any method: its ids where the method needs no more."""
+    return method.place(x, ids, factors, surface) if isinstance(method, AbstractPlacing) else ids
+
+
+def carry(
+    method: AbstractMethod, ids: PyTree, factors: PyTree, surface: Float[Array, "b d"], points: Float[Array, "n d"]
+) -> PyTree:
+    """Computes any method's factors on the mesh after a step of `march`."""
+    if isinstance(method, AbstractPlacing):
+        return method.carry(ids, factors, surface, points)
+    return method.fit(ids, surface, points)
+
+
+def carry_place(
+    method: AbstractMethod,
+    x: Float[Array, " d"],
+    ids: PyTree,
+    factors: PyTree,
+    surface: Float[Array, "b d"],
+    placed: PyTree,
+) -> PyTree:
+    """Changes a point's place by any method, on the mesh after a step of `march`."""
+    return method.carry_place(x, ids, factors, surface, placed) if isinstance(method, AbstractPlacing) else placed
+
+
+def number(name: str, low: float | int = -np.inf, high: float | int = np.inf, ends: str = "()") -> Callable[[Any], Any]:
+    """Returns a converter to one real number in an interval; `ends` are as for `between`.
+
+    The converter raises `ValueError` for anything else.
+    """
+
+    def convert(value: Any) -> Float[Array, ""]:
+        if is_known(value):
+            between(name, value, low, high, ends)
+        value = jnp.asarray(float(value) if isinstance(value, int) else value)
+        return value if jnp.issubdtype(value.dtype, jnp.floating) else value.astype(float)
+
+    return convert
+
+
+def length(name: str) -> Callable[[Any], Any]:
+    """Returns a converter to a length, which is positive and finite."""
+    return number(name, 0)
+
+
+def length_or_none(name: str) -> Callable[[Any], Any]:
+    """Returns a converter to a length that leaves None as it is."""
+    convert = length(name)
+    return lambda value: None if value is None else convert(value)

@@ -7,8 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PyTree
 
 from .._kernels.compile import is_for_cpu
-from .base import BLOCK, AbstractField, AbstractMethod
-from .placing import AbstractPlacing
+from .base import BLOCK, AbstractField, AbstractMethod, AbstractPlacing
 from .sparse import Interpolation
 
 WIDER = 256

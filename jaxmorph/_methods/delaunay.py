@@ -7,11 +7,9 @@ from jaxtyping import Array, Float
 
 from .._host.linear.products import determinant
 from .._host.package.cores import Beside
-from .._host.surface.graph import Graph, graph_of
-from .._host.surface.locate import locate
+from .._host.surface.graph import Graph, graph_of, locate
 from .._kernels.values import as_jax
-from .base import AbstractMethod, Located
-from .placing import AbstractPlacing
+from .base import AbstractMethod, AbstractPlacing, Located
 from .sparse import InterpolatedField, Interpolation
 from .surface import Surface
 

@@ -10,8 +10,7 @@ from jaxtyping import Array, Float, Int
 
 from .._host.package.arguments import between, check_fields
 from .._kernels.values import largest, norm, root
-from .base import AbstractField, AbstractMethod
-from .numbers import number
+from .base import AbstractField, AbstractMethod, number
 from .rbf.system import block_size, squared_distances
 from .surface import Surface
 

@@ -6,16 +6,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._host.package.rounding import nearest_of
-from .._host.package.trees import Tree
+from .._host.package.rounding import Tree, nearest_of
 from .._kernels.values import as_jax
-from .base import Control
+from .base import AbstractPlacing, Control, length_or_none
 from .nearwall import Extent, layer_width
-from .numbers import length_or_none
-from .placing import AbstractPlacing
-from .rbf.compact_bases import WendlandC2
-from .searched import Searched, squared_distance
-from .sparse import InterpolatedField, Reach
+from .rbf.basis import WendlandC2
+from .sparse import InterpolatedField, Reach, Searched, squared_distance
 from .surface import Surface
 
 REACH = 1.25

@@ -9,8 +9,8 @@ from jaxtyping import Array, Float, Int
 from .._host.package.arguments import checked
 from .._host.sources.hierarchy import Share, farthest_first, overlaps, padded, sweeps
 from .._kernels.values import as_jax
-from .placing import AbstractPlacing
-from .rbf.compact_bases import WendlandC2
+from .base import AbstractPlacing
+from .rbf.basis import WendlandC2
 from .rbf.rbf import RBF
 from .reconstruction import SurfaceReconstruction
 from .sparse import InterpolatedField, Reach

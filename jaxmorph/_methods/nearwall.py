@@ -9,13 +9,10 @@ from jaxtyping import Array, Bool, Float, Int
 from .._host.package.rounding import first_largest, nearest_of
 from .._host.surface.neighbours import digest, near_walls
 from .._kernels.values import Either, as_jax, namespace, norm, root
-from . import placing
-from .base import AbstractField, AbstractMethod, check_kind
+from .base import AbstractField, AbstractMethod, AbstractPlacing, carry, carry_place, check_kind, length_or_none, place
 from .blocks import map_points
 from .delaunay import DelaunayGraph
-from .numbers import length_or_none
-from .placing import AbstractPlacing
-from .rbf.compact_bases import WendlandC2
+from .rbf.basis import WendlandC2
 from .sparse import InterpolatedField, Interpolation
 from .surface import Surface
 
@@ -99,13 +96,13 @@ class NearWall(AbstractPlacing):
         return self.correction.fit(correction, surface, points), layer_width(self.width, extent, surface)
 
     def carry(self, ids, factors, surface, points):
-        return placing.carry(self.correction, ids[0], factors[0], surface, points), factors[1]
+        return carry(self.correction, ids[0], factors[0], surface, points), factors[1]
 
     def place(self, x, ids, factors, surface):
-        return self._layered(x, ids, factors, surface, placing.place(self.correction, x, ids[0], factors[0], surface))
+        return self._layered(x, ids, factors, surface, place(self.correction, x, ids[0], factors[0], surface))
 
     def carry_place(self, x, ids, factors, surface, placed):
-        correction = placing.carry_place(self.correction, x, ids[0], factors[0], surface, placed[0])
+        correction = carry_place(self.correction, x, ids[0], factors[0], surface, placed[0])
         return self._layered(x, ids, factors, surface, correction)
 
     def _layered(self, x, ids, factors, surface, correction):

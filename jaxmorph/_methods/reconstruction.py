@@ -6,12 +6,10 @@ import numpy as np
 
 from .._host.package.arguments import checked
 from .._host.sources.reduction import KDTree
-from . import placing
-from .base import AbstractField, AbstractMethod, Control, check_kind
+from .base import AbstractField, AbstractMethod, AbstractPlacing, Control, carry, carry_place, check_kind, place
 from .blocks import map_points, place_points
 from .delaunay import DelaunayGraph, begin_graph
 from .nearwall import NearWall
-from .placing import AbstractPlacing
 from .rbf.fitted import FittedRBF
 from .rbf.rbf import RBF
 from .surface import Surface
@@ -85,16 +83,16 @@ class SurfaceReconstruction(AbstractPlacing):
     def carry(self, ids, factors, surface, points):
         coarse, _, correction = ids
         coarse_factors, placed, correction_factors = factors
-        carried = placing.carry(self.coarse, coarse, coarse_factors, surface, points)
-        return carried, placed, placing.carry(self.correction, correction, correction_factors, surface, points)
+        carried = carry(self.coarse, coarse, coarse_factors, surface, points)
+        return carried, placed, carry(self.correction, correction, correction_factors, surface, points)
 
     def place(self, x, ids, factors, surface):
-        coarse = placing.place(self.coarse, x, ids[0], factors[0], surface)
-        return coarse, placing.place(self.correction, x, ids[1], factors[2], surface)
+        coarse = place(self.coarse, x, ids[0], factors[0], surface)
+        return coarse, place(self.correction, x, ids[1], factors[2], surface)
 
     def carry_place(self, x, ids, factors, surface, placed):
-        coarse = placing.carry_place(self.coarse, x, ids[0], factors[0], surface, placed[0])
-        return coarse, placing.carry_place(self.correction, x, ids[1], factors[2], surface, placed[1])
+        coarse = carry_place(self.coarse, x, ids[0], factors[0], surface, placed[0])
+        return coarse, carry_place(self.correction, x, ids[1], factors[2], surface, placed[1])
 
     def control(self, ids):
         coarse, correction = self.coarse.control(ids[0]), self.correction.control(ids[2])

@@ -11,8 +11,7 @@ from jaxtyping import Array, Float
 
 from .._host.package.rounding import nearest_of
 from .._kernels.values import is_known, norm
-from .base import AbstractField, AbstractMethod
-from .numbers import length
+from .base import AbstractField, AbstractMethod, length
 from .surface import Surface
 
 REFINED = 2

@@ -11,12 +11,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, PyTree
+from scipy.sparse import csr_array
 
-from .._host.linear.transpose import WIDTH, tabulate
 from .._kernels.linear import linear_primitive
 from .._kernels.values import as_jax
-from .base import AbstractField
-from .placing import AbstractPlacing
+from .base import AbstractField, AbstractPlacing
 
 
 class Table(eqx.Module):
@@ -172,3 +171,82 @@ _sum_p = linear_primitive(
     rows=lambda weights, *_, turned, count: count if turned else weights.shape[0],
     turned=lambda *others, turned, count: (others, {"turned": not turned, "count": count}),
 )
+
+
+WIDTH = 16
+"""Entries in a row of the table."""
+
+
+def tabulate(nodes: np.ndarray, used: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Sorts the entries of a sparse operator by column, into rows of `WIDTH` entries.
+
+    **Arguments:**
+
+    - `nodes`: columns (n, k) of the entries.
+    - `used`: a mask of rows (n,), or of entries (n, k), that count.
+    - `count`: number of columns.
+
+    **Returns:** `entries` (r, WIDTH), positions in the flattened (n, k), -1 for padding; and
+    `owner` (r,), the column of a row of the table, ascending.
+
+    **Raises:** `ValueError` for more entries than 32 bits count.
+    """
+    # Used entries are sorted by column. A column of s entries fills ceil(s / WIDTH) rows of the
+    # table; its last row is padded. The shift of an entry is the padding of all columns before its
+    # own.
+    k = nodes.shape[1]
+    if len(nodes) * k >= 2**31:
+        raise ValueError(f"{len(nodes)} points are too many for one device; lay the plan over several with `shard`.")
+    entries = np.flatnonzero(np.broadcast_to(used.reshape(len(nodes), -1), nodes.shape)).astype(np.int32)
+    columns = nodes.ravel()[entries]
+    order = _stable_order(columns, count)
+    entries = entries[order]
+    sizes = np.bincount(columns, minlength=count)
+    lengths = -(-sizes // WIDTH)
+    owner = np.repeat(np.arange(count, dtype=np.int32), lengths)
+    first_row, first_entry = np.cumsum(lengths) - lengths, np.cumsum(sizes) - sizes
+    table = np.full(len(owner) * WIDTH, -1, dtype=np.int32)
+    table[np.arange(len(order)) + np.repeat(WIDTH * first_row - first_entry, sizes)] = entries
+    return table.reshape(-1, WIDTH), owner
+
+
+def _stable_order(columns: np.ndarray, count: int) -> np.ndarray:
+    """Sorts small integers stably by SciPy's counting sort, faster than `numpy.argsort`."""
+    places = np.arange(len(columns), dtype=np.int32)
+    row = csr_array((places, columns, np.array([0, len(columns)], dtype=np.int32)), shape=(1, count))
+    return row.tocsc().data
+
+
+SLACK = 0.05
+"""Share of a radius by which a search goes beyond it.
+
+Where a new base differs by less than half of it, no other pairs are looked at.
+"""
+
+
+class Searched(eqx.Module):
+    """Base coordinates in which nodes within a `distance` were searched for."""
+
+    points: Float[Array, "n d"]
+    surface: Float[Array, "b d"]
+    distance: Float[Array, ""]
+
+    def certain(
+        self, radius: Float[Array, ""], surface: Float[Array, "b d"], points: Float[Array, "n d"]
+    ) -> Bool[Array, ""]:
+        """Checks whether the search surely found all nodes within a radius.
+
+        The search reached `distance` on the old base, and nodes may have come nearer since.
+        """
+        shifts = surface - self.surface, points - self.points[: len(points)]  # images, which follow, are of the surface
+        mean = shifts[0].mean(axis=0)
+        shifts = [jnp.sqrt(jnp.sum((shift - mean[None]) ** 2, axis=1).max(initial=0)) for shift in shifts]
+        nearer = shifts[0] + jnp.maximum(*shifts)
+        return jax.lax.stop_gradient(radius + nearer <= self.distance)
+
+
+def squared_distance(a: Float[Array, "*k d"], b: Float[Array, "*m d"]) -> Float[Array, "*n"]:
+    """Computes squared distances without a derivative, component by component."""
+    a, b = jax.lax.stop_gradient((a, b))
+    first, *others = ((a[..., axis] - b[..., axis]) ** 2 for axis in range(a.shape[-1]))
+    return sum(others, start=first)

@@ -6,10 +6,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from .._host.package.rounding import SAME, nearest_of
-from .._host.package.trees import Tree
-from .._host.sources.reduction import AbstractReduction
-from .._host.sources.separation import drop_close, drop_near
+from .._host.package.rounding import SAME, Tree, nearest_of
+from .._host.sources.reduction import AbstractReduction, drop_close, drop_near
 from .._host.surface.skin import chords
 from .._host.surface.walls import walls
 

@@ -1,20 +1,25 @@
 """Moves a mesh by its plan: points, sensitivities and velocities."""
 
-from collections.abc import Sequence
-from typing import Any
+import functools
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, ArrayLike, Float, Real
+import numpy as np
+from jax.extend.core import Literal
+from jaxtyping import Array, ArrayLike, Float, PyTree, Real
 
 from .._host.package.arguments import checked
-from .._kernels.compile import Constant, compiled
-from .._methods.blocks import without_tables
+from .._host.package.cores import Beside, cores
+from .._kernels.compile import Constant, compiled, float64_mode, is_direct
+from .._kernels.values import is_known, is_readable
+from .._methods.blocks import is_rows, with_tables, without_tables
 from .devices import rows_from
 from .plan import Plan, Shared, VolumePart, deform_surface, extended, move, shared_by
-from .shares import pulled_back
-from .slabs import joined, on_all_cores, shares, slabs
-from .transposes import transposable, with_transposes
+
+T = TypeVar("T")
 
 
 @checked
@@ -119,3 +124,178 @@ def velocity(plan: Plan, u: Float[ArrayLike, "m d"], u_dot: Float[ArrayLike, "m 
     if u.shape != u_dot.shape:
         raise ValueError(f"`u_dot` has shape {u_dot.shape}, `u` {u.shape}.")
     return jax.jvp(lambda u: deform(plan, u), (u,), (u_dot,))[1]
+
+
+def with_transposes(plan: Any, parts: int = 1) -> Any:
+    """Adds the tables, for so many shares of points, to a plan of known arrays, and to its guide.
+
+    They are made once for a plan.
+
+    A plan that is traced, or laid over devices, stays as it is: its transpose scatters, or has
+    tables.
+    """
+    volume, guide = getattr(plan, "volume", None), getattr(getattr(plan, "surface", None), "guide", None)
+    if volume is None or plan.layout is not None or not is_readable(plan) or (parts == 1 and not _lacks_tables(plan)):
+        return plan
+    placed = volume.placed if parts == 1 else without_tables(volume.placed)
+    placed = with_tables(placed, len(plan.surface.points), parts)
+    plan = eqx.tree_at(
+        lambda plan: plan.volume.placed, plan, placed, is_leaf=lambda leaf: leaf is None or is_rows(leaf)
+    )
+    if guide is not None:
+        plan = eqx.tree_at(lambda plan: plan.surface.guide.plan, plan, with_transposes(guide.plan))
+    return plan
+
+
+def transposable(plan: Any, *arguments: Any) -> Any:
+    """Adds the tables where another argument is traced: it may be differentiated."""
+    return plan if is_known(arguments) else with_transposes(plan)
+
+
+def _lacks_tables(plan: Any) -> bool:
+    rows = filter(is_rows, jax.tree.leaves(plan, is_leaf=is_rows))
+    return any(operator.table is None for operator in rows)
+
+
+# XLA splits the loop over a program's blocks among threads operation by operation, and they wait
+# for each other at each. Programs of one slab of points each have nothing to wait for. XLA runs the
+# programs that one thread begins one after the other, so a thread for each core begins them.
+LEAST = 2**16
+"""Points of a slab below which a program of its own costs more than it gains."""
+
+MOST = 64
+"""Slabs of all points, and shares of a sum: more cores than these would not make a call faster."""
+
+STEP = 1536
+"""Slabs begin at multiples of this, as blocks do: a block's size changes its last bits."""
+
+
+def slabs(count: int, *arguments: Any) -> list[tuple[np.ndarray, int]]:
+    """Divides points into slabs: first rows and counts; none for traced calls or few points.
+
+    All have one size, and so one program; some overlap. The number of cores does not change them:
+    results have equal bits.
+    """
+    if count < 2 * LEAST or not is_direct(arguments):
+        return []
+    # Every slab ends with the points that are left over when all are divided into steps, as the
+    # last slab has to. The rows that a slab shares with the next slab are cut off.
+    rest, number = count % STEP, min(MOST, count // LEAST // 2 * 2)
+    stride = -(-(count - rest) // (number * STEP)) * STEP
+    size = stride + rest
+    return [(np.asarray(start, np.int32), size) for start in [*range(0, count - size, stride), count - size]]
+
+
+def shares(plan: Any, *arguments: Any) -> int:
+    """Counts shares of a plan's points in a sum, for any number of cores; 1 if traced."""
+    surface = len(plan.surface.points)  # each share has a sum for all of it
+    number = min(MOST, len(plan.points) // max(LEAST, 2 * surface)) // 2 * 2
+    return number if number and is_direct(plan, arguments) else 1
+
+
+def on_all_cores(program: Callable[[Any], T], pieces: list[Any]) -> tuple[T, ...]:
+    """Begins a program for each piece, in a thread for each core. The first call compiles."""
+    number, results = min(cores(), len(pieces)), {0: program(pieces[0])}
+    is_wide = jax.dtypes.canonicalize_dtype(np.float64) == np.float64
+
+    def begin(places: range) -> None:
+        with float64_mode(is_wide):  # a setting of the thread
+            results.update((k, program(pieces[k])) for k in places)
+
+    threads = [Beside(begin, range(first, len(pieces), number)) for first in range(1, number)]
+    begin(range(number, len(pieces), number))
+    for thread in threads:
+        thread.result()
+    return tuple(results[k] for k in range(len(pieces)))
+
+
+def share_of(rows: PyTree, k: Any, start: Any, size: int, number: int) -> PyTree:
+    """Cuts share `k` out of leaves with a row a point, and out of tables in `number` parts."""
+
+    def cut(leaf: Any) -> Any:
+        if not is_rows(leaf):
+            return jax.lax.dynamic_slice_in_dim(leaf, start, size)
+        table, bare = leaf.table, jax.tree.map(cut, leaf.without_table())
+        length = len(table.owner) // number
+        table = jax.tree.map(lambda part: jax.lax.dynamic_slice_in_dim(part, k * length, length), table)
+        return eqx.tree_at(lambda rows: rows.table, bare, table, is_leaf=lambda leaf: leaf is None)
+
+    return jax.tree.map(cut, rows, is_leaf=is_rows)
+
+
+def joined(parts: tuple[Float[Array, "s d"], ...], count: int) -> Float[Array, "n d"]:
+    """Joins the results of slabs of `count` points."""
+    return parts[0] if len(parts) == 1 else _joined(parts, count)
+
+
+@compiled
+def _joined(parts: tuple[Float[Array, "s d"], ...], count: int) -> Float[Array, "n d"]:
+    *others, last = parts
+    stride, before = len(last) - count % STEP, count - len(last)
+    return jnp.concatenate([*(part[: min(stride, before - k * stride)] for k, part in enumerate(others)), last])
+
+
+def pulled_back(plan: Plan, u: Any, cotangent: Float[Array, "n d"], number: int) -> Float[Array, "m d"]:
+    """Pulls sensitivities back to the moving nodes, by `number` shares of the points."""
+    plan = with_transposes(plan, number)
+    shared, varying = _shared_by(plan, u, "traced")
+    volume, constant = plan.volume, Constant((varying, number))
+    places = [np.asarray(k, np.int32) for k in range(number)]
+    parts = on_all_cores(lambda k: _share(shared, volume, cotangent, k, constant), places)
+    return _put_together(plan, u, varying, parts)
+
+
+def _common(plan: Plan, u: Any) -> Shared:
+    return shared_by(plan, extended(plan, u))
+
+
+@compiled
+def _shared_by(plan: Plan, u: Any, _: str) -> tuple[Shared, str]:
+    """Computes what all points share, and which of its leaves depend on `u`: 1 or 0 for each.
+
+    The string makes both static.
+    """
+    return _common(plan, u), _varying(plan, u)
+
+
+def _varying(plan: Plan, u: Any) -> str:
+    # A leaf depends on u if an operation between the two does, of all that JAX traces. Sources and
+    # scales of a field do not: derivatives in them cost more than all else, and nobody asks for
+    # them.
+    traced = jax.make_jaxpr(lambda u: jax.tree.leaves(_common(plan, u)))(jnp.asarray(u, plan.points.dtype)).jaxpr
+    varies = set(traced.invars)
+    for step in traced.eqns:
+        if any(not isinstance(value, Literal) and value in varies for value in step.invars):
+            varies.update(step.outvars)
+    return "".join(str(int(not isinstance(value, Literal) and value in varies)) for value in traced.outvars)
+
+
+def _leaves(shared: Shared, varying: str) -> list[Array]:
+    return [leaf for leaf, varies in zip(jax.tree.leaves(shared), varying, strict=True) if varies == "1"]
+
+
+@compiled
+def _share(shared: Shared, volume: VolumePart, cotangent: Array, k: Any, constant: Constant) -> list[Array]:
+    """Pulls the cotangents of one share of the points back to what varies of what they share."""
+    varying, number = constant.value
+    count, size = len(cotangent), -(-len(cotangent) // number)
+    start = jnp.minimum(k * size, count - size)  # the last share overlaps the one before it
+    rows, at = share_of(volume, k, start, size, number), rows_from(start, shared.nodes, size)
+    is_counted = start + jnp.arange(size) >= k * size
+    cotangent = jnp.where(is_counted[:, None], jax.lax.dynamic_slice_in_dim(cotangent, start, size), 0)
+    leaves, structure = jax.tree.flatten(shared)
+
+    def moved(values: list[Array]) -> Float[Array, "s d"]:
+        replaced, others = iter(values), zip(leaves, varying, strict=True)
+        everything = [next(replaced) if varies == "1" else leaf for leaf, varies in others]
+        return move(jax.tree.unflatten(structure, everything), rows, at)
+
+    return jax.vjp(moved, _leaves(shared, varying))[1](cotangent)[0]
+
+
+@compiled
+def _put_together(plan: Plan, u: Any, varying: str, parts: PyTree) -> Float[Array, "m d"]:
+    """Sums the shares, always in one order, and pulls the sum back to `u`."""
+    total = functools.reduce(lambda first, other: jax.tree.map(jnp.add, first, other), parts)
+    u = jnp.asarray(u, plan.points.dtype)
+    return jax.vjp(lambda u: _leaves(_common(plan, u), varying), u)[1](total)[0]

@@ -11,7 +11,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int, PyTree, Real
 
 from .._boundary.boundary import Boundary, boundary_of_lists, renumbered
 from .._boundary.images import Images
-from .._boundary.pairing import Pairing
+from .._boundary.periodic import Pairing
 from .._boundary.tracks import Track
 from .._host.package.arguments import checked
 from .._kernels.compile import compiled

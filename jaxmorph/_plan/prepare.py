@@ -10,9 +10,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float, PyTree, Real
 
 from .._boundary.boundary import Boundary, Nodes, changed
 from .._boundary.images import Images, images_of
-from .._boundary.matching import across_one_layer
-from .._boundary.pairing import check_pairings
-from .._boundary.periodic import Periodic
+from .._boundary.periodic import Periodic, across_one_layer, check_pairings
 from .._boundary.slide import Slide
 from .._boundary.symmetry import Plane, check_planes, on_facing
 from .._host.package.errors import warn
@@ -26,8 +24,8 @@ from .._methods.blocks import place_points
 from .._methods.guiding import carrying, guiding
 from .._methods.reconstruction import SurfaceReconstruction
 from .._methods.surface import Cells, Surface
-from .base import refitted
 from .plan import Guide, Plan, SurfacePart, VolumePart
+from .refit import refitted
 
 FEW = 50_000, 2_000
 """Points, and surface nodes, below which compiling takes longer than one compiled run."""

@@ -11,18 +11,52 @@ import hashlib
 import json
 import math
 import os
-from collections.abc import Sequence
+import sys
+from collections.abc import Iterator, Sequence
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from .._host.package.arguments import checked
 from .._host.package.files import complete, input_path, output_path, read_arrays
+from .._host.sources.reduction import AbstractReduction, AbstractSearchPoints
 from .halves import SurfaceHalf
-from .known import known_classes
 from .plan import Plan
+
+ROOTS = (eqx.Module, AbstractReduction, AbstractSearchPoints)
+"""Base classes of all parts of a plan."""
+
+
+def known_classes(added: Sequence[type] = ()) -> dict[str, type]:
+    """Lists by name the classes that a plan's file may name: the package's own classes and `added`.
+
+    The package's own classes are subclasses of `ROOTS` in the loaded modules. Raises `ValueError`
+    for an added class that is no dataclass or enum, or has the name of another class.
+    """
+    package = __name__.partition(".")[0]
+    classes: dict[str, type] = {}
+    for root in ROOTS:
+        for kind in _below(root):
+            is_own = kind.__module__.partition(".")[0] == package
+            if is_own and getattr(sys.modules.get(kind.__module__), kind.__name__, None) is kind:
+                classes[kind.__name__] = kind
+    for kind in added:
+        if not isinstance(kind, type) or not (dataclasses.is_dataclass(kind) or issubclass(kind, enum.Enum)):
+            raise ValueError(f"`classes` are dataclasses (equinox modules among them) and enums; {kind!r} is neither.")
+        if classes.get(kind.__name__, kind) is not kind:
+            raise ValueError(f"two classes are called {kind.__name__}: {classes[kind.__name__]!r} and {kind!r}.")
+        classes[kind.__name__] = kind
+    return classes
+
+
+def _below(kind: type) -> Iterator[type]:
+    for subclass in kind.__subclasses__():
+        yield subclass
+        yield from _below(subclass)
+
 
 FORMAT, VERSION = "jaxmorph plan", 2
 _HEADER = "description"

@@ -11,11 +11,10 @@ from .._boundary.boundary import changed, with_cells
 from .._host.package.arguments import checked
 from .._kernels.compile import compiled
 from .._mesh.mesh import Mesh
-from .base import carry, refitted
+from .deform import transposable
 from .plan import Plan, deform_surface, moved_surface
 from .prepare import plan_of
-from .refit import with_boundary_of
-from .transposes import transposable
+from .refit import carry, refitted, with_boundary_of
 
 
 @checked

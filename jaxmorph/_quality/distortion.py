@@ -25,7 +25,7 @@ from .._kernels.values import is_known
 from .._mesh.mesh import Mesh
 from . import measures
 from .quality import places, standards_of
-from .smooth import positive_part
+from .smooth_quality import positive_part
 from .vector import Vector, cofactors, corners, determinant, dot
 
 Scalar = Float[Array, "s k"]

@@ -2,17 +2,85 @@
 
 import dataclasses
 import functools
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from .._host.cells.adjacency import handedness, neighbours
+from .._host.linear.products import cross, dot
 from .._host.package.arguments import checked
 from .._mesh.mesh import Mesh
-from .block_measures import FLOOR, fill, of_faces, pyramids
-from .face_report import FaceQuality
-from .sides import Group, Sides
+from .report import Report
+from .sides import Block, Group, Sides
+
+Columns = Any
+"""Components of vectors: a sequence of columns, or an array whose first axis runs over them."""
+
+FLOOR = 1e-300
+"""Least number by which anything is divided."""
+
+MEASURES = ("skewness", "aspect_ratio", "non_orthogonality", "volume", "pyramid", "volume_ratio")
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class FaceQuality(Report):
+    """Measures (k,) of each cell by its faces; faces are edges in 2-D.
+
+    The cells are the file's cells, polyhedra and polygons whole, in the file's order: see
+    `Mesh.cell_ids`.
+
+    - `volume`: the sum of the pyramids between the faces and a point inside; in 2-D the area.
+    - `pyramid`: the smallest pyramid between a face and the cell's centre, over the mean of them. 1
+      for a regular cell, negative where a face is seen from behind. In 2-D a triangle.
+    - `is_inverted`: the volume or a pyramid is negative beyond round-off, as checkMesh tests cells
+      of finite volumes. NaN counts. Cells that the mesh numbers the other way round are turned
+      first, as `quality(mesh)` does; not in a part of a mesh.
+    - `skewness`: the distance by which the line between the centres of two cells misses the centre
+      of their face, over the face's reach in that direction. It has no upper bound. The reach is at
+      least 0.2 of the line's length; at the boundary 0.4 of the distance from the cell's centre to
+      the plane of the face. Faces to other parts (`Mesh.between`) do not count.
+    - `aspect_ratio`: the faces' areas are summed as seen along each axis; the largest sum over the
+      smallest. In 3-D it is at least a sixth of the sums' total over the volume to the power of
+      2/3. It depends on how a cell lies in the axes.
+    - `non_orthogonality`: in degrees, the largest over the inner faces.
+    - `centroid`: the centre of mass (k, d).
+    - `counted`: False for boundary elements. They have 0, and aspect ratio, pyramid and volume
+      ratio 1.
+    - `volume_ratio`: volume over undeformed volume; 1 where that was zero.
+
+    `mean_non_orthogonality` is checkMesh's average, one number: the angle whose cosine is the mean
+    of the inner faces' cosines. `min`, `mean`, `max` of a measure, `worst` and `raise_if_inverted`
+    are as in `QualityReport`, over the cells that count. Other means are weighted by volume.
+    `str(measured)` is a table.
+    """
+
+    rule: ClassVar[str] = "volumes and face pyramids"
+    measures: ClassVar[tuple[str, ...]] = MEASURES
+    rank: ClassVar[str] = "pyramid"
+
+    volume: Float[np.ndarray, " k"]
+    pyramid: Float[np.ndarray, " k"]
+    is_inverted: Bool[np.ndarray, " k"]
+    skewness: Float[np.ndarray, " k"]
+    aspect_ratio: Float[np.ndarray, " k"]
+    non_orthogonality: Float[np.ndarray, " k"]
+    centroid: Float[np.ndarray, "k d"]
+    counted: Bool[np.ndarray, " k"]
+    mean_non_orthogonality: float
+    volume_ratio: Float[np.ndarray, " k"]
+
+    def mean(self, name: str, *, weighted: bool = True) -> float:
+        """Averages a measure by area or volume; non-orthogonality as checkMesh does."""
+        is_of_faces = name == "non_orthogonality" and weighted
+        return self.mean_non_orthogonality if is_of_faces else super().mean(name, weighted=weighted)
+
+    def __repr__(self) -> str:
+        return f"FaceQuality({self.count} cells)"
+
+    def __str__(self) -> str:
+        return self._table(f"{self.count} cells: {self.inverted} inverted", MEASURES[:-1])
 
 
 @checked
@@ -161,3 +229,104 @@ def _turns(mesh: Mesh, volume: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k
     enclosed = np.bincount(part, sign * volume[ids])
     turn[ids] = sign * np.where(enclosed < 0, -1, 1)[part]
     return turn
+
+
+def fill(block: Block, centre: Columns, area: Columns, points: Columns) -> None:
+    """Computes the rows of a block: centres and area vectors (d, f) of faces."""
+    x = _corners(points, block)
+    centre[:, block.rows], area[:, block.rows] = _edge(x) if len(points) == 2 else _polygon(x)
+
+
+def pyramids(block: Block, centres: Columns, areas: Columns, means: Columns) -> list[tuple[Columns, Columns]]:
+    """Computes d volumes (b,) and first moments (d, b) of pyramids, as each view sees the faces."""
+    d, parts = len(means), []
+    centre, area = centres[:, block.rows], areas[:, block.rows]
+    for sign, cells in block.views:
+        middle = [mean.take(cells) for mean in means]
+        volume = sign * dot(area, [c - m for c, m in zip(centre, middle, strict=True)])
+        share = volume / (d + 1)
+        parts.append((volume, [share * (d * c + m) for c, m in zip(centre, middle, strict=True)]))
+    return parts
+
+
+class OfFaces(NamedTuple):
+    """Holds measures of a block of faces, and the heights of cells' middles below them, by view."""
+
+    size: np.ndarray
+    skewness: np.ndarray
+    cosine: np.ndarray
+    cosines: np.ndarray
+    area: np.ndarray
+    heights: list[np.ndarray]
+
+
+def of_faces(block: Block, centres: Columns, areas: Columns, middle: Columns, points: Columns) -> OfFaces:
+    """Measures a block of faces between cells with given middles."""
+    centre, area = centres[:, block.rows], areas[:, block.rows]
+    skewness, cosine = _across(block, centre, area, middle, points)
+    inner = cosine[block.behind >= 0]
+    heights = [sign * dot(area, _arm(centre, middle, cells)) for sign, cells in block.views]
+    return OfFaces(_size(area), skewness, cosine, np.array([inner.sum(), len(inner)]), np.abs(area), heights)
+
+
+def _across(
+    block: Block, centre: Columns, area: Columns, middle: Columns, points: Columns
+) -> tuple[Float[np.ndarray, " b"], Float[np.ndarray, " b"]]:
+    """Computes the skewness of faces, and cosines of area vectors with lines of centres."""
+    owner, behind = block.owner, block.behind
+    arm, size = _arm(centre, middle, owner), _size(area)
+    across = [m.take(behind) - m.take(owner) for m in middle]  # anything where there is no cell behind
+    cosine = np.clip(dot(area, across) / np.maximum(size * _size(across), FLOOR), -1, 1)
+    inside = True
+    if not block.is_shared:
+        inside = behind >= 0
+        cosine = np.where(inside, cosine, 1)
+        normal = [a / np.maximum(size, FLOOR) for a in area]
+        height = dot(normal, arm)
+        across = [np.where(inside, a, height * n) for a, n in zip(across, normal, strict=True)]
+    along = dot(area, across)
+    share = dot(area, arm) / np.where(along == 0, FLOOR, along)
+    by = [a - share * b for a, b in zip(arm, across, strict=True)]
+    miss = _size(by)
+    corners, reach = _corners(points, block), 0.0
+    for k in range(len(block.group.corners)):
+        arms = [x[k] - c for x, c in zip(corners, centre, strict=True)]
+        reach = np.maximum(reach, np.abs(dot(by, arms)))
+    least = np.where(inside, 0.2, 0.4) * _size(across)
+    skewness = miss / np.maximum(np.maximum(reach / np.maximum(miss, FLOOR), least), FLOOR)
+    return np.where(block.group.is_between[block.rows], 0, skewness), cosine
+
+
+def _arm(centre: Columns, middle: Columns, cells: np.ndarray) -> Columns:
+    return [c - m.take(cells) for c, m in zip(centre, middle, strict=True)]
+
+
+def _size(vectors: Columns) -> Float[np.ndarray, " b"]:
+    return np.sqrt(dot(vectors, vectors))
+
+
+def _corners(points: Columns, block: Block) -> list[list[Float[np.ndarray, " b"]]]:
+    """Gathers the coordinates of the faces' corners: by axis, then by corner."""
+    corners = block.corners
+    return [[column.take(ids) for ids in corners] for column in points]
+
+
+def _edge(x: Sequence[Columns]) -> tuple[Columns, Columns]:
+    """Computes the middles of edges, and their area vectors: as long as the edge."""
+    along = [last - first for first, last in x]
+    return [(first + last) / 2 for first, last in x], [along[1], -along[0]]
+
+
+def _polygon(x: Sequence[Columns]) -> tuple[Columns, Columns]:
+    """Computes centres and area vectors, by triangles about the mean of the corners."""
+    count, mean = len(x[0]), [sum(corners) / len(corners) for corners in x]
+    arms = [[m - corners[k] for m, corners in zip(mean, x, strict=True)] for k in range(count)]
+    area, moment, total = [0.0] * 3, [0.0] * 3, FLOOR
+    for k, arm in enumerate(arms):
+        after = arms[(k + 1) % count]
+        normal = cross(arm, after)
+        weight = _size(normal)
+        total = total + weight
+        area = [a + n for a, n in zip(area, normal, strict=True)]
+        moment = [m + weight * (a + b) for m, a, b in zip(moment, arm, after, strict=True)]
+    return [m - first / (3 * total) for m, first in zip(mean, moment, strict=True)], [a / 2 for a in area]

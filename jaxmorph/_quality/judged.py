@@ -8,10 +8,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from .._mesh.mesh import Mesh
-from .face_quality import measured
-from .face_report import FaceQuality
-from .proof.proof import proof
-from .proof.report import Proof
+from .face_quality import FaceQuality, measured
+from .proof.proof import Proof, proof
 from .quality import quality
 from .report import QualityReport, Report
 from .sides import Sides
@@ -83,7 +81,7 @@ class Judged:
 
     @functools.cached_property
     def _lost(self) -> Bool[np.ndarray, " k"]:
-        return np.asarray(self.corners.is_inverted) & ~self._repaired
+        return np.asarray(self.corners.is_inverted) & ~self._old
 
     @property
     def _old(self) -> Bool[np.ndarray, " k"]:

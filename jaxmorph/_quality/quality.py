@@ -2,7 +2,7 @@
 
 import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -11,18 +11,15 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Int, Real, Shaped
 
 from .._host.cells.adjacency import handedness, neighbours
-from .._host.cells.topology import DIMENSION, FACES
+from .._host.cells.topology import CORNERS, DIMENSION, FACES, SHAPES
 from .._host.package.arguments import checked
 from .._kernels.callback import host_call
-from .._kernels.compile import compiled
-from .._kernels.values import Either, array, as_jax, constant, is_known, namespace, on_host, smallest
+from .._kernels.values import Either, array, as_jax, constant, is_known, largest, namespace, smallest
 from .._mesh.mesh import Mesh
 from . import measures
-from .batches import in_blocks
-from .non_orthogonality import non_orthogonality
-from .proof.least import has_least, least_jacobian
+from .proof.search import has_least, least_jacobian
 from .report import QualityReport
-from .vector import Vector, corners, mean, stack
+from .vector import Vector, by_place, corners, in_blocks, mean, stack
 
 FLAT = 1e-4
 """Sine of a corner's angle up to which it is flat; 3-D: Jacobian over its edges' product."""
@@ -78,12 +75,7 @@ def quality(mesh: Mesh, points: Real[ArrayLike, "n d"] | Sequence[Any] | None = 
     with jax.ensure_compile_time_eval():
         links = link(mesh.cells)
         standards = None if points is None else standards_of(mesh, current.dtype, links)
-    if on_host(cells, links, current, standards):
-        with np.errstate(all="ignore"), jax.ensure_compile_time_eval():  # cells may have no size
-            columns = _columns(kinds, *jax.tree.map(np.asarray, (cells, links, current, standards)))
-            columns = as_jax(columns)
-    else:
-        columns = _measured(kinds, cells, links, current, jax.tree.map(jnp.asarray, standards))
+    columns = as_jax(_columns(kinds, cells, links, current, standards))
     types = tuple((kind, len(ids)) for kind, ids in zip(kinds, cells, strict=True))
     return QualityReport(**columns, types=types, relative=standards is not None)
 
@@ -107,10 +99,7 @@ def inverted(mesh: Mesh, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Bool
     current, kinds, cells = places(mesh, points), tuple(mesh.cells), tuple(mesh.cells.values())
     with jax.ensure_compile_time_eval():
         standards = standards_of(mesh, current.dtype)
-    if on_host(cells, current, standards):
-        with np.errstate(all="ignore"), jax.ensure_compile_time_eval():
-            return jnp.asarray(_flags(kinds, *jax.tree.map(np.asarray, (cells, current, standards))))
-    return _flagged(kinds, cells, current, jax.tree.map(jnp.asarray, standards))
+    return jnp.asarray(_flags(kinds, cells, current, standards))
 
 
 def places(
@@ -151,18 +140,12 @@ def link(cells: dict[str, Any]) -> Links:
 
 def signs_of(mesh: Mesh, links: Links | None = None) -> dict[str, Int[Either, " k"]]:
     """Finds the sign that each cell's volume should have, by type; see `quality`."""
-    arguments = tuple(mesh.cells.values()), links or link(mesh.cells), mesh.points
-    if not on_host(arguments):
-        return _signs(tuple(mesh.cells), *arguments)
-    with np.errstate(all="ignore"):
-        return _signs_by(tuple(mesh.cells), *jax.tree.map(np.asarray, arguments))
+    return _signs(tuple(mesh.cells), tuple(mesh.cells.values()), links or link(mesh.cells), mesh.points)
 
 
-def _signs_by(kinds: tuple[str, ...], cells: tuple[Any, ...], links: Links, points: Float[Either, "n d"]) -> dict:
+@by_place
+def _signs(kinds: tuple[str, ...], cells: tuple[Any, ...], links: Links, points: Float[Either, "n d"]) -> dict:
     return _enclosed_signs(_volumes(kinds, cells, points), links, points.shape[1])
-
-
-_signs = compiled(_signs_by)
 
 
 class Standard(NamedTuple):
@@ -186,21 +169,16 @@ def standards_of(mesh: Mesh, dtype: Any, links: Links | None = None) -> tuple[St
     signs = signs_of(mesh, links)
     if mesh.polyhedra is not None:
         signs = _of_pieces(mesh, signs, mesh.polyhedra.cut)
-    if not on_host(cells, points, signs):
-        return _standards(kinds, cells, points, signs)
-    with np.errstate(all="ignore"):
-        return _standards_by(kinds, *jax.tree.map(np.asarray, (cells, points, signs)))
+    return _standards(kinds, cells, points, signs)
 
 
-def _standards_by(kinds, cells, points, signs) -> tuple[Standard, ...]:
+@by_place
+def _standards(kinds, cells, points, signs) -> tuple[Standard, ...]:
     pairs = zip(kinds, cells, strict=True)
     return tuple(
         in_blocks(namespace(points), functools.partial(_standard, kind, points), ids.T, signs[kind])
         for kind, ids in pairs
     )
-
-
-_standards = compiled(_standards_by)
 
 
 def _of_pieces(mesh: Mesh, signs: dict[str, Any], cut: np.ndarray) -> dict[str, Any]:
@@ -225,6 +203,7 @@ def _standard(kind: str, points: Float[Either, "n d"], ids: Shaped[Either, "c k"
     return Standard(sign, size, flat, xp.where(none, 1, least), judged, none, folded)
 
 
+@by_place
 def _columns(
     kinds: tuple[str, ...],
     cells: tuple[Any, ...],
@@ -235,7 +214,7 @@ def _columns(
     xp = namespace(points)
     rows = {kind: ids.T for kind, ids in zip(kinds, cells, strict=True)}
     if standards is None:
-        by_kind: dict[str, Any] = _signs_by(kinds, cells, links, points)
+        by_kind: dict[str, Any] = _enclosed_signs(_volumes(kinds, cells, points), links, points.shape[1])
         signs = by_kind
     else:
         by_kind = dict(zip(kinds, standards, strict=True))
@@ -248,9 +227,7 @@ def _columns(
     return joined | {"non_orthogonality": non_orthogonality(points, rows, signs, links.neighbour)}
 
 
-_measured = compiled(_columns)
-
-
+@by_place
 def _flags(
     kinds: tuple[str, ...], cells: tuple[Any, ...], points: Float[Either, "n d"], standards: tuple[Standard, ...]
 ) -> Bool[Either, " k"]:
@@ -263,9 +240,6 @@ def _flags(
     return xp.concatenate(
         [in_blocks(xp, functools.partial(judged, kind), ids.T, standard) for kind, ids, standard in triples]
     )
-
-
-_flagged = compiled(_flags)
 
 
 def _volumes(kinds: tuple[str, ...], cells: tuple[Any, ...], points: Float[Either, "n d"]) -> dict[str, Either]:
@@ -368,3 +342,61 @@ def _judge_alone(volume: Either, jacobians: Either, noise: Either, sign: Either)
         "is_degenerate": xp.all(xp.abs(turned) <= noise, axis=0),
         "was_inverted": xp.zeros_like(volume, dtype=bool),
     }
+
+
+def largest_inner(degrees: Float[Either, "f k"], is_inner: Bool[Either, "f k"]) -> Float[Either, " k"]:
+    return largest(namespace(degrees).where(is_inner, degrees, 0))
+
+
+def non_orthogonality(
+    points: Float[Either, "n d"],
+    cells: dict[str, Shaped[Either, "c k"]],
+    signs: dict[str, Either],
+    neighbour: Either,
+    maximum: Callable = largest_inner,
+) -> Either:
+    """Computes the largest angle over the inner faces of each cell, 0 for a cell without any.
+
+    `maximum` may be a smooth stand-in. Centres are kept relative to the first corner of their cell,
+    so that their differences do not lose digits.
+    """
+    xp = namespace(points)
+    cells = {kind: ids[: CORNERS[SHAPES[kind]]] for kind, ids in cells.items()}  # of a curved cell the corners
+    placed = [in_blocks(xp, functools.partial(_centres, kind, points), ids) for kind, ids in cells.items()]
+    origins, centres = (Vector(list(xp.concatenate(parts, axis=1))) for parts in zip(*placed, strict=True))
+    angles, first, used = [], 0, 0
+    for kind, ids in cells.items():
+        k, f = ids.shape[1], len(FACES[kind])
+        if f:
+            behind = neighbour[used : used + f * k].reshape(k, f).T
+            angles_of_block = functools.partial(_angles, kind, points, (origins, centres), maximum)
+            angles.append(in_blocks(xp, angles_of_block, ids, signs[kind], behind, xp.arange(first, first + k)))
+        else:
+            angles.append(xp.zeros(k, points.dtype))
+        first, used = first + k, used + f * k
+    return xp.concatenate(angles)
+
+
+def _centres(kind: str, points: Float[Either, "n d"], ids: Shaped[Either, "c k"]) -> tuple[Either, Either]:
+    """Computes the first corner, and the centre relative to it, (d, k) each."""
+    xp, x = namespace(points), corners(points, ids.T)
+    return xp.stack(x[0].components), xp.stack(
+        measures.centre_of_mass(SHAPES[kind], measures.relative_corners(x)[0]).components
+    )
+
+
+def _angles(
+    kind: str, points: Either, places: tuple[Vector, Vector], maximum: Callable, ids, sign, behind, here
+) -> Either:
+    origins, centres = places
+    relative, size = measures.relative_corners(corners(points, ids.T))
+    other = namespace(points).where(behind < 0, here, behind)
+    here = here[None]
+    between = (_at(origins, other) - _at(origins, here)) + (_at(centres, other) - _at(centres, here))
+    areas = measures.face_areas(SHAPES[kind], measures.scaled(relative, size)) * sign[None]
+    degrees = measures.non_orthogonality(areas, between * (1 / size)[None], DIMENSION[kind] < len(areas))
+    return maximum(degrees, behind >= 0)
+
+
+def _at(a: Vector, ids: Either) -> Vector:
+    return Vector([component[ids] for component in a.components])

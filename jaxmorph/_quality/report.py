@@ -1,7 +1,7 @@
-"""Reports on cells: what `quality` and `face_quality` report alike, and the report of `quality`."""
+"""Reports on cells: the base of those of `quality`, `face_quality` and `proof`, and the first."""
 
 from collections.abc import Callable
-from typing import Any, ClassVar, Protocol, runtime_checkable
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from .._host.cells.topology import DIMENSION
-from .._host.package.arguments import checked, whole
+from .._host.package.arguments import whole
 from .._kernels.module import Module
 from .._kernels.values import Either, array, is_known, largest, on_host, smallest
 
@@ -17,76 +17,114 @@ MEASURES = (
     *("skewness", "aspect_ratio", "non_orthogonality", "volume"),
     *("jacobian", "volume_ratio", "jacobian_ratio"),
 )
-SMALL_IS_BAD = ("volume", "jacobian", "volume_ratio", "jacobian_ratio", "pyramid")
+SMALL_IS_BAD = ("volume", "jacobian", "volume_ratio", "jacobian_ratio", "pyramid", "margin", "lower", "upper", "_least")
 """Measures whose smallest value is the worst; of others the largest one is."""
 
 
-@runtime_checkable
-class Report(Protocol):
-    """Judges cells by measures: `QualityReport` by the cells' corners, `FaceQuality` by faces.
+class Report:
+    """The base of `QualityReport`, `FaceQuality` and `Proof`: cells, judged by measures.
+
+    A subclass has the masks `is_inverted` and `counted` (k,), of cells that count, `volume` (k,),
+    `centroid` (k, d) and the arrays (k,) that `measures` names.
 
     - `rule`: by what a cell is inverted.
-    - `is_inverted`, `counted`: masks (k,) of inverted cells, and of cells that count; `count` is
-      the number of these.
-    - `volume`, `centroid`: how large the cells are (k,), and where (k, d).
-    - `min`, `mean`, `max`: a measure over the cells that count, by its name; the mean is weighted
-      by volume.
-    - `worst`: ids of the worst cells by a measure; without one, inverted cells come first.
+    - `rank`: the measure by which `worst` ranks, after `_levels`.
     """
 
     rule: ClassVar[str]
+    measures: ClassVar[tuple[str, ...]]
+    rank: ClassVar[str]
+    is_inverted: Any
+    volume: Any
+    centroid: Any
+    counted: Any
 
     @property
-    def is_inverted(self) -> Any: ...
+    def count(self) -> int:
+        """Number of cells that count."""
+        return int(np.count_nonzero(self.counted))
+
     @property
-    def volume(self) -> Any: ...
+    def inverted(self) -> Any:
+        """Number of inverted cells."""
+        return self._over_cells(_sum, self.is_inverted)
+
+    def min(self, name: str) -> Any:
+        """Returns the smallest value of the measure called `name`."""
+        return self._over_cells(lambda xp, values: smallest(values, axis=-1), self._measure(name))
+
+    def max(self, name: str) -> Any:
+        """Returns the largest value of the measure called `name`."""
+        return self._over_cells(lambda xp, values: largest(values, axis=-1), self._measure(name))
+
+    def mean(self, name: str, *, weighted: bool = True) -> Any:
+        """Averages the measure `name` over cells, weighted by size unless `weighted` is False."""
+        if weighted:
+            return self._over_cells(_weighted_mean, self._measure(name), self.volume)
+        return self._over_cells(lambda xp, values: xp.mean(values, axis=-1), self._measure(name))
+
+    def worst(self, k: int = 5, *, by: str | None = None) -> np.ndarray:
+        """Lists ids of the worst cells on the host, the worst first.
+
+        **Arguments:**
+
+        - `k`: how many cells, default 5.
+        - `by`: the measure to rank by. By default inverted cells come first. Cells alike are then
+          ranked by skewness, faces' smallest pyramid, or the margin of a `Proof`.
+
+        **Raises:** `ValueError` for a measure that is not known, and a `k` that is negative or no
+        whole number.
+        """
+        whole("k", k, 0)
+        if by is None:
+            return self._ranked(getattr(self, self.rank), self.rank, k, self._levels)
+        return self._ranked(self._measure(by), by, k, np.ones(len(self.counted)))
+
     @property
-    def centroid(self) -> Any: ...
-    @property
-    def counted(self) -> Bool[np.ndarray, " k"]: ...
-    @property
-    def count(self) -> int: ...
-    def min(self, name: str) -> Any: ...
-    def mean(self, name: str) -> Any: ...
-    def max(self, name: str) -> Any: ...
-    def worst(self, k: int = 5, *, by: str | None = None) -> np.ndarray: ...
+    def _levels(self) -> np.ndarray:
+        """Ranks of cells (k,) that come before all measures, the worst 0."""
+        return ~np.asarray(self.is_inverted)
 
-
-def ranked(values: Any, by: str, counted: np.ndarray, k: int, first: np.ndarray | None = None) -> np.ndarray:
-    """Lists the `k` worst counting cells by a measure, worst first; NaN is worst.
-
-    Cells marked by `first` come before all others.
-    """
-    badness = np.asarray(values, dtype=float) * (-1.0 if by in SMALL_IS_BAD else 1.0)
-    badness = np.where(np.isnan(badness), np.inf, badness)
-    ids = np.flatnonzero(counted)
-    early = np.zeros(len(ids), dtype=bool) if first is None else np.asarray(first)[ids]
-    if 0 < k < len(ids):  # only cells that may be among the first k are sorted
-        least = np.partition(badness[ids], len(ids) - k)[len(ids) - k]
-        near = early | (badness[ids] >= least)
-        ids, early = ids[near], early[near]
-    return ids[np.lexsort((-badness[ids], ~early))][:k]
-
-
-def table_of(report: Report, heading: str, names: tuple[str, ...]) -> str:
-    """Writes a table of measures: least, mean and largest value, the worst cell and its place."""
-    lines = [heading, f"{'':<17}{'min':>10}{'mean':>10}{'max':>10}  {'worst':<8}near"]
-    for name in names:
-        cell = report.worst(1, by=name)[0]
-        numbers = "".join(f"{float(value(name)):>10.3g}" for value in (report.min, report.mean, report.max))
-        lines.append(f"{name:<17}{numbers}  {cell:<8}{place_of(report, cell)}")
-    return "\n".join(lines)
-
-
-def check_inverted(report: Report) -> None:
-    """Raises `ValueError` where cells are inverted: how many, and where the first one is."""
-    bad = np.flatnonzero(np.asarray(report.is_inverted) & report.counted)
-    if len(bad):
-        are = "cell is" if len(bad) == 1 else "cells are"
-        raise ValueError(
-            f"{len(bad)} of {report.count} {are} inverted, first cell {bad[0]} near {place_of(report, bad[0])}. "
-            "jm.inspect(plan, u, mesh=mesh) looks for what helps."
+    def _ranked(self, values: Any, by: str, k: int, levels: np.ndarray) -> np.ndarray:
+        badness, ids = (
+            np.asarray(values, dtype=float) * (-1.0 if by in SMALL_IS_BAD else 1.0),
+            np.flatnonzero(self.counted),
         )
+        badness, levels = np.where(np.isnan(badness), np.inf, badness)[ids], levels[ids].astype(int)
+        if 0 < k < len(ids):  # only cells that may be among the first k are sorted
+            near = (levels < levels.max()) | (badness >= np.partition(badness, len(ids) - k)[len(ids) - k])
+            ids, badness, levels = ids[near], badness[near], levels[near]
+        return ids[np.lexsort((-badness, levels))][:k]
+
+    def raise_if_inverted(self) -> None:
+        """Raises `ValueError` on the host for inverted cells: how many, and where the first is.
+
+        It does not work inside `jit`: there `inverted` is a value like any other.
+        """
+        bad = np.flatnonzero(np.asarray(self.is_inverted) & self.counted)
+        if len(bad):
+            are = "cell is" if len(bad) == 1 else "cells are"
+            raise ValueError(
+                f"{len(bad)} of {self.count} {are} inverted, first cell {bad[0]} near {place_of(self, bad[0])}. "
+                "jm.inspect(plan, u, mesh=mesh) looks for what helps."
+            )
+
+    def _measure(self, name: str) -> Any:
+        if name not in self.measures:
+            raise ValueError(f"no measure is called {name!r}; there are {', '.join(self.measures)}.")
+        return getattr(self, name)
+
+    def _over_cells(self, reduce: Callable, *values: Any) -> Any:
+        return reduce(np, *(row[self.counted] for row in values)).item()
+
+    def _table(self, heading: str, names: tuple[str, ...]) -> str:
+        """Writes the least, mean and largest value of measures, the worst cell and its place."""
+        lines = [heading, f"{'':<17}{'min':>10}{'mean':>10}{'max':>10}  {'worst':<8}near"]
+        for name in names:
+            cell = self.worst(1, by=name)[0]
+            numbers = "".join(f"{float(value(name)):>10.3g}" for value in (self.min, self.mean, self.max))
+            lines.append(f"{name:<17}{numbers}  {cell:<8}{place_of(self, cell)}")
+        return "\n".join(lines)
 
 
 def place_of(report: Report, cell: int | np.integer) -> str:
@@ -96,7 +134,11 @@ def place_of(report: Report, cell: int | np.integer) -> str:
     return "(" + ", ".join(f"{x:.3g}" for x in place.tolist()) + ")"
 
 
-class QualityReport(Module):
+def _number(reduction: str, name: str) -> Any:
+    return property(lambda report: getattr(report, reduction)(name))
+
+
+class QualityReport(Report, Module):
     """Reports each cell's quality: arrays of one entry a cell, type after type, as `mesh.cells`.
 
     The cells are k in number. Lengths have the unit of the points, volumes its square or cube.
@@ -136,6 +178,8 @@ class QualityReport(Module):
     """
 
     rule: ClassVar[str] = "corner Jacobians"
+    measures: ClassVar[tuple[str, ...]] = MEASURES
+    rank: ClassVar[str] = "skewness"
 
     volume: Float[Array, " k"]
     skewness: Float[Array, " k"]
@@ -157,11 +201,6 @@ class QualityReport(Module):
         return self.volume
 
     @property
-    def inverted(self) -> Int[Array, "..."]:
-        """Number of inverted cells."""
-        return self._over_cells(lambda xp, flags: xp.sum(flags, axis=-1), self.is_inverted)
-
-    @property
     def from_start(self) -> Int[Array, "..."]:
         """Number of inverted cells that were folded on the undeformed mesh already."""
         was = jnp.zeros_like(self.is_inverted) if self.was_inverted is None else self.was_inverted
@@ -170,87 +209,18 @@ class QualityReport(Module):
     @property
     def degenerate(self) -> Int[Array, "..."]:
         """Number of cells that had no sign from the start and are not judged."""
-        return self._over_cells(lambda xp, flags: xp.sum(flags, axis=-1), self.is_degenerate)
+        return self._over_cells(_sum, self.is_degenerate)
 
-    @checked
-    def mean(self, name: str, *, weighted: bool = True) -> Float[Array, "..."]:
-        """Averages the measure `name` over cells, weighted by size unless `weighted` is False."""
-        if weighted:
-            return self._over_cells(_weighted_mean, self._measure(name), self.volume)
-        return self._over_cells(lambda xp, values: xp.mean(values, axis=-1), self._measure(name))
-
-    @checked
-    def max(self, name: str) -> Float[Array, "..."]:
-        """Returns the largest value of the measure called `name`."""
-        return self._over_cells(lambda xp, values: largest(values, axis=-1), self._measure(name))
-
-    @checked
-    def min(self, name: str) -> Float[Array, "..."]:
-        """Returns the smallest value of the measure called `name`."""
-        return self._over_cells(lambda xp, values: smallest(values, axis=-1), self._measure(name))
-
-    @property
-    def mean_skewness(self) -> Float[Array, "..."]:
-        return self.mean("skewness")
-
-    @property
-    def max_skewness(self) -> Float[Array, "..."]:
-        return self.max("skewness")
-
-    @property
-    def mean_aspect_ratio(self) -> Float[Array, "..."]:
-        return self.mean("aspect_ratio")
-
-    @property
-    def max_aspect_ratio(self) -> Float[Array, "..."]:
-        return self.max("aspect_ratio")
-
-    @property
-    def mean_non_orthogonality(self) -> Float[Array, "..."]:
-        return self.mean("non_orthogonality")
-
-    @property
-    def max_non_orthogonality(self) -> Float[Array, "..."]:
-        return self.max("non_orthogonality")
-
-    @property
-    def min_volume(self) -> Float[Array, "..."]:
-        return self.min("volume")
-
-    @property
-    def min_jacobian(self) -> Float[Array, "..."]:
-        return self.min("jacobian")
-
-    @property
-    def min_volume_ratio(self) -> Float[Array, "..."]:
-        return self.min("volume_ratio")
-
-    @property
-    def min_jacobian_ratio(self) -> Float[Array, "..."]:
-        return self.min("jacobian_ratio")
-
-    @checked
-    def worst(self, k: int = 5, *, by: str | None = None) -> np.ndarray:
-        """Lists ids of the worst cells on the host, worst first, at `report.centroid[ids]`.
-
-        **Arguments:**
-
-        - `k`: how many cells, default 5.
-        - `by`: the measure to rank by. By default inverted cells come first, then the most skewed
-          ones.
-
-        **Raises:** `ValueError` for a measure that is not known.
-        """
-        whole("k", k, 0)
-        values = self._measure("skewness" if by is None else by)
-        return ranked(values, by or "skewness", self.counted, k, None if by else np.asarray(self.is_inverted))
-
-    def raise_if_inverted(self) -> None:
-        """Raises `ValueError` on the host for inverted cells: how many, and where the first is.
-
-        It does not work inside `jit`: there `report.inverted` is a value like any other.
-        """
-        check_inverted(self)
+    mean_skewness = _number("mean", "skewness")
+    max_skewness = _number("max", "skewness")
+    mean_aspect_ratio = _number("mean", "aspect_ratio")
+    max_aspect_ratio = _number("max", "aspect_ratio")
+    mean_non_orthogonality = _number("mean", "non_orthogonality")
+    max_non_orthogonality = _number("max", "non_orthogonality")
+    min_volume = _number("min", "volume")
+    min_jacobian = _number("min", "jacobian")
+    min_volume_ratio = _number("min", "volume_ratio")
+    min_jacobian_ratio = _number("min", "jacobian_ratio")
 
     def __str__(self) -> str:
         if not is_known(self.volume) or self.volume.ndim > 1:
@@ -258,12 +228,7 @@ class QualityReport(Module):
         counted = ", ".join(f"{count} {kind}" for kind, count in self._top())
         old = f" ({int(self.from_start)} of them from the start)" if int(self.from_start) else ""
         heading = f"{counted}: {int(self.inverted)} inverted{old}, {int(self.degenerate)} degenerate from the start"
-        return table_of(self, heading, MEASURES if self.relative else MEASURES[:-2])
-
-    def _measure(self, name: str) -> Float[Array, "*batch k"]:
-        if name not in MEASURES:
-            raise ValueError(f"no measure is called {name!r}; there are {', '.join(MEASURES)}.")
-        return getattr(self, name)
+        return self._table(heading, MEASURES if self.relative else MEASURES[:-2])
 
     def _top(self) -> list[tuple[str, int]]:
         highest = max(DIMENSION[kind] for kind, count in self.types if count)
@@ -275,11 +240,6 @@ class QualityReport(Module):
         top = {kind for kind, _ in self._top()}
         return np.concatenate([np.full(count, kind in top) for kind, count in self.types])
 
-    @property
-    def count(self) -> int:
-        """Number of cells that count."""
-        return sum(count for _, count in self._top())
-
     def _over_cells(self, reduce: Callable, *values: Either) -> Array:
         """Reduces values over counting cells, the last axis; readable ones by NumPy, uncompiled."""
         mask = self.counted
@@ -287,6 +247,10 @@ class QualityReport(Module):
         values = tuple(np.asarray(row) for row in values) if known else values
         counted = values if mask.all() else [row[..., np.flatnonzero(mask)] for row in values]
         return array(reduce(np if known else jnp, *counted))
+
+
+def _sum(xp: Any, flags: Either) -> Any:
+    return xp.sum(flags, axis=-1)
 
 
 def _weighted_mean(xp: Any, values: Either, volume: Either) -> Either | np.generic:

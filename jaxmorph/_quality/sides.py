@@ -8,7 +8,7 @@ from typing import TypeVar
 import numpy as np
 from jaxtyping import Bool, Int
 
-from .._host.cells.pairs import columns_of, is_among, sorted_columns, twins
+from .._host.cells.adjacency import columns_of, is_among, sorted_columns, twins
 from .._host.cells.topology import DIMENSION, FACES
 from .._host.package.cores import by_blocks, in_order
 from .._mesh.faces import Faces

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import ArrayLike, Float, Int, Real
 
-from .._host.package.arguments import between, real_array, shown
+from .._host.package.arguments import between, check_fields, checked, real_array, shown, whole
 from .._mesh.mesh import Mesh
 from .judged import Judged
 from .report import QualityReport
@@ -45,6 +45,7 @@ class Limits:
     proven: bool = False
 
     def __post_init__(self):
+        check_fields(self)
         for name, limit in self.by_name.items():
             between(name, limit, ends="[]")
 
@@ -126,7 +127,7 @@ class Verdict:
     - `before`: the verdict on the undeformed mesh; None of a mesh by itself.
     - `parts`: the number of parts, 0 for a whole mesh. `between`: the number of faces between
       parts, which are not judged.
-    - `corners`: the `QualityReport`; None after pickling, and of joined parts.
+    - `corners`: the `QualityReport`; None after pickling, of parts, and of joined parts.
     """
 
     cells: int
@@ -145,7 +146,12 @@ class Verdict:
 
     def __getstate__(self) -> dict[str, Any]:
         """Returns the numbers, without the arrays of all cells."""
-        return vars(self) | {"judged": None}
+        return vars(self.of_part())
+
+    def of_part(self) -> "Verdict":
+        """Drops the arrays of all cells, which are too large to keep for each part of a mesh."""
+        before = None if self.before is None else self.before.of_part()
+        return dataclasses.replace(self, before=before, judged=None)
 
     @property
     def ok(self) -> bool:
@@ -177,6 +183,7 @@ class Verdict:
             between=sum(part.between for part in parts) // 2,
         )
 
+    @checked
     def faults(self, name_of: Callable[[Gate], str] = lambda gate: f"{gate.name} {gate.limit:g}") -> list[str]:
         """Lists a sentence for the cells that the motion has inverted, and one for each limit."""
         sentences = []
@@ -193,6 +200,7 @@ class Verdict:
                 sentences.append(f"{gate.beyond} of {self.cells} {are} beyond {name_of(gate)}{old}, {where}.")
         return sentences
 
+    @checked
     def table(self, more: Sequence[str] = ()) -> str:
         """Formats the measures, before and after a motion, with the worst cells, 80 columns wide.
 
@@ -268,6 +276,7 @@ class Verdict:
         return [None if gate.name == "min_jacobian_ratio" else gate.extreme.value for gate in self.before.gates]
 
 
+@checked
 def judge(
     mesh: Mesh,
     points: Real[ArrayLike, "n d"] | Sequence[Any] | None = None,
@@ -308,13 +317,17 @@ def judge(
     cells do not have.
     """
     limits = Limits() if limits is None else limits
+    if part is not None:
+        whole("part", part, 0)
+    steps = tuple(real_array("steps", step, tuple(mesh.points.shape)) for step in steps)
     if points is None:
         judged = Judged(mesh, mesh.points)
     else:
         points = real_array("points", points, tuple(mesh.points.shape))
         before = judge(mesh, None, limits, part=part) if before is None else before
-        judged = Judged(mesh, points, before.judged or Judged(mesh, mesh.points), tuple(steps), is_straight)
-    return _verdict(judged, limits, before if points is not None else None, part)
+        judged = Judged(mesh, points, before.judged or Judged(mesh, mesh.points), steps, is_straight)
+    verdict = _verdict(judged, limits, before if points is not None else None, part)
+    return verdict if part is None or points is None else verdict.of_part()
 
 
 def _verdict(judged: Judged, limits: Limits, before: Verdict | None, part: int | None) -> Verdict:

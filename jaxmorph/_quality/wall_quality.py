@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from .._host.cells.curved_lines import CurvedLines, curved_lines
 from .._host.cells.first_lines import Lines, first_lines
 from .._host.linear.products import cross
 from .._host.package.arguments import between, checked, rows_of
@@ -103,7 +102,7 @@ def wall_quality(
     has_names = np.ndim(names) == 1 and len(names) > 0 and all(isinstance(name, str) for name in names)
     ids = mesh.patch(*names) if has_names else rows_of("wall", wall, len(mesh.points))
     cells = {kind: np.asarray(corners) for kind, corners in mesh.cells.items()}
-    lines = (curved_lines if mesh.is_curved else first_lines)(cells, np.asarray(mesh.points), ids)
+    lines = first_lines(cells, np.asarray(mesh.points), ids)
     with jax.ensure_compile_time_eval():
         reference = jnp.asarray(mesh.points, dtype=current.dtype)
     if not on_host(lines, reference, current, softness):
@@ -115,7 +114,7 @@ def wall_quality(
 
 
 def _angle_and_height(
-    lines: Lines | CurvedLines, reference: Float[Either, "n d"], points: Float[Either, "n d"], softness: Any
+    lines: Lines, reference: Float[Either, "n d"], points: Float[Either, "n d"], softness: Any
 ) -> tuple[Float[Either, " w"], Float[Either, " w"]]:
     xp = namespace(points)
     (start, high), (now, height) = (_components(xp, lines, x) for x in (reference, points))
@@ -132,9 +131,7 @@ def _angle_and_height(
 _measured = compiled(_angle_and_height)
 
 
-def _components(
-    xp: Any, lines: Lines | CurvedLines, x: Float[Either, "n d"]
-) -> tuple[Float[Either, "w d"], Float[Either, " w"]]:
+def _components(xp: Any, lines: Lines, x: Float[Either, "n d"]) -> tuple[Float[Either, "w d"], Float[Either, " w"]]:
     """Computes components of first grid lines along the wall's normal and the wall, and heights."""
     normal = xp.zeros((len(lines.nodes), x.shape[1]), x.dtype)
     for rows, area in lines.areas(x):

@@ -2,7 +2,6 @@
 
 import dataclasses
 import os
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,18 +10,14 @@ from jaxtyping import Float
 
 import jaxmorph as jm
 from jaxmorph import io
-from jaxmorph._host.package.orders import rows_in
 from jaxmorph._host.package.ranks import Alone, Ranks, together
 
-from ._describe import check_files, described, say_proven, write_job
-from ._judged import Judged
-from ._method import in_double, patches_of
+from ._deform import check_files, described, write_job
+from ._method import patches_of
 from ._motion import motion
 from ._output import Output, Stage, title
 from ._requests import Deform
-from ._summary import Summary
-from ._tables import faults, gate_facts, gate_table, table
-from ._way import Way, followed
+from ._way import Way, faults, followed, in_double, say_proven
 
 COUNTS = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS")
 """Variables that count the processes that mpiexec or srun started together."""
@@ -59,7 +54,9 @@ def deform_parts(request: Deform, out: Output) -> int:
         with case.writing(request.output, ranks) as writer, out.progress("moving and judging the parts") as stage:
             by_part = _moved(parts, case, ranks, writer, stage)
             _say_warnings_of_all(out, ranks)
-            bad = _print_summary([by_part[k] for k in sorted(by_part)], half.plan.is_linear, len(path), out)
+            bad = _print(
+                jm.Verdict.together([by_part[k] for k in sorted(by_part)]), half.plan.is_linear, len(path), out
+            )
             if bad and not request.allow_inverted:
                 raise _Bad
     except _Bad:
@@ -71,29 +68,26 @@ def deform_parts(request: Deform, out: Output) -> int:
     return 1 if bad else 0
 
 
-def _moved(
-    parts: "Parts", case: io.Decomposed, ranks: Ranks, writer: Any, stage: Stage
-) -> dict[int, tuple[Summary, Summary]]:
-    """Moves and writes each part in one of the processes; returns summaries before and after."""
-    judged: dict[int, tuple[Summary, Summary]] = {}
+def _moved(parts: "Parts", case: io.Decomposed, ranks: Ranks, writer: Any, stage: Stage) -> dict[int, jm.Verdict]:
+    """Moves and writes each part in one of the processes; returns the verdicts by part."""
+    verdicts: dict[int, jm.Verdict] = {}
     for first in range(0, len(case), ranks.size):
         k = first + ranks.rank if first + ranks.rank < len(case) else None
         moved = together(ranks, lambda k=k: None if k is None else parts.moved(case, k))
         if k is not None and moved is not None:
-            judged[k] = moved[1:]
+            verdicts[k] = moved[1]
         writer.add(k, None if moved is None else moved[0])
         stage.done(min(1.0, (first + ranks.size) / len(case)))
-    return {k: pair for share in ranks.allgather(judged) for k, pair in share.items()}
+    return {k: verdict for share in ranks.allgather(verdicts) for k, verdict in share.items()}
 
 
-def _print_summary(parts: list[tuple[Summary, Summary]], is_straight: bool, steps: int, out: Output) -> list[str]:
-    """Adds up the summaries before and after the motion, prints them, and returns the faults."""
-    before, after = (Summary.together(side) for side in zip(*parts, strict=True))
-    out.say("\n" + "\n\n".join(filter(None, [table(before, after), gate_table(before, after)])) + "\n")
-    out.say(before=before.facts, after=after.facts, gates=gate_facts(before, after))
-    out.say(faces_between_parts=after.between, parts=after.parts)
-    say_proven(after, is_straight, steps, out)
-    return faults(before, after)
+def _print(verdict: jm.Verdict, is_straight: bool, steps: int, out: Output) -> list[str]:
+    """Prints the verdict on all parts, and returns the faults."""
+    assert verdict.before is not None
+    out.say(f"\n{verdict.table()}\n", before=verdict.before.facts, after=verdict.facts, gates=verdict.gate_facts)
+    out.say(faces_between_parts=verdict.between, parts=verdict.parts)
+    say_proven(verdict, is_straight, steps, out)
+    return faults(verdict)
 
 
 def _complain(bad: list[str], out: Output) -> None:
@@ -156,13 +150,13 @@ def _prepared(request: Deform, surface: jm.Mesh, out: Output) -> tuple[jm.Surfac
         path = moves.path(wall, request.steps)
         out.say(f"{title(request.file)}: boundary of {len(surface.points)} nodes in {surface.points.shape[1]}-D")
         described(request, patches, choice, path[-1], out)
-        half = patches.half(choice)
-        for warning in jm.inspect(half.plan, path[-1].astype(choice.dtype)).warnings:
+        half = patches.half(choice.method)
+        for warning in jm.inspect(half.plan, path[-1].astype(request.method.dtype)).warnings:
             out.warn(warning)
     write_job(request, out)
     for file in moves.write_lattices():
         out.say(f"lattice  {file}")
-    return half, path, choice.dtype
+    return half, path, request.method.dtype
 
 
 @dataclasses.dataclass(frozen=True)
@@ -176,17 +170,14 @@ class Parts:
     path: Float[np.ndarray, "k m d"]
     dtype: str
     largest: int
-    limits: Mapping[str, float]
+    limits: jm.Limits
     output: Path
 
-    def moved(self, case: io.Decomposed, k: int) -> tuple[jm.Mesh, Summary, Summary]:
-        """Moves part `k`, and judges it before and after."""
+    def moved(self, case: io.Decomposed, k: int) -> tuple[jm.Mesh, jm.Verdict]:
+        """Moves part `k`, and judges it."""
         mesh = case.read(k)
-        base = np.asarray(mesh.points)
         way = self._way(mesh, io.global_nodes(mesh), f"processor{k}")
-        undeformed = Judged(mesh, base)
-        after = Summary.from_judged(Judged(mesh, way.ends[-1], undeformed, way), self.limits, k)
-        return mesh.moved(way.moved), Summary.from_judged(undeformed, self.limits, k), after
+        return mesh.moved(way.ends[-1]), way.judge(self.limits, part=k)
 
     def _way(self, mesh: jm.Mesh, ids: np.ndarray, name: str) -> Way:
         """Moves the points of a part, whose nodes are `ids` (k,) of the whole mesh.
@@ -210,4 +201,4 @@ class Parts:
             in_double(base, np.asarray(points)[: len(ids)], here, u[of_moving], plan.method.exact)
             for u, points in steps
         )
-        return Way.into(self.output, mesh, list(ends), plan.is_linear)
+        return Way(self.output, mesh, tuple(ends), plan.is_linear)

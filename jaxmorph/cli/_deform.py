@@ -1,43 +1,96 @@
-"""`jaxmorph deform`."""
+"""`jaxmorph deform`: one mesh, one motion, and other methods where it fails."""
 
 import dataclasses
 import importlib
 import itertools
-import textwrap
-from collections.abc import Iterator
+import warnings
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from jaxtyping import Float, Int
 
 import jaxmorph as jm
 from jaxmorph import Mesh, io
+from jaxmorph._advice.cures import Cure, cures
 from jaxmorph._advice.inspect import inspected
 from jaxmorph._host.package.cores import Beside
+from jaxmorph._host.package.files import complete
 from jaxmorph._kernels.compile import quickly_compiled
 
-from ._attempt import Attempt, explain
-from ._describe import check_files, described, mesh_of, say_proven, wrapped, write_job
-from ._judged import Judged
-from ._method import NamedMethod, patches_of
-from ._motion import motion
-from ._output import Output, title
+from ._job import text_of
+from ._method import NamedMethod, Patches, mesh_of, patches_of
+from ._motion import Motion, motion
+from ._output import Output, coordinates, count, title, wrapped
 from ._requests import Deform
-from ._summary import Summary, coordinates, count
-from ._tables import gate_facts, gate_table, table
-from ._way import Way
-from ._writing import Writing
+from ._way import Way, faults, followed, in_double, say_proven, writing
 
-Judgement = tuple[Judged, Summary, list[str]]
-"""The moved mesh as it was judged, its summary, and one sentence for each fault."""
-
-Chunks = Iterator[tuple[np.ndarray, jm.Plan]]
+Chunks = Iterator[tuple[Int[np.ndarray, " c"], jm.Plan]]
 """Nodes and plans of a mesh in chunks, one after the other."""
 
 SMALL = 10_000
-"""Points, times steps, up to which compilation takes longer than all else."""
+"""Points, times steps, below which compile time dominates."""
 
-LARGE = 500_000
-"""Points from which on the estimate is printed."""
+PATIENCE = 120.0
+"""Seconds that an attempt may have taken for others to be tried after it."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Attempt:
+    """All that an attempt needs but the method and the steps.
+
+    `judging` judges the undeformed mesh in another thread.
+    """
+
+    request: Deform
+    patches: Patches
+    motion: Motion
+    judging: Beside[jm.Verdict]
+
+    @property
+    def before(self) -> jm.Verdict:
+        """The verdict on the undeformed mesh. Raises `ValueError` for what cannot be judged."""
+        return self.judging.result()
+
+    @property
+    def base(self) -> Float[np.ndarray, "n d"]:
+        """The undeformed points."""
+        return np.asarray(self.patches.mesh.points, dtype=float)
+
+    @property
+    def wall(self) -> Float[np.ndarray, "m d"]:
+        """The undeformed points of the moving nodes."""
+        return self.base[self.patches.nodes]
+
+    def way(
+        self,
+        chunks: Chunks,
+        steps: int,
+        done: Callable[[float], None] | None = None,
+    ) -> Way:
+        """Moves the points chunk by chunk, in double precision; `done` takes the finished share.
+
+        Steps before the last one are kept for `--proven` alone.
+        """
+        path = self.motion.path(self.wall, steps)
+        ends = {step: self.base.copy() for step in (range(steps) if self.request.gates.proven else [steps - 1])}
+        is_moved, is_straight = np.zeros(len(self.base), dtype=bool), True
+        for nodes, plan in chunks:
+            here = np.flatnonzero(np.isin(nodes, self.patches.nodes))
+            of_wall = np.searchsorted(self.patches.nodes, nodes[here])
+            for step, moved in enumerate(followed(plan, path)):
+                if step in ends:
+                    u = path[step][of_wall]
+                    ends[step][nodes] = in_double(self.base[nodes], moved, here, u, plan.method.exact)
+            is_moved[nodes] = True
+            is_straight &= plan.is_linear
+            if done is not None:
+                done(is_moved.mean())
+        return Way(self.request.output, self.patches.mesh, tuple(ends.values()), is_straight)
+
+    def judge(self, way: Way) -> jm.Verdict:
+        return way.judge(self.request.gates.limits, self.before)
 
 
 def deform(request: Deform, out: Output) -> int:
@@ -49,69 +102,42 @@ def deform(request: Deform, out: Output) -> int:
 
 
 def _deform(request: Deform, mesh: Mesh, out: Output) -> int:
-    attempt, choice, chunks = _attempt(request, mesh, out)
-    _foresee(attempt, choice, out)
+    attempt, chunks = _attempt(request, mesh, out)
     nodes, plan, way = _moved(attempt, chunks, out)
     judging = Beside(attempt.judge, way)
-    with Writing(_write, attempt, way.moved, judging) as writing:
-        inspection, boundary = _inspected(attempt, nodes, plan, way.ends[-1], out)
+    with writing(way.write, judging.result) as finish:
+        inspection, boundary = _inspected(attempt, nodes, plan, way.stored, out)
         with out.progress("judging the cells"):
-            judgement = judging.result()
-        _tell(attempt, way, judgement[1], inspection, boundary, out)
-        bad = judgement[2]
-        _write_beside(attempt, judgement[0], out)
+            verdict = judging.result()
+        _tell(attempt, way, verdict, inspection, boundary, out)
+        bad = faults(verdict)
+        _write_beside(attempt, way, verdict, out)
         if bad:
             explain(attempt, bad, out)
         if bad and not request.allow_inverted:
             out.complain(f"{request.output} is not written; --allow-inverted writes it anyway.")
             return 1
         with out.progress(f"writing {request.output.name}"):
-            writing.finish()
+            finish()
     out.say(f"wrote {request.output} ({out.seconds:.1f} s)", output=str(request.output))
     return 1 if bad else 0
 
 
-def _write(attempt: Attempt, points: np.ndarray, judging: Beside[Judgement]) -> None:
-    """Writes the moved mesh; a format that holds arrays gets the quality, and waits for it."""
-    path, mesh = attempt.request.output, attempt.patches.mesh
-    judged = judging.result()[0] if io.check_output(path, mesh) else Judged(mesh, points)
-    judged.write(path)
-
-
-def _attempt(request: Deform, mesh: Mesh, out: Output) -> tuple[Attempt, NamedMethod, Chunks]:
+def _attempt(request: Deform, mesh: Mesh, out: Output) -> tuple[Attempt, Chunks]:
     """Checks the request, describes it on the terminal, and collects what an attempt needs."""
     _check(request, mesh)
-    undeformed = Judged(mesh, mesh.points)
-    summing = Beside(Summary.from_judged, undeformed, request.gates.limits)
+    judging = Beside(jm.judge, mesh, None, request.gates.limits)
     patches = patches_of(request, mesh)
     wall = np.asarray(mesh.points)[patches.nodes]
     moves = motion(request, mesh, patches.nodes)
     with out.progress("choosing sources"):
-        choice = patches.method(request.method, request.chunk)
-        chunks = patches.chunks(choice, request.chunk)
+        choice = patches.method(request.method)
+        chunks = patches.chunks(choice.method, request.chunk)
     n, d = mesh.points.shape
     cells = ", ".join(f"{number} {kind}" for kind, number in mesh.cell_counts.items())
     out.say(f"{title(request.file)}: {n} points in {d}-D, {cells}", points=n)
     described(request, patches, choice, moves.path(wall, 1)[-1], out)
-    return Attempt(request, patches, moves, undeformed, summing), choice, chunks
-
-
-def _foresee(attempt: Attempt, choice: NamedMethod, out: Output) -> None:
-    """Estimates the memory, and warns where it may not fit.
-
-    It is printed if the mesh is large, or with `--verbose`.
-    """
-    patches, request = attempt.patches, attempt.request
-    mesh = patches.mesh.moved(patches.points(choice))
-    surface = (patches.nodes, patches.fixed_nodes)
-    foreseen = jm.estimate(mesh, *surface, method=choice.method, chunk=request.chunk)
-    if foreseen.points >= LARGE or request.speech.verbose:
-        out.say(textwrap.fill(str(foreseen), 80, subsequent_indent=" " * 9))
-    if foreseen.is_too_large:
-        size = f"{foreseen.memory / 1e9:.2g} GB"
-        fewer = "fewer --sources, " if choice.entry.sources == "some" else ""
-        other = "--method default and" if choice.method.needs_cells else f"{fewer}--chunk and"
-        out.warn(f"{size} may not fit into memory; {other} --dtype float32 need less.")
+    return Attempt(request, patches, moves, judging), chunks
 
 
 def _moved(attempt: Attempt, chunks: Chunks, out: Output) -> tuple[np.ndarray, jm.Plan, Way]:
@@ -120,7 +146,7 @@ def _moved(attempt: Attempt, chunks: Chunks, out: Output) -> tuple[np.ndarray, j
     with out.progress("preparing"):
         nodes, plan = next(chunks)
     with out.progress("judging the cells"):
-        attempt.summing.result()  # it raises for limits on measures that the cells do not have
+        attempt.judging.result()  # it raises for limits on measures that the cells do not have
     with out.progress(f"deforming in {count(steps, 'step')}") as stage:
         return nodes, plan, attempt.way(itertools.chain([(nodes, plan)], chunks), steps, stage.done)
 
@@ -141,24 +167,23 @@ def _inspected(
 def _tell(
     attempt: Attempt,
     way: Way,
-    after: Summary,
+    verdict: jm.Verdict,
     inspection: jm.Inspection,
     boundary: jm.BoundaryQuality,
     out: Output,
 ) -> None:
     """Prints tables of quality before and after."""
-    wall = _wall_numbers(attempt, way.ends[-1])
-    tables = [table(attempt.before, after, _rows(wall, inspection)), gate_table(attempt.before, after)]
-    out.say("\n" + "\n\n".join(filter(None, tables)) + "\n")
-    say_proven(after, way.is_straight, attempt.request.steps, out)
+    wall = _wall_numbers(attempt, way.stored)
+    out.say(f"\n{verdict.table(_rows(wall, inspection))}\n")
+    say_proven(verdict, way.is_straight, attempt.request.steps, out)
     if boundary.nodes:
         wrapped(out, f"boundary: {boundary}")
         measures = {name: getattr(boundary, name) for name in boundary.nodes}
         out.say(boundary=measures | {"ended": boundary.ended.tolist()})
     start, end = ({number.name: getattr(number, when) for number in wall} for when in ("before", "after"))
-    out.say(before=attempt.before.facts | start, after=after.facts | end)
+    out.say(before=attempt.before.facts | start, after=verdict.facts | end)
     out.say(overshoot=inspection.overshoot, overshoot_behind=inspection.overshoot_behind)
-    out.say(gates=gate_facts(attempt.before, after))
+    out.say(gates=verdict.gate_facts)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -202,7 +227,7 @@ def _rows(wall: list[WallNumber], inspection: jm.Inspection) -> list[str]:
     return rows
 
 
-def _write_beside(attempt: Attempt, judged: Judged, out: Output) -> None:
+def _write_beside(attempt: Attempt, way: Way, verdict: jm.Verdict, out: Output) -> None:
     """Writes the job file, lattices and the picture, also if cells are bad."""
     picture = attempt.request.picture
     write_job(attempt.request, out)
@@ -213,10 +238,8 @@ def _write_beside(attempt: Attempt, judged: Judged, out: Output) -> None:
             with out.progress("drawing"):
                 from jaxmorph import plot
 
-                reports = attempt.undeformed.corners, judged.corners
-                plot.picture(
-                    picture, attempt.patches.mesh, judged.points, moving=attempt.patches.nodes, reports=reports
-                )
+                reports: Any = attempt.before.corners, verdict.corners
+                plot.picture(picture, way.mesh, way.stored, moving=attempt.patches.nodes, reports=reports)
             out.say(f"picture  {picture}", picture=str(picture))
         except (ValueError, OSError) as error:  # the mesh is worth more
             out.warn(f"no picture: {error}")
@@ -236,3 +259,100 @@ def _check_picture(path: Path, mesh: Mesh) -> None:
     if path.suffix.lower() not in endings:
         raise ValueError(f"--picture {path}: a picture of this mesh ends in {' or '.join(endings)}.")
     importlib.import_module("jaxmorph.plot")
+
+
+def check_files(request: Deform, mesh: Mesh) -> None:
+    """Raises `ValueError` for patches without nodes, `ImportError` for lattices without VTK."""
+    for group in request.groups:
+        if group.lattice is not None:
+            io.check_lattice_output(group.lattice)
+        if group.patches and not len(mesh.patch(*group.patches)):
+            raise ValueError(f"--moving {' '.join(group.patches)}: there are no nodes in it.")
+
+
+def described(request: Deform, patches: Patches, choice: NamedMethod, u: np.ndarray, out: Output) -> None:
+    """Describes what moves, by how much, what stays, and the method.
+
+    `u` are the displacements of the moving nodes.
+    """
+    mesh, way = patches.mesh, np.linalg.norm(u, axis=1)
+    for names in dict.fromkeys(tuple(group.patches) for group in request.groups):
+        nodes = mesh.patch(*names)
+        largest = way[np.searchsorted(patches.nodes, nodes)].max()
+        wrapped(out, f"moving   {', '.join(names)}: {count(len(nodes), 'node')}, by up to {largest:.4g}")
+    names = ", ".join(request.boundary.fixed) or "no patch"
+    wrapped(out, f"fixed    {names}: {count(len(patches.fixed_nodes), 'node')}")
+    if patches.symmetry:
+        wrapped(out, f"symmetry {', '.join(patches.symmetry)}: {count(len(mesh.patch(*patches.symmetry)), 'node')}")
+    if patches.sliding:
+        wrapped(out, f"sliding  {', '.join(patches.sliding)}: {count(len(mesh.patch(*patches.sliding)), 'node')}")
+    for pair in patches.periodic:
+        wrapped(out, f"periodic {pair.patch}, {pair.partner}: {count(len(mesh.patch(str(pair.patch))), 'pair')}")
+    out.say(f"method   {choice.name}, {count(request.steps, 'step')}", method=choice.name, steps=request.steps)
+    moving = {name: len(mesh.patch(name)) for name in patches.moving}
+    out.say(moving=moving, largest=float(way.max()), sources=choice.sources)
+
+
+def write_job(request: Deform, out: Output) -> None:
+    """Writes the job file that is asked for."""
+    if request.save_job is not None:
+        with complete(request.save_job) as partial:
+            partial.write_bytes(text_of(request, request.save_job.parent).encode())
+        out.say(f"job      {request.save_job}")
+
+
+def explain(attempt: Attempt, bad: list[str], out: Output) -> None:
+    """Prints what is wrong, and other flags that cure it, if an attempt with them succeeds."""
+    request = attempt.request
+    for sentence in bad[:-1]:
+        out.complain(sentence)
+    if any(gate.beyond for gate in attempt.before.gates):  # no way of moving the mesh cures it
+        out.complain(bad[-1])
+        return
+    if out.seconds > PATIENCE or not request.dry_run:
+        out.complain(f"{bad[-1]} No other flags were tried.")
+        return
+    trials, worked = _trials(attempt), ""
+    with out.progress("trying others") as stage:
+        for k, cure in enumerate(trials):
+            if _works(attempt, cure):
+                worked = _flags(attempt, cure)
+                break
+            stage.done((k + 1) / len(trials))
+    tried = ", ".join(_flags(attempt, cure) for cure in trials)
+    advice = f"With {worked} all is well." if worked else f"A dry run with each of {tried} does not cure it."
+    out.complain(f"{bad[-1]} {advice}" if trials else bad[-1])
+    out.say(suggestion=worked)
+
+
+def _trials(attempt: Attempt) -> list[Cure]:
+    """Lists cures in the order in which they are tried: the default method first."""
+    patches, request = attempt.patches, attempt.request
+    u = attempt.motion.path(attempt.wall, 1)[-1]
+    found = [Cure(method="default"), *cures(patches.mesh, patches.nodes, patches.fixed_nodes, u)]
+    found = [dataclasses.replace(cure, steps=cure.steps * request.steps) for cure in found]
+    return [cure for cure in found if cure.method != request.method.method]
+
+
+def _flags(attempt: Attempt, cure: Cure) -> str:
+    flags = [f"--sliding {' '.join(cure.sliding)} in place of --fixed"] if cure.sliding else []
+    flags += [f"--method {cure.method}"] if cure.method else []
+    return " ".join([*flags, *([f"--steps {cure.steps}"] if cure.steps != attempt.request.steps else [])])
+
+
+def _works(attempt: Attempt, cure: Cure) -> bool:
+    """Checks whether a cure leaves the mesh good. False if it is refused."""
+    patches, method = attempt.patches, attempt.request.method
+    fixed = tuple(name for name in patches.fixed if name not in cure.sliding)
+    attempt = dataclasses.replace(
+        attempt, patches=dataclasses.replace(patches, fixed=fixed, sliding=(*patches.sliding, *cure.sliding))
+    )
+    method = dataclasses.replace(method, method=cure.method or method.method)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            chunks = attempt.patches.chunks(attempt.patches.method(method).method, attempt.request.chunk)
+            way = attempt.way(chunks, cure.steps)
+        except (ValueError, ImportError):  # ImportError: a solver for large 3-D meshes is not installed
+            return False
+        return attempt.judge(way).ok

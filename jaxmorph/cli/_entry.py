@@ -3,16 +3,18 @@
 Nothing of JAX is imported before the words are understood.
 """
 
+import argparse
 import importlib
 import os
+import textwrap
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
-from ._flags import parser, request_of
+from . import _help
+from ._job import with_job
 from ._output import Output
-from ._parser import Parser, meant
-from ._parts import Speech
-from ._requests import COMMANDS, Request
+from ._parser import Parser, made, meant, quoted
+from ._requests import COMMANDS, Request, Speech
 
 
 def answer(words: Sequence[str]) -> int:
@@ -27,7 +29,7 @@ def answer(words: Sequence[str]) -> int:
     with warnings.catch_warnings():
         warnings.showwarning = lambda message, *_: out.warn(one_line(message))
         try:
-            request = request_of(words, top)
+            request = request_of(words, parsers)
             importlib.import_module("._early", __package__).check(request)
             run = _command(request)
             out.verbose = getattr(request, "speech", Speech()).verbose
@@ -59,14 +61,14 @@ def one_line(message: object) -> str:
 
 
 def _checked(words: Sequence[str], top: Parser, parsers: dict[str, Parser]) -> str:
-    """Returns the command's name, empty for a flag of the program itself.
+    """Returns the command's name.
 
-    Ends the process with status 2 for unknown commands and flags.
+    A flag of the program itself ends the process; unknown commands and flags with status 2.
     """
     name = words[0]
     if name.startswith("-"):
         top.check_flags(words)
-        return ""
+        top.parse_args(words)
     if name not in COMMANDS:
         top.error(f"there is no command {name}{meant(name, COMMANDS)}")
     parsers[name].check_flags(words[1:])
@@ -79,3 +81,60 @@ def _complete(top: Parser) -> None:
         import argcomplete
 
         argcomplete.autocomplete(top)
+
+
+def request_of(words: Sequence[str], parsers: Mapping[str, Parser] | None = None) -> Request:
+    """Makes the request of the words and of the job that they name.
+
+    `parsers` are those of the commands; by default they have all flags.
+
+    Raises `ValueError` for a job that is none, `SystemExit` for words that make no sense.
+    """
+    name, command = words[0], (parsers or parser()[1])[words[0]]
+    rest, values = with_job(name, words[1:])
+    return made(COMMANDS[name], command.parse_args(quoted(rest, command.short), values))
+
+
+def parser(*, is_short: bool = False) -> tuple[Parser, dict[str, Parser]]:
+    """Builds the parser of the whole command line, and a dict with the parser of each command.
+
+    `is_short` leaves rare flags out of the pages of help.
+    """
+    top = Parser(prog="jaxmorph", description="Moves meshes with their surfaces, and judges them.", epilog=_help.MAIN)
+    top.add(
+        ["--version"],
+        {"action": Version, "nargs": 0, "help": "show the versions of jaxmorph, JAX, NumPy, SciPy and Python"},
+    )
+    commands = top.add_subparsers(
+        title="commands", dest="command", metavar="COMMAND", required=True, parser_class=Parser
+    )
+    parsers = {}
+    for name, fields in COMMANDS.items():
+        page = _help.PAGES[name]
+        is_brief = is_short and bool(page.short)
+        command = parsers[name] = commands.add_parser(
+            name,
+            help=page.summary,
+            description=textwrap.fill(page.summary[0].upper() + page.summary[1:] + ".", 80),
+            usage=f"jaxmorph {name} {page.usage}",
+            epilog=page.short if is_brief else page.long,
+            is_short=is_brief,
+        )
+        if page.short:
+            command.add(["--help-all"], {"action": "help", "help": "show all flags and more examples"}, everyday=True)
+        command.add_fields(fields)
+    return top, parsers
+
+
+class Version(argparse.Action):
+    """Prints versions, and ends."""
+
+    def __call__(self, parser, namespace, values, option_string=None):
+        from importlib.metadata import version
+        from platform import python_version
+
+        import jaxmorph
+
+        others = ", ".join(f"{name} {version(name)}" for name in ("jax", "numpy", "scipy"))
+        print(f"jaxmorph {jaxmorph.__version__} ({others}, Python {python_version()})")
+        parser.exit()

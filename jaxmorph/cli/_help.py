@@ -229,7 +229,7 @@ example:
 DEMO = """\
 examples:
   jaxmorph demo
-  jaxmorph demo agard445 --output results"""
+  jaxmorph demo --output results"""
 
 PAGES = {
     "deform": Page(

@@ -5,37 +5,33 @@ from typing import Any
 
 import numpy as np
 
+import jaxmorph as jm
 from jaxmorph import Mesh, _demo, io
 from jaxmorph._boundary.boundary import of_no_cell
 
-from ._describe import mesh_of
-from ._judged import Judged
-from ._output import Output, title
+from ._method import mesh_of
+from ._output import Output, count, title
 from ._requests import Demo, Info, Quality
-from ._summary import Summary, count
-from ._tables import faults, gate_facts, gate_table, table
+from ._way import faults
 
 
 def quality(request: Quality, out: Output) -> int:
     """Prints the quality of a mesh, or before and after a motion. Returns the exit status."""
-    limits = request.gates.limits
     with out.progress("reading"):
         mesh = mesh_of(request.file, request.zone)
         moved = None if request.moved is None else mesh_of(request.moved, request.zone)
     with out.progress("judging the cells"):
-        judged = Judged(mesh, mesh.points)
-        before, after = None, Summary.from_judged(judged, limits)
         if moved is not None:
             _check_same(request, mesh, moved)
-            judged = Judged(mesh, moved.points, judged)
-            before, after = after, Summary.from_judged(judged, limits)
-        proof = judged.proof if request.proof else None
-    tables = [table(before, after), gate_table(before, after), "" if proof is None else str(proof)]
-    out.say("\n\n".join(filter(None, tables)), gates=gate_facts(before, after))
-    if before is not None:
-        out.say(before=before.facts)
-    out.say(after=after.facts)
-    bad = faults(before, after)
+        points = None if moved is None else moved.points
+        verdict = jm.judge(mesh, points, request.gates.limits, is_straight=False)
+        proof = jm.proof(mesh, points) if request.proof else None
+    tables = [verdict.table(), "" if proof is None else str(proof)]
+    out.say("\n\n".join(filter(None, tables)), gates=verdict.gate_facts)
+    if verdict.before is not None:
+        out.say(before=verdict.before.facts)
+    out.say(after=verdict.facts)
+    bad = faults(verdict)
     if proof is not None:
         out.say(proof={name: getattr(proof, name) for name in ("valid", "invalid", "unknown", "min_margin", "depth")})
         if proof.invalid:

@@ -1,70 +1,73 @@
-"""The method and the boundary that the command line asks for."""
+"""The boundary and the method that the command line asks for."""
 
 import contextlib
 import dataclasses
+import functools
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
-from jaxtyping import ArrayLike, Float, Int
+from jaxtyping import Float, Int
 
 import jaxmorph as jm
 from jaxmorph import io
-from jaxmorph._advice.methods import Entry, entry
-from jaxmorph._advice.rivals import Extent
+from jaxmorph._advice.methods import Lengths, entry
 from jaxmorph._boundary.names import planes_of
 from jaxmorph._boundary.symmetry import check_planes
 from jaxmorph._plan.prepare import default_for
 
-from ._parts import Boundary, Method
-from ._requests import Deform, Modes, Sensitivity
+from ._output import count
+from ._requests import Deform, Method, Modes, Sensitivity
+
+
+def mesh_of(path: Path, zone: int | None) -> jm.Mesh:
+    """Reads a file's mesh, or an SU2 file's zone `zone`. Raises `ValueError` for an absent zone."""
+    if zone is None:
+        return io.read(path)
+    meshes = io.read_zones(path)
+    if not 1 <= zone <= len(meshes):
+        raise ValueError(f"--zone {zone}: {path} has {count(len(meshes), 'zone')}.")
+    return meshes[zone - 1]
 
 
 @dataclasses.dataclass(frozen=True)
 class NamedMethod:
-    """A method, its entry in the list, its sentence, its sources on the wall, the precision."""
+    """A method, its sentence, and its number of sources on the wall."""
 
     method: jm.AbstractMethod
-    entry: Entry
     name: str
     sources: int
-    dtype: str
 
 
-def named_method(
-    request: Method, wall: Float[np.ndarray, "m d"], fixed: Float[np.ndarray, "f d"], chunk: int | None = None
-) -> NamedMethod:
+def named_method(request: Method, wall: Float[np.ndarray, "m d"], fixed: Float[np.ndarray, "f d"]) -> NamedMethod:
     """Makes the requested method for the points of the moving and of the fixed nodes.
 
-    It raises `ValueError` for a number of sources, or a size of chunks, that the method cannot
-    take.
+    It raises `ValueError` for a number of sources that the method cannot take.
     """
-    listed = entry(request.method)
-    if request.sources is not None and request.sources <= wall.shape[1]:
-        raise ValueError(
-            f"--sources must be {wall.shape[1] + 1} or more in {wall.shape[1]}-D, found {request.sources}."
-        )
-    method = listed.make(Extent(wall, fixed))
+    listed, d = entry(request.method), wall.shape[1]
+    if request.sources is not None and request.sources <= d:
+        raise ValueError(f"--sources must be {d + 1} or more in {d}-D, found {request.sources}.")
+    method = listed.make(Lengths(wall, fixed))
     if listed.sources != "some":
-        return NamedMethod(method, listed, listed.sentence, len(wall) * (listed.sources == "all"), request.dtype)
+        return NamedMethod(method, listed.sentence, len(wall) * (listed.sources == "all"))
     assert isinstance(method, jm.SurfaceReconstruction)
-    rbf, number = method.coarse, ""
+    is_fitted, coarse = isinstance(method.coarse, jm.FittedRBF), method.coarse
+    rbf = coarse.rbf if isinstance(coarse, jm.FittedRBF) else coarse
     if request.sources is not None:
         is_all = request.sources >= len(wall)
         rbf = jm.RBF(reduction=jm.AllPoints() if is_all else jm.KDTree.with_sources(request.sources, wall))
-        is_fitted = isinstance(method.coarse, jm.FittedRBF)
         method = jm.SurfaceReconstruction(jm.FittedRBF(rbf) if is_fitted else rbf, method.correction)
-    rbf = rbf.rbf if isinstance(rbf, jm.FittedRBF) else rbf
     sources = len(rbf.reduction(wall)) if isinstance(rbf, jm.RBF) else 0
-    if request.sources is not None:
-        number = f", {sources} wall sources"
-    return NamedMethod(method, listed, listed.sentence + number, sources, request.dtype)
+    number = "" if request.sources is None else f", {sources} wall sources"
+    return NamedMethod(method, listed.sentence + number, sources)
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, eq=False)
 class Patches:
-    """A mesh and its patches by what they do: move, stay, lie in a plane, follow, slide."""
+    """A mesh and the names of its patches by what they do: move, stay, lie in a plane, slide."""
 
     mesh: jm.Mesh
+    dtype: str
     moving: tuple[str, ...]
     fixed: tuple[str, ...]
     symmetry: tuple[str, ...]
@@ -80,7 +83,23 @@ class Patches:
 
     @property
     def fixed_nodes(self) -> Int[np.ndarray, " f"]:
-        return self.mesh.patch(*self.fixed)
+        """Ids of the nodes that stay, without those that move."""
+        return np.setdiff1d(self.mesh.patch(*self.fixed), self.nodes)
+
+    @functools.cached_property
+    def boundary(self) -> jm.Boundary:
+        """The boundary in the precision of the calculation.
+
+        It raises `ValueError` for boundary faces of patches that no flag names.
+        """
+        mesh = self.mesh.moved(np.asarray(self.mesh.points).astype(self.dtype, copy=False))
+        slides = {"symmetry": self.planes, "periodic": self.periodic, "sliding": self.sliding}
+        with self._explaining():
+            boundary = jm.Boundary(mesh, self.moving, self.fixed, free=self.free, **slides)
+        if boundary.left is not None and boundary.left.patches:
+            names = "--fixed, --moving, --symmetry, --sliding or --periodic, or by --free"
+            raise ValueError(f"{boundary.left} Name them by {names}.")
+        return boundary
 
     @contextlib.contextmanager
     def _explaining(self) -> Iterator[None]:
@@ -94,61 +113,37 @@ class Patches:
             others = f" Patches there that neither move nor stay: {', '.join(left)}." if left else ""
             raise ValueError(f"{error}{others}") from None
 
-    def method(self, request: Method, chunk: int | None = None) -> NamedMethod:
+    def method(self, request: Method) -> NamedMethod:
         """Makes the requested method. Raises what `named_method` does."""
         points = np.asarray(self.mesh.points)
-        walls = points[self.nodes], points[np.setdiff1d(self.fixed_nodes, self.nodes)]
-        choice = named_method(request, *walls, chunk)
+        walls = points[self.nodes], points[self.fixed_nodes]
         if request.method == "default" and request.sources is None and not len(walls[1]):
             with self._explaining():
-                if isinstance(default_for(self._boundary(choice)), jm.InverseDistance):
-                    return named_method(dataclasses.replace(request, method="turning"), *walls, chunk)
-        return choice
+                if isinstance(default_for(self.boundary), jm.InverseDistance):
+                    request = dataclasses.replace(request, method="turning")
+        return named_method(request, *walls)
 
-    def points(self, choice: NamedMethod) -> Float[np.ndarray, "n d"]:
-        """Returns the mesh's points in the precision of the calculation."""
-        return np.asarray(self.mesh.points).astype(choice.dtype, copy=False)
-
-    def chunks(self, choice: NamedMethod, size: int | None = None) -> Iterator[tuple[Int[np.ndarray, " c"], jm.Plan]]:
+    def chunks(
+        self, method: jm.AbstractMethod, size: int | None = None
+    ) -> Iterator[tuple[Int[np.ndarray, " c"], jm.Plan]]:
         """Cuts the mesh into chunks of `size` inner nodes; yields the nodes and plan of each chunk.
 
-        It raises `ValueError` for nodes at fault, with the patches that hold them, and for patches
-        in no list.
+        It raises `ValueError` for nodes at fault, with the patches that hold them; faults of the
+        boundary at once.
         """
-        with self._explaining():
-            lists = self._boundary(choice)
-        return self._plans(lists, choice, size)
+        boundary = self.boundary
 
-    def _plans(
-        self, lists: jm.Boundary, choice: NamedMethod, size: int | None
-    ) -> Iterator[tuple[Int[np.ndarray, " c"], jm.Plan]]:
-        with self._explaining():
-            yield from jm.prepare_in_chunks(lists, method=choice.method, size=size)
+        def plans() -> Iterator[tuple[np.ndarray, jm.Plan]]:
+            with self._explaining():
+                yield from jm.prepare_in_chunks(boundary, method=method, size=size)
 
-    def half(self, choice: NamedMethod) -> jm.SurfaceHalf:
+        return plans()
+
+    def half(self, method: jm.AbstractMethod) -> jm.SurfaceHalf:
         """Prepares the surface of a mesh in parts, which `mesh` is. Raises as `chunks` does."""
         with self._explaining():
             known = {"nodes": io.global_nodes(self.mesh), "faces": self.mesh.cells}
-            return jm.prepare_surface(self._boundary(choice), method=choice.method, **known)
-
-    def plan(self, choice: NamedMethod) -> jm.Plan:
-        """Prepares the mesh as a whole. Raises as `chunks` does."""
-        return next(self.chunks(choice))[1]
-
-    def _boundary(self, choice: NamedMethod) -> jm.Boundary:
-        """Looks up all nodes in the lists.
-
-        It raises `ValueError` for boundary faces of patches that no flag names.
-        """
-        slides = {"symmetry": self.planes, "periodic": self.periodic, "sliding": self.sliding}
-        mesh = self.mesh.moved(self.points(choice))
-        lists = jm.Boundary(mesh, self.moving, self.fixed, free=self.free, **slides)
-        free = lists.left
-        if free is not None and free.patches:
-            raise ValueError(
-                f"{free} Name them by --fixed, --moving, --symmetry, --sliding or --periodic, or by --free."
-            )
-        return lists
+            return jm.prepare_surface(self.boundary, method=method, **known)
 
 
 def patches_of(request: Deform | Modes | Sensitivity, mesh: jm.Mesh) -> Patches:
@@ -172,7 +167,7 @@ def patches_of(request: Deform | Modes | Sensitivity, mesh: jm.Mesh) -> Patches:
     if both:
         raise ValueError(f"{', '.join(both)} cannot be both --moving and --fixed.")
     fixed = mesh.patch_names(*surface.fixed)
-    periodic = _periodic(surface, mesh, {*moving, *surface.fixed, *symmetry, *sliding, *free})
+    periodic = _periodic(surface.periodic, mesh, {*moving, *surface.fixed, *symmetry, *sliding, *free})
     repeating = {str(patch) for pair in periodic for patch in (pair.patch, pair.partner)}
     elsewhere = {*moving, *symmetry, *sliding, *repeating}
     fixed = tuple(name for name in fixed if name in surface.fixed or name not in elsewhere)
@@ -189,7 +184,7 @@ def patches_of(request: Deform | Modes | Sensitivity, mesh: jm.Mesh) -> Patches:
     lists = {*elsewhere, *symmetry, *fixed, *free}
     if not fixed and not sliding and any(len(nodes) for name, nodes in mesh.patches.items() if name not in lists):
         raise ValueError(f"--fixed is missing: name the patches that stay; this mesh has: {known}.")
-    return Patches(mesh, moving, fixed, symmetry, free, tuple(planes), sliding, periodic)
+    return Patches(mesh, request.method.dtype, moving, fixed, symmetry, free, tuple(planes), sliding, periodic)
 
 
 def _symmetry(mesh: jm.Mesh, lists: set[str], planes: list[jm.Plane], file: object) -> tuple[list[str], list[jm.Plane]]:
@@ -211,29 +206,9 @@ def _symmetry(mesh: jm.Mesh, lists: set[str], planes: list[jm.Plane], file: obje
     return names, lying
 
 
-def _periodic(surface: Boundary, mesh: jm.Mesh, lists: set[str]) -> tuple[jm.Periodic, ...]:
+def _periodic(names: tuple[str, ...], mesh: jm.Mesh, lists: set[str]) -> tuple[jm.Periodic, ...]:
     """Lists the pairs of flags, and the file's pairs of which no patch is in another list."""
-    pairs = list(zip(surface.periodic[::2], surface.periodic[1::2], strict=True))
-    known = {*lists, *surface.periodic}
+    pairs = list(zip(names[::2], names[1::2], strict=True))
+    known = {*lists, *names}
     of_file = [pair for pair in io.periodic(mesh) if not {str(pair.patch), str(pair.partner)} & known]
     return (*(jm.Periodic(*(mesh.patch_names(name)[0] for name in pair)) for pair in pairs), *of_file)
-
-
-def in_double(
-    base: Float[np.ndarray, "n d"],
-    moved: Float[ArrayLike, "n d"],
-    nodes: Int[np.ndarray, " m"],
-    u: Float[np.ndarray, "m d"],
-    is_exact: bool,
-) -> Float[np.ndarray, "n d"]:
-    """Converts moved points to double precision.
-
-    Nodes that do not move in single precision keep all their digits.
-    """
-    moved = np.asarray(moved)
-    if moved.dtype == np.float64:
-        return moved
-    points = base + (moved.astype(float) - base.astype(moved.dtype).astype(float))
-    if is_exact:
-        points[nodes] = base[nodes] + u
-    return points

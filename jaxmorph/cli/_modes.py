@@ -13,13 +13,10 @@ import jaxmorph as jm
 from jaxmorph import Mesh, io
 from jaxmorph._host.package.files import check_apart
 
-from ._judged import Judged
-from ._method import Patches, in_double, patches_of
-from ._output import Output, title
+from ._method import Patches, patches_of
+from ._output import Output, count, title
 from ._requests import Modes
-from ._summary import Summary, count
-from ._tables import faults
-from ._way import Way, instants
+from ._way import Way, faults, in_double, instants
 
 BATCH = 8
 """Motions computed together."""
@@ -46,27 +43,25 @@ def modes(request: Modes, out: Output) -> int:
         shapes = [io.read_displacement(file, mesh, patches.nodes, is_position=False) for file in request.mode]
     with out.progress("preparing"):
         choice = patches.method(request.method)
-        plan = patches.plan(choice)
+        _, plan = next(patches.chunks(choice.method))
     what = f"{count(len(shapes), 'mode')} at {count(len(request.amplitude), 'amplitude')}"
     out.say(f"{title(request.file)}: {len(mesh.points)} points, {what}", points=len(mesh.points))
     out.say(f"method   {choice.name}", method=choice.name)
     if request.gates.proven:
         out.say(f"proven   cells that fold nowhere inside, {instants(plan.is_linear, 1)}", on_the_way=plan.is_linear)
-    base, limits = Judged(mesh, mesh.points), request.gates.limits
-    before = Summary.from_judged(base, limits)
-    ratio = "V" if base.by_faces else "J"
+    limits = request.gates.limits
+    before = jm.judge(mesh, None, limits)
+    ratio = list(before.rows)[-1][1][0].upper()  # of volumes, or of Jacobians
     out.say(f"\n{'':>6}{'amplitude':>12}{'skewness':>12}{f'min {ratio}/{ratio}0':>12}{'inverted':>10}  mode")
     good, bad = [], 0
     with out.progress("moving") as stage:
         for case, points in _moved(mesh, plan, np.stack(shapes), cases):
-            way = Way.into(case.output, mesh, [points], plan.is_linear)
-            judged = Judged(mesh, way.ends[-1], base, way)
-            after = Summary.from_judged(judged, limits)
-            failed = faults(before, after)
-            bad += bool(failed)
-            _tell(case, request.mode[case.mode], after, failed, out)
-            if not failed or request.allow_inverted:
-                judged.write(case.output)
+            way = Way(case.output, mesh, (points,), plan.is_linear)
+            verdict = way.judge(limits, before)
+            bad += not verdict.ok
+            _tell(case, request.mode[case.mode], verdict, out)
+            if verdict.ok or request.allow_inverted:
+                way.write(lambda verdict=verdict: verdict)
                 good.append(case)
             stage.done(case.number / len(cases))
     return _end(request, good, bad, len(cases), out)
@@ -114,15 +109,14 @@ def _moved(
             yield case, in_double(np.asarray(mesh.points), moved[k], np.asarray(plan.moving), u[k], plan.method.exact)
 
 
-def _tell(case: Case, file: pathlib.Path, judged: Summary, failed: list[str], out: Output) -> None:
-    skewness = next(
-        number.value for (kind, name), number in judged.rows.items() if kind == "max" and "skewness" in name
-    )
-    ratio, inverted = list(judged.rows.values())[-1].value, judged.inverted
+def _tell(case: Case, file: pathlib.Path, verdict: jm.Verdict, out: Output) -> None:
+    rows, failed, inverted = verdict.rows, faults(verdict), verdict.inverted
+    skewness = next(number.value for (kind, name), number in rows.items() if kind == "max" and "skewness" in name)
+    ratio = list(rows.values())[-1].value
     name = file.name if len(file.name) <= 26 else f"...{file.name[-23:]}"
     out.say(f"{case.number:>6}{case.amplitude:>12.5g}{skewness:>12.5g}{ratio:>12.5g}{inverted:>10}  {name}")
     facts = {"mode": str(file), "amplitude": case.amplitude, "output": str(case.output), "problems": failed}
-    out.facts.setdefault("cases", []).append(facts | judged.facts)
+    out.facts.setdefault("cases", []).append(facts | verdict.facts)
     for sentence in failed:
         out.complain(f"case {case.number}: {sentence}")
 

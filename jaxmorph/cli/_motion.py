@@ -12,16 +12,19 @@ from jaxtyping import Float, Int
 
 from jaxmorph import Mesh, io, shapes
 from jaxmorph._host.package.errors import place_of, worst_first
+from jaxmorph._host.package.files import input_path
+from jaxmorph._host.package.text import read
 
-from ._airfoil import bumps, class_functions
-from ._early import lattice_files
-from ._groups import MOTIONS, Group, as_json
+from ._early import is_given, lattice_files
 from ._parser import flag_of
-from ._requests import Deform
-from ._vectors import Points, angle_of, axis_of, direction_of, length_of, vector_of
+from ._requests import MOTIONS, Deform, Group, Table
 
-Parts = dict[str, tuple[shapes.AbstractShape, Any]]
-"""Shapes by name in the order in which they are applied, with their parameters."""
+Points = Float[np.ndarray, "m d"]
+Parametrised = tuple[shapes.AbstractShape, Any]
+"""A shape with its parameters."""
+
+SIDES = ("upper", "lower")
+CHORD = ("nose", "tail", "up")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -66,11 +69,12 @@ def motion(request: Deform, mesh: Mesh, moving: Int[np.ndarray, " m"]) -> Motion
     patches of a node move it differently.
     """
     chains, owned, parameters, boxes = {}, {}, {}, []
-    sides = _sides(request.groups, mesh, moving)
+    sides = _shared_sides(request.groups, mesh, moving)
     for number, group in enumerate(request.groups):
         nodes = mesh.patch(*group.patches)
         try:
-            parts = _parts(group, mesh, nodes)
+            patch = Patch(group, mesh, nodes)
+            parts = {name.replace("_", "-"): make(patch) for name, make in PARTS.items() if is_given(group, name)}
         except ValueError as error:
             raise ValueError(f"{group.title}: {error}" if len(request.groups) > 1 else str(error)) from None
         key = _key(group, chains)
@@ -104,7 +108,7 @@ class Wall(NamedTuple):
     points: Points
 
 
-def _sides(groups: Sequence[Group], mesh: Mesh, moving: np.ndarray) -> list[Side]:
+def _shared_sides(groups: Sequence[Group], mesh: Mesh, moving: np.ndarray) -> list[Side]:
     """Sorts the moving nodes by the groups that name their patches."""
     names = [mesh.patch_names(*group.patches) for group in groups]
     by_groups: dict[tuple[int, ...], list[str]] = {}
@@ -160,7 +164,7 @@ def _flags(groups: Sequence[Group], side: Side) -> str:
     words = []
     for number in side.groups:
         group = groups[number]
-        flags = [flag_of(name) for name in MOTIONS if getattr(group, name) not in (None, ())]
+        flags = [flag_of(name) for name in MOTIONS if is_given(group, name)]
         words.append(" ".join(["--moving", *group.patches, *flags]))
     return ", then ".join(words)
 
@@ -173,77 +177,106 @@ def _key(group: Group, others: Mapping[str, Any]) -> str:
     return next(key for key in (name, *(f"{name}{k}" for k in range(2, len(others) + 3))) if key not in others)
 
 
-def _parts(group: Group, mesh: Mesh, nodes: np.ndarray) -> Parts:
-    surface, d = np.asarray(mesh.points)[nodes], mesh.points.shape[1]
-    about = vector_of("--about", group.about, d)
-    return {
-        **_displacement(group, mesh, nodes),
-        **_modes(group, mesh, nodes),
-        **_box(group, d),
-        **_airfoil(group, mesh),
-        **_scale(group, about),
-        **_twist(group, surface, about),
-        **_bend(group, surface, about),
-        **_rotate(group, about),
-        **_translate(group, d),
-    }
+class Patch(NamedTuple):
+    """The patches of one motion, whose nodes are `nodes`, in a mesh."""
+
+    group: Group
+    mesh: Mesh
+    nodes: np.ndarray
+
+    @property
+    def dimension(self) -> int:
+        return self.mesh.points.shape[1]
+
+    @property
+    def about(self) -> np.ndarray:
+        return self.vector("about")
+
+    def axis(self, option: str) -> np.ndarray | None:
+        """Returns the axis of rotation and bending, of length 1; None in 2-D."""
+        is_given = self.group.axis is not None
+        if self.dimension == 2 and is_given:
+            raise ValueError("--axis is for meshes in 3-D; this one is in 2-D.")
+        if self.dimension == 3 and not is_given:
+            raise ValueError(f"{option} needs --axis X Y Z for a mesh in 3-D.")
+        return self.direction("axis") if is_given else None
+
+    def vector(self, name: str) -> np.ndarray:
+        """Returns the d numbers of a flag, zeros without it. Raises `ValueError` for others."""
+        values, d = getattr(self.group, name), self.dimension
+        if values is None:
+            return np.zeros(d)
+        if len(values) != d:
+            found = " ".join(f"{value:g}" for value in values)
+            raise ValueError(f"{flag_of(name)} needs {d} numbers for a mesh in {d}-D, found: {found}.")
+        return np.array(values)
+
+    def direction(self, name: str) -> np.ndarray:
+        """Scales a vector to length 1; in 2-D the default is the first axis."""
+        if getattr(self.group, name) is None:
+            if self.dimension == 3:
+                raise ValueError(f"{flag_of(name)} X Y Z is missing.")
+            return np.array([1.0, 0.0])
+        vector = self.vector(name)
+        return vector / np.linalg.norm(vector)
+
+    def length(self, option: str) -> float:
+        """Measures the line along which a surface is bent or twisted.
+
+        By default the line ends where the surface does.
+        """
+        given = self.group.length
+        ahead = (np.asarray(self.mesh.points)[self.nodes] - self.about) @ self.direction("along")
+        length = float(ahead.max()) if given is None else given
+        if not (np.isfinite(length) and length > 0):
+            reason = "and no node lies ahead of --about in that direction" if given is None else f"found {length:g}"
+            raise ValueError(f"{option} needs a --length above 0, {reason}.")
+        return length
 
 
-def _box(group: Group, d: int) -> Parts:
-    if group.box is None:
-        return {}
-    table = as_json("box", group.box)
-    return {"box": io.read_box(group.box if table is None else table, d)}
+def _displacement(patch: Patch) -> Parametrised:
+    group = patch.group
+    assert group.displacement is not None
+    how: dict[str, Any] = {"before": group.displacement_from, "is_position": group.displacement_is == "position"}
+    u = io.read_displacement(group.displacement, patch.mesh, patch.nodes, **how)
+    return shapes.Function(lambda x, factor: x + factor * u, 0.0), 1.0
 
 
-def _airfoil(group: Group, mesh: Mesh) -> Parts:
-    parts: Parts = {}
-    if group.hicks_henne is not None:
-        parts |= bumps("hicks-henne", group.hicks_henne, mesh, tuple(group.patches))
-    if group.cst is not None:
-        parts |= class_functions("cst", group.cst, mesh, tuple(group.patches))
-    return parts
+def _modes(patch: Patch) -> Parametrised:
+    files, amplitudes = zip(*patch.group.mode, strict=True)
+    fields = [io.read_displacement(file, patch.mesh, patch.nodes, is_position=False) for file in files]
+    return shapes.Modes(np.stack(fields)), np.array(amplitudes)
 
 
-def _scale(group: Group, about: np.ndarray) -> Parts:
-    if group.scale is None:
-        return {}
-    is_one = len(group.scale) == 1 and np.isfinite(group.scale).all()
-    factors = vector_of("--scale", group.scale, 1 if is_one else len(about))
-    factors = factors[0] if len(factors) == 1 else factors
-    shape = shapes.Function(lambda x, factors: shapes.scale(x, factors, about), np.ones_like(factors))
-    return {"scale": (shape, factors)}
+def _box(patch: Patch) -> Parametrised:
+    assert patch.group.box is not None
+    return io.read_box(patch.group.box, patch.dimension)
 
 
-def _twist(group: Group, surface: Points, about: np.ndarray) -> Parts:
-    if group.twist is None:
-        return {}
-    if len(about) == 2:
+def _scale(patch: Patch) -> Parametrised:
+    about, given = patch.about, patch.group.scale or ()
+    factors = given[0] if len(given) == 1 else patch.vector("scale")
+    return shapes.Function(lambda x, factors: shapes.scale(x, factors, about), np.ones_like(factors)), factors
+
+
+def _twist(patch: Patch) -> Parametrised:
+    if patch.dimension == 2:
         raise ValueError("--twist is for meshes in 3-D; this one is in 2-D.")
-    angle, along = angle_of("--twist", group.twist), direction_of("--along", group.along, 3)
-    length = length_of("--twist", group.length, surface, about, along)
-    shape = _by_angle(lambda x, angle: shapes.twist(x, angle, about, along, length))
-    return {"twist": (shape, angle)}
+    about, along, length = patch.about, patch.direction("along"), patch.length("--twist")
+    return _by_angle(lambda x, angle: shapes.twist(x, angle, about, along, length)), patch.group.twist
 
 
-def _bend(group: Group, surface: Points, about: np.ndarray) -> Parts:
-    if group.bend is None:
-        return {}
-    d = len(about)
-    angle, axis = angle_of("--bend", group.bend), axis_of("--bend", group, d)
-    along = direction_of("--along", group.along, d)
+def _bend(patch: Patch) -> Parametrised:
+    about, axis, along = patch.about, patch.axis("--bend"), patch.direction("along")
     if axis is not None and abs(axis @ along) > 1e-3:
         raise ValueError("--bend needs --axis and --along at right angles.")
-    length = length_of("--bend", group.length, surface, about, along)
-    shape = _by_angle(lambda x, angle: shapes.bend(x, angle, about, along, length, axis))
-    return {"bend": (shape, angle)}
+    length = patch.length("--bend")
+    return _by_angle(lambda x, angle: shapes.bend(x, angle, about, along, length, axis)), patch.group.bend
 
 
-def _rotate(group: Group, about: np.ndarray) -> Parts:
-    if group.rotate is None:
-        return {}
-    angle, axis = angle_of("--rotate", group.rotate), axis_of("--rotate", group, len(about))
-    return {"rotate": (_by_angle(lambda x, angle: shapes.rotate(x, angle, about, axis)), angle)}
+def _rotate(patch: Patch) -> Parametrised:
+    about, axis = patch.about, patch.axis("--rotate")
+    return _by_angle(lambda x, angle: shapes.rotate(x, angle, about, axis)), patch.group.rotate
 
 
 def _by_angle(function: Callable) -> shapes.Function:
@@ -251,23 +284,87 @@ def _by_angle(function: Callable) -> shapes.Function:
     return shapes.Function(jax.jit(lambda x, angle: function(x, jnp.radians(angle))), 0.0)
 
 
-def _translate(group: Group, d: int) -> Parts:
-    if group.translate is None:
-        return {}
-    return {"translate": (shapes.Function(shapes.translate, np.zeros(d)), vector_of("--translate", group.translate, d))}
+def _translate(patch: Patch) -> Parametrised:
+    return shapes.Function(shapes.translate, np.zeros(patch.dimension)), patch.vector("translate")
 
 
-def _displacement(group: Group, mesh: Mesh, nodes: np.ndarray) -> Parts:
-    if group.displacement is None:
-        return {}
-    is_position = group.displacement_is == "position"
-    u = io.read_displacement(group.displacement, mesh, nodes, before=group.displacement_from, is_position=is_position)
-    return {"displacement": (shapes.Function(lambda x, factor: x + factor * u, 0.0), 1.0)}
+def _bumps(patch: Patch) -> Parametrised:
+    """Makes the shape of `--hicks-henne`: lists of [centre, height] by side."""
+    flag, table = "hicks-henne", _table("hicks-henne", patch.group.hicks_henne, ("width",))
+    bumps = {side: _numbers(flag, table, side, (None, 2)) for side in SIDES if side in table}
+    width = table.get("width", 3.0)
+    chord, masks = _sides(flag, table, patch)
+    parts = {side: shapes.HicksHenne(rows[:, 0], width, chord=chord) for side, rows in bumps.items()}
+    return _on_sides(parts, masks), {side: rows[:, 1] for side, rows in bumps.items()}
 
 
-def _modes(group: Group, mesh: Mesh, nodes: np.ndarray) -> Parts:
-    """Reads mode shapes; each has an amplitude."""
-    if not group.mode:
-        return {}
-    fields = [io.read_displacement(file, mesh, nodes, is_position=False) for file, _ in group.mode]
-    return {"mode": (shapes.Modes(np.stack(fields)), np.array([amplitude for _, amplitude in group.mode]))}
+def _class_functions(patch: Patch) -> Parametrised:
+    """Makes the shape of `--cst`: weights and the ordinate of the edge by side."""
+    flag, table = "cst", _table("cst", patch.group.cst, ("exponents",))
+    numbers = {side: _numbers(flag, table, side, (None,)) for side in SIDES if side in table}
+    for side, weights in numbers.items():
+        if len(weights) < 3:
+            raise ValueError(
+                f"--{flag}: {side} has {len(weights)} numbers; two weights or more are expected, then the ordinate of the edge."
+            )
+    exponents = tuple(_numbers(flag, {"exponents": [0.5, 1.0]} | table, "exponents", (2,)).tolist())
+    chord, masks = _sides(flag, table, patch)
+    parts = {side: shapes.CST(len(weights) - 2, exponents, chord=chord) for side, weights in numbers.items()}
+    return _on_sides(parts, masks), numbers
+
+
+def _on_sides(parts: Mapping[str, Any], masks: Mapping[str, np.ndarray]) -> shapes.Chain:
+    return shapes.Chain({side: shapes.Part(part, masks[side]) for side, part in parts.items()})
+
+
+PARTS: dict[str, Callable[[Patch], Parametrised]] = {
+    "displacement": _displacement,
+    "mode": _modes,
+    "box": _box,
+    "hicks_henne": _bumps,
+    "cst": _class_functions,
+    "scale": _scale,
+    "twist": _twist,
+    "bend": _bend,
+    "rotate": _rotate,
+    "translate": _translate,
+}
+"""Makers of shapes by field of a group, in the order in which the shapes are applied."""
+
+
+def _table(flag: str, source: Path | Table | None, more: tuple[str, ...]) -> Table:
+    table = read(str(source), input_path(source).read_bytes()) if isinstance(source, Path) else source or {}
+    known = (*SIDES, *more, *CHORD)
+    foreign = [name for name in table if name not in known]
+    if foreign or not set(table) & set(SIDES):
+        listed = ", ".join(table) or "nothing"
+        raise ValueError(f"--{flag}: upper or lower expected, and perhaps {', '.join(known[2:])}; found {listed}.")
+    return table
+
+
+def _numbers(flag: str, table: Table, name: str, shape: tuple[int | None, ...]) -> np.ndarray:
+    try:
+        values = np.array(table[name], float)
+    except (TypeError, ValueError):
+        values = np.zeros(0)
+    fits = values.ndim == len(shape) and all(n in (None, m) for n, m in zip(shape, values.shape, strict=False))
+    if not fits or not values.size or not np.isfinite(values).all():
+        what = "a list of [centre, height]" if shape == (None, 2) else "a list of numbers"
+        raise ValueError(f"--{flag}: {name} is {what}, found {str(table[name])[:60]}.")
+    return values
+
+
+def _sides(flag: str, table: Table, patch: Patch) -> tuple[shapes.Chord, dict[str, np.ndarray]]:
+    """Finds the chord, and by the normals of the wall the nodes on either side."""
+    d = patch.dimension
+    ends = {name: _numbers(flag, table, name, (d,)) for name in CHORD if name in table}
+    if ends:
+        if not {"nose", "tail"} <= set(ends):
+            raise ValueError(f"--{flag}: a chord has a nose and a tail; found {', '.join(ends)} alone.")
+        chord = shapes.Chord(**ends)
+    elif d == 2:
+        chord = shapes.Chord.along(np.asarray(patch.mesh.points)[patch.nodes])
+    else:
+        raise ValueError(f"--{flag}: a wall in 3-D needs its chord: nose, tail and up, three numbers each.")
+    upper = shapes.wall_normals(patch.mesh, *patch.group.patches) @ np.asarray(chord.up) >= 0
+    return chord, {"upper": upper, "lower": ~upper}

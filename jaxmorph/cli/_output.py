@@ -5,6 +5,7 @@ import json
 import math
 import os
 import sys
+import textwrap
 import threading
 import time
 from collections.abc import Iterator
@@ -123,9 +124,31 @@ class Output:
         return status
 
 
+def wrapped(out: Output, text: str) -> None:
+    out.say(textwrap.fill(text, 80, subsequent_indent=" " * 9, break_long_words=False, break_on_hyphens=False))
+
+
+def count(number: int, what: str) -> str:
+    """Writes a number with its noun: `1 step`, `2 steps`."""
+    return f"{number} {what}" + ("" if number == 1 else "s")
+
+
+def coordinates(x: Any) -> str:
+    return "(" + ", ".join(f"{number:.3g}" for number in x.tolist()) + ")"
+
+
 def title(path: Path) -> str:
     """Returns the name of a file or folder; that of the folder itself for `.` and `..`."""
     return Path(os.path.abspath(path)).name or str(path)  # not resolved: a link has its own name
+
+
+LISTED = 20
+"""Design variables on the terminal, at most."""
+
+
+def steepest(slopes: Any) -> list[int]:
+    """Sorts design variables by their derivative, the largest first, at most `LISTED`."""
+    return sorted(range(len(slopes)), key=lambda k: -abs(slopes[k]))[:LISTED]
 
 
 def finite(value: Any) -> Any:

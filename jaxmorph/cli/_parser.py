@@ -5,9 +5,10 @@ import dataclasses
 import functools
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from pathlib import Path
 from typing import Any, TypeVar
 
-from jaxmorph._host.package.words import similar
+from jaxmorph._host.package.text import similar
 
 T = TypeVar("T")
 Fields = type[Any]
@@ -15,6 +16,16 @@ Fields = type[Any]
 
 Its fields are made by `flag`, `positional` and `switch`, or they are parts: dataclasses of flags.
 """
+
+SETTINGS: dict[Any, dict[str, Any]] = {
+    Path: {"type": Path, "metavar": "FILE"},
+    int: {"type": int, "metavar": "N"},
+    float: {"type": float, "metavar": "X"},
+    list[float]: {"type": float, "metavar": ("X Y", "Z"), "nargs": "+"},
+    tuple[float, ...]: {"type": float, "nargs": "+"},
+    tuple[Path, ...]: {"type": Path, "metavar": "FILE", "nargs": "+"},
+}
+"""Settings of argparse by the type of a field, which may also be None."""
 
 
 def flag(
@@ -64,6 +75,22 @@ def flags_of(fields: Fields) -> Iterator[tuple[dataclasses.Field, Fields]]:
             yield field, fields
 
 
+def settings_of(field: dataclasses.Field) -> dict[str, Any]:
+    """Collects the settings of argparse: those of the field's type, and its own."""
+    kind = next((kind for kind in SETTINGS if field.type in (kind, kind | None)), None)
+    return SETTINGS.get(kind, {}) | field.metadata["settings"]
+
+
+def values_of(request: Any) -> Iterator[tuple[str, Any]]:
+    """Yields the values of flags by name, flags of parts included."""
+    for field in dataclasses.fields(request):
+        value = getattr(request, field.name)
+        if "part" in field.metadata:
+            yield from values_of(value)
+        else:
+            yield field.name, value
+
+
 def made(fields: type[T], values: argparse.Namespace) -> T:
     """Makes a dataclass from the values of its flags."""
     arguments = {}
@@ -103,7 +130,7 @@ class Parser(argparse.ArgumentParser):
     def add_fields(self, fields: Fields) -> None:
         """Adds the flags of a dataclass."""
         for field, owner in flags_of(fields):
-            names, settings = field.metadata["names"], field.metadata["settings"]
+            names, settings = field.metadata["names"], getattr(owner, "SETTINGS", {}) | settings_of(field)
             if names == ("",):
                 names = (field.name,)
             else:

@@ -2,15 +2,29 @@
 
 import argparse
 import dataclasses
+import json
 from pathlib import Path
 from typing import Any, ClassVar
 
-from ._groups import WHAT_MOVES, Group, Job
-from ._parser import Fields, flag, part, positional, several, switch
-from ._parts import SEVERAL, Boundary, Gates, Method, Speech
+import jaxmorph as jm
+from jaxmorph._advice.methods import METHODS
+
+from ._parser import Fields, flag, one_of, part, positional, several, switch
 
 MESH = "a mesh file (.su2, .vtu, .vtk, .msh, .cgns, .med, .exo, .e, .xyz, .p3d ...) or an OpenFOAM case"
 ZONE = "of an SU2 file with several zones the zone IZONE= N alone; all others are written as they are"
+WHAT_MOVES = 'patches that move: names, or patterns as "wing.*"'
+NAMES = [entry.name for entry in METHODS]
+
+Table = dict[str, Any]
+
+
+def table(word: str) -> Path | Table:
+    """Reads the name of a TOML file, or its table as JSON."""
+    try:
+        return json.loads(word) if word.lstrip().startswith("{") else Path(word)
+    except (json.JSONDecodeError, RecursionError) as error:
+        raise argparse.ArgumentTypeError(f"not a table in JSON ({error})") from None
 
 
 def _output(name: str) -> Path:
@@ -40,21 +54,191 @@ def _change(word: str) -> tuple[str, tuple[float, ...]]:
     return name, values
 
 
-CHANGES: dict[str, Any] = {
-    "metavar": "NAME=NUMBER[,...]",
-    "nargs": "+",
-    "action": "extend",
-    "type": _change,
-    "default": (),
-}
+CHANGES: dict[str, Any] = {"metavar": "NAME=NUMBER[,...]", "nargs": "+", "action": "extend", "type": _change}
 CHANGES_HELP = "new values of design variables, such as twist=2 or 'box[1,2,0]=0.1'"
+
+
+def _patches(what: str, *names: str, **settings: Any) -> Any:
+    return flag(what, *names, **{"default": (), "metavar": "NAME", "nargs": "+", "action": "extend"} | settings)
+
+
+class Moving(argparse.Action):
+    """Begins a group; motion flags before the first `--moving` belong to it."""
+
+    def __call__(self, parser, namespace, values: Any, option_string=None):
+        groups = _groups(namespace)
+        if groups and not groups[-1].patches:
+            groups[-1].patches = tuple(values)
+        else:
+            groups.append(Group(tuple(values)))
+
+
+class InGroup(argparse.Action):
+    """Sets one field of the last group."""
+
+    def __call__(self, parser, namespace, values: Any, option_string=None):
+        groups = _groups(namespace)
+        if not groups:
+            groups.append(Group())
+        group = groups[-1]
+        if self.dest == "mode":
+            group.mode = (*group.mode, _mode(parser, values))
+            return
+        if self.dest in group.flags:
+            parser.error(f"{option_string} twice for one --moving. Begin another motion of the patches by --moving.")
+        group.flags.add(self.dest)
+        setattr(group, self.dest, values)
+
+
+def _groups(namespace: argparse.Namespace) -> "list[Group]":
+    if "groups" not in namespace:
+        namespace.groups = []
+    return namespace.groups
+
+
+def _mode(parser: argparse.ArgumentParser, values: Any) -> tuple[str, float]:
+    file, amplitude = values
+    try:
+        return file, float(amplitude)
+    except ValueError:
+        parser.error(f"argument --mode: the amplitude of {file} is a number, found {amplitude!r}.")
+
+
+@dataclasses.dataclass
+class Group:
+    """Patches that move and their motion: `--moving` and the flags after it."""
+
+    SECTION: ClassVar = "motion of the patches of the last --moving (at least one flag)"
+    SETTINGS: ClassVar = {"action": InGroup}
+
+    patches: tuple[str, ...] = _patches(WHAT_MOVES, "--moving", section="surface", everyday=True, action=Moving)
+    displacement: Path | None = flag("new positions: node id, x, y[, z]; .npz, .stl, .obj", everyday=True)
+    displacement_from: Path | None = flag(
+        "the undeformed surface (.stl, .obj, .npz), if --displacement is a deformed one"
+    )
+    displacement_is: str = flag(
+        "whether x, y[, z] of the file are new positions (default) or displacements",
+        choices=("position", "displacement"),
+        default="position",
+    )
+    mode: tuple[tuple[str, float], ...] = flag(
+        "a file of displacements, and a factor; may be repeated", metavar=("FILE", "AMPLITUDE"), nargs=2, default=()
+    )
+    box: Path | Table | None = flag("a free-form deformation box, see below", type=table, metavar="FILE")
+    hicks_henne: Path | Table | None = flag(
+        "bumps of Hicks and Henne on an airfoil's sides, see below", type=table, metavar="FILE"
+    )
+    cst: Path | Table | None = flag(
+        "class and shape functions to add to its sides, see below", type=table, metavar="FILE"
+    )
+    lattice: Path | None = flag(
+        "write the lattice of the box for ParaView: FILE_before.vts, FILE_after.vts", metavar="FILE.vts"
+    )
+    scale: list[float] | None = flag("factor, or a factor for each coordinate", metavar="S")
+    twist: float | None = flag(
+        "degrees by which the end of the line --along turns about the line, 3-D only", metavar="DEG"
+    )
+    bend: float | None = flag(
+        "degrees of the arc that the line --along becomes, towards the cross product of --axis and --along",
+        metavar="DEG",
+    )
+    rotate: float | None = flag("degrees, counterclockwise; right-handed about --axis", metavar="DEG", everyday=True)
+    translate: list[float] | None = flag("vector to translate by", everyday=True)
+    about: list[float] | None = flag("centre of scaling, twist, bend, rotation (the origin)", everyday=True)
+    axis: list[float] | None = flag("axis of rotation and bend, 3-D only", everyday=True)
+    along: list[float] | None = flag("direction of the line from --about, for twist and bend")
+    length: float | None = flag("length of the line (default: up to the end of the patches)", metavar="L")
+    name: str | None = flag("name of this motion for --set (default: its patches)", metavar="NAME")
+    flags: set[str] = dataclasses.field(default_factory=set, repr=False, compare=False)
+
+    @property
+    def title(self) -> str:
+        return ", ".join(self.patches)
+
+
+MOTIONS = ("rotate", "translate", "scale", "bend", "twist", "mode", "displacement", "box", "hicks_henne", "cst")
+"""The fields of a group that move something."""
+
+
+@dataclasses.dataclass(frozen=True)
+class BoundaryFlags:
+    """Patches by what they do: names, patterns or groups."""
+
+    SECTION: ClassVar = "surface"
+
+    fixed: tuple[str, ...] = _patches("patches that stay", everyday=True)
+    symmetry: tuple[str, ...] = _patches("plane patches in which nodes slide", everyday=True)
+    sliding: tuple[str, ...] = _patches("patches whose nodes slide along their faces")
+    periodic: tuple[str, ...] = _patches("pairs of patches that repeat each other, one name after the other")
+    free: tuple[str, ...] = _patches("patches whose nodes follow like inner nodes")
+
+
+@dataclasses.dataclass(frozen=True)
+class Method:
+    """The method by its name, its number of sources, and the precision.
+
+    With None the method has its own number of sources on the moving patches.
+    """
+
+    SECTION: ClassVar = "method"
+
+    method: str = flag(
+        "one of the methods listed below",
+        metavar="NAME",
+        choices=NAMES,
+        type=one_of("method", NAMES),
+        default="default",
+    )
+    sources: int | None = flag("about how many nodes of the moving patches are sources", everyday=True)
+    dtype: str = flag(
+        "precision of the calculation; float32 takes half the memory, and is too coarse for boundary layers",
+        choices=("float64", "float32"),
+        default="float64",
+    )
+
+
+@dataclasses.dataclass(frozen=True)
+class Gates:
+    """Limits of quality, by the names of their flags."""
+
+    SECTION: ClassVar = "quality gates"
+
+    max_aspect_ratio: float | None = flag("largest aspect ratio")
+    max_non_orthogonality: float | None = flag("largest non-orthogonality in degrees")
+    max_skewness: float | None = flag("largest skewness of a cell, 0 to 1")
+    max_face_skewness: float | None = flag("largest skewness of a face, as checkMesh measures it")
+    max_face_aspect_ratio: float | None = flag("largest aspect ratio from areas of faces, as checkMesh measures it")
+    min_jacobian_ratio: float | None = flag("smallest corner Jacobian over its initial value")
+    proven: bool = switch(
+        "every cell is proven to fold nowhere inside, by bounds on det J: during the whole motion, or in a mesh alone"
+    )
+    preset: str | None = flag(
+        "limits of OpenFOAM's checkMesh, by its own measures: aspect ratio 1000, 70 degrees, skewness 4",
+        choices=("checkmesh",),
+    )
+
+    @property
+    def limits(self) -> "jm.Limits":
+        """The preset's limits, replaced by those of flags."""
+        flags = {name: limit for name, limit in vars(self).items() if name != "preset" and limit not in (None, False)}
+        return dataclasses.replace(jm.Limits.checkmesh() if self.preset else jm.Limits(), **flags)
+
+
+@dataclasses.dataclass(frozen=True)
+class Speech:
+    """Flags of how a command speaks."""
+
+    SECTION: ClassVar = "output"
+
+    json: bool = switch("print one JSON object in place of text")
+    verbose: bool = switch("print how long each stage took")
 
 
 @dataclasses.dataclass(frozen=True)
 class Deform:
     """Request of `jaxmorph deform`; `set` are changes to the motion, by name."""
 
-    file: Path = positional(MESH, "IN", type=Path)
+    file: Path = positional(MESH, "IN")
     output: Path = positional(
         "the new mesh, in the format of its ending; for an OpenFOAM case a new folder, or CASE/TIME",
         "OUT",
@@ -63,24 +247,23 @@ class Deform:
     decomposed: bool = switch(
         "IN is a decomposed OpenFOAM case: move its folders processor* one by one, or several at a time under mpiexec"
     )
-    job: Path | None = flag("read the flags from a TOML file", metavar="FILE", type=Path, action=Job)
-    save_job: Path | None = flag("write a TOML file with the flags of this run", metavar="FILE", type=_output)
+    job: Path | None = flag("read the flags from a TOML file")
+    save_job: Path | None = flag("write a TOML file with the flags of this run", type=_output)
     picture: Path | None = flag(
         "draw the mesh before and after (.png); in 3-D also as a page to turn and deform (.html)",
-        metavar="FILE",
         type=_output,
         everyday=True,
     )
-    zone: int | None = flag(ZONE, metavar="N", type=int)
+    zone: int | None = flag(ZONE)
     groups: tuple[Group, ...] = several(Group)
-    boundary: Boundary = part(Boundary)
-    set: tuple[tuple[str, tuple[float, ...]], ...] = flag(CHANGES_HELP, section="design variables", **CHANGES)
+    boundary: BoundaryFlags = part(BoundaryFlags)
+    set: tuple[tuple[str, tuple[float, ...]], ...] = flag(
+        CHANGES_HELP, default=(), section="design variables", **CHANGES
+    )
     method: Method = part(Method)
-    steps: int = flag("number of steps (default 1)", metavar="N", type=int, default=1, section="method", everyday=True)
+    steps: int = flag("number of steps (default 1)", default=1, section="method", everyday=True)
     chunk: int | None = flag(
         "prepare and move N points at a time: less memory until the cells are judged, a little more time",
-        metavar="N",
-        type=int,
         section="method",
     )
     gates: Gates = part(Gates)
@@ -107,29 +290,23 @@ class Modes:
 
     run: ClassVar = "_modes.modes"
 
-    file: Path = positional(MESH, "IN", type=Path)
+    file: Path = positional(MESH, "IN")
     output: Path = positional(
         "a time series OUT.pvd of .vtu files; with another ending one file a case, OUT_0001, OUT_0002, ...",
         "OUT",
         type=_output,
     )
-    moving: tuple[str, ...] = flag(WHAT_MOVES, section="surface", everyday=True, action="extend", **SEVERAL)
-    boundary: Boundary = part(Boundary)
+    moving: tuple[str, ...] = _patches(WHAT_MOVES, section="surface", everyday=True)
+    boundary: BoundaryFlags = part(BoundaryFlags)
     mode: tuple[Path, ...] = flag(
         "displacements of the moving nodes: rows of node id, x, y[, z], or .npz",
-        metavar="FILE",
-        type=Path,
-        nargs="+",
         required=True,
-        default=(),
         section="shapes",
         everyday=True,
     )
     amplitude: tuple[float, ...] = flag(
         "factors for each mode (default 1)",
         metavar="A",
-        type=float,
-        nargs="+",
         default=(1.0,),
         section="shapes",
         everyday=True,
@@ -146,24 +323,21 @@ class Sensitivity:
 
     run: ClassVar = "_sensitivity.sensitivity"
 
-    file: Path = positional(MESH, "IN", type=Path)
+    file: Path = positional(MESH, "IN")
     sensitivity: Path = positional(
         "dJ/d(points) of all nodes: SU2's, OpenFOAM's, rows of node id and dJ/dx, dJ/dy[, dJ/dz], or .npz",
         "SENS",
-        type=Path,
     )
     output: Path = positional(
         "where to write dJ/d(moving nodes): .csv or .npz; with --job .csv or .json", "OUT", type=_output
     )
     job: Path | None = flag(
         "a job of deform: take derivatives by its design variables (leave IN out)",
-        metavar="FILE",
-        type=Path,
         everyday=True,
     )
-    set: tuple[tuple[str, tuple[float, ...]], ...] = flag(CHANGES_HELP, **CHANGES)
-    moving: tuple[str, ...] = flag(WHAT_MOVES, section="surface", everyday=True, action="extend", **SEVERAL)
-    boundary: Boundary = part(Boundary)
+    set: tuple[tuple[str, tuple[float, ...]], ...] = flag(CHANGES_HELP, default=(), **CHANGES)
+    moving: tuple[str, ...] = _patches(WHAT_MOVES, section="surface", everyday=True)
+    boundary: BoundaryFlags = part(BoundaryFlags)
     method: Method = part(Method)
     speech: Speech = part(Speech)
 
@@ -179,11 +353,10 @@ class SU2:
         "ACTION",
         choices=("def", "dot"),
     )
-    file: Path = positional("SU2's config file; the files it names are relative to its folder", "CONFIG", type=Path)
+    file: Path = positional("SU2's config file; the files it names are relative to its folder", "CONFIG")
     sensitivity: Path | None = flag(
         "dot: dJ/d(nodes) of the volume or of the wall (default: the file that the config names)",
         metavar="SENS",
-        type=Path,
     )
     output: Path | None = flag(
         "where to write (default as the config file says)", "--output", "-o", metavar="OUT", type=_output
@@ -200,10 +373,10 @@ class Quality:
 
     run: ClassVar = "_inspect.quality"
 
-    file: Path = positional(MESH, "FILE", type=Path)
-    moved: Path | None = positional("the same mesh, deformed", "FILE2", nargs="?", type=Path)
+    file: Path = positional(MESH, "FILE")
+    moved: Path | None = positional("the same mesh, deformed", "FILE2", nargs="?")
     proof: bool = switch("prove that cells fold nowhere inside, or show where they do")
-    zone: int | None = flag("of SU2 files with several zones the zone IZONE= N", metavar="N", type=int)
+    zone: int | None = flag("of SU2 files with several zones the zone IZONE= N")
     gates: Gates = part(Gates)
     speech: Speech = part(Speech)
 
@@ -214,7 +387,7 @@ class Info:
 
     run: ClassVar = "_inspect.info"
 
-    file: Path = positional(MESH, "FILE", type=Path)
+    file: Path = positional(MESH, "FILE")
     speech: Speech = part(Speech)
 
 
@@ -224,13 +397,12 @@ class Demo:
 
     run: ClassVar = "_inspect.demo"
 
-    case: str = positional("naca0015 (default) or agard445", "CASE", nargs="?", default="naca0015")
+    case: str = positional("naca0015 (default)", "CASE", nargs="?", default="naca0015")
     output: Path = flag(
         "where to write (default jaxmorph-demo)",
         "--output",
         "-o",
         metavar="DIR",
-        type=Path,
         default=Path("jaxmorph-demo"),
     )
 

@@ -8,13 +8,11 @@ import numpy as np
 import jaxmorph as jm
 from jaxmorph import io, shapes
 
-from ._early import job_of
+from ._job import job_of
 from ._method import patches_of
 from ._motion import Motion, motion
-from ._output import Output, title
+from ._output import LISTED, Output, coordinates, count, steepest, title
 from ._requests import Sensitivity
-from ._summary import coordinates, count
-from ._tables import LISTED, steepest
 
 
 def sensitivity(request: Sensitivity, out: Output) -> int:
@@ -31,7 +29,7 @@ def sensitivity(request: Sensitivity, out: Output) -> int:
         return _of_surface(request, np.asarray(mesh.points, float), moving, moves, sensitivity, out)
     with out.progress("preparing"):
         choice = patches.method((job or request).method)
-        plan = patches.plan(choice)
+        _, plan = next(patches.chunks(choice.method))
     out.say(f"{title(request.file)}: {len(mesh.points)} points, {count(len(moving), 'moving node')}")
     out.say(f"method   {choice.name}", points=len(mesh.points), method=choice.name)
     if job is None or moves is None:

@@ -13,12 +13,9 @@ from jaxmorph._kernels.compile import quickly_compiled
 from jaxmorph.integrations import su2
 
 from ._deform import SMALL
-from ._judged import Judged
 from ._method import NamedMethod, named_method
-from ._output import Output, title
+from ._output import Output, count, steepest, title
 from ._requests import SU2
-from ._summary import Summary, count
-from ._tables import faults, steepest, table
 
 
 def run(request: SU2, out: Output) -> int:
@@ -74,10 +71,10 @@ def _deform(request: SU2, config: su2.Config, out: Output) -> int:
         text = f"largest  {config.largest:.6g}, {config.share:.3g} times the length of what moves"
         out.say(text, largest=config.largest, share=config.share)
         with out.progress("preparing"):
-            base = mesh.moved(points.astype(choice.dtype, copy=False))
+            base = mesh.moved(points.astype(request.method.dtype, copy=False))
             plan = jm.prepare(base, config.moving, config.fixed, method=choice.method, symmetry=config.symmetry)
         with out.progress(f"deforming in {count(config.steps, 'step')}"):
-            points = np.asarray(jm.march(plan, config.path.astype(choice.dtype))[1], float)
+            points = np.asarray(jm.march(plan, config.path.astype(request.method.dtype))[1], float)
         status = _judge(request, mesh, io.as_written(output, mesh.moved(points)), output, out)
     if status and not request.allow_inverted:
         return status
@@ -99,15 +96,14 @@ def _method(request: SU2, config: su2.Config) -> NamedMethod:
 
 def _judge(request: SU2, mesh: jm.Mesh, points: np.ndarray, output: Path, out: Output) -> int:
     with out.progress("judging the cells"):
-        undeformed = Judged(mesh, mesh.points)
-        before, after = Summary.from_judged(undeformed, {}), Summary.from_judged(Judged(mesh, points, undeformed), {})
-    out.say(f"\n{table(before, after)}\n", before=before.facts, after=after.facts)
-    bad = faults(before, after)
-    if bad:
-        out.complain(bad[0])
-        if not request.allow_inverted:
-            out.complain(f"{output} is not written; --allow-inverted writes it anyway.")
-    return 1 if bad else 0
+        verdict = jm.judge(mesh, points)
+    assert verdict.before is not None
+    out.say(f"\n{verdict.table()}\n", before=verdict.before.facts, after=verdict.facts)
+    for sentence in verdict.faults():
+        out.complain(sentence)
+    if not verdict.ok and not request.allow_inverted:
+        out.complain(f"{output} is not written; --allow-inverted writes it anyway.")
+    return 0 if verdict.ok else 1
 
 
 def _project(request: SU2, config: su2.Config, out: Output) -> int:

@@ -1,44 +1,61 @@
-"""The way of a motion: the points at which its steps end, and what is proven of it."""
+"""A motion of a mesh: its points step by step, the verdict on them, and their file."""
 
+import contextlib
 import dataclasses
-from collections.abc import Iterator, Sequence
+import functools
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import ArrayLike, Float, Int
 
 import jaxmorph as jm
 from jaxmorph import Mesh, io
+from jaxmorph._host.package.cores import Beside, cores
+from jaxmorph._host.package.files import appearing_if
+
+from ._output import Output, wrapped
+from ._parser import flag_of
+
+PROVEN = "min_proven_margin"
+"""The limit that `--proven` sets."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Way:
-    """Points (n, d) at which the steps of a motion end, the last one last.
+    """The motion of a mesh, and the file that the moved mesh becomes.
 
-    The last ones are as the written file will hold them, rounded where it is in single precision.
-
-    - `is_straight`: nodes move along straight lines from one end to the next, for the plan is
-      linear.
-    - `moved` (n, d): the last points before they are written.
+    - `mesh`: the undeformed mesh.
+    - `ends`: points (n, d) after each step, in double precision.
+    - `is_straight`: nodes move along straight lines in each step, for the plan is linear.
     """
 
+    path: Path
+    mesh: Mesh
     ends: tuple[Float[np.ndarray, "n d"], ...]
     is_straight: bool
-    moved: Float[np.ndarray, "n d"]
 
-    @classmethod
-    def into(cls, path: Path, mesh: Mesh, ends: Sequence[np.ndarray], is_straight: bool) -> "Way":
-        """Makes the way of a motion whose last points will be written to a file."""
-        stored = io.as_written(path, mesh.moved(ends[-1]))
-        return cls((*ends[:-1], stored), is_straight, ends[-1])
+    @functools.cached_property
+    def stored(self) -> Float[np.ndarray, "n d"]:
+        """The last points as the file holds them, rounded where it is in single precision."""
+        return io.as_written(self.path, self.mesh.moved(self.ends[-1]))
 
-    def proofs(self, mesh: Mesh) -> list[jm.Proof]:
-        """Proves each step at all of its instants; where it ends if nodes leave straight lines."""
-        starts = (mesh.points, *self.ends)
-        bases = starts if self.is_straight else [None] * len(starts)
-        return [jm.proof(mesh, end, base=base) for base, end in zip(bases, self.ends, strict=False)]
+    def judge(self, limits: jm.Limits, before: jm.Verdict | None = None, part: int | None = None) -> jm.Verdict:
+        motion: dict[str, Any] = {"steps": self.ends[:-1], "is_straight": self.is_straight}
+        return jm.judge(self.mesh, self.stored, limits, before=before, part=part, **motion)
+
+    def write(self, verdict: Callable[[], jm.Verdict]) -> None:
+        """Writes the moved mesh; a format that holds arrays waits for the verdict on its cells."""
+        moved = self.mesh.moved(self.ends[-1])
+        if io.check_output(self.path, self.mesh):
+            corners = verdict().corners
+            assert corners is not None
+            io.write_moved(self.path, self.mesh, moved, corners)
+        else:
+            io.write(self.path, moved)
 
 
 def followed(plan: jm.Plan, path: Any) -> Iterator[jax.Array]:
@@ -51,8 +68,67 @@ def followed(plan: jm.Plan, path: Any) -> Iterator[jax.Array]:
     yield end
 
 
+def in_double(
+    base: Float[np.ndarray, "n d"],
+    moved: Float[ArrayLike, "n d"],
+    nodes: Int[np.ndarray, " m"],
+    u: Float[np.ndarray, "m d"],
+    is_exact: bool,
+) -> Float[np.ndarray, "n d"]:
+    """Converts moved points to double precision.
+
+    Nodes that do not move in single precision keep all their digits.
+    """
+    moved = np.asarray(moved)
+    if moved.dtype == np.float64:
+        return moved
+    points = base + (moved.astype(float) - base.astype(moved.dtype).astype(float))
+    if is_exact:
+        points[nodes] = base[nodes] + u
+    return points
+
+
+@contextlib.contextmanager
+def writing(write: Callable[..., None], *arguments: Any) -> Iterator[Callable[[], None]]:
+    """Writes a file beside what comes next; it appears when the yielded function is called.
+
+    With one core all is written then. A block that ends without that call leaves no file.
+    """
+    is_wanted: Future[bool] = Future()
+    with appearing_if(is_wanted.result):
+        call = Beside(write, *arguments)
+
+    def finish() -> None:
+        is_wanted.set_result(True)
+        call.result()
+
+    try:
+        yield finish
+    finally:
+        if not is_wanted.done():
+            is_wanted.set_result(False)
+        if cores() > 1:
+            with contextlib.suppress(Exception):  # a fault of a file that nobody wants, or that `finish` has told
+                call.result()
+
+
+def faults(verdict: jm.Verdict) -> list[str]:
+    """Lists what is wrong, with limits by their flags."""
+    return verdict.faults(lambda gate: "--proven" if gate.name == PROVEN else f"{flag_of(gate.name)} {gate.limit:g}")
+
+
+def say_proven(verdict: jm.Verdict, is_straight: bool, steps: int, out: Output) -> None:
+    """Says how many cells the gate `--proven` has proven, and for which instants of the motion."""
+    beyond = [gate.beyond for gate in verdict.gates if gate.name == PROVEN]
+    if not beyond:
+        return
+    valid = verdict.cells - beyond[0]
+    wrapped(out, f"proven: {valid} of {verdict.cells} cells fold nowhere inside, {instants(is_straight, steps)}.")
+    out.say(proven={"cells": valid, "steps": steps, "on_the_way": is_straight})
+
+
 def instants(is_straight: bool, steps: int) -> str:
-    """Writes for which instants of a motion `Way.proofs` holds."""
+    """Writes for which instants of a motion `--proven` holds."""
     if is_straight:
         return "at every instant of the motion" + (f", step by step in {steps} steps" if steps > 1 else "")
     end = f"where each of {steps} steps ends" if steps > 1 else "where the motion ends"

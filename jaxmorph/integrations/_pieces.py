@@ -8,11 +8,11 @@ import numpy as np
 import jaxmorph as jm
 from jaxmorph._host.cells.topology import CORNERS, solid
 from jaxmorph._host.package.arguments import shown
-from jaxmorph._host.package.orders import rows_in as rows_in
 from jaxmorph._host.package.ranks import Agreement as Agreement
 from jaxmorph._host.package.ranks import together as together
-from jaxmorph._host.surface.closest import closest as closest
-from jaxmorph._host.surface.closest import fans as fans
+from jaxmorph._host.package.rounding import rows_in as rows_in
+from jaxmorph._host.surface.gaps import closest as closest
+from jaxmorph._host.surface.gaps import fans as fans
 from jaxmorph._kernels.compile import float64_mode as float64_mode
 
 

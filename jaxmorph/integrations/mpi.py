@@ -15,10 +15,8 @@ import numpy as np
 from jaxtyping import ArrayLike, Bool, Float, Int, Real
 
 import jaxmorph as jm
-from jaxmorph._host.package.arguments import check
 
 from ._pieces import Agreement, check_comm, faces_of, numbers_of, owned, rows_in, surface_of, together
-from ._summary import Summary as Summary
 
 
 @dataclasses.dataclass(frozen=True)
@@ -97,10 +95,17 @@ class Piece:
             raise ValueError(f"{torn} moving nodes are displaced differently by the processes that share them.")
         return whole
 
-    def summary(self, report: jm.QualityReport) -> Summary:
-        """Sums up reports, `quality(piece, points)`, of all pieces: each cell is in one."""
-        together(self.comm, lambda: check("report", report, jm.QualityReport, Piece.summary))
-        return Summary.gathered(self.comm, report)
+    def judge(
+        self, mesh: jm.Mesh, points: Real[ArrayLike, "n d"] | None = None, limits: jm.Limits | None = None
+    ) -> jm.Verdict:
+        """Judges all pieces, each cell of which is in one: the same `Verdict` in every process.
+
+        `mesh`, `points` and `limits` are as `jaxmorph.judge` takes them, of this piece. Faces
+        between two pieces are not judged. It raises `ValueError`, in every process, as
+        `jaxmorph.judge` does.
+        """
+        verdict = together(self.comm, lambda: jm.judge(mesh, points, limits, part=self.comm.rank))
+        return jm.Verdict.together(self.comm.allgather(verdict))
 
 
 def prepare(

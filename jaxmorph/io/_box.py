@@ -9,8 +9,9 @@ from jaxtyping import Float
 
 from jaxmorph._host.package.arguments import checked
 from jaxmorph._host.package.files import input_path
-from jaxmorph._host.package.toml import read
 from jaxmorph.shapes import FreeForm, Hexahedron
+
+from .._host.package.text import read
 
 PLACES = ("low", "high"), ("corners",)
 """Names that say where a box lies: two corners of one along the axes, or all of them."""

@@ -11,9 +11,10 @@ import numpy as np
 from jaxtyping import PyTree
 
 from jaxmorph._host.package.arguments import checked
-from jaxmorph._host.package.endings import GRADIENTS
 from jaxmorph._host.package.files import complete, output_path
 from jaxmorph.shapes import names
+
+from .._host.package.text import GRADIENTS
 
 
 @checked

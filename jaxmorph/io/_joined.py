@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from jaxmorph._host.cells.pairs import columns_of, is_single, sorted_columns
 from jaxmorph._host.cells.topology import DIMENSION
 from jaxmorph._mesh.arrays import checked_parts
 from jaxmorph._mesh.exchange import Parts
 
+from .._host.cells.adjacency import columns_of, is_single, sorted_columns
 from ._rounding import Held
 from ._structured import open_faces, shared_nodes
 

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from .._host.package.arguments import checked, finite_array
-from .._host.package.endings import LATTICES
 from .._host.package.files import complete, output_path
+from .._host.package.text import LATTICES
 from .._mesh.exchange import imported
 
 

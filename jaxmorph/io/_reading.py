@@ -6,11 +6,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from jaxmorph._host.cells.topology import HIGH_ORDER, repeated_cells
-from jaxmorph._host.package.endings import MESHES, is_folder
+from jaxmorph._host.cells.adjacency import repeated_cells
+from jaxmorph._host.cells.topology import HIGH_ORDER
 from jaxmorph._host.package.errors import place_of, warn
 from jaxmorph._mesh.exchange import Parts, numbers_of_cells
 
+from .._host.package.text import MESHES, is_folder
 from ._format import Format, Source
 
 FORMATS = (

@@ -19,10 +19,10 @@ from ._rounding import warn_of_loss
 def read(path: str | os.PathLike[str]) -> Mesh:
     """Reads the mesh in a file or an OpenFOAM case.
 
-    Files are SU2 (.su2), VTK (.vtu, .vtk, .vts, .vtp, .pvtu, .vtm), gmsh (.msh), CGNS (.cgns), MFEM
-    (.mesh), MED (.med), Exodus (.e, .exo, .ex2, .exoii, .g) and PLOT3D (.xyz, .p3d, .p3dfmt, .x,
-    .g). Of an OpenFOAM case `path` is its folder, or a time folder. VTK, gmsh, CGNS, MED and Exodus
-    need the extra `io`.
+    Files are SU2 (.su2), VTK (.vtu, .vtk, .vts, .vtp, .pvtu, .vtm), gmsh (.msh), CGNS (.cgns) and
+    MFEM (.mesh). Others are MED (.med), Exodus (.e, .exo, .ex2, .exoii, .g) and PLOT3D (.xyz, .p3d,
+    .p3dfmt, .x, .g). Of an OpenFOAM case `path` is its folder, or a time folder. VTK, gmsh, CGNS,
+    MED and Exodus need the extra `io`.
 
     Coordinates are float64, in the units and the order of the file. A mesh of 2-D cells has two
     coordinates when all z of the file are equal. Patches are

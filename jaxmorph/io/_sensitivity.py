@@ -9,10 +9,10 @@ from jaxtyping import Float, Int
 
 from jaxmorph import Mesh
 from jaxmorph._host.package.arguments import checked, finite_array, rows_of
-from jaxmorph._host.package.endings import SENSITIVITIES
 from jaxmorph._host.package.files import complete, input_path, output_path, read_arrays, real_array
-from jaxmorph._host.package.orders import rows_in
 
+from .._host.package.rounding import rows_in
+from .._host.package.text import SENSITIVITIES
 from ._surface import read_table
 from .openfoam.field import is_foam_file, read_point_vectors
 

@@ -7,8 +7,8 @@ import re
 import numpy as np
 
 from jaxmorph._host.package.files import read_arrays, real_array
-from jaxmorph._host.surface.closest import closest, fans
 
+from .._host.surface.gaps import closest, fans
 from .text.sections import parse, scan
 
 

@@ -1,19 +1,18 @@
 """Curves: histograms of quality, and the error on the surface by the number of sources."""
 
-import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
 
 import jaxmorph as jm
-from jaxmorph._host.package.arguments import checked, finite_array
+from jaxmorph._host.package.arguments import checked
 from jaxmorph._quality.report import MEASURES
 from jaxmorph.shapes import History
 
-from ._cells import Axes, given_or_new, legend_above
-from ._sources import of_plan, radial_basis_functions
+from ._plane import Axes, given_or_new, legend_above
+from ._sources import SurfaceErrors
 from ._style import BLUE, DARK, GREEN, GREY, ORANGE, RULE
 
 
@@ -56,62 +55,6 @@ def _of_cells(report: jm.QualityReport, measure: str) -> Float[np.ndarray, " k"]
     """Selects the finite values of the cells of the highest dimension."""
     values = np.asarray(getattr(report, measure))
     return values[report.counted & np.isfinite(values)]
-
-
-@dataclasses.dataclass(frozen=True)
-class SurfaceErrors:
-    """Misses of reduced radial functions on a moving surface, by reduction: `surface_errors`.
-
-    `sources` counts moving and fixed sources. `largest` and `mean` are the distances of moving
-    nodes from where they should be, relative to the largest displacement.
-    """
-
-    sources: Int[np.ndarray, " r"]
-    largest: Float[np.ndarray, " r"]
-    mean: Float[np.ndarray, " r"]
-
-
-@checked
-def surface_errors(plan: jm.Plan, u: Float[Any, "m d"], reductions: Sequence[jm.AbstractReduction]) -> SurfaceErrors:
-    """Measures, on the host, how far a plan's radial functions alone miss `u` (m, d).
-
-    The basis, the polynomial and the reduction of the fixed nodes are the plan's. Each reduction
-    costs one dense solve, and needs no volume mesh.
-
-    **Arguments:**
-
-    - `plan`: a plan with radial basis functions.
-    - `u`: displacements (m, d) of the moving nodes, in the mesh's unit.
-    - `reductions`: reductions of the moving nodes, such as `[jm.KDTree(leaves) for leaves in (1, 4,
-      16, 64)]`.
-
-    **Returns:** a `SurfaceErrors`.
-
-    **Raises:** `ValueError` for a plan without radial basis functions, for a `u` that is not (m, d)
-    or is zero, and for no `reductions`. Also what `prepare` raises for one of them.
-    """
-    rbf = radial_basis_functions(plan)
-    points, m = np.asarray(plan.points), plan.n_moving
-    u = finite_array("u", u, (m, points.shape[1])).astype(points.dtype)
-    if not np.any(u):
-        raise ValueError("`u` is zero: every reduction follows it.")
-    if not len(reductions):
-        raise ValueError("`reductions` is empty: name at least one, such as jm.KDTree(16).")
-    boundary = plan.boundary
-    nodes, planes = boundary.nodes, boundary.planes
-    if planes:  # of the volume only the nodes that tell where the planes are
-        nodes = np.union1d(nodes, np.flatnonzero(np.any([plane.holds(points) for plane in planes], axis=0)))
-    part = boundary.part(np.unique(nodes))
-    target = points[np.asarray(plan.moving)] + u
-    rows = []
-    for reduction in reductions:
-        method = jm.RBF(rbf.basis, reduction, rbf.fixed_reduction, rbf.degree)
-        reduced = jm.prepare(part, method=method)
-        missed = np.linalg.norm(np.asarray(jm.deform(reduced, u))[np.asarray(reduced.moving)] - target, axis=1)
-        rows.append((len(of_plan(reduced)[1]), missed.max(), missed.mean()))
-    number, largest, mean = (np.array(column) for column in zip(*rows, strict=True))
-    size = np.linalg.norm(u, axis=1).max()
-    return SurfaceErrors(number, largest / size, mean / size)
 
 
 @checked

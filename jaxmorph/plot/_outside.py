@@ -1,37 +1,47 @@
-"""The outside of 3-D meshes, and their cells near a plane, for pyvista."""
+"""The outside of 3-D meshes, and their cells near a plane, for pyvista; curved cells in pieces."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float, Int
 
 import jaxmorph as jm
 
-from .._host.cells.pieces import owned_sides
-from .._host.cells.topology import DIMENSION, VTK, solid
-from ._curved import refined, segments
-from ._style import cell_values, finite
-from ._view import pyvista
+from .._host.cells.lagrange import lagrange_types, node_keys, of_order
+from .._host.cells.pieces import owned_sides, places_of, steps_of
+from .._host.cells.topology import CORNERS, DIMENSION, SHAPES, solid
+from ._style import SEGMENTS, cell_values, finite
+
+PIECES = 1_000_000
+"""Pieces that a picture has about at most: edges of large meshes have fewer."""
 
 NOTHING = "there is nothing to draw: the plane cuts no cell."
 
 
+def pyvista() -> Any:
+    """Imports the package; the `ImportError` names what to install."""
+    try:
+        import pyvista
+    except ImportError as error:
+        raise ImportError("pictures in 3-D need pyvista: pip install 'jaxmorph[plot]'") from error
+    return pyvista
+
+
+def lines_of(points: Any, ids: np.ndarray) -> Any:
+    return pyvista().PolyData(points, lines=np.insert(ids, 0, 2, axis=1).ravel())
+
+
 def outlines(section: Any) -> Any:
     """Returns a section's cell edges for pyvista, without edges between two pieces of a cell."""
-    labels, starts = corners_of(section)
+    cells = section.cast_to_unstructured_grid().GetCells()
+    labels, starts = (pyvista().convert_array(part()) for part in (cells.GetConnectivityArray, cells.GetOffsetsArray))
     after = np.roll(labels, -1)
     after[starts[1:] - 1] = labels[starts[:-1]]
     owner = np.repeat(section.cell_data["whole"], np.diff(starts))
     pairs = np.column_stack([np.minimum(labels, after), np.maximum(labels, after), owner])
     edges, counts = np.unique(pairs, axis=0, return_counts=True)
-    edges = np.unique(edges[counts == 1, :2], axis=0)
-    return pyvista().PolyData(section.points, lines=np.insert(edges, 0, 2, axis=1).ravel())
-
-
-def corners_of(faces: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Returns the corners of pyvista's faces, and where each face begins (one more at the end)."""
-    cells = faces.cast_to_unstructured_grid().GetCells()
-    labels, starts = (pyvista().convert_array(part()) for part in (cells.GetConnectivityArray, cells.GetOffsetsArray))
-    return labels, starts
+    return lines_of(section.points, np.unique(edges[counts == 1, :2], axis=0))
 
 
 def outside(mesh: jm.Mesh, points: Any, values: Any, patch: str | None) -> Any:
@@ -45,9 +55,9 @@ def outside(mesh: jm.Mesh, points: Any, values: Any, patch: str | None) -> Any:
         faces = _curved_faces(mesh, points, values, on_patch)
     else:
         grid = grid_of(mesh, points, values)
-        faces = skin(grid) if mesh.polyhedra is None else _polygons(mesh, grid)
-    if on_patch is not None and not mesh.is_curved:
-        faces = faces.extract_points(np.isin(faces.point_data["node"], on_patch), adjacent_cells=False)
+        faces = skin(grid) if mesh.polyhedra is None else _polygons(mesh.polyhedra.faces, grid, mesh.cell_ids)
+        if on_patch is not None:
+            faces = faces.extract_points(np.isin(faces.point_data["node"], on_patch), adjacent_cells=False)
     if faces.n_cells == 0:
         owner = "the mesh" if patch is None else f"patch {patch!r}"
         raise ValueError(f"there is nothing to draw: no face of the outside has all its nodes in {owner}.")
@@ -68,22 +78,17 @@ def skin(grid: Any) -> Any:
     return faces
 
 
-def _polygons(mesh: jm.Mesh, grid: Any) -> Any:
+def _polygons(whole: Any, grid: Any, cell_ids: Any) -> Any:
     """Returns polyhedra's outer faces as in the file, with the mean of their cell's pieces."""
-    assert mesh.polyhedra is not None
-    whole = mesh.polyhedra.faces
     outer = np.flatnonzero(np.append(whole.neighbour, np.full(len(whole.owner) - len(whole.neighbour), -1)) < 0)
     nodes, corners = np.unique(np.concatenate([whole.nodes(k, k + 1) for k in outer.tolist()]), return_inverse=True)
     sizes = whole.sizes[outer]
-    faces = pyvista().PolyData(
-        np.asarray(grid.points)[nodes], np.insert(corners.ravel(), np.cumsum(sizes) - sizes, sizes)
-    )
+    polygons = np.insert(corners.ravel(), np.cumsum(sizes) - sizes, sizes)
+    faces = pyvista().PolyData(np.asarray(grid.points)[nodes], polygons)
     faces.point_data["node"] = nodes
     if "values" in grid.cell_data:
-        cells = np.asarray(mesh.cell_ids)
-        faces.cell_data["values"] = (np.bincount(cells, grid.cell_data["values"]) / np.bincount(cells))[
-            whole.owner[outer]
-        ]
+        mean = np.bincount(cell_ids, grid.cell_data["values"]) / np.bincount(cell_ids)
+        faces.cell_data["values"] = mean[whole.owner[outer]]
     return faces
 
 
@@ -93,18 +98,24 @@ def _places(mesh: jm.Mesh, points: Any) -> np.ndarray:
     return finite(mesh.points if points is None else mesh.moved(np.asarray(points)).points)
 
 
+def grid_of(mesh: jm.Mesh, points: Any, values: Any) -> Any:
+    grid = jm.Mesh(_places(mesh, points), mesh.cells).to_pyvista()
+    if values is not None:
+        grid.cell_data["values"] = cell_values(mesh, values)
+    return grid
+
+
 def _curved_faces(mesh: jm.Mesh, points: Any, values: Any, on_patch: np.ndarray | None) -> Any:
     """Returns outer faces of curved cells in pieces, all or the faces with all nodes on a patch."""
     x, cells = _places(mesh, points), solid(mesh.cells, 3)
     found = owned_sides({kind: np.asarray(ids) for kind, ids in cells.items()}, len(x), on_patch)
-    sides = {kind: ids for kind, (ids, _) in found.items()}
     owner = np.concatenate([owner for _, owner in found.values()])
     if not len(owner):
         return pyvista().PolyData()
-    grid, whole = _pieces(sides, x, segments(sides))
+    grid = _refined({kind: ids for kind, (ids, _) in found.items()}, x)
     if values is not None:
         inside = np.concatenate([np.full(len(ids), kind in cells) for kind, ids in mesh.cells.items()])
-        grid.cell_data["values"] = cell_values(mesh, values)[inside][owner][whole]
+        grid.cell_data["values"] = cell_values(mesh, values)[inside][owner][grid.cell_data["whole"]]
     return skin(grid)
 
 
@@ -121,25 +132,40 @@ def near_plane(mesh: jm.Mesh, points: Any, values: Any, normal: np.ndarray, orig
         first += len(ids)
     if not sum(map(len, chosen.values())):
         raise ValueError(NOTHING)
-    grid, whole = _pieces(chosen, x, segments(chosen))
+    grid = _refined(chosen, x)
     if values is not None:
-        grid.cell_data["values"] = cell_values(mesh, values)[np.concatenate(number)][whole]
+        grid.cell_data["values"] = cell_values(mesh, values)[np.concatenate(number)][grid.cell_data["whole"]]
     return grid
 
 
-def _pieces(cells: Any, points: np.ndarray, m: int) -> tuple[Any, np.ndarray]:
-    """Cuts curved cells into pieces for pyvista; `whole` is the number of each piece's cell."""
-    places, pieces, whole = refined(cells, points, m)
-    grid = pyvista().UnstructuredGrid({VTK[shape]: ids for shape, ids in pieces.items()}, places)
-    grid.cell_data["whole"] = whole
-    return grid, whole
+def _refined(cells: Mapping[str, Int[np.ndarray, "_k _s"]], points: Float[np.ndarray, "n 3"]) -> Any:
+    """Cuts curved cells into linear pieces for pyvista; `whole` is the cell of each piece.
 
-
-def grid_of(mesh: jm.Mesh, points: Any, values: Any) -> Any:
-    """Turns the mesh into pyvista's."""
-    points = _places(mesh, points)
-    pieces = {VTK[kind]: np.asarray(ids) for kind, ids in mesh.cells.items()}
-    grid = pyvista().UnstructuredGrid(pieces, points)
-    if values is not None:
-        grid.cell_data["values"] = cell_values(mesh, values)
+    Neighbours share the points of their common sides, as their corners say.
+    """
+    types = [(lagrange_types()[kind], len(ids)) for kind, ids in cells.items()]
+    order, dimension = max(cell.order for cell, _ in types), max(cell.dimension for cell, _ in types)
+    count = sum(number * cell.order**cell.dimension for cell, number in types)
+    m = order * int(np.clip((PIECES / max(count, 1)) ** (1 / dimension), 1, SEGMENTS))  # pieces of an edge
+    # a point is known by the corners around it and their weights, as in `elevate`
+    kinds = {kind: (np.asarray(ids), of_order(SHAPES[kind], m)) for kind, ids in cells.items() if len(ids)}
+    keys, places = [], []
+    for kind, (ids, lattice) in kinds.items():
+        corners = ids[:, : CORNERS[SHAPES[kind]]]
+        own = np.zeros((*corners.shape, 16), np.int64)
+        own[:, :, -2], own[:, :, -1] = corners, 1
+        keys.append(np.concatenate([own, node_keys(corners, lattice)], axis=1).reshape(-1, 16))
+        places.append(np.einsum("sn,knd->ksd", places_of(kind, m), points[ids]).reshape(-1, 3))
+    _, first, number = np.unique(np.concatenate(keys), axis=0, return_index=True, return_inverse=True)
+    number, found, start, cell = number.ravel(), {}, 0, 0
+    for ids, lattice in kinds.values():
+        table = number[start : start + len(ids) * len(lattice.lattice)].reshape(len(ids), -1)
+        start += table.size
+        for shape, rows in steps_of(lattice.shape, m).items():
+            owner = np.repeat(np.arange(cell, cell + len(ids)), len(rows))
+            found.setdefault(shape, []).append((table[:, rows].reshape(-1, rows.shape[1]), owner))
+        cell += len(ids)
+    joined = {shape: [np.concatenate(part) for part in zip(*found[shape], strict=True)] for shape in sorted(found)}
+    grid = jm.Mesh(np.concatenate(places)[first], {shape: ids for shape, (ids, _) in joined.items()}).to_pyvista()
+    grid.cell_data["whole"] = np.concatenate([owner for _, owner in joined.values()])
     return grid

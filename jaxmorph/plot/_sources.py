@@ -2,18 +2,19 @@
 
 import dataclasses
 import itertools
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 import jaxmorph as jm
 
-from .._host.package.arguments import checked
-from ._cells import Axes, Window, given_or_new, legend_above, show
-from ._plane import ROOM, flat, whole
+from .._host.package.arguments import checked, finite_array
+from ._outside import lines_of
+from ._plane import ROOM, Axes, Window, flat, given_or_new, legend_above, show, whole
+from ._space import add_legend, aim, aim_again, new_plotter
 from ._style import BLUE, GREEN, GREY, ORANGE, finite
-from ._view import add_legend, aim, aim_again, new_plotter, pyvista
 
 FEW = 30
 """Sources up to which they are drawn as large dots: more of them would cover each other."""
@@ -175,14 +176,63 @@ def _checked(points: Any, dimension: int) -> np.ndarray:
 
 def _wires(boxes: Float[np.ndarray, "l 2 3"]) -> Any:
     """Draws the twelve edges of each box as pyvista's lines."""
-    corners = list(itertools.product((0, 1), repeat=3))
-    edges = [
-        (i, j)
-        for i, a in enumerate(corners)
-        for j, b in enumerate(corners)
-        if i < j and np.abs(np.subtract(a, b)).sum() == 1
-    ]
-    points = np.stack([boxes[:, corner, range(3)] for corner in corners], axis=1).reshape(-1, 3)
-    first = 8 * np.arange(len(boxes))[:, None, None]
-    ids = (first + np.array(edges)).reshape(-1, 2)
-    return pyvista().PolyData(points, lines=np.insert(ids, 0, 2, axis=1).ravel())
+    corners = np.array([*itertools.product((0, 1), repeat=3)])
+    edges = [(i, j) for i, j in itertools.combinations(range(8), 2) if np.abs(corners[i] - corners[j]).sum() == 1]
+    points = boxes[:, corners, range(3)].reshape(-1, 3)
+    return lines_of(points, (8 * np.arange(len(boxes))[:, None, None] + np.array(edges)).reshape(-1, 2))
+
+
+@dataclasses.dataclass(frozen=True)
+class SurfaceErrors:
+    """Misses of reduced radial functions on a moving surface, by reduction: `surface_errors`.
+
+    `sources` counts moving and fixed sources. `largest` and `mean` are the distances of moving
+    nodes from where they should be, relative to the largest displacement.
+    """
+
+    sources: Int[np.ndarray, " r"]
+    largest: Float[np.ndarray, " r"]
+    mean: Float[np.ndarray, " r"]
+
+
+@checked
+def surface_errors(plan: jm.Plan, u: Float[Any, "m d"], reductions: Sequence[jm.AbstractReduction]) -> SurfaceErrors:
+    """Measures, on the host, how far a plan's radial functions alone miss `u` (m, d).
+
+    The basis, the polynomial and the reduction of the fixed nodes are the plan's. Each reduction
+    costs one dense solve, and needs no volume mesh.
+
+    **Arguments:**
+
+    - `plan`: a plan with radial basis functions.
+    - `u`: displacements (m, d) of the moving nodes, in the mesh's unit.
+    - `reductions`: reductions of the moving nodes, such as `[jm.KDTree(leaves) for leaves in (1, 4,
+      16, 64)]`.
+
+    **Returns:** a `SurfaceErrors`.
+
+    **Raises:** `ValueError` for a plan without radial basis functions, for a `u` that is not (m, d)
+    or is zero, and for no `reductions`. Also what `prepare` raises for one of them.
+    """
+    rbf = radial_basis_functions(plan)
+    points, m = np.asarray(plan.points), plan.n_moving
+    u = finite_array("u", u, (m, points.shape[1])).astype(points.dtype)
+    if not np.any(u):
+        raise ValueError("`u` is zero: every reduction follows it.")
+    if not len(reductions):
+        raise ValueError("`reductions` is empty: name at least one, such as jm.KDTree(16).")
+    boundary = plan.boundary
+    nodes, planes = boundary.nodes, boundary.planes
+    if planes:  # of the volume only the nodes that tell where the planes are
+        nodes = np.union1d(nodes, np.flatnonzero(np.any([plane.holds(points) for plane in planes], axis=0)))
+    part = boundary.part(np.unique(nodes))
+    target = points[np.asarray(plan.moving)] + u
+    rows = []
+    for reduction in reductions:
+        method = jm.RBF(rbf.basis, reduction, rbf.fixed_reduction, rbf.degree)
+        reduced = jm.prepare(part, method=method)
+        missed = np.linalg.norm(np.asarray(jm.deform(reduced, u))[np.asarray(reduced.moving)] - target, axis=1)
+        rows.append((len(of_plan(reduced)[1]), missed.max(), missed.mean()))
+    number, largest, mean = (np.array(column) for column in zip(*rows, strict=True))
+    size = np.linalg.norm(u, axis=1).max()
+    return SurfaceErrors(number, largest / size, mean / size)

@@ -8,8 +8,6 @@ from jaxtyping import Float, Real
 
 import jaxmorph as jm
 
-from .._host.cells.pieces import owners
-
 Limits = tuple[float | int, float | int]
 Values = Real[Any, " k"] | Sequence[float | int]
 
@@ -35,20 +33,16 @@ STILL = 0.01
 """Share of the largest displacement below which a node counts as still in a picture."""
 
 
+SEGMENTS = 4
+"""Pieces of a curved edge in a picture, for each order of its polynomial."""
+
+
 def finite(points: Any) -> np.ndarray:
     """Returns points as an array; raises `ValueError` for points that are not finite."""
     array = np.asarray(points, dtype=float)
     if not np.isfinite(array).all():
         raise ValueError(f"{(~np.isfinite(array)).sum()} of {array.size} numbers of `points` are not finite.")
     return array
-
-
-def whole_of(mesh: jm.Mesh) -> np.ndarray:
-    """Returns the cell that each cell of `mesh.linear` is, or is a piece of."""
-    if not mesh.is_curved:
-        return np.asarray(mesh.cell_ids)
-    rows = owners(mesh.cells)
-    return np.concatenate([rows[kind] for kind in sorted(rows)])
 
 
 def cell_values(mesh: jm.Mesh, values: Any) -> np.ndarray:

@@ -16,10 +16,7 @@ Numbers = Real[ArrayLike, "..."] | Sequence[Any]
 
 
 def positions(x: Numbers, name: str = "x") -> Float[Array, "m d"]:
-    """Turns positions into an array (m, d) of floats.
-
-    **Raises:** `ValueError` for another shape.
-    """
+    """Turns positions into an array (m, d) of floats."""
     places = array(x)
     if places.ndim != 2 or places.shape[1] not in (2, 3):
         raise ValueError(f"`{name}` has shape {places.shape}; positions have shape (m, 2) or (m, 3).")
@@ -27,10 +24,7 @@ def positions(x: Numbers, name: str = "x") -> Float[Array, "m d"]:
 
 
 def known_positions(x: Numbers, name: str = "x") -> Float[np.ndarray, "m d"]:
-    """Turns positions that can be read into an array (m, d) of NumPy.
-
-    **Raises:** `ValueError` for another shape, and for positions that are not finite.
-    """
+    """Turns positions that can be read into an array (m, d) of NumPy, all finite."""
     known = np.asarray(positions(x, name))
     bad = np.flatnonzero(~np.isfinite(known).all(axis=1))
     if len(bad):
@@ -53,10 +47,7 @@ def check_parameters(parameters: Any) -> None:
 
 
 def rows_of(name: str, ids: Any, count: int) -> Int[np.ndarray, "..."]:
-    """Turns ids into row numbers of `count` positions.
-
-    **Raises:** `ValueError` for anything else, with the first wrong id.
-    """
+    """Turns ids into row numbers of `count` positions, in an array of any shape."""
     ids = as_array(name, ids)
     if ids.dtype.kind not in "iu":
         raise ValueError(f"`{name}` is an array of {ids.dtype}; expected row numbers.")
@@ -67,36 +58,27 @@ def rows_of(name: str, ids: Any, count: int) -> Int[np.ndarray, "..."]:
 
 
 def number(name: str, value: Any, like: Array) -> Float[Array, ""]:
-    """Turns one number into an array of the positions' dtype.
-
-    **Raises:** `ValueError` for more than one number, and for a number that is not finite.
-    """
-    value = jnp.asarray(value, like.dtype)
-    if value.ndim != 0:
-        raise ValueError(f"`{name}` has shape {value.shape}; it is one number.")
-    if is_known(value) and not np.isfinite(value):
-        raise ValueError(f"`{name}` is {value}; it must be finite.")
-    return value
+    """Turns one finite number into an array of the positions' dtype."""
+    return _finite(name, value, like, (), "it is one number")
 
 
 def vector(name: str, values: Any, like: Array) -> Float[Array, " d"]:
-    """Turns d numbers into an array of the positions' dtype.
+    """Turns d finite numbers into an array of the positions' dtype."""
+    d = like.shape[1]
+    return _finite(name, values, like, (d,), f"positions in {d}-D need ({d},)")
 
-    **Raises:** `ValueError` for another count, and for values that are not finite.
-    """
-    values, d = jnp.asarray(values, like.dtype), like.shape[1]
-    if values.shape != (d,):
-        raise ValueError(f"`{name}` has shape {values.shape}; positions in {d}-D need ({d},).")
+
+def _finite(name: str, values: Any, like: Array, shape: tuple[int, ...], expected: str) -> Float[Array, "..."]:
+    values = jnp.asarray(values, like.dtype)
+    if values.shape != shape:
+        raise ValueError(f"`{name}` has shape {values.shape}; {expected}.")
     if is_known(values) and not np.isfinite(values).all():
         raise ValueError(f"`{name}` is {np.asarray(values)}; it must be finite.")
     return values
 
 
 def direction(name: str, values: Any, like: Array) -> Float[Array, " d"]:
-    """Turns d numbers into a vector of length 1.
-
-    **Raises:** `ValueError` for another count, and for a vector without length.
-    """
+    """Turns d numbers into a vector of length 1."""
     values = vector(name, values, like)
     if is_known(values) and not np.asarray(values).any():  # NumPy's, which no trace records
         raise ValueError(f"`{name}` has length 0; it must be a direction.")
@@ -104,10 +86,7 @@ def direction(name: str, values: Any, like: Array) -> Float[Array, " d"]:
 
 
 def positive(name: str, value: Any, like: Array) -> Float[Array, ""]:
-    """Turns a length into an array.
-
-    **Raises:** `ValueError` for a length that is not above 0.
-    """
+    """Turns a length above 0 into an array."""
     value = number(name, value, like)
     if is_known(value) and not value > 0:
         raise ValueError(f"`{name}` is {value}; it must be above 0.")
@@ -115,15 +94,9 @@ def positive(name: str, value: Any, like: Array) -> Float[Array, ""]:
 
 
 def axis_for(values: Any, like: Array) -> Float[Array, " 3"] | None:
-    """Turns an axis of rotation into a vector of length 1; None in 2-D.
-
-    **Raises:** `ValueError` for an axis in 2-D, and for none in 3-D.
-    """
-    d = like.shape[1]
-    if (values is None) != (d == 2):
-        raise ValueError(
-            "`axis` is for positions in 3-D; leave it out in 2-D."
-            if d == 2
-            else "`axis` is missing: a rotation in 3-D needs (3,) numbers."
-        )
+    """Turns an axis of rotation into a vector of length 1; 2-D has none."""
+    if like.shape[1] == 3 and values is None:
+        raise ValueError("`axis` is missing: a rotation in 3-D needs (3,) numbers.")
+    if like.shape[1] == 2 and values is not None:
+        raise ValueError("`axis` is for positions in 3-D; leave it out in 2-D.")
     return None if values is None else direction("axis", values, like)

@@ -1,17 +1,17 @@
-"""Shapes of a wall along one coordinate: bumps, class functions, B-splines, modes."""
+"""Shapes of airfoils and curves: bumps, class functions, NACA's family, B-splines, modes."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._host.package.arguments import checked
+from .._host.package.arguments import between, checked
 from .._kernels.values import clipped, slack
-from . import _bspline
 from ._arguments import Numbers, check_finite, known_positions, positions
-from ._combine import MatrixOperator
+from ._lattice import bernstein, spans, values
 from ._section import Chord
-from ._shape import AbstractLinearShape, AbstractOperator
+from ._shape import AbstractLinearShape, AbstractShape, Operator
 
 
 class HicksHenne(AbstractLinearShape):
@@ -52,18 +52,16 @@ class HicksHenne(AbstractLinearShape):
         self.chord = Chord() if chord is None else chord
 
     def neutral(self) -> Float[Array, " k"]:
-        """Makes the heights that move nothing: zeros (k,)."""
         return jnp.zeros(len(self.centres))
 
-    def at(self, x: Numbers) -> MatrixOperator:
-        """Computes the bumps at positions (m, d) once."""
+    def at(self, x: Numbers) -> Operator:
         x = positions(x)
         t, _ = self.chord.coordinates(x)
         centres, widths = self.centres.astype(x.dtype)[None, :], self.widths.astype(x.dtype)[None, :]
         inside = (t > 0) & (t < 1)
         power = jnp.where(inside, t, 0.5)[:, None] ** (jnp.log(0.5) / jnp.log(centres)).astype(x.dtype)
         bumps = jnp.where(inside[:, None], jnp.sin(jnp.pi * power) ** widths, 0)
-        return MatrixOperator(bumps, self.chord.up.astype(x.dtype))
+        return Operator(_across, (bumps, self.chord.up.astype(x.dtype)), self.centres.shape)
 
 
 class CST(AbstractLinearShape):
@@ -93,11 +91,9 @@ class CST(AbstractLinearShape):
         self.order, self.exponents, self.chord = order, exponents, Chord() if chord is None else chord
 
     def neutral(self) -> Float[Array, " k"]:
-        """Makes the weights that add nothing: zeros (order + 2,)."""
         return jnp.zeros(self.order + 2)
 
-    def at(self, x: Numbers) -> MatrixOperator:
-        """Computes the functions at positions (m, d) once."""
+    def at(self, x: Numbers) -> Operator:
         x = positions(x)
         t, _ = self.chord.coordinates(x)
         beyond = slack(t.dtype)
@@ -105,9 +101,14 @@ class CST(AbstractLinearShape):
         within = jnp.where(inside, t, 0.5)
         a, b = self.exponents
         class_function = jnp.where(inside, _power(within, a) * _power(1 - within, b), 0)
-        functions = class_function[:, None] * _bspline.bernstein(within, self.order)
+        functions = class_function[:, None] * bernstein(within, self.order)
         weights = jnp.concatenate([functions, clipped(t, 0, 1)[:, None]], axis=1)
-        return MatrixOperator(weights * self.chord.length.astype(x.dtype), self.chord.up.astype(x.dtype))
+        arrays = weights * self.chord.length.astype(x.dtype), self.chord.up.astype(x.dtype)
+        return Operator(_across, arrays, (self.order + 2,))
+
+
+def _across(weights: Float[Array, "m k"], up: Float[Array, " d"], heights: Float[Array, " k"]) -> Float[Array, "m d"]:
+    return (weights @ heights)[:, None] * up[None, :]
 
 
 def _power(distance: Float[Array, " m"], exponent: float) -> Float[Array, " m"]:
@@ -155,20 +156,18 @@ class BSplineCurve(AbstractLinearShape):
         self.dimension = known.shape[1]
 
     def neutral(self) -> Float[Array, "k d"]:
-        """Makes the control displacements that move nothing."""
         return jnp.zeros((self.count, self.dimension))
 
-    def at(self, x: Numbers) -> MatrixOperator:
-        """Computes the weights of the wall's nodes, in the order of `points`."""
+    def at(self, x: Numbers) -> Operator:
         x = positions(x)
         if (*self.shares.shape, self.dimension) != x.shape:
             raise ValueError(f"this curve has {len(self.shares)} nodes in {self.dimension}-D; `x` has shape {x.shape}.")
         t = self.shares.astype(x.dtype)
-        first = _bspline.spans(t, self.count, self.degree)
-        values = _bspline.values(t, first, self.count, self.degree)
+        first = spans(t, self.count, self.degree)
         columns = first[:, None] + jnp.arange(self.degree + 1)[None, :]
-        weights = jnp.zeros((len(x), self.count), x.dtype).at[jnp.arange(len(x))[:, None], columns].add(values)
-        return MatrixOperator(weights, count=x.shape[1])
+        weights = jnp.zeros((len(x), self.count), x.dtype)
+        weights = weights.at[jnp.arange(len(x))[:, None], columns].add(values(t, first, self.count, self.degree))
+        return Operator(jnp.matmul, (weights,), (self.count, self.dimension))
 
 
 class Modes(AbstractLinearShape):
@@ -191,24 +190,165 @@ class Modes(AbstractLinearShape):
             raise ValueError(f"`fields` has shape {self.fields.shape}; expected (k, m, d).")
 
     def neutral(self) -> Float[Array, " k"]:
-        """Makes the amplitudes that move nothing: zeros (k,)."""
         return jnp.zeros(len(self.fields))
 
-    def at(self, x: Numbers) -> "ModesOperator":
+    def at(self, x: Numbers) -> Operator:
         """Checks that the fields belong to positions (m, d)."""
         x = positions(x)
         if self.fields.shape[1:] != x.shape:
             raise ValueError(f"`x` has shape {x.shape}; the modes have {self.fields.shape[1:]}.")
-        return ModesOperator(self.fields.astype(x.dtype))
+        return Operator(_combined, (self.fields.astype(x.dtype),), self.fields.shape[:1])
 
 
-class ModesOperator(AbstractOperator):
-    """Sums fields with amplitudes."""
+def _combined(fields: Float[Array, "k m d"], amplitudes: Float[Array, " k"]) -> Float[Array, "m d"]:
+    return jnp.tensordot(amplitudes, fields, axes=1)
 
-    fields: Float[Array, "k m d"]
 
-    def __call__(self, parameters: Numbers) -> Float[Array, "m d"]:
-        parameters = jnp.asarray(parameters, self.fields.dtype)
-        if parameters.shape != self.fields.shape[:1]:
-            raise ValueError(f"parameters have shape {parameters.shape}; there are {len(self.fields)} modes.")
-        return jnp.tensordot(parameters, self.fields, axes=1)
+LAST = (0.1015, 0.1036)
+"""Last coefficient of the thickness: for a blunt trailing edge, and for a sharp edge."""
+
+REACH = 2.0
+"""Chords before and behind the crest of the mean line within which feet are searched."""
+
+HALVINGS = 56
+"""Halvings of an interval, down to round-off."""
+
+
+class NACA4(AbstractShape):
+    """Turns a NACA 4-digit airfoil into another: exact for its own nodes, smooth nearby.
+
+    The parameters are (camber, place, thickness) in chords: (0.04, 0.4, 0.12) is the NACA 4412. A
+    node keeps its place on the mean line; its height above the mean line scales with the thickness.
+
+    **Arguments:**
+
+    - `camber`, `place`, `thickness`: of the airfoil that is given.
+    - `chord`: where it lies; from (0, 0) to (1, 0) by default.
+
+    **Raises:** `ValueError` for a thickness that is not above 0, and a place outside of 0 to 1.
+    """
+
+    original: Float[Array, " 3"]
+    chord: Chord
+
+    @checked
+    def __init__(self, camber: float, place: float, thickness: float, *, chord: Chord | None = None):
+        between("camber", camber)
+        between("place", place, 0, 1)
+        between("thickness", thickness, 0)
+        self.original = jnp.asarray([camber, place, thickness], float)
+        self.chord = Chord() if chord is None else chord
+
+    def neutral(self) -> Float[Array, " 3"]:
+        return self.original
+
+    def __call__(self, x: Numbers, parameters: Numbers) -> Float[Array, "m d"]:
+        """Moves positions (m, d) from the given airfoil to the airfoil of the parameters (3,)."""
+        x = positions(x)
+        parameters, original = jnp.asarray(parameters, x.dtype), self.original.astype(x.dtype)
+        if parameters.shape != (3,):
+            raise ValueError(f"parameters have shape {parameters.shape}; expected camber, place, thickness.")
+        t, height = self.chord.coordinates(x)
+        height = height / self.chord.length.astype(x.dtype)
+        s = _station(t, height, original)
+        t0, y0 = _from_mean_line(s, _offset(s, t, height, original), original)
+        t1, y1 = _from_mean_line(s, _offset(s, t, height, original) * (parameters[2] / original[2]), parameters)
+        chord, up = (self.chord.tail - self.chord.nose).astype(x.dtype), self.chord.up.astype(x.dtype)
+        across = up * self.chord.length.astype(x.dtype)
+        return x + (t1 - t0)[:, None] * chord[None, :] + (y1 - y0)[:, None] * across[None, :]
+
+
+def _mean_line(
+    s: Float[Array, "*shape"], airfoil: Float[Array, " 3"]
+) -> tuple[Float[Array, "*shape"], Float[Array, "*shape"]]:
+    """Computes ordinate and slope of the mean line at each place."""
+    camber, place = airfoil[0], airfoil[1]
+    width = jnp.where(s < place, place, 1 - place)
+    ordinate = camber / width**2 * (jnp.where(s < place, 0, 1 - 2 * place) + 2 * place * s - s**2)
+    return ordinate, 2 * camber / width**2 * (place - s)
+
+
+def _away(s, t, height, airfoil: Float[Array, " 3"]) -> Float[Array, "..."]:
+    """Computes how far positions are beyond the mean line's normal at s: 0 at their foot."""
+    ordinate, slope = _mean_line(s, airfoil)
+    return s - t + (ordinate - height) * slope
+
+
+def _rate(s, t, height, airfoil: Float[Array, " 3"]) -> Float[Array, "..."]:
+    """Computes the derivative of `_away` by s."""
+    return jax.jvp(lambda s: _away(s, t, height, airfoil), (s,), (jnp.ones_like(s),))[1]
+
+
+@jax.custom_jvp
+@jax.jit
+def _station(t: Float[Array, " m"], height: Float[Array, " m"], airfoil: Float[Array, " 3"]) -> Float[Array, " m"]:
+    """Finds the foot of each position on the mean line.
+
+    Of several feet it is the one at which the airfoil is as thick as the position is far.
+    """
+    t, height = t[None], height[None]
+    near, far = _intervals(height, airfoil)
+    sign = jnp.sign(_away(near, t, height, airfoil))
+
+    def halved(_, ends):
+        middle = ends.mean(axis=0)
+        same = jnp.sign(_away(middle, t, height, airfoil)) == sign
+        return jnp.stack([jnp.where(same, middle, ends[0]), jnp.where(same, ends[1], middle)])
+
+    s = jax.lax.fori_loop(0, HALVINGS, halved, jnp.stack([near, far])).mean(axis=0)
+    for _ in range(2):
+        rate = _rate(s, t, height, airfoil)
+        s = s - _away(s, t, height, airfoil) / jnp.where(jnp.abs(rate) > 0.1, rate, jnp.inf)
+    part = jnp.clip(s, 0, 1)
+    half = [_half_thickness(part, airfoil[2], last) for last in LAST]
+    offset = jnp.abs(_offset(s, t, height, airfoil))
+    miss = jnp.minimum(*(jnp.abs(offset - thickness) for thickness in half)) + jnp.abs(_away(s, t, height, airfoil))
+    first = jnp.argmax(miss <= miss.min(axis=0, keepdims=True) + slack(s.dtype), axis=0)
+    return jnp.take_along_axis(s, first[None], axis=0)[0]
+
+
+@_station.defjvp
+def _station_jvp(primals, tangents):
+    # the foot is defined by away(s, ...) = 0; the rule contains the foot itself, so that
+    # derivatives of all orders follow
+    s = _station(*primals)
+    rate = _rate(s, *primals)
+    moved = jax.jvp(lambda *values: _away(s, *values), primals, tangents)[1]
+    return s, -moved / jnp.where(jnp.abs(rate) > slack(s.dtype), rate, 1)
+
+
+def _intervals(
+    height: Float[Array, "1 m"], airfoil: Float[Array, " 3"]
+) -> tuple[Float[Array, "4 m"], Float[Array, "4 m"]]:
+    """Computes the ends of intervals in which a position has at most one foot.
+
+    Let v = s - place, and b = -camber / width^2 on each of the two parabolas. There a foot is a
+    root of 2 b^2 v^3 + (1 + 2 b (camber - height)) v + place - t. The cubic is monotone up to its
+    extremum, and beyond it.
+    """
+    camber, place = airfoil[0], airfoil[1]
+    near, far = [], []
+    for width, sign in ((place, -1), (1 - place, 1)):
+        bend = -camber / width**2
+        square = -(1 + 2 * bend * (camber - height)) / jnp.where(bend == 0, 1, 6 * bend**2)
+        extremum = jnp.minimum(jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), 0), REACH)
+        near += [jnp.broadcast_to(place, height.shape), place + sign * extremum]
+        far += [place + sign * extremum, jnp.broadcast_to(place + sign * REACH, height.shape)]
+    return jnp.concatenate(near), jnp.concatenate(far)
+
+
+def _half_thickness(s, thickness, last: float) -> Float[Array, "..."]:
+    rest = s * (-0.126 + s * (-0.3516 + s * (0.2843 - last * s)))
+    return 5 * thickness * (0.2969 * jnp.sqrt(s) + rest)
+
+
+def _offset(s, t, height, airfoil: Float[Array, " 3"]) -> Float[Array, "..."]:
+    """Computes the signed distance of each position from its foot."""
+    ordinate, slope = _mean_line(s, airfoil)
+    return ((height - ordinate) - (t - s) * slope) / jnp.sqrt(1 + slope**2)
+
+
+def _from_mean_line(s, offset, airfoil: Float[Array, " 3"]) -> tuple[Float[Array, " m"], Float[Array, " m"]]:
+    ordinate, slope = _mean_line(s, airfoil)
+    cosine = 1 / jnp.sqrt(1 + slope**2)
+    return s - offset * slope * cosine, ordinate + offset * cosine

@@ -1,6 +1,7 @@
-"""From a shape to the input of `deform`, and from sensitivities to the shape's parameters."""
+"""From design variables to the input of `deform`, back to their sensitivities, and their names."""
 
-from collections.abc import Callable, Sequence
+import difflib
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -8,11 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PyTree
 
+import jaxmorph as jm
+from jaxmorph import Plan
+
 from .._host.package.arguments import checked, whole
-from .._kernels.values import as_jax, on_host
-from .._plan.deform import pullback as to_nodes
-from .._plan.plan import Plan
-from .._plan.steps import replay
 from ._arguments import Numbers, check_parameters, positions
 from ._shape import AbstractLinearShape
 
@@ -50,8 +50,6 @@ def path(shape: AnyShape, x: Numbers, parameters: PyTree, steps: int) -> Float[A
     - `parameters`: the parameters at the end.
     - `steps`: 1 or more.
 
-    **Returns:** displacements (k, m, d).
-
     **Raises:** `ValueError` for no steps, for a plain function in several steps, and as
     `displacement` does.
     """
@@ -59,16 +57,14 @@ def path(shape: AnyShape, x: Numbers, parameters: PyTree, steps: int) -> Float[A
     whole("steps", steps)
     check_parameters(parameters)
     if steps == 1:
-        moved = moves(shape, x, parameters)
-        return as_jax(np.asarray(moved)[None]) if on_host(moved) else moved[None]
+        return moves(shape, x, parameters)[None]
     start = neutral(shape)
     if jax.tree.structure(start) != jax.tree.structure(parameters):
         raise ValueError(f"parameters for several steps must all be given: {jax.tree.structure(start)}.")
-    sizes = [[np.shape(leaf) for leaf in jax.tree.leaves(tree)] for tree in (parameters, start)]
-    if sizes[0] != sizes[1]:
-        raise ValueError(f"`parameters` have shapes {sizes[0]}; this shape takes {sizes[1]}.")
-    shares = [(j + 1) / steps for j in range(steps)]
-    at = [jax.tree.map(lambda a, b, share=share: a + share * (b - a), start, parameters) for share in shares]
+    given, needed = ([np.shape(leaf) for leaf in jax.tree.leaves(tree)] for tree in (parameters, start))
+    if given != needed:
+        raise ValueError(f"`parameters` have shapes {given}; this shape takes {needed}.")
+    at = [jax.tree.map(lambda a, b, j=j: a + (j + 1) / steps * (b - a), start, parameters) for j in range(steps)]
     return jnp.stack([moves(shape, x, values) for values in at])
 
 
@@ -84,8 +80,6 @@ def pullback(shape: AnyShape, plan: Plan | Sequence[Plan], parameters: PyTree, c
     - `parameters`: the parameters that moved the mesh.
     - `cotangent`: dJ/d(points) (n, d) at the moved mesh.
 
-    **Returns:** dJ/d(parameters), of the structure of `parameters`.
-
     **Raises:** `ValueError` for another number of nodes, and as `path` does.
     """
     check_parameters(parameters)
@@ -98,8 +92,8 @@ def pullback(shape: AnyShape, plan: Plan | Sequence[Plan], parameters: PyTree, c
     total, transpose = jax.vjp(lambda parameters: path(shape, x, parameters, len(plans)), parameters)
     cotangent = jnp.asarray(cotangent, dtype)
     if len(plans) == 1:
-        return transpose(to_nodes(plans[0], total[0], cotangent)[None])[0]
-    return transpose(jax.vjp(lambda total: replay(plans, total), total)[1](cotangent)[0])[0]
+        return transpose(jm.pullback(plans[0], total[0], cotangent)[None])[0]
+    return transpose(jax.vjp(lambda total: jm.replay(plans, total), total)[1](cotangent)[0])[0]
 
 
 @checked
@@ -116,8 +110,6 @@ def project(shape: AnyShape, x: Numbers, parameters: PyTree, gradient: Numbers) 
     - `parameters`: the parameters that moved the wall.
     - `gradient`: dJ/d(positions) (m, d) of the moved wall.
 
-    **Returns:** dJ/d(parameters), of the structure of `parameters`.
-
     **Raises:** `ValueError` for another number of rows, and as `displacement` does.
     """
     x = positions(x)
@@ -129,10 +121,7 @@ def project(shape: AnyShape, x: Numbers, parameters: PyTree, gradient: Numbers) 
 
 
 def neutral(shape: AnyShape) -> PyTree:
-    """Returns the parameters of a shape that move nothing.
-
-    **Raises:** `ValueError` for a plain function.
-    """
+    """Returns the parameters that move nothing. Raises `ValueError` for a plain function."""
     if not hasattr(shape, "neutral"):
         raise ValueError("a plain function has no neutral parameters: take `shapes.Function(function, rest)`.")
     return shape.neutral()  # pyright: ignore[reportFunctionMemberAccess]
@@ -141,14 +130,93 @@ def neutral(shape: AnyShape) -> PyTree:
 def moves(shape: AnyShape, x: Float[Array, "m d"], parameters: PyTree) -> Float[Array, "m d"]:
     """Computes the displacement of positions.
 
-    **Raises:** `ValueError` where the shape returns another number of positions.
+    Raises `ValueError` where the shape returns another number of positions.
     """
     check_parameters(parameters)
-    if isinstance(shape, AbstractLinearShape) and parameters is None:
-        raise ValueError("`parameters` is None; `shape.neutral()` gives parameters that move nothing.")
     if isinstance(shape, AbstractLinearShape):
+        if parameters is None:
+            raise ValueError("`parameters` is None; `shape.neutral()` gives parameters that move nothing.")
         return shape.at(x)(parameters)
     moved = shape(x, parameters)
     if moved.shape != x.shape:
         raise ValueError(f"the shape turns positions {x.shape} into {moved.shape}; it must keep their shape.")
     return moved - x
+
+
+LISTED = 12
+"""Names in a message, at most."""
+
+
+@checked
+def names(parameters: PyTree) -> list[str]:
+    """Names each number of parameters, in the order of `jax.flatten_util.ravel_pytree`.
+
+    Keys are joined by dots, places in an array follow in brackets: `wing.twist`, `wing.box[2,1,0]`.
+
+    **Arguments:**
+
+    - `parameters`: what a shape takes.
+    """
+    check_parameters(parameters)
+    return [name for stem, leaf in _leaves(parameters) for name in _of_numbers(stem, np.shape(leaf))]
+
+
+@checked
+def varied(parameters: PyTree, changes: Mapping[str, Any]) -> PyTree:
+    """Sets some parameters by name, on the host.
+
+    **Arguments:**
+
+    - `parameters`: what a shape takes.
+    - `changes`: values by the names that `names` gives, or by names of whole arrays (`wing.box`).
+      The end of a name is enough where no other name ends like it (`twist`).
+
+    **Returns:** parameters in their structure, as NumPy's floats.
+
+    **Raises:** `ValueError` for names that are unknown or that several parameters share, counts
+    that differ, and values that are not finite.
+    """
+    check_parameters(parameters)
+    stems = [stem for stem, _ in _leaves(parameters)]
+    values = [np.array(leaf, float) for leaf in jax.tree.leaves(parameters)]
+    places: dict[str, tuple[int, Any]] = {}
+    for k, (stem, value) in enumerate(zip(stems, values, strict=True)):
+        places |= zip(_of_numbers(stem, value.shape), ((k, at) for at in np.ndindex(value.shape)), strict=True)
+        places[stem] = k, ...
+    for name, change in changes.items():
+        k, at = places[_match(name, places, dict(zip(stems, map(np.shape, values), strict=True)))]
+        value, target = np.asarray(change, float), values[k][at]
+        if value.size != target.size or not np.isfinite(value).all():
+            count = "one finite number" if target.size == 1 else f"{target.size} finite numbers"
+            raise ValueError(f"{name} takes {count}, found {value.ravel().tolist()}.")
+        values[k][at] = value.reshape(target.shape)
+    return jax.tree.unflatten(jax.tree.structure(parameters), values)
+
+
+def _match(name: str, places: Iterable[str], arrays: Mapping[str, tuple[int, ...]]) -> str:
+    """Finds the only design variable of a name, or with a name that ends with it."""
+    matches = _called(name, places)
+    if len(matches) == 1:
+        return matches[0]
+    listed = ", ".join((matches or list(arrays))[:LISTED]) or "none"
+    if matches:
+        raise ValueError(f"{len(matches)} design variables are called {name}; take one of: {listed}.")
+    array = _called(name.partition("[")[0], arrays)
+    if "[" in name and len(array) == 1:
+        raise ValueError(f"there is no design variable {name}: {array[0]} has shape {arrays[array[0]]}.")
+    near = difflib.get_close_matches(name, [*arrays, *(stem.rpartition(".")[2] for stem in arrays)], n=1)
+    hint = f" (did you mean {near[0]!r}?)" if near else ""
+    raise ValueError(f"there is no design variable {name}{hint}; there are: {listed}.")
+
+
+def _called(name: str, known: Iterable[str]) -> list[str]:
+    return [name] if name in known else [other for other in known if other.endswith(f".{name}")]
+
+
+def _leaves(parameters: PyTree) -> Iterator[tuple[str, Any]]:
+    for path, leaf in jax.tree_util.tree_flatten_with_path(parameters)[0]:
+        yield jax.tree_util.keystr(path, simple=True, separator=".") or "parameters", leaf
+
+
+def _of_numbers(stem: str, shape: tuple[int, ...]) -> list[str]:
+    return [f"{stem}[{','.join(map(str, at))}]" for at in np.ndindex(shape)] if shape else [stem]

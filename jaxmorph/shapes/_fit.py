@@ -12,12 +12,11 @@ from jaxtyping import Array, Float, Int, PyTree
 from .._host.package.arguments import checked, whole
 from .._kernels.module import Module
 from .._kernels.values import is_known
-from ._arguments import Numbers, known_positions, positions
-from ._combine import Part, Together
+from ._arguments import Numbers, check_finite, positions
 from ._curves import CST
 from ._displacement import neutral
 from ._section import Chord, upper_side
-from ._shape import AbstractLinearShape
+from ._shape import AbstractLinearShape, Part, Together
 
 
 class Fit(Module):
@@ -67,16 +66,12 @@ def fit(
     - `start`: parameters to begin with; `shape.neutral()` by default.
     - `max_steps`: of the iteration.
 
-    **Returns:** a `Fit`.
-
     **Raises:** `ValueError` for different shapes, values that are not finite, no `start` for a
     function, and parameters of which none moves a point.
     """
     whole("max_steps", max_steps)
     points, targets = positions(points, "points"), positions(targets, "targets")
-    for x, name in ((points, "points"), (targets, "targets")):
-        if is_known(x):
-            known_positions(x, name)
+    check_finite(points=points, targets=targets)
     if points.shape != targets.shape:
         raise ValueError(f"`points` has shape {points.shape}, `targets` {targets.shape}; they belong row to row.")
     start = neutral(shape) if start is None else start
@@ -85,7 +80,8 @@ def fit(
     def miss(flat, _=None):
         return (shape(points, unravel(flat)) - targets).ravel()
 
-    if not isinstance(shape, AbstractLinearShape):
+    is_linear = isinstance(shape, AbstractLinearShape)
+    if not is_linear:
         import optimistix  # not before it is needed: it takes a quarter of a second
 
         solver = optimistix.LevenbergMarquardt(rtol=1e-12, atol=1e-14)
@@ -96,10 +92,8 @@ def fit(
         raise ValueError(
             f"none of {len(flat)} parameters moves one of the {len(points)} points: are they outside the box?"
         )
-    if isinstance(shape, AbstractLinearShape):
-        flat = flat + change
-    residual = jnp.linalg.norm(miss(flat).reshape(points.shape), axis=1)
-    return Fit(unravel(flat), residual, rank, len(flat))
+    flat = flat + change if is_linear else flat
+    return Fit(unravel(flat), jnp.linalg.norm(miss(flat).reshape(points.shape), axis=1), rank, len(flat))
 
 
 @checked

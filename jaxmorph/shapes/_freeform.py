@@ -1,22 +1,20 @@
 """Free-form deformation: a lattice of control points carries what is inside."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from .._host.package.arguments import between, checked
+from .._host.cells.adjacency import parts_of
+from .._host.package.arguments import between, checked, whole
 from .._host.package.errors import place_of
 from .._kernels.values import is_known, slack
-from . import _bspline
 from ._arguments import Numbers, check_finite, known_positions, positions
-from ._combine import Linked
-from ._lattice import LatticeOperator, Rows, checked_counts
-from ._links import check_groups, link_matrix, reflection
-from ._shape import AbstractLinearShape
-from ._spans import Blocks
+from ._lattice import Blocks, Rows, spans, values
+from ._shape import AbstractLinearShape, Linked, Operator
 
 MANY = 1000
 """Points from which on `at` sorts them, for a faster operator."""
@@ -68,7 +66,7 @@ class FreeForm(AbstractLinearShape):
         if is_known(axes) and not abs(np.linalg.det(axes)) > 1e-12 * np.linalg.norm(axes, axis=1).prod():
             raise ValueError("the box is flat: its `axes` lie in one plane or one of them has no length.")
         self.origin, self.axes = origin, axes
-        self.counts, self.degrees = checked_counts(counts, degree, d)
+        self.counts, self.degrees = _checked_counts(counts, degree, d)
         self.continuity = continuity
         if continuity is not None and (continuity < 0 or 2 * (continuity + 1) >= min(self.counts)):
             raise ValueError(
@@ -94,8 +92,6 @@ class FreeForm(AbstractLinearShape):
         - `margin`: room on each side, relative to the longest edge of the points' box. Default
           0.05.
 
-        **Returns:** a `FreeForm`.
-
         **Raises:** `ValueError` as the class does, and for points in one plane without a margin.
         """
         points = positions(points, "points")
@@ -109,22 +105,17 @@ class FreeForm(AbstractLinearShape):
         return FreeForm(low - space, jnp.diag(high - low + 2 * space), counts, degree=degree, continuity=continuity)
 
     def neutral(self) -> Float[Array, "..."]:
-        """Makes the control displacements that move nothing: zeros (*counts, d)."""
-        return jnp.zeros((*self.counts, len(self.counts)))
+        return jnp.zeros(self._shape)
 
     @property
     def free(self) -> Bool[np.ndarray, "..."]:
         """Control points (*counts,) that may move: `continuity` does not hold them."""
         layers = 0 if self.continuity is None else self.continuity + 1
-        free = np.ones(self.counts, bool)
-        for axis, count in enumerate(self.counts):
-            layer = np.arange(count)
-            shape = [-1 if other == axis else 1 for other in range(len(self.counts))]
-            free &= ((layer >= layers) & (layer < count - layers)).reshape(shape)
+        free = np.zeros(self.counts, bool)
+        free[tuple(slice(layers, count - layers) for count in self.counts)] = True
         return free
 
-    def at(self, x: Numbers) -> LatticeOperator:
-        """Computes the weights of positions (m, d) once, for many control displacements."""
+    def at(self, x: Numbers) -> Operator:
         x = positions(x)
         if x.shape[1] != len(self.counts):
             raise ValueError(f"`x` has shape {x.shape}; this box is in {len(self.counts)}-D.")
@@ -134,13 +125,17 @@ class FreeForm(AbstractLinearShape):
         within = jnp.where(inside[:, None], t, 0.5)
         first, weights = [], []
         for t_along, count, degree in zip(within.T, self.counts, self.degrees, strict=True):
-            first.append(_bspline.spans(t_along, count, degree))
-            weights.append(_bspline.values(t_along, first[-1], count, degree))
+            first.append(spans(t_along, count, degree))
+            weights.append(values(t_along, first[-1], count, degree))
         weights[0] = jnp.where(inside[:, None], weights[0], 0)
+        rows = Rows(tuple(weights), tuple(first), self.counts)
+        sorted_rows = Blocks.of(rows) if is_known(x, self) and len(x) >= MANY else rows
         free = None if self.continuity is None else jnp.asarray(self.free)
-        if is_known(x, self) and len(x) >= MANY:
-            return LatticeOperator(Blocks.sorted_by_span(tuple(weights), tuple(first), self.counts), free, self.counts)
-        return LatticeOperator(Rows(tuple(weights), tuple(first), self.counts), free, self.counts)
+        return Operator(_carried, (sorted_rows, free), self._shape)
+
+    @property
+    def _shape(self) -> tuple[int, ...]:
+        return *self.counts, len(self.counts)
 
     def coordinates(self, x: Float[Array, "m d"]) -> Float[Array, "m d"]:
         """Computes coordinates in the box, each from 0 to 1 inside."""
@@ -158,18 +153,6 @@ class FreeForm(AbstractLinearShape):
         t = jnp.stack(jnp.meshgrid(*shares, indexing="ij"), axis=-1)
         points = t @ self.axes + jnp.broadcast_to(self.origin, t.shape)
         return points if control is None else points + jnp.asarray(control)
-
-    def anchors(self) -> Float[Array, "..."]:
-        """Computes the positions (*counts, d) at which control points reproduce an affine field.
-
-        Control displacements are then the field's values.
-
-        For the highest degree they are the positions of `lattice`, else Greville's abscissae.
-        """
-        sizes = zip(self.counts, self.degrees, strict=True)
-        shares = [jnp.asarray(_bspline.greville(count, degree)) for count, degree in sizes]
-        t = jnp.stack(jnp.meshgrid(*shares, indexing="ij"), axis=-1)
-        return t @ self.axes + jnp.broadcast_to(self.origin, t.shape)
 
     @checked
     def linked(
@@ -192,26 +175,20 @@ class FreeForm(AbstractLinearShape):
         **Raises:** `ValueError` for arrays or controls that are not of this lattice, an edge along
         no axis, and nothing free.
         """
-        d = len(self.counts)
-        free = np.ones((*self.counts, d), bool) if free is None else np.asarray(free)
-        free = np.repeat(free[..., None], d, axis=-1) if free.shape == self.counts else free.copy()
-        if free.shape != (*self.counts, d) or free.dtype != bool:
-            raise ValueError(
-                f"`free` has shape {free.shape} of {free.dtype}; expected {self.counts} or {(*self.counts, d)}."
-            )
-        check_groups(groups, self.counts)
-        reflected = None if mirror is None else reflection(np.asarray(self.axes), mirror)
-        matrix = link_matrix(free & self.free[..., None], groups, reflected)
+        free = np.ones(self._shape, bool) if free is None else np.asarray(free)
+        free = np.repeat(free[..., None], len(self.counts), axis=-1) if free.shape == self.counts else free
+        if free.shape != self._shape or free.dtype != bool:
+            raise ValueError(f"`free` has shape {free.shape} of {free.dtype}; expected {self.counts} or {self._shape}.")
+        _check_groups(groups, self.counts)
+        reflected = None if mirror is None else _reflection(np.asarray(self.axes), mirror)
+        matrix = _link_matrix(free & self.free[..., None], groups, reflected)
         if not matrix.shape[1]:
             raise ValueError("no control point is left free.")
         return Linked(self, matrix)
 
     @checked
     def raise_if_outside(self, x: Numbers) -> None:
-        """Raises where positions (m, d) that the box should hold are outside, and would stay.
-
-        **Raises:** `ValueError` with the number of positions and the first of them.
-        """
+        """Raises `ValueError` where positions (m, d) are outside the box, and would stay."""
         known = known_positions(x)
         outside = np.flatnonzero(~np.asarray(self.holds(self.coordinates(jnp.asarray(known)))))
         if len(outside):
@@ -222,15 +199,14 @@ class FreeForm(AbstractLinearShape):
 
     @checked
     def raise_if_torn(self, x: Numbers, control: Numbers) -> None:
-        """Raises where the border of the box passes nodes outside, and so tears a wall.
+        """Raises `ValueError` where the border of the box passes nodes outside: it tears a wall.
+
+        These nodes are nearer to the border than it moves there.
 
         **Arguments:**
 
         - `x`: positions (m, d) of the wall.
         - `control`: displacements (*counts, d) of the control points.
-
-        **Raises:** `ValueError` with the number of nodes that are nearer to the border than it
-        moves there.
         """
         x = known_positions(x)
         t = np.asarray(self.coordinates(jnp.asarray(x)))
@@ -244,3 +220,70 @@ class FreeForm(AbstractLinearShape):
                 f"{torn.sum()} of {len(x)} nodes stay outside the box while its border passes them, row {worst} at "
                 f"({place_of(x[worst])}) by {moves[worst]:.3g}. Try continuity=0 or more, or a larger box."
             )
+
+
+def _carried(weights: Rows | Blocks, free: Array | None, control: Float[Array, "..."]) -> Float[Array, "m d"]:
+    control = control if free is None else jnp.where(free[..., None], control, 0)
+    return weights.sums(control.reshape(-1, control.shape[-1]))
+
+
+def _checked_counts(counts: Any, degree: Any, d: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Returns numbers of control points and degrees, one for each of d directions."""
+    if any(int(count) != count for count in counts):
+        raise ValueError(f"`counts` is {tuple(counts)}; expected whole numbers.")
+    counts = tuple(int(count) for count in counts)
+    if len(counts) != d or min(counts) < 2:
+        raise ValueError(f"`counts` is {counts}; a box in {d}-D needs {d} numbers, 2 or more each.")
+    degrees = (degree,) * d if degree is None or isinstance(degree, int) else tuple(degree)
+    if len(degrees) != d:
+        raise ValueError(f"`degree` has {len(degrees)} numbers; a box in {d}-D needs one, or {d}.")
+    degrees = tuple(count - 1 if p is None else int(p) for p, count in zip(degrees, counts, strict=True))
+    if any(not 1 <= p < count for p, count in zip(degrees, counts, strict=True)):
+        raise ValueError(f"degrees {degrees} do not fit counts {counts}: each lies from 1 to count - 1.")
+    return counts, degrees
+
+
+def _link_matrix(
+    free: Bool[np.ndarray, "..."], groups: Sequence[Sequence[tuple[int, ...]]], mirror: tuple[int, np.ndarray] | None
+) -> Float[np.ndarray, "p q"]:
+    """Builds the matrix from free parameters to the displacements of all controls, flattened.
+
+    - `free` (*counts, d): True for components that may move.
+    - `groups`: lists of controls that move alike.
+    - `mirror`: the direction of the lattice that is reflected, and the signs (d,) of the
+      reflection.
+    """
+    ids, count = np.arange(free.size).reshape(free.shape), free.size
+    pairs = [(ids[:0], ids[:0], ids[:0])]
+    pairs += [(ids[group[0]], ids[control], np.ones(free.shape[-1])) for group in groups for control in group[1:]]
+    if mirror is not None:
+        pairs.append((ids, np.flip(ids, axis=mirror[0]), np.broadcast_to(mirror[1], ids.shape)))
+    a, b, sign = (np.concatenate([array.ravel() for array in arrays]) for arrays in zip(*pairs, strict=True))
+    # each displacement stands twice, as itself and as its opposite (+ count); what is linked to its
+    # own opposite is zero; the first of a part has the lower label
+    opposite = np.where(sign < 0, count, 0)
+    rows, columns = np.concatenate([a, a + count]), np.concatenate([b + opposite, b + count - opposite])
+    itself, other = parts_of(rows, columns, 2 * count).reshape(2, count)
+    moves = (itself != other) & ~np.isin(itself, [itself[~free.ravel()], other[~free.ravel()]])
+    parts, column = np.unique(np.minimum(itself, other)[moves], return_inverse=True)
+    matrix = np.zeros((count, len(parts)))
+    matrix[moves, column] = np.where(itself < other, 1.0, -1.0)[moves]
+    return matrix
+
+
+def _check_groups(groups: Sequence[Sequence[tuple[int, ...]]], counts: tuple[int, ...]) -> None:
+    lattice = set(np.ndindex(counts))
+    bad = [control for group in groups for control in group if tuple(control) not in lattice]
+    if bad:
+        raise ValueError(f"{len(bad)} entries of `groups` are no control of {counts}, first {bad[0]}.")
+
+
+def _reflection(axes: Float[np.ndarray, "d d"], mirror: int) -> tuple[int, np.ndarray]:
+    """Returns the mirrored direction of a lattice, and the signs (d,) of its reflection."""
+    if whole("mirror", mirror, 0) >= len(axes):
+        raise ValueError(f"`mirror` is {mirror}; the lattice has directions 0 to {len(axes) - 1}.")
+    edge = np.abs(axes[mirror])
+    signs = np.where(edge > 1e-9 * edge.max(), -1, 1)
+    if (signs < 0).sum() != 1:
+        raise ValueError(f"edge {mirror} of the box is along no axis: its controls cannot be mirrored.")
+    return mirror, signs

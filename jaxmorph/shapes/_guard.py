@@ -9,16 +9,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
-from .._advice.largest_step import Bounds, corner_jacobians
+from jaxmorph import Mesh, Plan
+
+from .._advice.largest_step import DesignedMesh
 from .._host.package.arguments import between, checked, finite_array, whole
-from .._kernels.compile import compiled
 from .._kernels.module import Module
-from .._mesh.mesh import Mesh
-from .._plan.deform import deform
-from .._plan.plan import Plan
-from .._quality.quality import places
 from ._arguments import Numbers
 
 
@@ -70,13 +67,7 @@ class MeshGuard(Module):
     **Raises:** `ValueError` for numbers out of their range, and for a mesh that is not the plan's.
     """
 
-    plan: Plan
-    displacement: Callable[[Any], Float[Array, "m d"]]
-    ids: tuple[Int[Array, "k c"], ...]
-    signs: tuple[Float[Array, " k"], ...]
-    scales: tuple[Float[Array, "s k"], ...]
-    judged: tuple[Bool[Array, "s k"], ...]
-    kinds: tuple[str, ...] = eqx.field(static=True)
+    mesh: DesignedMesh
     bound: float = eqx.field(static=True)
     sharpness: float = eqx.field(static=True)
     last: LastDesign = eqx.field(static=True)
@@ -91,46 +82,30 @@ class MeshGuard(Module):
         min_jacobian_ratio: float = 0.1,
         sharpness: float = 100.0,
     ):
-        between("min_jacobian_ratio", min_jacobian_ratio, 0, 1, "[)")
         between("sharpness", sharpness, 0)
-        places(mesh, plan.points)
-        parts = Bounds(mesh, plan.points.dtype, 1.0).parts
-        self.plan, self.displacement = plan, displacement
-        self.kinds = tuple(kind for kind, *_ in parts)
-        self.ids, self.signs = (tuple(jnp.asarray(part[k]) for part in parts) for k in (1, 2))
-        self.judged = tuple(jnp.asarray(part[3]) for part in parts)
-        self.scales = tuple(jnp.asarray(np.where(part[3], part[4], 1)) for part in parts)
+        self.mesh = DesignedMesh(plan, mesh, displacement, min_jacobian_ratio)
         self.bound, self.sharpness = float(min_jacobian_ratio), float(sharpness)
         self.last = LastDesign()
 
     def __call__(self, design: Any) -> Float[Array, ""]:
         """Computes the soft smallest ratio less the bound; 0 or more keeps the bound. Traced."""
-        ratios, judged = self._ratios(design)
-        least = -jax.scipy.special.logsumexp(-self.sharpness * ratios, b=judged.astype(ratios.dtype)) / self.sharpness
-        return least - self.bound
-
-    def _ratios(self, design: Any) -> tuple[Float[Array, " s"], Bool[Array, " s"]]:
-        """Computes the Jacobian ratio at each corner of a cell, and marks corners that count."""
-        points = deform(self.plan, self.displacement(design))
-        ratios = []
-        for kind, ids, sign, scale in zip(self.kinds, self.ids, self.signs, self.scales, strict=True):
-            ratios.append((sign[None] * corner_jacobians(kind, points, ids) / scale).ravel())
-        return jnp.concatenate(ratios), jnp.concatenate([judged.ravel() for judged in self.judged])
+        ratios = self.mesh.ratios(design)
+        return -jax.scipy.special.logsumexp(-self.sharpness * ratios) / self.sharpness - self.bound
 
     @checked
     def value(self, design: Numbers) -> float:
         """Computes the constraint at design variables (p,), for optimisers that call NumPy."""
-        return float(_value(self, _flat(design)))
+        return float(eqx.filter_jit(self)(_flat(design)))
 
     @checked
     def smallest(self, design: Numbers) -> float:
         """Computes the smallest ratio itself, which has kinks, at design variables (p,)."""
-        return float(_smallest(self, _flat(design)))
+        return float(eqx.filter_jit(self.mesh.ratios)(_flat(design)).min())
 
     @checked
     def gradient(self, design: Numbers) -> Float[np.ndarray, " p"]:
         """Computes the derivative by each design variable (p,), for optimisers that call NumPy."""
-        return np.asarray(_gradient(self, _flat(design)), float)
+        return np.asarray(eqx.filter_jit(eqx.filter_grad(self))(_flat(design)), float)
 
     @checked
     def quality_rows(self, design: Numbers, count: int) -> QualityRows:
@@ -144,18 +119,25 @@ class MeshGuard(Module):
         - `design`: (p,).
         - `count`: rows, at most as many as the cells have Jacobians.
 
-        **Returns:** `QualityRows`.
-
         **Raises:** `ValueError` for more rows than Jacobians.
         """
-        values, chosen, matrix = _rows(self, _flat(design), self._checked_count(count))
-        return QualityRows(np.asarray(values, float), np.asarray(matrix, float), self._cell[np.asarray(chosen)])
+        values, chosen, matrix = eqx.filter_jit(self._rows)(_flat(design), self._checked_count(count))
+        cells = self.mesh.bounds.cells[np.asarray(chosen)]
+        return QualityRows(np.asarray(values, float), np.asarray(matrix, float), cells)
 
     def _checked_count(self, count: int) -> int:
-        total = sum(int(np.asarray(judged).sum()) for judged in self.judged)
-        if not 1 <= whole("count", count) <= total:
+        if whole("count", count) > (total := (self.mesh.bounds.cells >= 0).sum()):
             raise ValueError(f"`count` is {count}; the cells have {total} Jacobians.")
-        return int(count)
+        return count
+
+    def _rows(
+        self, design: Float[Array, " p"], count: int
+    ) -> tuple[Float[Array, " k"], Int[Array, " k"], Float[Array, "k p"]]:
+        ratios = self.mesh.ratios(design)
+        chosen = jax.lax.top_k(-ratios, count)[1]
+        slopes = jax.jacfwd if len(design) <= count else jax.jacrev
+        matrix = slopes(lambda design: self.mesh.ratios(design)[chosen])(design)
+        return ratios[chosen] - self.bound, chosen, matrix
 
     def constraint(self, count: int | None = None) -> dict[str, Any]:
         """Makes the constraint of `scipy.optimize.minimize` with its derivative.
@@ -166,12 +148,8 @@ class MeshGuard(Module):
             return {"type": "ineq", "fun": self.value, "jac": self.gradient}
         count = self._checked_count(count)
         rows = functools.lru_cache(1)(lambda design: self.quality_rows(np.frombuffer(design), count))
-        as_bytes = lambda design: np.asarray(design, float).tobytes()  # noqa: E731
-        return {
-            "type": "ineq",
-            "fun": lambda design: rows(as_bytes(design)).values,
-            "jac": lambda design: rows(as_bytes(design)).matrix,
-        }
+        at = lambda design: rows(np.asarray(design, float).tobytes())  # noqa: E731
+        return {"type": "ineq", "fun": lambda design: at(design).values, "jac": lambda design: at(design).matrix}
 
     def guarded(self, objective: Callable[[Any], Any]) -> Callable[[Any], Any]:
         """Makes an objective that is infinite where a cell is below the bound.
@@ -198,42 +176,6 @@ class MeshGuard(Module):
         """
         return lambda *_: None if self.last.value is None else function(self.last.value)
 
-    @property
-    def _cell(self) -> Int[np.ndarray, " s"]:
-        """The cell of each corner."""
-        numbers, first = [], 0
-        for judged in self.judged:
-            numbers.append(np.broadcast_to(first + np.arange(judged.shape[1]), judged.shape).ravel())
-            first += judged.shape[1]
-        return np.concatenate(numbers)
-
 
 def _flat(design: Any) -> Float[Array, " p"]:
     return jnp.asarray(finite_array("design", design, (None,)), float)
-
-
-@compiled
-def _value(guard: MeshGuard, design: Float[Array, " p"]) -> Float[Array, ""]:
-    return guard(design)
-
-
-@compiled
-def _smallest(guard: MeshGuard, design: Float[Array, " p"]) -> Float[Array, ""]:
-    ratios, judged = guard._ratios(design)
-    return jnp.min(jnp.where(judged, ratios, jnp.inf))
-
-
-@compiled
-def _gradient(guard: MeshGuard, design: Float[Array, " p"]) -> Float[Array, " p"]:
-    return jax.grad(guard)(design)
-
-
-@compiled
-def _rows(
-    guard: MeshGuard, design: Float[Array, " p"], count: int
-) -> tuple[Float[Array, " k"], Int[Array, " k"], Float[Array, "k p"]]:
-    ratios, judged = guard._ratios(design)
-    chosen = jax.lax.top_k(-jnp.where(judged, ratios, jnp.inf), count)[1]
-    slopes = jax.jacfwd if len(design) <= count else jax.jacrev
-    matrix = slopes(lambda design: guard._ratios(design)[0][chosen])(design)
-    return ratios[chosen] - guard.bound, chosen, matrix

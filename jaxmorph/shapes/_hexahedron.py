@@ -11,8 +11,7 @@ from .._host.package.arguments import checked
 from .._kernels.values import is_known
 from ._arguments import Numbers, check_finite, positions
 from ._freeform import FreeForm
-from ._lattice import LatticeOperator
-from ._shape import AbstractLinearShape
+from ._shape import AbstractLinearShape, Operator
 
 STEPS = 30
 """Steps of Newton's method; a place in a box that is no parallelepiped takes about six."""
@@ -20,8 +19,8 @@ STEPS = 30
 OUTSIDE = 2.0
 """Coordinate of a position whose place in the box is not found: it lies far from the box."""
 
-ORDER = {2: [(0, 0), (1, 0), (1, 1), (0, 1)]}
-ORDER[3] = [(*corner, k) for k in (0, 1) for corner in ORDER[2]]  # pyright: ignore[reportArgumentType]
+SQUARE = np.array([(0, 0), (1, 0), (1, 1), (0, 1)])
+ORDER = {2: SQUARE, 3: np.array([(*corner, k) for k in (0, 1) for corner in SQUARE])}
 """Place of each corner in the lattice, in VTK's order: one face, then the opposite face."""
 
 
@@ -62,12 +61,11 @@ class Hexahedron(AbstractLinearShape):
         if listed.shape not in ((4, 2), (8, 3)):
             raise ValueError(f"`corners` has shape {listed.shape}; expected (8, 3), or (4, 2) in 2-D.")
         d = listed.shape[1]
-        places = np.array(ORDER[d])
-        self.corners = jnp.zeros((*(2,) * d, d), listed.dtype).at[tuple(places.T)].set(listed)
+        self.corners = jnp.zeros((*(2,) * d, d), listed.dtype).at[tuple(ORDER[d].T)].set(listed)
         self.box = FreeForm(np.zeros(d), np.eye(d), counts, degree=degree, continuity=continuity)
         if is_known(self.corners):
-            sizes = np.asarray(jax.vmap(lambda t: jnp.linalg.det(_slopes(t, self.corners)))(jnp.asarray(places, float)))
-            scale = np.linalg.norm(np.ptp(np.asarray(listed), axis=0)) ** d
+            slopes = jax.vmap(lambda t: _slopes(t, self.corners))(jnp.asarray(ORDER[d], float))
+            sizes, scale = np.asarray(jnp.linalg.det(slopes)), np.linalg.norm(np.ptp(np.asarray(listed), axis=0)) ** d
             if not ((sizes > 1e-12 * scale).all() or (sizes < -1e-12 * scale).all()):
                 raise ValueError(
                     "the box is flat or turned inside out: list the corners around one face, then around the opposite face."
@@ -91,13 +89,12 @@ class Hexahedron(AbstractLinearShape):
     @property
     def given_corners(self) -> Float[np.ndarray, "c d"]:
         """The corners in the order in which they were given."""
-        return np.asarray(self.corners)[tuple(np.array(ORDER[len(self.counts)]).T)]
+        return np.asarray(self.corners)[tuple(ORDER[len(self.counts)].T)]
 
     def neutral(self) -> Float[Array, "..."]:
-        """Makes the control displacements that move nothing: zeros (*counts, d)."""
         return self.box.neutral()
 
-    def at(self, x: Numbers) -> LatticeOperator:
+    def at(self, x: Numbers) -> Operator:
         """Finds the places of positions (m, d) in the box and computes their weights once."""
         return self.box.at(self.coordinates(x))
 
@@ -120,14 +117,12 @@ class Hexahedron(AbstractLinearShape):
 
 
 def _at(t: Float[Array, " d"], corners: Float[Array, "..."]) -> Float[Array, " d"]:
-    """Computes the position of one place."""
     for share in t:
         corners = (1 - share) * corners[0] + share * corners[1]
     return corners
 
 
-def _slopes(t: Float[Array, " d"], corners: Float[Array, "..."]) -> Float[Array, "d d"]:
-    return jax.jacfwd(_at)(t, corners)
+_slopes = jax.jacfwd(_at)
 
 
 @jax.custom_jvp

@@ -44,17 +44,14 @@ class History:
         content = input_path(self.path).read_bytes()
         self._end = content.rfind(b"\n") + 1
         for number, line in enumerate(content[: self._end].splitlines(), start=1):
-            self.rows.append(self._row(number, line))
-
-    def _row(self, number: int, line: bytes) -> dict[str, Any]:
-        try:
-            row: Any = json.loads(line)
-        except (ValueError, RecursionError):
-            row = None
-        good = isinstance(row, dict) and set(row) == set(FIELDS) and isinstance(row["design"], list)
-        if not good or (self.rows and len(row["design"]) != len(self.rows[0]["design"])):
-            raise ValueError(f"{self.path}, line {number}: no iteration of one optimisation; found {line[:60]!r}.")
-        return row
+            try:
+                row: Any = json.loads(line)
+            except (ValueError, RecursionError):
+                row = None
+            good = isinstance(row, dict) and set(row) == set(FIELDS) and isinstance(row["design"], list)
+            if not good or (self.rows and len(row["design"]) != len(self.rows[0]["design"])):
+                raise ValueError(f"{self.path}, line {number}: no iteration of one optimisation; found {line[:60]!r}.")
+            self.rows.append(row)
 
     def __len__(self) -> int:
         return len(self.rows)

@@ -4,6 +4,7 @@ The solve stays on the host, with a factor that is made once. It is symmetric, a
 transpose.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -12,15 +13,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 from scipy import sparse
+from scipy.sparse.linalg import splu
 
-from .._host.cells.pieces import boundary_faces
-from .._host.linear.solves import Factors
+from jaxmorph import Mesh
+
 from .._host.package.arguments import between, checked, rows_of
 from .._kernels.callback import host_call
-from .._mesh.mesh import Mesh
 from ._arguments import Numbers, known_positions, positions
-from ._shape import AbstractLinearShape, AbstractOperator
-from ._walls import face_arrays
+from ._shape import AbstractLinearShape, Operator
+from ._walls import faces_of, wall_faces
 
 
 class Smoother(AbstractLinearShape):
@@ -50,7 +51,7 @@ class Smoother(AbstractLinearShape):
     values: Float[Array, " e"]
     free: Float[Array, " m"]
     dimension: int = eqx.field(static=True)
-    factors: Factors = eqx.field(static=True)
+    solve: Callable[[np.ndarray], np.ndarray] = eqx.field(static=True)
 
     @checked
     def __init__(self, points: Numbers, faces: Any, length: float, *, held: Any = ()):
@@ -65,7 +66,8 @@ class Smoother(AbstractLinearShape):
         free[held] = 0
         mask = sparse.diags(free)
         matrix = (mask @ (length**2 * stiffness) @ mask + sparse.diags(masses)).tocoo()
-        self.factors, self.dimension = Factors(matrix), known.shape[1]
+        factors = splu(matrix.tocsc(), "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+        self.solve, self.dimension = factors.solve, known.shape[1]
         self.masses, self.free = jnp.asarray(masses), jnp.asarray(free)
         self.rows, self.columns, self.values = (jnp.asarray(part) for part in (matrix.row, matrix.col, matrix.data))
 
@@ -80,26 +82,20 @@ class Smoother(AbstractLinearShape):
         - `patch`: the name of the wall's patch.
         - `length`, `held`: as the class takes them.
 
-        **Returns:** a `Smoother`.
-
         **Raises:** `ValueError` as the class does, and for a patch without faces.
         """
         nodes = mesh.patch(patch)
-        faces = boundary_faces({kind: np.asarray(ids) for kind, ids in mesh.cells.items()}, len(mesh.points), nodes)
-        if not faces:
-            raise ValueError(f"patch {patch!r} has no faces on the boundary of the mesh's cells.")
-        own_rows = [np.searchsorted(nodes, ids) for ids in faces.values()]
+        own_rows = [np.searchsorted(nodes, ids) for ids in wall_faces(mesh, patch).values()]
         return Smoother(np.asarray(mesh.points)[nodes], own_rows, length, held=held)
 
     def neutral(self) -> Float[Array, "m d"]:
-        """Makes the parameters that move nothing: zeros (m, d)."""
         return jnp.zeros((len(self.masses), self.dimension))
 
-    def at(self, x: Numbers) -> "SmoothOperator":
+    def at(self, x: Numbers) -> Operator:
         """Checks the number of positions (m, d); the operator is that of the given wall."""
         if positions(x).shape != self.neutral().shape:
             raise ValueError(f"`x` has shape {positions(x).shape}; this wall has {self.neutral().shape}.")
-        return SmoothOperator(self)
+        return Operator(Smoother.apply, (self,))
 
     def apply(self, u: Numbers) -> Float[Array, "m d"]:
         """Filters displacements (m, d)."""
@@ -118,7 +114,8 @@ class Smoother(AbstractLinearShape):
             return jnp.zeros_like(v).at[self.rows].add(self.values.astype(v.dtype)[:, None] * v[self.columns])
 
         def solve(_, b):
-            return host_call(self.factors, jax.ShapeDtypeStruct(b.shape, b.dtype), b)
+            in_double = lambda right: self.solve(np.asarray(right, float))  # noqa: E731
+            return host_call(in_double, jax.ShapeDtypeStruct(b.shape, b.dtype), b)
 
         return jax.lax.custom_linear_solve(product, right, solve, symmetric=True)
 
@@ -128,17 +125,11 @@ def _pieces(faces: Any, points: np.ndarray) -> list[tuple[np.ndarray, float]]:
 
     A quad becomes its four corner triangles with half their weight.
     """
-    pieces, d = [], points.shape[1]
-    for ids in face_arrays(faces):
-        if ids.ndim != 2 or ids.shape[1] not in ((2,) if d == 2 else (3, 4)) or ids.dtype.kind not in "iu":
-            raise ValueError(
-                f"`faces` has shape {ids.shape} of {ids.dtype}; walls in {d}-D have {'(k, 2)' if d == 2 else '(k, 3) or (k, 4)'}."
-            )
-        if ids.size and (ids.min() < 0 or ids.max() >= len(points)):
-            raise ValueError(f"`faces` names node {ids.max()} of {len(points)}.")
-        corners = [(0, 1, 2), (0, 2, 3), (0, 1, 3), (1, 2, 3)] if ids.shape[1] == 4 else [tuple(range(ids.shape[1]))]
-        pieces.append((np.concatenate([ids[:, corner] for corner in corners]), 0.5 if len(corners) > 1 else 1.0))
-    return pieces
+    corners = [(0, 1, 2), (0, 2, 3), (0, 1, 3), (1, 2, 3)]
+    return [
+        (np.concatenate([ids[:, three] for three in corners]), 0.5) if ids.shape[1] == 4 else (ids, 1.0)
+        for ids in faces_of(faces, points.shape)
+    ]
 
 
 def _elements(points: np.ndarray, pieces: list[tuple[np.ndarray, float]]) -> tuple[np.ndarray, Any]:
@@ -161,16 +152,6 @@ def _elements(points: np.ndarray, pieces: list[tuple[np.ndarray, float]]) -> tup
             )
         np.add.at(masses, ids, weight * np.broadcast_to(size[:, None] / k, ids.shape))
         rows, columns = np.broadcast_to(ids[:, :, None], local.shape), np.broadcast_to(ids[:, None, :], local.shape)
-        stiffness = (
-            stiffness + sparse.coo_matrix((weight * local.ravel(), (rows.ravel(), columns.ravel())), (m, m)).tocsr()
-        )
+        places = rows.ravel(), columns.ravel()
+        stiffness = stiffness + sparse.coo_matrix((weight * local.ravel(), places), (m, m)).tocsr()
     return masses, stiffness
-
-
-class SmoothOperator(AbstractOperator):
-    """Applies a smoother to its parameters."""
-
-    smoother: Smoother
-
-    def __call__(self, parameters: Numbers) -> Float[Array, "m d"]:
-        return self.smoother.apply(parameters)

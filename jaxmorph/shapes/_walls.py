@@ -1,42 +1,41 @@
-"""Walls of a mesh as shapes take them: loops in 2-D, faces in 3-D, normals of nodes."""
+"""Walls of a mesh and their measures for constraints: ids from the host, floats in the trace.
+
+A wall in 2-D is a loop: ids (k,) of its nodes in order, counter-clockwise, without repeating the
+first. A wall in 3-D is a set of triangles (k, 3) or quads (k, 4), outward from what they enclose.
+"""
 
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from .._boundary.outer_faces import boundary_faces
-from .._host.cells.first_lines import areas, first_lines
+from jaxmorph import Mesh, boundary_faces
+
 from .._host.package.arguments import as_array, checked
-from .._mesh.mesh import Mesh
-from ._arguments import rows_of
+from .._kernels.module import Module
+from .._kernels.values import is_known, slack
+from ._arguments import Numbers, check_finite, known_positions, positions, rows_of, vector
 
 
 @checked
 def wall_loop(mesh: Mesh, patch: str) -> Int[np.ndarray, " k"]:
-    """Finds the nodes of a closed wall in 2-D in order, counter-clockwise.
-
-    **Arguments:**
-
-    - `mesh`: a `Mesh` in 2-D.
-    - `patch`: the name of the wall's patch.
-
-    **Returns:** node ids (k,).
+    """Finds the nodes (k,) of a closed wall, a patch of a mesh in 2-D, in order, counter-clockwise.
 
     **Raises:** `ValueError` for a patch that is not one closed loop, with a node where it ends or
     branches.
     """
-    segments = boundary_faces(mesh, patch).get("line", np.zeros((0, 2), int))
+    segments = wall_faces(mesh, patch).get("line", np.zeros((0, 2), int))
     ends, degree = np.unique(segments, return_counts=True)
-    if len(segments) == 0 or (degree != 2).any():
-        where = f", first node {ends[degree != 2][0]}" if len(segments) else ""
-        raise ValueError(f"patch {patch!r} is no closed loop: {(degree != 2).sum()} ends or branches{where}.")
+    bad = ends[degree != 2]
+    if len(bad) or not len(ends):
+        raise ValueError(f"patch {patch!r} is no closed loop: {len(bad)} ends or branches, first nodes {bad[:1]}.")
     beside: dict[int, list[int]] = {int(node): [] for node in ends}
     for a, b in segments.tolist():
         beside[a].append(b)
         beside[b].append(a)
-    loop = [int(ends[0])]
-    loop.append(beside[loop[0]][0])
+    loop = [int(ends[0]), beside[int(ends[0])][0]]
     while (following := next(n for n in beside[loop[-1]] if n != loop[-2])) != loop[0]:
         loop.append(following)
     if len(loop) != len(ends):
@@ -50,48 +49,326 @@ def wall_loop(mesh: Mesh, patch: str) -> Int[np.ndarray, " k"]:
 def wall_normals(mesh: Mesh, *patches: str) -> Float[np.ndarray, "m d"]:
     """Sums the areas of a wall's faces at its nodes: vectors from the body into the mesh.
 
-    It runs on the host.
-
     A face gives each of its corners an equal share of its area. In 2-D a node has half the edges
     beside it: its vector is at right angles to the line between its two neighbours. Solvers decide
     by it which side of an airfoil a node is on.
-
-    **Arguments:**
-
-    - `mesh`: a `Mesh` with cells.
-    - `patches`: names of the wall's patches.
 
     **Returns:** vectors (m, d), in the order of `mesh.patch(*patches)`; 0 for a node of no face.
 
     **Raises:** `ValueError` for patches without faces on the boundary of the mesh's cells.
     """
     nodes, points = mesh.patch(*patches), np.asarray(mesh.points, float)
-    cells = {kind: np.asarray(corners) for kind, corners in mesh.linear.cells.items()}
-    wall = first_lines(cells, points, nodes)
-    area = wall.sign[:, None] * areas(points[wall.faces])
-    counted = np.ones(wall.faces.shape, bool)
-    counted[:, -1] = wall.faces[:, -1] != wall.faces[:, -2]
-    share = area / counted.sum(axis=1)[:, None]
     normals = np.zeros_like(points)
-    for corner in range(wall.faces.shape[1]):
-        np.add.at(normals, wall.faces[counted[:, corner], corner], share[counted[:, corner]])
+    for ids in wall_faces(mesh, *patches).values():
+        np.add.at(normals, ids, -_areas(points[ids])[:, None] / ids.shape[1])
     return normals[nodes]
 
 
-def face_arrays(faces: Any) -> list[np.ndarray]:
-    """Lists the arrays of faces that are one array or several."""
+def wall_faces(mesh: Mesh, *patches: str) -> dict[str, np.ndarray]:
+    """Lists the boundary faces of patches by type. Raises `ValueError` if there are none."""
+    faces = {kind: ids for kind, ids in boundary_faces(mesh, *patches).items() if len(ids)}
+    if not faces:
+        raise ValueError(f"patch {', '.join(patches)} has no faces on the boundary of the mesh's cells.")
+    return faces
+
+
+def _areas(corners: Float[np.ndarray, "f c d"]) -> Float[np.ndarray, "f d"]:
+    """Computes area vectors of faces, of the edge's length in 2-D; outward from the mesh."""
+    if corners.shape[2] == 2:
+        return (corners[:, 1] - corners[:, 0])[:, ::-1] * [1.0, -1.0]
+    return np.cross(corners[:, 2] - corners[:, 0], corners[:, -1] - corners[:, 1]) / 2
+
+
+def faces_of(faces: Any, shape: tuple[int, ...]) -> list[Int[np.ndarray, "k c"]]:
+    """Checks faces, one array or several, of a wall whose positions have a shape (n, d)."""
     is_list = isinstance(faces, list | tuple) and np.ndim(faces[0]) == 2
-    return [as_array("faces", ids) for ids in (faces if is_list else [faces])]
+    arrays, widths = [rows_of("faces", ids, shape[0]) for ids in (faces if is_list else [faces])], {2: (2,), 3: (3, 4)}
+    for ids in arrays:
+        if ids.ndim != 2 or ids.shape[1] not in widths[shape[1]] or not ids.size:
+            expected = " or ".join(f"(k, {width})" for width in widths[shape[1]])
+            raise ValueError(f"`faces` has shape {ids.shape}; walls in {shape[1]}-D have {expected}.")
+    return arrays
 
 
-def triangles_of(faces: Any, x: Float[Array, "n d"]) -> Int[np.ndarray, "k 3"]:
-    """Cuts faces of a wall in 3-D into triangles. Raises `ValueError` for faces of other shapes."""
-    pieces = []
-    for ids in face_arrays(faces):
-        if x.shape[1] != 3 or ids.ndim != 2 or ids.shape[1] not in (3, 4) or ids.size == 0:
+def simplices_of(faces: Any, shape: tuple[int, ...]) -> Int[np.ndarray, "k d"]:
+    """Cuts faces into segments in 2-D, triangles in 3-D."""
+    d = shape[1]
+    cuts = [(ids, [0, *range(k, k + d - 1)]) for ids in faces_of(faces, shape) for k in range(1, ids.shape[1] - d + 2)]
+    return np.concatenate([ids[:, corners] for ids, corners in cuts])
+
+
+@checked
+def area(x: Numbers, loop: Any) -> Float[Array, ""]:
+    """Computes the area within a loop (2-D), positive where the loop runs counter-clockwise.
+
+    **Arguments:**
+
+    - `x`: positions (n, 2).
+    - `loop`: ids (k,) of the loop's nodes in order, as `wall_loop` returns them.
+
+    **Raises:** `ValueError` for other shapes.
+    """
+    a, b = _segments(x, loop)
+    return 0.5 * jnp.sum(_cross(a, b))
+
+
+@checked
+def centroid(x: Numbers, loop: Any) -> Float[Array, " 2"]:
+    """Computes the centre (2,) of the area within a loop; arguments and errors as `area`."""
+    x = positions(x)
+    a, b = _segments(x, loop)
+    origin = a[0]
+    a, b = a - origin[None, :], b - origin[None, :]
+    twice = _cross(a, b)
+    return origin + jnp.sum((a + b) * twice[:, None], axis=0) / (3 * jnp.sum(twice))
+
+
+@checked
+def volume(x: Numbers, faces: Any, plane: Numbers | None = None) -> Float[Array, ""]:
+    """Computes the volume within faces (3-D), positive where they are outward.
+
+    **Arguments:**
+
+    - `x`: positions (n, 3).
+    - `faces`: ids (k, 3) or (k, 4), one array or a list of them.
+    - `plane`: a point (3,) of the plane that closes an open wall, such as a symmetry plane; None
+      for a closed wall.
+
+    **Raises:** `ValueError` for an open wall without a plane, and for a border that is not in one
+    plane with the point.
+    """
+    x = positions(x)
+    if x.shape[1] != 3:
+        raise ValueError(f"`x` has shape {x.shape}; expected (n, 3): a wall in 2-D has an `area`.")
+    triangles = simplices_of(faces, x.shape)
+    origin = x[triangles[0, 0]] if plane is None else vector("plane", plane, x)
+    _check_closed(x, triangles, None if plane is None else origin)
+    a, b, c = (x[triangles[:, k]] - origin[None, :] for k in range(3))
+    return jnp.sum(a * jnp.cross(b, c)) / 6
+
+
+@checked
+def chord(x: Numbers, nose: Any, tail: Any) -> Float[Array, ""]:
+    """Computes the distance from nose to tail of an airfoil.
+
+    **Arguments:**
+
+    - `x`: positions (n, d).
+    - `nose`, `tail`: a node, or several whose mean counts, as for a blunt tail.
+
+    **Raises:** `ValueError` for nodes that are no rows of `x`.
+    """
+    x = positions(x)
+    nose, tail = (np.atleast_1d(rows_of(name, ids, len(x))) for name, ids in (("nose", nose), ("tail", tail)))
+    return jnp.linalg.norm(jnp.mean(x[tail], axis=0) - jnp.mean(x[nose], axis=0))
+
+
+@checked
+def curvature(x: Numbers, loop: Any) -> Float[Array, " k"]:
+    """Computes the curvature at each node of a loop (2-D), positive where convex.
+
+    It is that of the circle through the node and its neighbours. Arguments and errors are those of
+    `area`.
+    """
+    x = positions(x)
+    here, after = _segments(x, loop)
+    before = jnp.roll(here, 1, axis=0)
+    a, b, c = here - before, after - here, after - before
+    lengths = jnp.sqrt(jnp.sum(a**2, axis=1) * jnp.sum(b**2, axis=1) * jnp.sum(c**2, axis=1))
+    return 2 * _cross(a, b) / lengths
+
+
+@checked
+def leading_edge_radius(x: Numbers, loop: Any, tail: int, around: int = 4) -> Float[Array, ""]:
+    """Computes the radius of the nose of an airfoil (2-D).
+
+    The circle is closest to the node farthest from the tail and `around` nodes on each side of it.
+
+    **Arguments:**
+
+    - `x`: positions (n, 2).
+    - `loop`: ids (k,) of the airfoil's nodes in order.
+    - `tail`: a node of the trailing edge.
+    - `around`: nodes on each side of the nose, 1 or more. Their circle is the osculating circle to
+      second order in their spacing.
+
+    **Raises:** `ValueError` for a tail that is not in the loop, and for too many nodes.
+    """
+    x, loop = _loop_in(x, loop)
+    if tail not in loop or not 1 <= around < len(loop) // 2:
+        raise ValueError(
+            f"node {tail} must be in the loop, and {around} nodes on each side of its nose fit in {len(loop)}."
+        )
+    away = jnp.sum((x[loop] - x[tail][None, :]) ** 2, axis=1)
+    farthest = jnp.argmax(away >= (1 - slack(x.dtype)) * away.max())  # of nodes as far the first in the loop
+    order = (farthest + jnp.arange(-around, around + 1)) % len(loop)
+    near = x[jnp.asarray(loop)[order]]
+    centre = near[around]
+    arms = near - centre[None, :]
+    size = jax.lax.stop_gradient(jnp.sqrt(jnp.max(jnp.sum(arms**2, axis=1))))  # the result does not depend on it
+    arms = arms / size
+    # |p|^2 = 2 p . c + e: linear least squares for the centre c
+    system = jnp.concatenate([2 * arms, jnp.ones((len(arms), 1), arms.dtype)], axis=1)
+    solution = jnp.linalg.solve(system.T @ system, system.T @ jnp.sum(arms**2, axis=1))
+    return size * jnp.sqrt(solution[0] ** 2 + solution[1] ** 2 + solution[2])
+
+
+@checked
+def trailing_edge_angle(x: Numbers, upper: Any, lower: Any) -> Float[Array, ""]:
+    """Computes the angle between the two sides at the trailing edge: radians, 0 or more.
+
+    **Arguments:**
+
+    - `x`: positions (n, 2).
+    - `upper`, `lower`: two nodes (ahead, at the edge) of each side.
+
+    **Raises:** `ValueError` for anything but two nodes.
+    """
+    x = positions(x)
+    upper, lower = (rows_of(name, ids, len(x)) for name, ids in (("upper", upper), ("lower", lower)))
+    if upper.shape != (2,) or lower.shape != (2,):
+        raise ValueError(f"`upper` is {upper}, `lower` {lower}; expected two nodes each, (ahead, at the edge).")
+    a, b = x[upper[1]] - x[upper[0]], x[lower[1]] - x[lower[0]]
+    return jnp.abs(jnp.arctan2(_cross(a, b), a @ b))
+
+
+def _cross(a: Float[Array, "*k 2"], b: Float[Array, "*k 2"]) -> Float[Array, "*k"]:
+    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+
+
+def _segments(x: Numbers, loop: Any) -> tuple[Float[Array, "k 2"], Float[Array, "k 2"]]:
+    x, loop = _loop_in(x, loop)
+    return x[loop], x[np.roll(loop, -1)]
+
+
+def _loop_in(x: Numbers, loop: Any) -> tuple[Float[Array, "n 2"], Int[np.ndarray, " k"]]:
+    x, loop = positions(x), as_array("loop", loop)
+    if x.shape[1] != 2 or loop.ndim != 1 or len(loop) < 3:
+        raise ValueError(f"`x` has shape {x.shape} and `loop` {loop.shape}; expected (n, 2) and three nodes or more.")
+    return x, rows_of("loop", loop, len(x))
+
+
+def _check_closed(x: Float[Array, "n 3"], triangles: Int[np.ndarray, "k 3"], plane: Float[Array, " 3"] | None) -> None:
+    """Raises `ValueError` for edges of only one triangle, unless a plane closes them."""
+    edges = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
+    unique, count = np.unique(edges, axis=0, return_counts=True)
+    border = unique[count == 1]
+    if not len(border):
+        return
+    if plane is None:
+        raise ValueError(
+            f"the wall is open: {len(border)} edges have one face, first {border[0].tolist()}. Give `plane`."
+        )
+    if is_known(x, plane):
+        arms = np.asarray(x)[np.unique(border)] - np.asarray(plane)
+        sizes = np.linalg.svd(arms, compute_uv=False)
+        if len(sizes) == 3 and sizes[-1] > 1e-6 * sizes[0]:
             raise ValueError(
-                f"`x` has shape {x.shape}, `faces` {ids.shape}; expected (n, 3) and its rows (k, 3) or (k, 4)."
+                f"the wall's border of {len(border)} edges does not lie in a plane through {np.asarray(plane)}."
             )
-        ids = rows_of("faces", ids, len(x))
-        pieces += [ids[:, [0, k, k + 1]] for k in range(1, ids.shape[1] - 1)]
-    return np.concatenate(pieces)
+
+
+class Stations(Module):
+    """Lines on which thickness is measured, with the first and the last face on each line.
+
+    `Stations.on` makes them once. The faces keep the wall's nodes, so that a moved wall is measured
+    where its faces went.
+
+    - `points` (s, d): a point on each line.
+    - `directions` (s, d): of the lines, of length 1.
+    - `faces` (s, 2, d): node ids of each line's two faces.
+    """
+
+    points: Float[Array, "s d"]
+    directions: Float[Array, "s d"]
+    faces: Int[Array, "s 2 d"]
+
+    @staticmethod
+    @checked
+    def on(x: Numbers, faces: Any, points: Numbers, direction: Numbers) -> "Stations":
+        """Finds the first and the last face that each line meets.
+
+        **Arguments:**
+
+        - `x`: positions (n, d) of the wall.
+        - `faces`: segments (k, 2) in 2-D; triangles or quads in 3-D, one array or several.
+        - `points`: (s, d) a point on each line.
+        - `direction`: (d,) of all lines, or (s, d).
+
+        **Raises:** `ValueError` with the number of lines that meet fewer than two faces.
+        """
+        x, points = known_positions(x).astype(float), known_positions(points, "points").astype(float)
+        check_finite(direction=direction)
+        known = np.asarray(direction, float)
+        if x.shape[1] != points.shape[1] or known.shape not in (points.shape, points.shape[1:]):
+            raise ValueError(
+                f"`x` has shape {x.shape}, `points` {points.shape}, `direction` {known.shape}; expected (n, d), (s, d), (d,)."
+            )
+        lengths = np.linalg.norm(known, axis=-1, keepdims=True)
+        if not lengths.all():
+            raise ValueError("`direction` has length 0; it must be a direction.")
+        lines = np.broadcast_to(known / lengths, points.shape)
+        ids, same = simplices_of(faces, x.shape), 1e-9 * np.ptp(x, axis=0).max()
+        chosen, missed = np.zeros((len(points), 2, x.shape[1]), int), []
+        for s, (point, line) in enumerate(zip(points, lines, strict=True)):
+            place, inside = _meets(x, ids, point, line)
+            hits = np.flatnonzero(inside)
+            if len(hits) < 2 or np.ptp(place[hits]) <= same:
+                missed.append(s)
+            else:  # of faces that are met at one place, such as around a node, the first counts
+                ends = place[hits] <= place[hits].min() + same, place[hits] >= place[hits].max() - same
+                chosen[s] = ids[[hits[end.argmax()] for end in ends]]
+        if missed:
+            raise ValueError(
+                f"{len(missed)} of {len(points)} lines miss the body, first row {missed[0]} at {points[missed[0]]}."
+            )
+        return Stations(jnp.asarray(points), jnp.asarray(lines), jnp.asarray(chosen))
+
+
+@checked
+def thickness(x: Numbers, stations: Stations) -> Float[Array, " s"]:
+    """Computes the distance between the two faces that each line meets.
+
+    The faces count as planes, beyond their corners too.
+
+    **Arguments:**
+
+    - `x`: positions (n, d) of the wall, moved or not; traced.
+    - `stations`: from `Stations.on`.
+
+    **Raises:** `ValueError` for positions of another wall: another dimension, or fewer rows than
+    the faces name.
+    """
+    x = positions(x)
+    if x.shape[1] != stations.points.shape[1]:
+        raise ValueError(f"`x` has shape {x.shape}; the stations are in {stations.points.shape[1]}-D.")
+    if is_known(stations.faces):
+        rows_of("stations.faces", stations.faces, len(x))
+    corners = x[stations.faces]
+    first = corners[:, :, 0]
+    line = jnp.broadcast_to(stations.directions.astype(x.dtype)[:, None], first.shape)
+    if x.shape[1] == 2:
+        edge = corners[:, :, 1] - first
+        normal = jnp.stack([edge[..., 1], -edge[..., 0]], axis=-1)
+    else:
+        normal = jnp.cross(corners[:, :, 1] - first, corners[:, :, 2] - first)
+    arm = first - stations.points.astype(x.dtype)[:, None, :]
+    place = jnp.sum(normal * arm, axis=-1) / jnp.sum(normal * line, axis=-1)
+    return place[:, 1] - place[:, 0]
+
+
+def _meets(x: np.ndarray, ids: np.ndarray, point: np.ndarray, line: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Solves point + s line = first corner + weights times edges for all faces.
+
+    It returns s, and whether the place is inside the face.
+    """
+    first, d = x[ids[:, 0]], x.shape[1]
+    columns = [np.broadcast_to(line, first.shape)] + [first - x[ids[:, k]] for k in range(1, d)]
+    system = np.stack(columns, axis=2)
+    size = np.abs(system).max()
+    regular = np.abs(np.linalg.det(system / size)) > 1e-14
+    solution = np.full((len(ids), d), np.nan)
+    solution[regular] = np.linalg.solve(system[regular], (first - point)[regular][:, :, None])[:, :, 0]
+    weights = solution[:, 1:]
+    inside = regular & (weights >= -1e-9).all(axis=1) & (weights.sum(axis=1) <= 1 + 1e-9)
+    return solution[:, 0], inside

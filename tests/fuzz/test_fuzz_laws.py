@@ -330,15 +330,15 @@ def test_meshes_of_any_cells():
 @examples(COUNT // 20)
 @hypothesis.given(MESHES)
 def test_advice_on_any_cells(case):
-    """What `choose` and `fewest_steps` give is finite and keeps the wall, or a sentence says what to change."""
+    """What `compare` and `fewest_steps` give is finite and keeps the wall, or a sentence says what to change."""
     cloud, mesh = case
     rivals = {"graph": jm.DelaunayGraph(), "inverse distances": jm.InverseDistance()}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
-        found = answered(lambda: jm.choose(mesh, cloud.moving, cloud.fixed, cloud.u[None], leaves=(4,), methods=rivals))
+        found = answered(lambda: jm.compare(jm.Boundary(mesh, cloud.moving, cloud.fixed), cloud.u[None], rivals))
         plan = answered(lambda: jm.prepare(mesh, cloud.moving, cloud.fixed))
         if found is not None:
-            moved = np.asarray(jm.deform(found.plan, cloud.u))
+            moved = np.asarray(jm.deform(found.plans[0], cloud.u))
             assert np.isfinite(moved).all()
             np.testing.assert_array_equal(moved[cloud.moving], cloud.points[cloud.moving] + cloud.u)
         if plan is not None:

@@ -154,7 +154,7 @@ def png(folder: pathlib.Path) -> Output:
     mesh = jm.Mesh([[0.0, 0], [1, 0], [0, 1]], {"triangle": [[0, 1, 2]]})
 
     def write(path: pathlib.Path, k: int) -> None:
-        vars(sys.modules["jaxmorph.plot._picture"])["_in_2d"] = lambda *_: drawn[k]
+        vars(sys.modules["jaxmorph.plot._files"])["_in_2d"] = lambda *_: drawn[k]
         plot.picture(path, mesh, np.asarray(mesh.points), moving=np.arange(3))
 
     return Output("a.png", write)
@@ -163,12 +163,12 @@ def png(folder: pathlib.Path) -> Output:
 def gif(folder: pathlib.Path) -> Output:
     """A film of frames that are drawn already."""
     drawn = np.random.default_rng(0).integers(0, 255, (4, 3, 60, 80, 3), dtype=np.uint8)
-    module = vars(sys.modules["jaxmorph.plot._film"])
+    module = vars(sys.modules["jaxmorph.plot._files"])
 
     def write(path: pathlib.Path, k: int) -> None:
         shown = iter(drawn[k])
         module["_view"] = lambda *_: None
-        module["_picture"] = lambda *_: next(shown)
+        module["_pixels"] = lambda *_: next(shown)
         plot.animate(path, lambda points: None, np.zeros((3, 3, 2)))
 
     return Output("a.gif", write)

@@ -1,5 +1,6 @@
 """Neighbours of cells, the handedness of their numbering, and parts that pairs connect."""
 
+import functools
 import itertools
 from collections.abc import Mapping, Sequence
 
@@ -7,7 +8,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from .pairs import columns_of, sorted_columns, twins
+from ..package.cores import BLOCK, by_blocks, cores, in_order
 from .topology import FACES
 
 
@@ -115,3 +116,146 @@ def parts_of(first: np.ndarray, second: np.ndarray, count: int) -> np.ndarray:
     """Numbers connected parts of nodes (count,); `first` (e,) and `second` (e,) are connected."""
     graph = coo_array((np.ones(len(first), dtype=bool), (first, second)), shape=(count, count))
     return connected_components(graph, directed=False)[1]
+
+
+def sorted_columns(nodes: Sequence[np.ndarray], width: int) -> list[np.ndarray]:
+    """Sorts nodes of faces, given and returned by column: first nodes (f,), second nodes (f,), ...
+
+    Columns of -1 follow, up to the `width`.
+    """
+    columns = [np.empty_like(column) for column in nodes]
+
+    def sort(rows: slice) -> None:
+        # Neighbouring columns swap entries until every row ascends. For few columns this is several
+        # times faster than a sort of rows.
+        parts = [column[rows] for column in nodes]
+        for sweep in range(len(parts)):
+            for low in range(sweep % 2, len(parts) - 1, 2):
+                a, b = parts[low], parts[low + 1]
+                parts[low], parts[low + 1] = np.minimum(a, b), np.maximum(a, b)
+        for column, part in zip(columns, parts, strict=True):
+            column[rows] = part
+
+    by_blocks(sort, len(columns[0]))
+    return columns + [np.full_like(columns[0], -1)] * (width - len(columns))
+
+
+def columns_of(corners: np.ndarray) -> list[np.ndarray]:
+    """Splits corner ids (k, c) into c columns (k,): contiguous, in 32 bits where the ids fit."""
+    dtype = np.int32 if corners.max(initial=0) < 2**31 else np.int64
+    return [np.ascontiguousarray(corners[:, column], dtype) for column in range(corners.shape[1])]
+
+
+def twins(columns: Sequence[np.ndarray]) -> np.ndarray:
+    """Finds for each face the row of the other face with equal nodes; -1 for none or several.
+
+    `columns` are the nodes of the faces as `sorted_columns` gives them.
+    """
+    number = min(cores(), len(columns[0]) // BLOCK)
+    if number <= 1:
+        return _twins(columns)
+    # Equal faces have one first node: each core takes the faces of some first nodes.
+    partner, ends = np.full(len(columns[0]), -1), np.cumsum(np.bincount(columns[0]))
+    limits = np.searchsorted(ends, np.linspace(0, ends[-1], number + 1), side="right")
+
+    def pair(limits: tuple[int, int]) -> None:
+        rows = np.flatnonzero((columns[0] >= limits[0]) & (columns[0] < limits[1]))
+        found = _twins([column[rows] for column in columns])
+        partner[rows] = np.where(found < 0, -1, rows[found])
+
+    for _ in in_order(pair, itertools.pairwise(limits.tolist())):
+        pass
+    return partner
+
+
+def _twins(columns: Sequence[np.ndarray]) -> np.ndarray:
+    order, same = _ordered(columns)
+    with_next, with_last = np.append(same, False), np.append(False, same)
+    crowded = with_next & with_last
+    crowded = crowded | (with_next & np.roll(crowded, -1)) | (with_last & np.roll(crowded, 1))
+    partner = np.where(with_next, np.roll(order, -1), np.where(with_last, np.roll(order, 1), -1))
+    return _scatter(order, np.where(crowded, -1, partner))
+
+
+def is_single(columns: Sequence[np.ndarray]) -> np.ndarray:
+    """Marks (f,) the faces that equal no other face, by their sorted nodes."""
+    order, same = _ordered(columns)
+    repeated = np.zeros(len(order), bool)
+    repeated[1:] |= same
+    repeated[:-1] |= same
+    return _scatter(order, ~repeated)
+
+
+def unpaired(parts: Sequence[Sequence[np.ndarray]], n: int) -> list[np.ndarray]:
+    """Lists the rows of each part but for faces that surely come twice.
+
+    The first node of such a face has only pairs of equal faces. A mesh has few other faces, so that
+    exact work on them is fast. A part has the nodes of its faces by column; there are n nodes.
+    """
+    # A face has a random number, made of its nodes in any order. The numbers of two equal faces
+    # cancel each other in an "exclusive or" over all faces of their first node.
+    random = np.random.default_rng(n).integers(0, 2**64, n, dtype=np.uint64)
+    left, firsts = np.zeros(n, np.uint64), []
+
+    def numbered(columns: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        number = functools.reduce(np.add, (random[column] for column in columns))
+        return functools.reduce(np.minimum, columns), number * (number | np.uint64(1))
+
+    for first, number in in_order(numbered, parts):
+        np.bitwise_xor.at(left, first, number)
+        firsts.append(first)
+    return list(in_order(lambda first: np.flatnonzero(left[first]), firsts))
+
+
+def is_among(faces: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Marks (f,) the faces (f, c) that equal one of the `others` (k, e), which are distinct."""
+    width = max(faces.shape[1], others.shape[1])
+    both = np.full((len(faces) + len(others), width), -1, np.int64)
+    both[: len(faces), : faces.shape[1]], both[len(faces) :, : others.shape[1]] = faces, others
+    return twins(sorted_columns(columns_of(both), width))[: len(faces)] >= len(faces)
+
+
+def _ordered(columns: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Brings equal faces side by side: returns the order, and a mask of faces equal to the next."""
+    keys = _keys(columns)
+    order = np.argsort(keys, kind="stable")  # several times faster on keys that almost ascend
+    same = _equals_next(columns, order)
+    if not np.array_equal(same, _equals_next([keys], order)):  # different faces share a key: sort exactly
+        order = np.lexsort(tuple(reversed(columns)))
+        same = _equals_next(columns, order)
+    return order, same
+
+
+def _equals_next(columns: Sequence[np.ndarray], order: np.ndarray) -> np.ndarray:
+    same = np.ones(max(len(order) - 1, 0), dtype=bool)
+    for column in columns:
+        ordered = column[order]
+        same &= ordered[1:] == ordered[:-1]
+    return same
+
+
+def _keys(columns: Sequence[np.ndarray]) -> np.ndarray:
+    """Packs a face into one integer: its first node in the upper bits, a hash of the rest below.
+
+    One sort of integers then replaces a sort by columns. Keys of a mesh ascend almost as its faces
+    do, which makes the sort fast. Faces with one key are equal, except by an accident that
+    `_ordered` sees.
+    """
+    first = columns[0].astype(np.int64)
+    digest = np.zeros(len(first), np.uint64)
+    for column in columns[1:]:
+        digest = (digest ^ column.astype(np.uint64)) * np.uint64(0x9E3779B97F4A7C15)  # odd, bits without a pattern
+        digest ^= digest >> np.uint64(29)
+    free = 63 - int(first.max(initial=0)).bit_length()
+    return (first << free) | (digest >> np.uint64(64 - free)).astype(np.int64)
+
+
+def _scatter(order: np.ndarray, values: np.ndarray) -> np.ndarray:
+    result = np.empty_like(values)
+    result[order] = values
+    return result
+
+
+def repeated_cells(corners: np.ndarray) -> np.ndarray:
+    """Finds rows, ascending, of cells (k, corners) with the nodes of another cell in any order."""
+    return np.flatnonzero(~is_single(sorted_columns(columns_of(corners), corners.shape[1])))

@@ -1,111 +1,193 @@
-"""First grid lines off a wall: each wall node's edge nearest to the wall's normal."""
+"""First grid lines off a wall, from the cells' own polynomials; linear cells are of order 1."""
 
+import functools
+import operator
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..linear.products import cross
-from .topology import DIMENSION, EDGES, FACES
+from .lagrange import PLACES, Lagrange, derivatives_at_nodes, lagrange_types
+from .pieces import owned_sides
+from .topology import CORNERS, DIMENSION, FACES, SHAPES
+
+
+class Sides(NamedTuple):
+    """Sides of cells of one type on the wall.
+
+    - `ids`, `rows` (f, s): the nodes of each side, and their rows among the wall nodes; one row
+      more stands for a node without a line.
+    - `sign` (f,): 1 or -1, of triangles the half. An area vector times its sign points into the
+      mesh.
+    - `slopes` (s, s, d - 1): derivatives of the shape functions at the nodes of a side.
+    """
+
+    ids: np.ndarray
+    rows: np.ndarray
+    sign: np.ndarray
+    slopes: np.ndarray
+
+    def areas(self, x: Any) -> Any:
+        """Computes the area vectors (f, s, d) at the nodes of the sides. NumPy or JAX."""
+        return _node_areas(x[self.ids], self.slopes.astype(x.dtype)) * self.sign[:, None, None].astype(x.dtype)
 
 
 class Lines(NamedTuple):
-    """First grid lines of w wall nodes, and the faces of the wall.
+    """First grid lines of w wall nodes, and the sides of the wall.
 
-    - `nodes`, `ends`, `beside` (w,): ids of the wall nodes, of the other ends of their lines, and
-      of neighbours on the wall.
-    - `faces` (f, c): sides of cells on the wall; a triangle repeats its last corner.
-    - `rows` (f, c): the corners as rows of `nodes`; w for a repeated corner, which does not count.
-    - `sign` (f,): 1 or -1. An area vector times its sign points into the mesh.
+    - `nodes`, `ends` (w,): ids of the wall nodes, and of the ends of their lines: the cell's nodes
+      at the other end of the reference line through the whole cell.
+    - `near`, `weights` (w, k): the derivative along a line at its wall node is the weighted sum of
+      nodes.
+    - `beside` (w,): ids of neighbours on the wall.
+    - `sides`: the sides on the wall, by type.
     """
 
     nodes: np.ndarray
     ends: np.ndarray
+    near: np.ndarray
+    weights: np.ndarray
     beside: np.ndarray
-    faces: np.ndarray
-    rows: np.ndarray
-    sign: np.ndarray
+    sides: tuple[Sides, ...]
 
     def directions(self, x: Any) -> Any:
-        """Computes the first grid lines (w, d). NumPy or JAX."""
-        return x[self.ends] - x[self.nodes]
+        """Computes the derivatives (w, d) along the lines at their wall nodes. NumPy or JAX."""
+        return (x[self.near] * self.weights[:, :, None].astype(x.dtype)).sum(axis=1)
 
-    def areas(self, x: Any) -> list[tuple[np.ndarray, Any]]:
-        """Lists rows (e,) of wall nodes, with the area vectors (e, d) of the faces there."""
-        area = areas(x[self.faces]) * self.sign[:, None].astype(x.dtype)
-        return [(rows, area) for rows in self.rows.T]
+    def areas(self, x: Any) -> list[tuple[Any, Any]]:
+        """Lists rows (e,) of wall nodes, with the area vectors (e, d) of the sides there."""
+        return [(side.rows.ravel(), side.areas(x).reshape(-1, x.shape[1])) for side in self.sides]
+
+
+def _node_areas(x: Any, slopes: Any) -> Any:
+    """Computes the area vectors (f, s, d) of sides x (f, s, d) at their own nodes."""
+    nodes = range(slopes.shape[1])
+    a, *others = (
+        functools.reduce(operator.add, (slopes[None, :, k, axis, None] * x[:, k, None] for k in nodes))
+        for axis in range(slopes.shape[2])
+    )
+    if not others:
+        return a[..., ::-1] * np.array([[[-1.0, 1.0]]], dtype=x.dtype)
+    (b,), after, before = others, np.array([1, 2, 0]), np.array([2, 0, 1])
+    return a[..., after] * b[..., before] - a[..., before] * b[..., after]
+
+
+def _slopes(kind: str) -> np.ndarray:
+    """Returns derivatives at the nodes of a side; of a linear side their mean, the whole face's."""
+    slopes = derivatives_at_nodes(kind)
+    return slopes if lagrange_types()[kind].order > 1 else np.broadcast_to(slopes.mean(axis=0), slopes.shape)
 
 
 def first_lines(cells: Mapping[str, np.ndarray], points: np.ndarray, wall: np.ndarray) -> Lines:
-    """Picks, for every wall node, the edge off the wall that is nearest to the wall's normal.
+    """Picks, for every wall node, the grid line off the wall that is nearest to the wall's normal.
 
-    Raises `ValueError` if no boundary side of a cell has all corners among the wall nodes.
+    From a node on an edge or inside of a side, a line goes to the node opposite. It is the apex of
+    a simplex, and the node straight above the side of another cell. Raises `ValueError` if no
+    boundary side of a cell has all nodes among the wall nodes.
     """
     on_wall = np.zeros(len(points), dtype=bool)
     on_wall[wall] = True
     cells = {kind: np.asarray(ids) for kind, ids in cells.items() if DIMENSION[kind] == points.shape[1]}
-    faces, apexes = _sides(cells, on_wall)
-    if not len(faces):
+    sides = _sides(cells, points, wall)
+    if not any(len(side.ids) for side in sides.values()):
         raise ValueError(
-            f"no cell has a boundary side whose corners are all among the {len(wall)} wall nodes: name the nodes of a patch."
+            f"no cell has a boundary side whose nodes are all among the {len(wall)} wall nodes: name the nodes of a patch."
         )
-    area = areas(points[faces])
-    sign = np.where(np.sum(area * (points[apexes] - points[faces[:, 0]]), axis=1) < 0, -1, 1)
-    counted = np.ones(faces.shape, dtype=bool)
-    counted[:, -1] = faces[:, -1] != faces[:, -2]
     normal, beside = np.zeros(points.shape), np.full(len(points), -1)
-    for corner in range(faces.shape[1]):
-        is_corner = counted[:, corner]
-        np.add.at(normal, faces[is_corner, corner], (sign[:, None] * area)[is_corner])
-        beside[faces[is_corner, corner]] = faces[is_corner, corner - 1]
-    start, end = _edges_off(cells, on_wall)
-    start, end = start[beside[start] >= 0], end[beside[start] >= 0]
-    along = points[end] - points[start]
+    for kind, side in sides.items():
+        np.add.at(normal, side.ids, side.areas(points))
+        for node in range(side.ids.shape[1]):
+            beside[side.ids[:, node]] = side.ids[:, _neighbour(kind, node)]
+    start, end, cell_nodes, weights = _candidates(cells, on_wall & (beside >= 0), on_wall)
+    along = (points[cell_nodes] * weights[:, :, None]).sum(axis=1)
     size = np.linalg.norm(along, axis=1)
-    steepness = np.sum(along * normal[start], axis=1) / np.where(size > 0, size, 1)
+    steepness = np.round(np.sum(along * normal[start], axis=1) / np.where(size > 0, size, 1), 12)
     order = np.lexsort((end, -steepness, start))
     nodes, first = np.unique(start[order], return_index=True)
+    chosen = order[first]
     place = np.full(len(points), len(nodes))
     place[nodes] = np.arange(len(nodes))
-    return Lines(nodes, end[order][first], beside[nodes], faces, np.where(counted, place[faces], len(nodes)), sign)
+    every = tuple(side._replace(rows=place[side.ids]) for side in sides.values())
+    return Lines(nodes, end[chosen], cell_nodes[chosen], weights[chosen], beside[nodes], every)
 
 
-def areas(x: Any) -> Any:
-    """Computes area vectors (f, d) of faces (f, c, d), 2-D: of the edge's length. NumPy or JAX."""
-    if x.shape[2] == 2:
-        along = x[:, 1] - x[:, 0]
-        return along[:, ::-1] * np.array([[-1.0, 1.0]], dtype=x.dtype)
-    columns = cross((x[:, 2] - x[:, 0]).T, (x[:, 3] - x[:, 1]).T)
-    units = np.eye(3, dtype=x.dtype) / 2
-    return sum(column[:, None] * unit[None] for column, unit in zip(columns, units, strict=True))
+def _neighbour(kind: str, node: int) -> int:
+    """Returns a node beside a side's node: the corner before, or the nearest on the lattice."""
+    cell = lagrange_types()[kind]
+    if cell.order == 1:
+        return node - 1
+    distance = np.sum((cell.lattice - cell.lattice[node]) ** 2, axis=1).astype(float)
+    distance[node] = np.inf
+    return int(distance.argmin())
 
 
-def _sides(cells: Mapping[str, np.ndarray], on_wall: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Lists sides of single cells with all corners on the wall, and a cell corner off the side."""
-    faces, apexes = [], []
-    width = {2: 2, 3: 4}[max((DIMENSION[kind] for kind in cells), default=2)]
-    for kind, corners in cells.items():
-        for side in FACES[kind]:
-            rows = np.flatnonzero(on_wall[corners[:, side]].all(axis=1))
-            padded = (*side, *side[-1:] * (width - len(side)))
-            faces.append(corners[rows][:, np.array(padded)])
-            apexes.append(corners[rows, min(set(range(corners.shape[1])) - set(side))])
-    if not faces:
-        return np.zeros((0, width), dtype=np.int64), np.zeros(0, dtype=np.int64)
-    joined, apex = np.concatenate(faces), np.concatenate(apexes)
-    _, first, count = np.unique(np.sort(joined, axis=1), axis=0, return_index=True, return_counts=True)
-    single = np.sort(first[count == 1])
-    return joined[single], apex[single]
+def _sides(cells: Mapping[str, np.ndarray], points: np.ndarray, wall: np.ndarray) -> dict[str, Sides]:
+    """Lists sides of single cells with all nodes on the wall, by type; rows are ids here."""
+    corners = [points[ids[:, : CORNERS[SHAPES[kind]]]].mean(axis=1) for kind, ids in cells.items()]
+    centre, result = np.concatenate(corners or [points[:0]]), {}
+    for side, (ids, owner) in owned_sides(cells, len(points), wall).items():
+        area = _node_areas(points[ids], _slopes(side)).mean(axis=1)
+        inward = centre[owner] - points[ids[:, : CORNERS[SHAPES[side]]]].mean(axis=1)
+        upward = np.sum(area * inward, axis=1)
+        sign = np.where(upward < 0, -1, 1) * (0.5 if SHAPES[side] == "triangle" else 1)
+        result[side] = Sides(ids, ids, sign, _slopes(side))
+    return result
 
 
-def _edges_off(cells: Mapping[str, np.ndarray], on_wall: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Lists edges of cells from the wall to a node off the wall: start and end."""
-    pairs = [np.zeros((0, 2), dtype=np.int64)]
-    for kind, corners in cells.items():
-        near = corners[on_wall[corners].any(axis=1)]
-        for edge in EDGES[kind]:
-            for ends in (edge, edge[::-1]):
-                ids = near[:, ends]
-                pairs.append(ids[on_wall[ids[:, 0]] & ~on_wall[ids[:, 1]]])
-    start, end = np.concatenate(pairs).T
-    return start, end
+def _candidates(
+    cells: Mapping[str, np.ndarray], starts: np.ndarray, on_wall: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Lists lines from `starts` to nodes off the wall: start, end, nodes and weights (l, k)."""
+    width = max((len(row) for kind in cells for *_, row, _ in _lines(kind)), default=1)
+    parts = []
+    for kind, ids in cells.items():
+        near = ids[starts[ids].any(axis=1)]
+        for first, last, nodes, weights in _lines(kind):
+            chosen = near[starts[near[:, first]] & ~on_wall[near[:, last]]]
+            fill = width - len(nodes)
+            row = np.pad(chosen[:, nodes], ((0, 0), (0, fill)))
+            factor = np.broadcast_to(np.pad(weights, (0, fill)), row.shape)
+            parts.append((chosen[:, first], chosen[:, last], row, factor))
+    start, end, nodes, weights = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return start, end, nodes, weights
+
+
+@functools.cache
+def _lines(kind: str) -> tuple[tuple[int, int, np.ndarray, np.ndarray], ...]:
+    """Lists the lines of a type that may leave a wall: start, end, and weights of some nodes.
+
+    Lines are the edges in both senses, and lead from nodes of sides to the opposite nodes.
+    """
+    cell, lines = lagrange_types()[kind], []
+    ends = derivatives_at_nodes("line" if cell.order == 1 else f"line{cell.order + 1}")[:2, :, 0]
+    for edge in cell.edges:
+        first, last = edge[:2].tolist()
+        lines += [(first, last, edge, ends[0]), (last, first, edge, -ends[1])]
+    place = {tuple(at): node for node, at in enumerate(cell.lattice.tolist())}
+    slopes = derivatives_at_nodes(kind)
+    for side, (_, nodes) in zip(FACES[cell.shape], cell.sides, strict=True):
+        for node in nodes[nodes >= cell.corners].tolist():
+            last = place[tuple(_opposite(cell, side, cell.lattice[node]))]
+            weights = slopes[node] @ (cell.reference[last] - cell.reference[node])
+            near = np.flatnonzero(np.abs(weights) > 1e-12 * np.abs(weights).max())
+            lines.append((node, last, near, weights[near]))
+    return tuple(lines)
+
+
+def _opposite(cell: Lagrange, side: tuple[int, ...], at: np.ndarray) -> list[int]:
+    """Returns the place on the lattice opposite a place of a side."""
+    corners, p = np.array(PLACES[cell.shape]), cell.order
+    others = [k for k in range(cell.corners) if k not in side]
+    if len(others) == 1:  # the apex of a simplex, or of a pyramid
+        return (p * corners[others[0]]).tolist()
+    if cell.shape == "wedge" and len(side) == 4:  # the other edge, at the height of the place
+        return [*(p * corners[others[0]][:2]).tolist(), int(at[2])]
+    if cell.shape == "pyramid":  # the triangle opposite, at the height of the place
+        axis = int(np.flatnonzero(np.ptp(corners[list(side[:2])], axis=0) == 0)[0])
+        end = at.copy()
+        end[axis] = p - at[2] - at[axis]
+        return end.tolist()
+    axis = int(np.flatnonzero(np.ptp(corners[list(side)], axis=0) == 0)[0])
+    end = at.copy()
+    end[axis] = p - at[axis]
+    return end.tolist()

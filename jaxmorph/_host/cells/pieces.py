@@ -13,9 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from .lagrange import PLACES, Lagrange, depth, lagrange_types, of_order
-from .pairs import columns_of, is_single, sorted_columns, unpaired
-from .shape_functions import collapsed, values
+from .adjacency import columns_of, is_single, sorted_columns, unpaired
+from .lagrange import PLACES, Lagrange, collapsed, depth, lagrange_types, of_order, values
 from .topology import CORNERS, EDGES, FACES, FRAMES, NODES, SHAPES
 
 

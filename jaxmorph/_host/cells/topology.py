@@ -3,10 +3,6 @@
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-
-from .pairs import columns_of, is_single, sorted_columns
-
 CORNERS = {"line": 2, "triangle": 3, "quad": 4, "tetra": 4, "pyramid": 5, "wedge": 6, "hexahedron": 8}
 """Number of corners by type; names are meshio's."""
 
@@ -104,8 +100,3 @@ SIDE_TYPES = {2: "line", 3: "triangle", 4: "quad"}
 def solid(cells: Mapping[str, Any], dimension: int) -> dict[str, Any]:
     """Selects the cells that fill the space, without boundary elements and empty types."""
     return {kind: ids for kind, ids in cells.items() if DIMENSION[kind] == dimension and len(ids)}
-
-
-def repeated_cells(corners: np.ndarray) -> np.ndarray:
-    """Finds rows, ascending, of cells (k, corners) with the nodes of another cell in any order."""
-    return np.flatnonzero(~is_single(sorted_columns(columns_of(corners), corners.shape[1])))

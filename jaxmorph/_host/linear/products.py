@@ -1,7 +1,9 @@
-"""Products of vectors given by their components: numbers, or arrays of NumPy or JAX."""
+"""Vector algebra in closed form: of components (numbers, NumPy or JAX), and of rows (k, d)."""
 
 from collections.abc import Sequence
 from typing import Any
+
+import numpy as np
 
 Components = Any
 """A sequence of numbers or arrays: a tuple, a list, or an array whose first axis runs over them."""
@@ -33,3 +35,48 @@ def cofactors(columns: Sequence[Components]) -> list[list[Any]]:
         return [[b[1], -b[0]], [-a[1], a[0]]]
     a, b, c = columns
     return [cross(b, c), cross(c, a), cross(a, b)]
+
+
+def smallest_height(corners: np.ndarray) -> np.ndarray:
+    """Computes least heights (k,) of simplices (k, c, d): content over the largest side's content.
+
+    The result does not depend on which corner comes first.
+    """
+    count = corners.shape[1]
+    sides = [_content([corners[:, i] for i in range(count) if i != corner]) for corner in range(count)]
+    largest = np.max(sides, axis=0)
+    return _content([corners[:, i] for i in range(count)]) / np.where(largest > 0, largest, 1)
+
+
+def _content(corners: list[np.ndarray]) -> np.ndarray:
+    """Computes lengths, twice areas or six times volumes from corners (k, d); 1 for points."""
+    edges = [corner - corners[0] for corner in corners[1:]]
+    if not edges:
+        return np.ones(len(corners[0]))
+    if len(edges) == edges[0].shape[1]:
+        return np.abs(np.einsum("kd,kd->k", cofactor_rows(edges)[0], edges[0]))
+    normal = edges[0] if len(edges) == 1 else cross_rows(*edges)
+    return np.sqrt(np.einsum("kd,kd->k", normal, normal))
+
+
+def normals(corners: np.ndarray) -> np.ndarray:
+    """Computes normals (k, d) of segments or triangles (k, d, d), of length or twice the area."""
+    edges = corners[:, 1:] - corners[:, :1]
+    return edges[:, 0, ::-1] * [1, -1] if edges.shape[1] == 1 else cross_rows(edges[:, 0], edges[:, 1])
+
+
+def cofactor_rows(edges: list[np.ndarray]) -> list[np.ndarray]:
+    """Computes the rows of the adjugate of the matrix whose columns are the edges, each (k, d)."""
+    return [np.stack(row, axis=1) for row in cofactors([edge.T for edge in edges])]
+
+
+def cross_rows(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Computes cross products of rows; `numpy.cross` is slow for many short vectors."""
+    return np.stack(cross(a.T, b.T), axis=1)
+
+
+def outward(corners: np.ndarray) -> np.ndarray:
+    """Computes outward normals (k, d) of faces (k, corners, d), as long as the area (2-D: edge)."""
+    if corners.shape[1] == 2:
+        return normals(corners)
+    return np.cross(corners[:, 2] - corners[:, 0], corners[:, -1] - corners[:, 1]) / 2

@@ -12,8 +12,7 @@ from scipy.sparse import linalg
 
 from ..cells.adjacency import parts_of
 from ..package.rounding import distinct
-from .multigrid import by_component, hierarchy
-from .solves import Factors, conjugate_gradients, inner_product, is_factored
+from .solves import Factors, by_component, conjugate_gradients, hierarchy, inner_product, is_factored
 
 ACCURACY = 1e-9
 """Residual relative to the right side, and error relative to the solution, that end CG."""

@@ -1,19 +1,35 @@
-"""Decisions free of round-off: numbers within `SAME` are equal, and the first of equals is taken.
+"""Decisions free of round-off, orders of points, and searches for the nearest.
+
+Numbers within `SAME` are equal, and the first of equals is taken.
 
 A mesh with flat sides, even spacings or a plane of symmetry has many equal lengths. Computed
 lengths differ in the last bit, and differently on different processors. A plain comparison would
 follow that bit.
 """
 
-import numpy as np
+from typing import Any
 
-from .trees import Tree
+import numpy as np
+from scipy.spatial import KDTree
+
+from .cores import cores
 
 SAME = 1e-9
 """Relative difference up to which two numbers count as equal."""
 
 TIES = 4
 """Nearest places that are searched first; if all are equally near, more are searched."""
+
+FEW = 4096
+"""Points of a search up to which threads cost more than they gain."""
+
+
+class Tree(KDTree):
+    """A k-d tree that is searched with all cores. The answers do not depend on their number."""
+
+    def query(self, x: Any, *arguments: Any, **keywords: Any) -> tuple[Any, Any]:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """Finds the nearest points of the tree, as `scipy.spatial.KDTree.query` does."""
+        return super().query(x, *arguments, **{"workers": cores() if len(x) > FEW else 1} | keywords)
 
 
 def roundoff(points: np.ndarray) -> float:
@@ -79,3 +95,41 @@ def few_by(tree: Tree, points: np.ndarray, count: int, slack: float) -> np.ndarr
         left = left[rank[:, -1] == rank[:, count - 1]] if looked < tree.n else left[:0]
         looked = min(4 * looked, tree.n)
     return nearest
+
+
+BETWEEN = 0.618
+"""Place of the borders of Morton's cells, relative to their size: off structured grids."""
+
+
+def canonical_order(points: np.ndarray) -> np.ndarray:
+    """Sorts points by their coordinates, so that results do not depend on the order given."""
+    slack = SAME * float(np.ptp(points, axis=0).max())
+    return np.lexsort([ranked(column, slack) for column in points.T[::-1]])
+
+
+def rows_in(ids: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """Finds the row in `ids` (k,) of each of `wanted`, which are all among them."""
+    order = np.argsort(ids, kind="stable")
+    return order[np.searchsorted(ids[order], wanted)]
+
+
+def morton_order(points: np.ndarray) -> np.ndarray:
+    """Sorts points along Morton's curve, so that successive points are close to each other."""
+    # A point has an integer coordinate on every axis. The key interleaves their bits: bit 0 of x, y
+    # and z, then bit 1 of x, y and z. Points with equal upper bits lie in one box.
+    dimension = points.shape[1]
+    bits = 62 // dimension
+    low, extent = points.min(axis=0), np.ptp(points, axis=0).max() or 1.0
+    key = np.zeros(len(points), dtype=np.uint64)
+    for axis in range(dimension):
+        grid = ((points[:, axis] - low[axis]) / extent * (2**bits - 2) + BETWEEN).astype(np.uint64)
+        key |= _spread(grid, dimension) << np.uint64(axis)
+    return np.argsort(key, kind="stable")
+
+
+def _spread(grid: np.ndarray, dimension: int) -> np.ndarray:
+    """Moves bit k of all numbers to place k times `dimension`, by halving blocks of bits."""
+    for half in (16, 8, 4, 2, 1):
+        bits = sum((2**half - 1) << place for place in range(0, 64, half * dimension)) % 2**64
+        grid = (grid | grid << np.uint64(half * (dimension - 1))) & np.uint64(bits)
+    return grid

@@ -1,11 +1,11 @@
-"""Farthest points: sources spread evenly over a surface (Gonzalez 1985)."""
+"""Farthest points: sources spread evenly or graded over a surface (Gonzalez 1985), and orders."""
 
 import dataclasses
 
 import numpy as np
 
 from ..package.arguments import between, check_fields, whole
-from ..package.rounding import SAME, first_largest
+from ..package.rounding import SAME, Tree, canonical_order, first_largest, nearest_of, spacing
 from .reduction import AbstractReduction, AbstractSeparated, KDTree, chosen_in_order, extreme_points
 
 ENOUGH = {2: 84, 3: 400}
@@ -123,3 +123,119 @@ def _lower(distance: np.ndarray, columns: np.ndarray, node: int, weight: np.ndar
         np.add(total, term, out=total)
     np.multiply(total, weight, out=total)
     np.minimum(distance, total, out=distance)
+
+
+SHARE = {2: 0.25, 3: 0.5}
+"""Default `share` by dimension: a distant circle gets 16 sources, a sphere about 30."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Graded(AbstractSeparated):
+    """Chooses points so that sources are dense where the other boundary is near.
+
+    The distance of every point from a source is at most `share` of its distance from the other
+    boundary. It is made for the fixed boundary. Where the moving boundary is near, the field must
+    vanish within the gap, and few sources would leave it wavy. A far field needs a few dozen
+    sources at most, however fine its mesh.
+
+    The distance is measured to the nearest source of the other boundary. It is at least the
+    distance of that source from its own nearest source: where boundaries touch, the spacing changes
+    gradually. Without another boundary it is the diagonal of all points.
+
+    A fixed wall whose distance is larger than its length, a body for example, may come near later.
+    It gets its sources as if there were no other boundary, at most 512 on all such walls. Walls are
+    found by the faces of the mesh.
+
+    **Arguments:**
+
+    - `share`: relative, above 0; 0.25 in 2-D and 0.5 in 3-D by default.
+    - `most`: most sources; the most needed sources come first; 512 by default.
+    - `separation`: least distance between sources, relative to the diagonal of all points, from 0
+      to 1; 1e-3 by default.
+
+    **Raises:** `ValueError` for values that are not in these ranges.
+    """
+
+    share: float | None = None
+    _: dataclasses.KW_ONLY
+    most: int = 512
+    separation: float = 1e-3
+
+    most_on_far_walls = 512
+
+    def __post_init__(self):
+        if self.share is not None:
+            between("share", self.share, 0)
+        whole("most", self.most)
+        between("separation", self.separation, 0, 1, "[)")
+
+    def _chosen(self, points: np.ndarray, order: np.ndarray) -> np.ndarray:
+        return self._near(points, points[:0])
+
+    def beside(self, points: np.ndarray, others: np.ndarray) -> np.ndarray:
+        return chosen_in_order(points, lambda points, order: self._near(points, others))
+
+    def _near(self, points: np.ndarray, others: np.ndarray) -> np.ndarray:
+        share = SHARE[points.shape[1]] if self.share is None else self.share
+        return farthest(points, self.most, self.closest(points), reach=share * _room(points, others))
+
+
+def _room(points: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Measures distances (n,) from the nearest of the `others`, at least their spacing there."""
+    if len(others) == 0:
+        return np.full(len(points), float(np.linalg.norm(np.ptp(points, axis=0))) or 1.0)
+    distance = np.asarray(Tree(others).query(points)[0])
+    if len(others) == 1:
+        return np.maximum(distance, 1e-12 * distance.max())
+    return np.maximum(distance, nearest_of(points, others, spacing(others)))
+
+
+def far_to_near(points: np.ndarray, first: int, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Orders points (n, d) so that each is far from its predecessors, and finds near predecessors.
+
+    Returns ids (n,), and places in their order (n - first, count). A row begins with the point's
+    own place. The nearest earlier places follow; its own place fills up the row. The result depends
+    on the set of points, not on their order.
+    """
+    canonical = canonical_order(points)
+    order = canonical[farthest(points[canonical], len(points), 0.0)]
+    points, n = points[order], len(points)
+    earlier = np.repeat(np.arange(min(first, n), n, dtype=np.int32)[:, None], count, axis=1)
+    start = first
+    while start < n:
+        end = min(n, start + start // 4 + 1)  # one tree for a quarter more points: most it gives are earlier
+        earlier[start - first : end - first, 1:] = _before(points[:end], start, count - 1)
+        start = end
+    return order, earlier
+
+
+def _before(points: np.ndarray, start: int, count: int) -> np.ndarray:
+    """Finds, for the points from `start` on, `count` near earlier places.
+
+    A point's own place fills up its row. The places are the nearest, unless most neighbours of a
+    point are later ones. Then some places between `start` and the point may be missed.
+    """
+    place = np.arange(start, len(points))[:, None]
+    distance, nearest = _query(points, points[start:], min(len(points), 2 * count + 2))
+    distance = np.where(nearest < place, distance, np.inf)
+    short = np.flatnonzero((distance < np.inf).sum(axis=1) < count)
+    best, chosen = _smallest(distance, nearest, count)
+    if short.size:
+        distances = np.where(nearest[short] >= start, distance[short], np.inf)
+        more, older = _query(points[:start], points[start + short], min(start, count))
+        candidates = np.concatenate([distances, more], axis=1), np.concatenate([nearest[short], older], axis=1)
+        best[short], chosen[short] = _smallest(*candidates, count)
+    return np.where(best < np.inf, chosen, place)
+
+
+def _query(points: np.ndarray, at: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    distance, nearest = Tree(points).query(at, k=count)
+    return np.asarray(distance).reshape(len(at), count), np.asarray(nearest).reshape(len(at), count)
+
+
+def _smallest(distance: np.ndarray, ids: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Selects each row's `count` nearest ids, nearest first; infinite distances fill up a row."""
+    columns = np.argsort(distance, axis=1, kind="stable")[:, :count]
+    missing = ((0, 0), (0, count - columns.shape[1]))
+    best = np.pad(np.take_along_axis(distance, columns, axis=1), missing, constant_values=np.inf)
+    return best, np.pad(np.take_along_axis(ids, columns, axis=1), missing)

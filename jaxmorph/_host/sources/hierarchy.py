@@ -6,9 +6,7 @@ import numpy as np
 from scipy.spatial.distance import cdist
 
 from ..package.arguments import between
-from ..package.orders import canonical_order
-from ..package.rounding import SAME, first_largest, nearest_of, ranked, roundoff
-from ..package.trees import Tree
+from ..package.rounding import SAME, Tree, canonical_order, first_largest, nearest_of, ranked, roundoff
 from .farthest import FarthestPoints
 from .reduction import AbstractReduction
 

@@ -1,4 +1,4 @@
-"""Reduction of source points: the nodes that carry radial functions (paper, section 2.1)."""
+"""Reduction of source points, the nodes that carry radial functions; distances between them."""
 
 import abc
 import dataclasses
@@ -10,10 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from ..package.arguments import between, check_fields, finite_array, whole
-from ..package.orders import canonical_order
-from ..package.rounding import SAME, first_largest, nearest_of, roundoff
-from ..package.trees import Tree
-from .separation import drop_close, least_distance
+from ..package.rounding import SAME, Tree, canonical_order, first_largest, nearest_of, roundoff
 
 
 class AbstractReduction(abc.ABC):
@@ -258,3 +255,30 @@ def extreme_points(points: np.ndarray) -> np.ndarray:
             others = np.delete(points[touching], axis, axis=1)
             extremes += [touching[first_largest(side * column, slack)] for column in others.T for side in (-1, 1)]
     return np.unique(extremes)
+
+
+def least_distance(points: np.ndarray, separation: float) -> float:
+    """Computes `separation` times the diagonal of all points, but at least round-off."""
+    if len(points) == 0:
+        return 0.0
+    return max(separation * float(np.linalg.norm(np.ptp(points, axis=0))), roundoff(points))
+
+
+def drop_close(points: np.ndarray, ids: np.ndarray, closest: float) -> np.ndarray:
+    """Drops ids of points within `closest` of an earlier point that stays; the order stays."""
+    if len(ids) < 2:
+        return ids
+    ids = ids[np.sort(np.unique(ids, return_index=True)[1])]
+    pairs = Tree(points[ids]).query_pairs(closest * (1 + SAME), output_type="ndarray")
+    keep = np.ones(len(ids), dtype=bool)
+    for first, second in pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]:  # pairs come as first < second
+        if keep[first]:
+            keep[second] = False
+    return ids[keep]
+
+
+def drop_near(points: np.ndarray, ids: np.ndarray, others: np.ndarray, closest: float) -> np.ndarray:
+    """Drops ids of points within `closest` of one of the `others`; the order stays."""
+    if len(ids) == 0 or len(others) == 0:
+        return ids
+    return ids[Tree(points[others]).query(points[ids])[0] > closest * (1 + SAME)]

@@ -1,8 +1,9 @@
-"""Gaps between walls: distances of nodes from the nearest faces of other walls."""
+"""Distances of nodes from faces: gaps between walls, and the closest places of a surface."""
 
 import numpy as np
+from scipy import spatial
 
-from ..package.trees import Tree
+from ..package.rounding import Tree
 from .neighbours import nearest_boxes_first, searched_together
 
 CLOSEST = 12
@@ -88,3 +89,96 @@ def distance_from_segment(x: np.ndarray, start: np.ndarray, end: np.ndarray) -> 
     squared = np.maximum(np.einsum("kd,kd->k", along, along), 1e-300)
     share = np.clip(np.einsum("kd,kd->k", x - start, along) / squared, 0, 1)
     return np.linalg.norm(x - start - share[:, None] * along, axis=1)
+
+
+BLOCK = 1 << 12
+"""Points looked for together."""
+NEAR = 8
+"""Nearest simplices that bound the distance to all others."""
+
+
+def fans(ids: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    """Cuts polygons into triangles (t, 3) about their first corners.
+
+    `ids` are the corners of all polygons, one after the other; `counts` how many each one has.
+    """
+    first = np.cumsum(counts) - counts
+    owner = np.repeat(np.arange(len(counts)), counts - 2)
+    turn = 1 + np.arange(len(owner)) - np.repeat(np.cumsum(counts - 2) - counts + 2, counts - 2)
+    return np.stack([ids[first[owner]], ids[first[owner] + turn], ids[first[owner] + turn + 1]], axis=1)
+
+
+def closest(corners: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Finds the simplex (m,) of `corners` (t, c, d) closest to each of `x` (m, d).
+
+    Returns its number, the weights (m, c) of its corners at its closest place, and the distance
+    (m,). Of simplices at one distance the first one counts.
+    """
+    # Simplices of one size are looked at together: one ball around a point then holds all of them
+    # that can be closest, and a few long ones do not make candidates of all.
+    centre = corners.mean(axis=1)
+    radius = np.linalg.norm(corners - centre[:, None], axis=2).max(axis=1)
+    level = np.floor(np.log2(np.maximum(radius, max(radius.max() * 1e-9, np.finfo(float).tiny))))
+    groups = [np.flatnonzero(level == value) for value in np.unique(level)]
+    trees = [(group, spatial.KDTree(centre[group]), radius[group].max()) for group in groups]
+    chosen, weights, distance = np.zeros(len(x), int), np.zeros((len(x), corners.shape[1])), np.zeros(len(x))
+    for at in range(0, len(x), BLOCK):
+        block = slice(at, at + BLOCK)
+        rows, simplices = _candidates(trees, corners, x[block])
+        share, away = _places(corners[simplices], x[block][rows])
+        order = np.lexsort((simplices, away, rows))
+        best = order[np.unique(rows[order], return_index=True)[1]]
+        chosen[block], weights[block], distance[block] = simplices[best], share[best], away[best]
+    return chosen, weights, distance
+
+
+def _candidates(trees: list, corners: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Pairs rows of `x` with the simplices that may be the closest ones to them."""
+    bound = np.full(len(x), np.inf)
+    for group, tree, _ in trees:
+        count = min(NEAR, len(group))
+        near = group[np.asarray(tree.query(x, k=count)[1]).reshape(len(x), count)]
+        rows = np.repeat(np.arange(len(x)), count)
+        distance = _places(corners[near.ravel()], x[rows])[1].reshape(len(x), count)
+        bound = np.minimum(bound, distance.min(axis=1))
+    rows, simplices = [], []
+    for group, tree, radius in trees:
+        balls = tree.query_ball_point(x, (bound + radius) * (1 + 1e-9))
+        rows.append(np.repeat(np.arange(len(x)), [len(ball) for ball in balls]))
+        simplices.append(group[np.concatenate([np.zeros(0, np.int64), *map(np.asarray, balls)]).astype(np.int64)])
+    return np.concatenate(rows), np.concatenate(simplices)
+
+
+def _places(corners: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Computes weights (m, c) of corners (m, c, d) at each simplex' place closest to `x` (m, d).
+
+    The second array is the distance (m,) of the place.
+    """
+    if corners.shape[1] == 2:
+        weights = _on_segment(corners[:, 0], corners[:, 1], x)
+        return weights, np.linalg.norm(np.einsum("mc,mcd->md", weights, corners) - x, axis=1)
+    a, b, c = np.moveaxis(corners, 1, 0)
+    choices = []
+    for i, j in ((0, 1), (1, 2), (2, 0)):
+        weights = np.zeros((len(x), 3))
+        weights[:, [i, j]] = _on_segment(corners[:, i], corners[:, j], x)
+        choices.append(weights)
+    u, v, w = b - a, c - a, x - a
+    uu, uv, vv, wu, wv = (np.einsum("md,md->m", p, q) for p, q in ((u, u), (u, v), (v, v), (w, u), (w, v)))
+    area = uu * vv - uv**2
+    size = np.where(area > 0, area, 1)
+    s, t = (vv * wu - uv * wv) / size, (uu * wv - uv * wu) / size
+    inside = (area > 0) & (s >= 0) & (t >= 0) & (s + t <= 1)
+    choices.append(np.where(inside[:, None], np.stack([1 - s - t, s, t], axis=1), choices[0]))
+    stacked = np.stack(choices)
+    distance = np.linalg.norm(np.einsum("emc,mcd->emd", stacked, corners) - x, axis=2)
+    best = distance.argmin(axis=0), np.arange(len(x))
+    return stacked[best], distance[best]
+
+
+def _on_segment(a: np.ndarray, b: np.ndarray, x: np.ndarray) -> np.ndarray:
+    along = b - a
+    length = np.einsum("md,md->m", along, along)
+    t = np.einsum("md,md->m", x - a, along) / np.where(length > 0, length, 1)
+    t = np.clip(t, 0, 1)
+    return np.stack([1 - t, t], axis=1)

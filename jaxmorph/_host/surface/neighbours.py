@@ -6,9 +6,7 @@ from typing import Any
 import numpy as np
 
 from ..package.cores import by_blocks
-from ..package.orders import morton_order
-from ..package.rounding import SAME, few_by, nearest_few, roundoff
-from ..package.trees import Tree
+from ..package.rounding import SAME, Tree, few_by, morton_order, nearest_few, roundoff
 
 FEW = 16
 """Most walls for which every wall has a search tree of its own."""

@@ -5,10 +5,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from ..cells.adjacency import parts_of
-from ..package.rounding import SAME, distinct, nearest_of, ranked
-from ..package.trees import Tree
+from ..linear.products import outward
+from ..package.rounding import SAME, Tree, distinct, nearest_of, ranked
 from ..sources.farthest import farthest
-from .simplices import normals
 
 SHARP = np.cos(np.deg2rad(45))
 """Cosine of the angle at a concave corner from which on its two faces belong to different walls."""
@@ -114,13 +113,6 @@ def _by_faces(points: np.ndarray, moving: int, groups: list[np.ndarray]) -> np.n
                 rows = ((column >= moving) == fixed[face]) == of_own_kind
                 label[column[rows]] = part[face][rows]
     return label
-
-
-def outward(corners: np.ndarray) -> np.ndarray:
-    """Computes outward normals (k, d) of faces (k, corners, d), as long as the area (2-D: edge)."""
-    if corners.shape[1] == 2:
-        return normals(corners)
-    return np.cross(corners[:, 2] - corners[:, 0], corners[:, -1] - corners[:, 1]) / 2
 
 
 def _beside(groups: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..._host.cells.topology import EDGES, FRAMES
-from ..numbers import number
+from ..base import number
 from .cells import AbstractCellMethod, all_pairs
 
 

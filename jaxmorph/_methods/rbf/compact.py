@@ -8,20 +8,16 @@ from jax import dtypes
 from jaxtyping import Array, Bool, Float, Int
 
 from ..._host.package.errors import warn
-from ..._host.package.rounding import roundoff
-from ..._host.package.trees import Tree
+from ..._host.package.rounding import Tree, roundoff
 from ..._host.sources.hierarchy import overlaps, padded
-from ..._host.sources.separation import drop_close
+from ..._host.sources.reduction import drop_close
 from ..._kernels.compile import compiled
 from ..._kernels.values import as_jax
-from ..base import Control
-from ..cells.solve import NodeFactors, solved_on_host, symmetric_product
-from ..numbers import length_or_none
-from ..placing import AbstractPlacing
-from ..searched import SLACK, Searched, squared_distance
-from ..sparse import InterpolatedField, Reach
+from ..base import AbstractPlacing, Control, length_or_none
+from ..cells.cells import NodeFactors, solved_on_host, symmetric_product
+from ..sparse import SLACK, InterpolatedField, Reach, Searched, squared_distance
 from ..surface import Surface
-from .compact_bases import WendlandC2
+from .basis import WendlandC2
 from .conditioning import USELESS, is_noticeable, warn_of_close
 
 NEIGHBOURS = 200

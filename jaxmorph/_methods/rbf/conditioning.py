@@ -8,7 +8,7 @@ import scipy.linalg
 from jaxtyping import Array, Bool, Float, Int
 
 from ..._host.package.errors import place_of, warn
-from ..._host.package.trees import Tree
+from ..._host.package.rounding import Tree
 from ..._host.surface.neighbours import nearly_coincident
 from ..._kernels.compile import compiled
 from .expansion import Expansion, RBFFactors

@@ -10,9 +10,18 @@ from ..._kernels.module import Module
 from ..base import AbstractField
 from ..blocks import map_rows
 from .basis import AbstractBasis
-from .fused import Radial, fused, is_fused
 from .iterations import Cardinals, ConjugateGradients, precondition
-from .system import block_size, in_rows, kernel_sum, polynomial, squared_distances, symmetric_kernel_sum
+from .system import (
+    Radial,
+    block_size,
+    fused,
+    in_rows,
+    is_fused,
+    kernel_sum,
+    polynomial,
+    squared_distances,
+    symmetric_kernel_sum,
+)
 
 
 class RBFFactors(eqx.Module):

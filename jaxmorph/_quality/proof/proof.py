@@ -1,25 +1,174 @@
 """Proof that cells fold nowhere inside, and the margin by which they do not."""
 
+import dataclasses
 import functools
+import re
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, ClassVar
 
+import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import ArrayLike, Int, Real
+from jaxtyping import Array, ArrayLike, Bool, Float, Int, Real
 
 from ..._host.cells.topology import DIMENSION
-from ..._host.package.arguments import checked, whole
-from ..._kernels.values import is_known
+from ..._host.package.arguments import between, checked, whole
+from ..._kernels.values import Either, as_jax, constant, is_known, namespace, smallest
 from ..._mesh.mesh import Mesh
-from ..batches import in_blocks
 from ..quality import places, signs_of
+from ..report import Report, place_of
+from ..vector import by_place, in_blocks
 from . import bernstein
-from .form import form_of, nodes_of
-from .report import Proof
-from .search import ROOM, bounds
+from .form import Form, form_of, nodes_of
+from .search import DEPTH, ROOM, bounds
 
-DEPTH = 4
-"""Default of `proof`: parts of a sixteenth of a cell's edges where the sign is open."""
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Proof(Report):
+    """Proves of each of k cells that it folds nowhere inside, or shows where it folds.
+
+    det J is that of the map from the reference cell, in the handedness of the mesh: positive where
+    the cell is not folded. Cells stand one type after another, as in `mesh.cells`.
+
+    - `lower`, `upper`: the least det J of the cell is between these, round-off included.
+    - `size`: mean of det J over the undeformed cell, without sign: its volume over the volume of
+      the reference cell.
+    - `margin`: `lower` over `size`. It is 1 for an undeformed simplex, parallelogram or
+      parallelepiped.
+    - `is_valid`: `lower` is positive, so the cell folds nowhere.
+    - `is_invalid`: `upper` is negative, and so is det J, evaluated at `reference`. Coordinates that
+      are NaN count as well.
+    - `is_unknown`: neither. `is_flat`: unknown cells whose det J touches zero to round-off, which
+      no depth decides.
+    - `reference`, `near`: where det J is `upper`, in the reference cell and in space (k, d).
+    - `time`: when, from 0 at `base` to 1 at `points`; None without `base`. Bounds then hold for the
+      whole motion.
+    - `types`: type and number of cells; `depth`: how often cells were cut where the sign was open.
+    - `ids`: the file's number of each cell, `Mesh.cell_ids`, by which tables and messages name it.
+    - `counted`: False for boundary elements, which have no det J; their numbers are NaN.
+
+    Reference cells have corners at 0 and 1: a triangle or tetrahedron is below the diagonal, a
+    pyramid's apex is above its first corner. A piece of a polyhedron is valid or unknown: a
+    polyhedron whose piece is folded may itself be sound.
+    """
+
+    rule: ClassVar[str] = "bounds on det J"
+    measures: ClassVar[tuple[str, ...]] = ("margin", "lower", "upper", "size")
+    rank: ClassVar[str] = "_least"
+
+    lower: Float[np.ndarray, " k"]
+    upper: Float[np.ndarray, " k"]
+    size: Float[np.ndarray, " k"]
+    is_valid: Bool[np.ndarray, " k"]
+    is_invalid: Bool[np.ndarray, " k"]
+    is_flat: Bool[np.ndarray, " k"]
+    reference: Float[np.ndarray, "k d"]
+    near: Float[np.ndarray, "k d"]
+    time: Float[np.ndarray, " k"] | None
+    counted: Bool[np.ndarray, " k"]
+    ids: Int[np.ndarray, " k"]
+    types: tuple[tuple[str, int], ...]
+    depth: int
+
+    @property
+    def is_inverted(self) -> Bool[np.ndarray, " k"]:
+        return self.is_invalid
+
+    @property
+    def volume(self) -> Float[np.ndarray, " k"]:
+        return self.size
+
+    @property
+    def centroid(self) -> Float[np.ndarray, "k d"]:
+        return self.near
+
+    @property
+    def margin(self) -> Float[np.ndarray, " k"]:
+        """The lower bound over the size of the undeformed cell."""
+        return self.lower / np.where(self.size > 0, self.size, 1)
+
+    @property
+    def is_unknown(self) -> Bool[np.ndarray, " k"]:
+        """Cells that are neither valid nor invalid."""
+        return self.counted & ~self.is_valid & ~self.is_invalid
+
+    @property
+    def valid(self) -> int:
+        """Number of valid cells."""
+        return int(self.is_valid.sum())
+
+    @property
+    def invalid(self) -> int:
+        """Number of invalid cells."""
+        return int(self.is_invalid.sum())
+
+    @property
+    def unknown(self) -> int:
+        """Number of cells that are neither."""
+        return int(self.is_unknown.sum())
+
+    @property
+    def from_start(self) -> int:
+        """Number of cells that are invalid where the motion begins; 0 without a motion."""
+        return 0 if self.time is None else int((self.is_invalid & (self.time == 0)).sum())
+
+    @property
+    def min_margin(self) -> float:
+        """The smallest margin; NaN where a coordinate is."""
+        return self.min("margin")
+
+    @property
+    def _least(self) -> Float[np.ndarray, " k"]:
+        """`upper` of invalid cells and `lower` of others, over the size."""
+        return np.where(self.is_invalid, self.upper / np.where(self.size > 0, self.size, 1), self.margin)
+
+    @property
+    def _levels(self) -> Int[np.ndarray, " k"]:
+        return np.where(self.is_invalid, 0, np.where(self.is_valid, 2, 1))
+
+    def raise_if_unproven(self) -> None:
+        """Raises `ValueError` for invalid or unknown cells: how many, and where the first is."""
+        if self.valid == self.count:
+            return
+        first = self.worst(1)[0]
+        start = f", {self.from_start} from the start" if self.from_start else ""
+        cure = "Try smaller steps or `improve`." if self.invalid else "Try a larger `depth`."
+        raise ValueError(
+            f"{self.invalid} of {self.count} cells fold inside{start}, {self.unknown} are not proven, first cell {self.ids[first]} "
+            f"({self.type_of(first)}) near {place_of(self, first)}. {cure}"
+        )
+
+    def type_of(self, cell: int | np.integer) -> str:
+        """Names the type of a cell."""
+        ends = np.cumsum([count for _, count in self.types])
+        return self.types[int(np.searchsorted(ends, cell, side="right"))][0]
+
+    def __repr__(self) -> str:
+        return f"Proof({self.valid} valid, {self.invalid} invalid, {self.unknown} unknown)"
+
+    def __str__(self) -> str:
+        when = "" if self.time is None else " during the motion"
+        lines = [f"{self.count} cells: {self.valid} proven valid, {self.invalid} invalid, {self.unknown} unknown"]
+        if self.from_start:
+            lines.append(f"{self.from_start} of them are invalid from the start of the motion.")
+        if flat := int((self.is_flat & self.counted).sum()):
+            lines.append(f"{flat} of the unknown have det J = 0 to round-off: no depth decides them.")
+        lines.append(f"least det J{when} over the undeformed cell's mean, at depth {self.depth}:")
+        time = "" if self.time is None else f"{'time':<5}"
+        lines.append(f"{'cell':<8}{'type':<10}{'at least':>9}{'at most':>9} {time}{'inside':<15}near")
+        for cell in self.worst():
+            size = self.size[cell] if self.size[cell] > 0 else 1
+            time = "" if self.time is None else f"{_short(self.time[cell]):<5}"
+            inside, near = " ".join(map(_short, self.reference[cell])), re.sub("[(,)]", "", place_of(self, cell))
+            numbers = f"{self.lower[cell] / size:>9.2g}{self.upper[cell] / size:>9.2g}"
+            kind = re.sub("^(tri|tet|hex)[a-z]*", r"\1", self.type_of(cell))
+            lines.append(f"{self.ids[cell]:<8}{kind:<10}{numbers} {time}{inside:<15}{near}")
+        return "\n".join(lines)
+
+
+def _short(share: Any) -> str:
+    """Writes a number from 0 to 1 without a leading zero."""
+    return f"{share + 0.0:.2g}".removeprefix("0") or "0"
 
 
 @checked
@@ -120,12 +269,14 @@ def _proven(kind: str, ids: Any, reference: np.ndarray, ends: tuple, depth: int,
     return in_blocks(np, prove, np.asarray(ids).T, np.asarray(sign, float), size=size)
 
 
+def _mean(form: Form, points: Float[Either, "n d"], ids: Int[Either, "c k"]) -> Float[Either, " k"]:
+    return form.mean(form.coefficients(nodes_of(points, ids)))
+
+
 def _bounded(
     kind: str, reference: np.ndarray, ends: tuple, depth: int, ids: Int[np.ndarray, "c k"], sign: Any
 ) -> dict[str, np.ndarray]:
-    """Proves some cells."""
-    still, form = form_of(kind), form_of(kind, len(ends) == 2)
-    mean = still.mean(still.coefficients(nodes_of(reference, ids)))
+    mean, form = _mean(form_of(kind), reference, ids), form_of(kind, len(ends) == 2)
     x = [np.concatenate(parts) for parts in zip(*(nodes_of(end, ids) for end in ends), strict=True)]
     columns = form.columns(x)
     found = bounds(form.space, sign * form.determinant(columns), form.round_off(x, columns), depth)
@@ -142,3 +293,113 @@ def _bounded(
         "reference": form.reference(at),
         "near": form.places(nodes, at).T,
     }
+
+
+TRACED_ROOM = 1 << 22
+"""Coefficients that JAX computes together."""
+
+
+@checked
+def proven_margin(
+    mesh: Mesh,
+    points: Real[ArrayLike, "n d"] | Sequence[Any],
+    *,
+    base: Real[ArrayLike, "n d"] | Sequence[Any] | None = None,
+    depth: int = 0,
+    sharpness: float | None = None,
+) -> Float[Array, " k"]:
+    """Bounds det J of whole cells from below, over its undeformed mean: above 0 no cell folds.
+
+    It is the least Bernstein coefficient, `Proof.margin` but for round-off. A cell that is folded
+    on the undeformed mesh has a negative margin until it is unfolded. Traced: `jit`, `grad` and
+    `vmap` work over `points` and `base`. All cells are cut alike, since what is traced cannot
+    depend on the sign.
+
+    **Arguments:**
+
+    - `mesh`: the mesh with its cells; `mesh.points` is undeformed.
+    - `points`: where the nodes are now (n, d), in the unit of `mesh.points`.
+    - `base`: where they came from (n, d). The bound then holds during the whole straight motion.
+      Default: none.
+    - `depth`: how often each cell is cut, default 0. A cut makes 8 parts in 3-D, 4 in 2-D, with
+      `base` twice as many.
+    - `sharpness`: makes the bound smooth in the points. It is then lower, by log(coefficients) /
+      sharpness at most, so above 0 it still is a proof. A hexahedron has 27 coefficients. Default
+      None: the least coefficient itself.
+
+    **Returns:** one number for each cell (k,), one type of cells after another. Boundary elements
+    have infinity.
+
+    **Raises:** `ValueError` as `proof` does, and for a `sharpness` that is not positive.
+    """
+    now, start = places(mesh, points), None if base is None else places(mesh, base, "base")
+    whole("depth", depth, 0)
+    if sharpness is not None and is_known(sharpness):
+        between("sharpness", sharpness, 0)
+    check_solid(mesh)
+    kinds, cells = tuple(mesh.cells), tuple(mesh.cells.values())
+    with jax.ensure_compile_time_eval():  # else XLA would compute it from constants while it compiles
+        sizes = _sizes(kinds, cells, jnp.asarray(mesh.points, now.dtype), tuple(signs_of(mesh).values()))
+    ends = (now,) if start is None else (start, now)
+    return as_jax(_margins((kinds, depth), cells, sizes, ends, sharpness))
+
+
+def _room(xp: Any, form: Form, parts: int = 1) -> int:
+    """Number of cells whose coefficients, of `parts` each, are computed together."""
+    return max(64, (ROOM if xp is np else TRACED_ROOM) // (bernstein.count(form.space) * parts))
+
+
+@by_place
+def _sizes(kinds: tuple[str, ...], cells: tuple[Any, ...], points: Float[Either, "n d"], signs: Any) -> tuple:
+    """Computes the mean of det J over each undeformed cell, with the cell's proper sign.
+
+    Where that is zero, and of boundary elements, it is that sign.
+    """
+    xp, sizes = namespace(points), []
+    for kind, ids, sign in zip(kinds, cells, signs, strict=True):
+        if DIMENSION[kind] != points.shape[1]:
+            sizes.append(xp.ones(len(ids), points.dtype) * sign)
+            continue
+        form = form_of(kind)
+        size = in_blocks(xp, functools.partial(_mean, form, points), ids.T, size=_room(xp, form))
+        sizes.append(abs(xp.where(size == 0, 1, size)) * sign)
+    return tuple(sizes)
+
+
+@by_place
+def _margins(
+    static: tuple[tuple[str, ...], int],
+    cells: tuple[Any, ...],
+    sizes: tuple[Either, ...],
+    ends: tuple[Either, ...],
+    sharpness: Any,
+) -> Float[Either, " k"]:
+    (kinds, depth), xp, d, margins = static, namespace(ends[0]), ends[0].shape[1], []
+    for kind, ids, own in zip(kinds, cells, sizes, strict=True):
+        if DIMENSION[kind] != d:
+            margins.append(xp.full(len(ids), np.inf, ends[0].dtype))
+            continue
+        form = form_of(kind, len(ends) == 2)
+        size = _room(xp, form, 2 ** (depth * sum(m for m, _ in form.space)))
+        margins.append(in_blocks(xp, functools.partial(_margin, form, ends, depth, sharpness), ids.T, own, size=size))
+    return xp.concatenate(margins)
+
+
+def _margin(
+    form: Form,
+    ends: tuple[Either, ...],
+    depth: int,
+    sharpness: Any,
+    ids: Int[Either, "c k"],
+    size: Float[Either, " k"],
+) -> Float[Either, " k"]:
+    xp = namespace(ends[0])
+    parts = zip(*(nodes_of(end, ids) for end in ends), strict=True)
+    values = form.coefficients([xp.concatenate(part) for part in parts]) / size[None]
+    for _ in range(depth):
+        values = bernstein.halved(form.space, values)
+    values = values.reshape(-1, ids.shape[1])
+    if sharpness is None:
+        return smallest(values)
+    least = constant(smallest(values))
+    return least - xp.log(xp.sum(xp.exp(-sharpness * (values - least[None])), axis=0)) / sharpness

@@ -3,14 +3,23 @@
 import dataclasses
 import functools
 
+import jax
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..._host.cells.topology import DIMENSION, HIGH_ORDER
+from ..._kernels.callback import host_call
+from ..._kernels.values import Either, constant, namespace
+from ..vector import in_blocks
 from . import bernstein
 from .bernstein import Space
+from .form import form_of
 
 ROOM = 1 << 16
 """Coefficients that are computed together: they stay in the processor's cache."""
+
+DEPTH = 4
+"""Default of `proof`: parts of a sixteenth of a cell's edges where the sign is open."""
 
 FEW = 64
 """Open parts of a cell up to which they are cut beyond the depth, at most twice as often."""
@@ -123,3 +132,39 @@ class _Search:
     def _size(self) -> int:
         """The number of parts that are cut together."""
         return max(1, ROOM // (bernstein.count(self.space) * 2 ** _dimension(self.space)))
+
+
+def has_least(kind: str, d: int) -> bool:
+    """Checks whether cells of a type are curved and fill a space of d dimensions."""
+    return kind in HIGH_ORDER and DIMENSION[kind] == d
+
+
+def least_jacobian(kind: str, x: list[Float[Either, "nodes k"]]) -> Float[Either, " k"]:
+    """Computes the least det J of curved cells, in the handedness of their volume.
+
+    `x` are the components of the nodes, relative to the first one. Where det J is positive all
+    over, it is the least at a corner. Where it is not, the place is that of `proof`: a negative
+    value is found wherever the bounds say `invalid`.
+    """
+    form, k = form_of(kind), x[0].shape[1]
+    if namespace(x[0]) is np:
+        at = _places(kind, *x)
+    else:
+        shape = jax.ShapeDtypeStruct((sum(m for m, _ in form.space), k), x[0].dtype)
+        at = host_call(functools.partial(_places, kind), shape, *map(constant, x))
+    return form.values(form.columns(x), at)
+
+
+def _places(kind: str, *x: Float[np.ndarray, "nodes k"]) -> Float[np.ndarray, "f k"]:
+    """Finds where det J is least, among the factors of the reference cell."""
+    size = max(1, ROOM // bernstein.count(form_of(kind).space))
+    with np.errstate(all="ignore"):  # coordinates may be NaN
+        return in_blocks(np, functools.partial(_found, kind), *x, size=size).astype(x[0].dtype)
+
+
+def _found(kind: str, *x: Float[np.ndarray, "nodes k"]) -> Float[np.ndarray, "f k"]:
+    form, components = form_of(kind), [np.asarray(component, float) for component in x]
+    columns = form.columns(components)
+    values = form.determinant(columns)
+    sign = np.where(form.mean(values) < 0, -1.0, 1.0)
+    return form.inside(bounds(form.space, sign * values, form.round_off(components, columns), DEPTH).at)

@@ -2,7 +2,8 @@
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -39,7 +40,7 @@ class BoxPart(AbstractPart):
     fixed: Fixed = eqx.field(static=True)
     length: float = eqx.field(static=True)
     control: Float[Array, "..."]
-    operator: shapes.AbstractOperator
+    operator: Callable[[Any], Array]
     inside: Bool[Array, " m"]
 
     def __call__(self, x, values):

@@ -12,7 +12,7 @@ import numpy as np
 from jaxmorph._host.package.arguments import checked
 from jaxmorph._host.package.errors import warn
 from jaxmorph._host.package.files import input_path
-from jaxmorph._host.package.words import similar
+from jaxmorph._host.package.text import similar
 
 
 class Kind(NamedTuple):

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from jaxmorph._host.cells.lagrange import Lagrange, lagrange_types, of_order
-from jaxmorph._host.cells.shape_functions import node_keys, values
+
+from ..._host.cells.lagrange import node_keys, values
 
 EDGES = {
     "triangle": ((0, 1), (1, 2), (2, 0)),

@@ -3,7 +3,7 @@
 import contextlib
 import re
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -12,25 +12,15 @@ from jaxmorph._mesh import vtk
 from ..text.digits import parse
 
 
-class Announced(NamedTuple):
-    """Numbers of nodes in all cells, and of arrays in fields; None where a file does not say it."""
-
-    nodes: int | None = None
-    arrays: int | None = None
-
-    def check(self, data: Any) -> None:
-        """Raises `ValueError` for a data set that has other nodes, or fewer arrays."""
-        nodes = sum(cells.GetNumberOfConnectivityIds() for cells in vtk.cell_arrays(data) if cells)
-        if self.nodes not in (None, nodes):
-            raise ValueError(f"{self.nodes} numbers in connectivity, {nodes} expected: a damaged file.")
-        fields = (data.GetPointData(), data.GetCellData(), data.GetFieldData())
-        arrays = sum(field.GetNumberOfArrays() for field in fields)
-        if arrays < (self.arrays or 0):
-            raise ValueError(f"{arrays} of {self.arrays} arrays were found: a damaged file, or one cut short.")
+def check_nodes(data: Any, announced: int) -> None:
+    """Raises `ValueError` for cells that have other numbers of nodes than their file."""
+    nodes = sum(cells.GetNumberOfConnectivityIds() for cells in vtk.cell_arrays(data) if cells)
+    if announced != nodes:
+        raise ValueError(f"{announced} numbers in connectivity, {nodes} expected: a damaged file.")
 
 
 def numbers(text: bytes, kind: str) -> np.ndarray:
-    """Reads a text's numbers of a type of NumPy. Raises `ValueError` for numbers that it cannot hold."""
+    """Reads a text's numbers. Raises `ValueError` for numbers that the type cannot hold."""
     dtype = np.dtype(kind)
     values = parse(
         text, {"f": np.float64, "u": np.uint64 if dtype.itemsize == 8 else np.int64}.get(dtype.kind, np.int64)
@@ -46,7 +36,7 @@ def numbers(text: bytes, kind: str) -> np.ndarray:
 
 
 def check_streams(numbers: np.ndarray, begins: np.ndarray, ends: np.ndarray) -> None:
-    """Raises `ValueError` where numbers are not polyhedra: faces, and of each its nodes and these."""
+    """Raises `ValueError` where numbers are not faces of polyhedra: counts, and nodes."""
     # All polyhedra are gone through together: round k looks at face k of each that has as many.
     if (begins >= ends).any():
         raise ValueError("a polyhedron without faces")
@@ -67,7 +57,7 @@ def check_streams(numbers: np.ndarray, begins: np.ndarray, ends: np.ndarray) -> 
 
 
 def check_lists(ends: np.ndarray, ids: np.ndarray, count: int) -> None:
-    """Raises `ValueError` where lists that end at `ends` are not those of `ids`, all below `count`."""
+    """Raises `ValueError` for lists, up to `ends`, that are not all `ids`, each below `count`."""
     if (np.diff(ends, prepend=0) < 0).any() or (ends[-1] if len(ends) else 0) != len(ids):
         raise ValueError(f"lists of polyhedra that do not end with their {len(ids)} numbers")
     if len(ids) and not 0 <= ids.min() <= ids.max() < count:

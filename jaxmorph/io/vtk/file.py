@@ -1,4 +1,4 @@
-"""VTK's files of one mesh, read and written by VTK: XML (.vtu, .vts, .vtp, .pvtu, .vtm), legacy (.vtk)."""
+"""VTK's files of one mesh, XML and legacy (.vtk), read and written by VTK."""
 
 import dataclasses
 import pathlib
@@ -13,7 +13,7 @@ from jaxmorph._mesh.export import to_vtk
 
 from .._format import Arrays, FilePoints, MeshLike, Source, faults_of, source_of
 from . import legacy, xml
-from .checks import errors_told
+from .checks import check_nodes, errors_told
 
 NAME = "VTK"
 
@@ -29,7 +29,7 @@ class Content:
     """A data set of VTK as it was read, and how its file says it."""
 
     data: Any
-    encoding: xml.Encoding | legacy.Encoding
+    encoding: Any
 
     def __reduce__(self) -> tuple:
         vtk.vtk("util.pickle_support")  # teaches `pickle` VTK's data sets
@@ -79,7 +79,7 @@ def write(path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arr
     parts = Parts(mesh.points, mesh.cells, mesh.patches, mesh.source)
     data = to_vtk(parts, content and content.data, point_data, cell_data)
     suffix = path.suffix.lower()
-    kind = legacy if suffix == ".vtk" else xml
+    kind: Any = legacy if suffix == ".vtk" else xml
     encoding = content.encoding if content and isinstance(content.encoding, kind.Encoding) else kind.Encoding()
     with errors_told():
         path.write_bytes(kind.written(vtk.unstructured(data) if suffix == ".vtu" else data, encoding))
@@ -104,13 +104,14 @@ def _read(path: pathlib.Path) -> Content:
 
 def _data(path: pathlib.Path) -> tuple[Any, Any]:
     """Reads one file by VTK, after a look at the sizes that it announces."""
-    kind = legacy if path.suffix.lower() == ".vtk" else xml
-    raw, encoding, announced = kind.checked(path.read_bytes())
+    kind: Any = legacy if path.suffix.lower() == ".vtk" else xml
+    raw, encoding, nodes = kind.checked(path.read_bytes())
     reader = kind.reader(path, raw, encoding)
     with errors_told():
         reader.Update()
     data = reader.GetOutput()
-    announced.check(data)
+    if nodes is not None:
+        check_nodes(data, nodes)
     return data, encoding
 
 

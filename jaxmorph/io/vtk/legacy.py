@@ -1,4 +1,4 @@
-"""VTK's legacy files (.vtk): the sizes that a file announces are compared with its own, then VTK reads it."""
+"""VTK's legacy files (.vtk), whose sections are checked before VTK reads them."""
 
 import dataclasses
 import math
@@ -12,7 +12,7 @@ from jaxmorph._host.cells.topology import VTK_LAGRANGE
 from jaxmorph._mesh import vtk
 
 from ..text.sections import scan
-from .checks import Announced, check_streams, numbers
+from .checks import check_streams, numbers
 
 HEAD = re.compile(
     rb"# vtk DataFile Version (?P<version>\d\.\d)[^\n]*\n(?P<title>[^\n]*)\n\s*(?P<mode>ASCII|BINARY)\s+DATASET\s+(?P<kind>\w+)",
@@ -58,7 +58,7 @@ class Encoding:
     is_text: bool = False
 
 
-def checked(raw: bytes) -> tuple[bytes, Encoding, Announced]:
+def checked(raw: bytes) -> tuple[bytes, Encoding, None]:
     """Raises `ValueError` for sizes that do not fit to the file.
 
     Returns the file in a form that VTK reads, and its encoding.
@@ -83,12 +83,12 @@ def checked(raw: bytes) -> tuple[bytes, Encoding, Announced]:
     except (ValueError, KeyError, IndexError, TypeError) as error:
         place = f"in the section that begins with {sections.section!r}" if sections.section else "before any section"
         raise ValueError(f"a damaged .vtk file, or one cut short, {place} ({str(error)[:200]}).") from error
-    return sections.readable(), encoding, Announced(arrays=sections.arrays)
+    return sections.readable(), encoding, None
 
 
 @dataclasses.dataclass
 class _Sections:
-    """Goes through a file as VTK does: `at` is where it stands, `section` the last line that began one.
+    """Goes through a file as VTK does: `at` is its place, `section` the line that began the last.
 
     VTK crashes where it takes other bytes for an array than a file means.
     """
@@ -100,9 +100,8 @@ class _Sections:
     section: str = ""
     rows: int = -1
     points: int | None = None
-    arrays: int = 0
-    nodes: np.ndarray | None = None
-    ends: np.ndarray | None = None
+    nodes: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, np.int64))
+    ends: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(1, np.int64))
     edits: list[tuple[int, int, bytes]] = dataclasses.field(default_factory=list)
 
     def readable(self) -> bytes:
@@ -118,8 +117,8 @@ class _Sections:
             for name in MESHIO.findall(line):
                 place = begin + line.index(name)
                 self.edits.append((place, place + len(name), TYPES_OF_MESHIO[name]))
-            if words := line.decode(errors="replace").split():
-                return words
+            if words := line.split():  # at blanks of C, which are fewer than those of a text
+                return [word.decode(errors="replace") for word in words]
         return []
 
     def skip(self, key: str, *words: str) -> None:
@@ -171,7 +170,7 @@ class _Sections:
             self.after(self.rows * COLUMNS[key], words[1])
 
     def _notes(self) -> None:
-        """Goes over notes on an array. VTK crashes on damaged ones, and reads names of components alone."""
+        """Goes over notes on an array, of which VTK is to read only the names of components."""
         begin, words = self.at, [b""]
         while words and words[0] != b"INFORMATION":
             begin = self.at
@@ -202,10 +201,9 @@ class _Sections:
             if columns < 1 or (self.rows >= 0 and rows != self.rows):
                 raise ValueError(f"an array of {columns} times {rows} numbers, for {self.rows} rows")
             self.after(columns * rows, words[3])
-            self.arrays += 1
 
     def _cells(self, count: int, size: int) -> None:
-        """Goes over cells. The number of a cell's nodes stands before them up to 5.0, then in offsets."""
+        """Goes over cells: the number of nodes stands before them up to 5.0, then in offsets."""
         if not self.is_old:
             found = []
             for key, length in (("OFFSETS", count), ("CONNECTIVITY", size)):
@@ -235,14 +233,14 @@ class _Sections:
     def _check_polyhedra(self, kinds: np.ndarray) -> None:
         """Raises `ValueError` where cells that are polyhedra do not list their faces."""
         rows = np.flatnonzero(kinds == vtk.POLYHEDRON)
-        if len(rows) and (self.ends is None or self.nodes is None or len(kinds) != len(self.ends) - 1):
+        if len(rows) and len(kinds) != len(self.ends) - 1:
             raise ValueError(f"{len(kinds)} types, for other cells")
         if len(rows):
             skip = int(self.is_old)  # the number of a cell's nodes
             check_streams(self.nodes, self.ends[rows] + skip, self.ends[rows + 1])
 
     def after(self, count: int, name: str) -> np.ndarray:
-        """Reads so many numbers of a type by VTK's name. Raises `ValueError` where there are others."""
+        """Reads so many numbers of a type by its name; `ValueError` where there are others."""
         kind, raw = name.lower(), self.raw
         if kind == "string":
             self._strings(count)

@@ -1,4 +1,4 @@
-"""VTK's XML files: what a file says of its arrays is compared with what it holds, then VTK reads it.
+"""VTK's XML files, whose sizes are checked before VTK reads them.
 
 VTK asks for memory as the file's numbers say, and takes lists in text as far as they go.
 """
@@ -18,7 +18,7 @@ import numpy as np
 
 from jaxmorph._mesh.vtk import POLYHEDRON, data_of, vtk
 
-from .checks import Announced, check_lists, check_streams, errors_told, numbers
+from .checks import check_lists, check_streams, errors_told, numbers
 
 SMALL, UNPACKED = 2 * 10**8, 100
 """Bytes that a packed file may become in any case, and that one of its bytes may become."""
@@ -37,7 +37,7 @@ LISTS = ("face_connectivity", "face_offsets", "polyhedron_to_faces", "polyhedron
 
 @dataclasses.dataclass(frozen=True)
 class Encoding:
-    """How a file says a data set: as ascii, binary or appended, in base64 or not, packed by what."""
+    """How a file says a data set: ascii, binary or appended, in base64 or not, packed by what."""
 
     kind: str = "UnstructuredGrid"
     mode: str = "binary"
@@ -57,11 +57,9 @@ class _File:
 
     @property
     def head(self) -> np.dtype:
-        return np.dtype({"UInt32": "u4", "UInt64": "u8"}[self.encoding.header]).newbyteorder(self.byte_order)
-
-    @property
-    def byte_order(self) -> str:
-        return {"LittleEndian": "<", "BigEndian": ">"}[self.encoding.order]
+        return np.dtype({"UInt32": "u4", "UInt64": "u8"}[self.encoding.header]).newbyteorder(
+            ">" if self.encoding.order == "BigEndian" else "<"
+        )
 
     def size(self, array: ElementTree.Element) -> int:
         """Finds the number of bytes that an array has, by the sizes before it."""
@@ -91,7 +89,7 @@ class _File:
         if not is_text:
             held = len(data) - start - head
         else:
-            # the header is a text of its own, with padding, where blocks follow; else one with the bytes
+            # the header is a text of its own where blocks follow or it is padded
             begin = start + 4 * -(-head // 3)
             is_apart = bool(self.encoding.compressor) or data[begin - 1 : begin] == b"="
             begin, wanted = (begin, count) if is_apart else (start, head + count)
@@ -111,10 +109,10 @@ class _File:
         return np.frombuffer(data, self.head, count).tolist()
 
 
-def checked(raw: bytes) -> tuple[bytes, Encoding, Announced]:
+def checked(raw: bytes) -> tuple[bytes, Encoding, int]:
     """Raises `ValueError` for arrays that have not the size that the file says.
 
-    Returns the file, and its encoding.
+    Returns the file, its encoding, and the number of nodes of all cells.
     """
     file = _opened(raw)
     if file.encoding.kind not in KINDS:
@@ -127,7 +125,7 @@ def checked(raw: bytes) -> tuple[bytes, Encoding, Announced]:
     if size > SMALL + UNPACKED * len(raw):
         raise ValueError(f"{len(raw)} bytes become {size} when unpacked; no mesh does.")
     _check_polyhedra(file)
-    return raw, file.encoding, Announced(nodes)
+    return raw, file.encoding, nodes
 
 
 def _check_polyhedra(file: _File) -> None:
@@ -211,24 +209,21 @@ def named_files(path: pathlib.Path) -> list[tuple[str, pathlib.Path]]:
 
 
 def _check(file: _File, array: ElementTree.Element, rows: int) -> tuple[int, int]:
-    """Compares an array with its rows, -1 for any; returns how many numbers it has, of how many bytes."""
+    """Compares an array with its rows, -1 for any; returns its count and size of numbers."""
     for key in array.iter("InformationKey"):
         if int(key.get("length", "0")) > len(key):
             raise ValueError(f"{key.get('length')} values in {key.get('name')!r}, of which {len(key)} are there.")
     name, kind, width = array.get("Name", "Points"), array.get("type", ""), int(array.get("NumberOfComponents", "1"))
     if kind not in TYPES:
         raise ValueError(f"the array {name!r} is of type {kind!r}.")
-    dtype = np.dtype(TYPES[kind])
+    dtype, is_text = np.dtype(TYPES[kind]), array.get("format", "ascii") == "ascii"
     try:
-        if array.get("format", "ascii") == "ascii":
-            values = numbers((array.text or "").encode(), TYPES[kind])
-            count, rest = len(values), 0
-        else:
-            count, rest = divmod(file.size(array), dtype.itemsize)
+        values = numbers((array.text or "").encode(), TYPES[kind]) if is_text else np.zeros(0)
+        count, rest = (len(values), 0) if is_text else divmod(file.size(array), dtype.itemsize)
     except (ValueError, binascii.Error) as error:
         raise ValueError(f"the array {name!r} is damaged ({error}).") from error
     if kind == "String":  # VTK reads as many as are announced
-        ends = (values == 0).sum() if array.get("format", "ascii") == "ascii" else rows * width
+        ends = int((values == 0).sum()) if is_text else rows * width
         if ends != rows * width:
             raise ValueError(f"{ends} strings in {name}, {rows * width} expected: a damaged file, or one cut short.")
         return count, 1
@@ -251,7 +246,9 @@ def _arrays(root: ElementTree.Element) -> Iterator[tuple[ElementTree.Element, in
                 of_section = rows.get(section.tag, {})
                 for array in section:
                     if array.tag in ("DataArray", "Array"):
-                        known = of_section.get(array.get("Name"), of_section.get("", array.get("NumberOfTuples", -1)))
+                        known = of_section.get(
+                            array.get("Name", ""), of_section.get("", array.get("NumberOfTuples", -1))
+                        )
                         yield array, int(known)
 
 
@@ -261,7 +258,7 @@ def _sizes(extent: str) -> list[int]:
     return [max(high - low, 1) for low, high in zip(ends[::2], ends[1::2], strict=True)]
 
 
-def _rows(piece: ElementTree.Element) -> dict[str, dict[str | None, int]]:
+def _rows(piece: ElementTree.Element) -> dict[str, dict[str, int]]:
     """Counts the rows of a piece's arrays by section and name; "" stands for any name."""
     extent = piece.get("Extent")
     kinds = {kind: int(piece.get(f"NumberOf{kind}", 0)) for kind in ("Verts", "Lines", "Strips", "Polys")}

@@ -1,0 +1,201 @@
+"""Methods compared on the motions that a mesh is to bear."""
+
+import dataclasses
+import functools
+import math
+import time
+import warnings
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import ArrayLike, Float, Real
+
+from .._boundary.boundary import Boundary
+from .._host.package.arguments import checked, shown
+from .._host.sources.reduction import KDTree
+from .._methods.base import AbstractMethod, check_kind
+from .._methods.inverse_distance import InverseDistance
+from .._methods.rbf.rbf import RBF
+from .._methods.reconstruction import SurfaceReconstruction
+from .._plan.deform import deform
+from .._plan.plan import Plan
+from .._plan.prepare import plan_of
+from .._quality.quality import quality
+from .._quality.wall_quality import wall_quality
+from .methods import METHODS, MOST_POINTS, Lengths
+
+MOST_PAIRS = 300_000_000
+"""Points times nodes of the surface up to which inverse distances are tried."""
+
+COLUMNS = ("sources", "inverted", "ratio", "angle", "seconds")
+
+
+@dataclasses.dataclass(frozen=True)
+class Trial:
+    """One row of a `Comparison`: a method on all motions.
+
+    - `method`: its name.
+    - `sources`: number of control points, None for a method without any.
+    - `inverted`: inverted cells in all motions.
+    - `ratio`: the smallest Jacobian ratio in any motion.
+    - `angle`: degrees by which first grid lines leave their angle to the wall, mean over nodes and
+      motions. NaN where no cell has a side on the wall.
+    - `seconds`: CPU time of one compiled `deform`.
+    - `refused`: why the method was refused or left out, or None. Numbers are then None or NaN.
+    """
+
+    method: str
+    sources: int | None = None
+    inverted: int | None = None
+    ratio: float = math.nan
+    angle: float = math.nan
+    seconds: float = math.nan
+    refused: str | None = None
+
+    @property
+    def badness(self) -> tuple[float | int, float]:
+        """Key by which trials are sorted: inverted cells, then the ratio; refused ones last."""
+        return (
+            math.inf if self.inverted is None else self.inverted,
+            math.inf if math.isnan(self.ratio) else -self.ratio,
+        )
+
+
+@dataclasses.dataclass(frozen=True)
+class Comparison:
+    """Result of `compare`, the best method first. `str` of it is a table.
+
+    - `rows`: a `Trial` for each method, by inverted cells, then by the smallest Jacobian ratio.
+    - `plans`: the plan of each row, None for a method that was refused.
+    """
+
+    rows: tuple[Trial, ...]
+    plans: tuple[Plan | None, ...]
+
+    def __str__(self) -> str:
+        width = max(len("method"), *(len(row.method) for row in self.rows))
+        lines = [f"{'method':<{width}}" + "".join(f"{name:>10}" for name in COLUMNS)]
+        for row in self.rows:
+            cells = (getattr(row, name) for name in COLUMNS)
+            lines.append(f"{row.method:<{width}}" + "".join(f"{_shown(cell):>10}" for cell in cells))
+        return "\n".join([*lines, *(f"{row.method}: {row.refused}" for row in self.rows if row.refused)])
+
+
+def _shown(value: float | int | None) -> str:
+    return "-" if value is None else f"{value:.3g}" if isinstance(value, float) else str(value)
+
+
+@checked
+def compare(
+    boundary: Boundary,
+    motions: Real[ArrayLike, "s m d"] | Sequence[Any],
+    methods: Mapping[str, AbstractMethod] | None = None,
+) -> Comparison:
+    """Compares methods on a family of motions: inverted cells, Jacobian ratio, wall angle, time.
+
+    ```python
+    compared = jm.compare(jm.Boundary(mesh, "airfoil", "farfield"), motions)
+    print(compared)
+    plan = compared.plans[0]
+    ```
+
+    By default these are tried: the default method, `interpolated` (the same without the fit:
+    `SurfaceReconstruction(RBF(reduction=KDTree(64, extremes=True)))`), `DelaunayGraph`,
+    `Multiscale.whole`, `Biharmonic`, `LinearElasticity`, `TorsionalSprings`,
+    `InverseDistance(rotations=True)` and `RigidBlend` with `NearWall`. The last two are not linear
+    in `u`. Methods on the cells are left out beyond 100,000 points in 2-D and 40,000 in 3-D, and
+    inverse distances beyond 3e8 pairs of a point and a node of the surface. The table says so.
+
+    **Arguments:**
+
+    - `boundary`: the boundary of a mesh.
+    - `motions`: displacements (s, m, d) of the moving nodes that the mesh is to bear: modes, or
+      samples. Each is deformed and judged once by each method.
+    - `methods`: methods to try, by their names in the table. Default: those above.
+
+    **Returns:** a `Comparison`.
+
+    **Raises:** `ValueError` when `motions` is not (s, m, d), is zero or not finite, for a boundary
+    of points alone, and for `methods` that are no methods by name. Also what `prepare` raises where
+    it refuses every method.
+    """
+    if boundary.mesh is None:
+        raise ValueError(
+            "compare judges cells: give it the boundary of a mesh, compare(jm.Boundary(mesh, ...), motions)."
+        )
+    boundary.warn_of_free_faces()
+    motions = _checked_motions(motions, (len(boundary.moving), boundary.points.shape[1]))
+    pairs = [_tried(boundary, motions, name, make) for name, make in _makers(boundary, methods).items()]
+    pairs.sort(key=lambda pair: pair[0].badness)
+    rows, plans = zip(*pairs, strict=True)
+    if plans[0] is None:
+        raise ValueError(f"every method is refused. {rows[0].method}: {rows[0].refused}")
+    return Comparison(rows, plans)
+
+
+def _checked_motions(motions: Any, expected: tuple[int, int]) -> np.ndarray:
+    motions = np.asarray(motions, dtype=float)
+    if motions.ndim != 3 or motions.shape[1:] != expected or not np.any(motions):
+        raise ValueError(
+            f"`motions` has shape {motions.shape}; expected (s, {expected[0]}, {expected[1]}), not all zero."
+        )
+    bad = np.argwhere(~np.isfinite(motions))
+    if len(bad):
+        raise ValueError(
+            f"{len(bad)} components of `motions` are not finite, the first in motion {bad[0, 0]}, of moving node {bad[0, 1]}."
+        )
+    return motions
+
+
+def _makers(boundary: Boundary, methods: Mapping[str, AbstractMethod] | None) -> dict[str, Any]:
+    """Returns a function for each method that makes it; it raises for a method that is left out."""
+    if methods is None:
+        wall = Lengths(boundary.points[boundary.moving], boundary.points[boundary.fixed])
+        makers = {entry.name: functools.partial(entry.make, wall) for entry in METHODS if entry.is_tried}
+        makers = {name: functools.partial(_small_enough, make, boundary) for name, make in makers.items()}
+        interpolated = functools.partial(SurfaceReconstruction, RBF(reduction=KDTree(64, extremes=True)))
+        return {"default": SurfaceReconstruction, "interpolated": interpolated} | makers
+    if not methods:
+        raise ValueError("`methods` is empty: name at least one, as in methods={'graph': jm.DelaunayGraph()}.")
+    for name, method in methods.items():
+        if not isinstance(name, str):
+            raise ValueError(f"a name in `methods` is {shown(name)}; names are words, as in methods={{'soft': ...}}.")
+        check_kind(method, AbstractMethod, f'methods["{name}"]', "jm.LinearElasticity()")
+    return {name: lambda method=method: method for name, method in methods.items()}
+
+
+def _small_enough(make: Any, boundary: Boundary) -> AbstractMethod:
+    """Makes a method; raises `ValueError` where the mesh is too large to try it by default."""
+    method, (n, d) = make(), boundary.points.shape
+    if method.needs_cells and n > MOST_POINTS[d]:
+        raise ValueError(f"skipped: {n} points; a solve on the cells is tried up to {MOST_POINTS[d]}")
+    if isinstance(method, InverseDistance) and n * len(boundary.nodes) > MOST_PAIRS:
+        nodes = len(boundary.nodes)
+        raise ValueError(f"skipped: {n} points times {nodes} nodes of the surface; tried up to {MOST_PAIRS} pairs")
+    return method
+
+
+def _tried(boundary: Boundary, motions: Float[np.ndarray, "s m d"], name: str, make: Any) -> tuple[Trial, Plan | None]:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of a bad condition: the table shows what comes of it
+        try:
+            plan = plan_of(boundary, make())
+        except (ValueError, ImportError) as error:  # ImportError: a solver for large 3-D meshes is not installed
+            return Trial(name, refused=str(error) or repr(error)), None
+    mesh, vectors = boundary.mesh, [jnp.asarray(u, plan.points.dtype) for u in motions]
+    moved = [deform(plan, u) for u in vectors]
+    jax.block_until_ready(moved)
+    began = time.process_time()
+    jax.block_until_ready(deform(plan, vectors[0]))
+    seconds = time.process_time() - began
+    reports = [quality(mesh, points) for points in moved]
+    ratio = min(float(report.min_jacobian_ratio) for report in reports)
+    try:
+        angle = float(np.mean([wall_quality(mesh, np.asarray(plan.moving), points).mean_angle for points in moved]))
+    except ValueError:  # no cell has a side on the wall
+        angle = math.nan
+    inverted = sum(int(report.inverted) for report in reports)
+    return Trial(name, len(plan.sources) or None, inverted, ratio, angle, seconds), plan

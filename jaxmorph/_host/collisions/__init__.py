@@ -1,1 +1,0 @@
-"""Surfaces that touch, cross or pass through each other."""

@@ -1,0 +1,237 @@
+"""Generated meshes: airfoils of the NACA family, a wing, bricks, bodies in a box."""
+
+import functools
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+import jaxmorph as jm
+
+from .._host.package.arguments import between, checked, finite_array
+from ._structured import REFERENCE_POINTS, c_grid, cut, geometric, hexahedra, ids_of
+
+# Corners of a hexahedron, in VTK's order, of the cells into which it is divided; 8 is its middle.
+PARTS = {
+    "hexahedron": ((0, 1, 2, 3, 4, 5, 6, 7),),
+    "wedge": ((0, 5, 1, 3, 6, 2), (0, 4, 5, 3, 7, 6)),
+    "tetra": ((0, 1, 2, 6), (0, 2, 3, 6), (0, 3, 7, 6), (0, 7, 4, 6), (0, 4, 5, 6), (0, 5, 1, 6)),
+    "pyramid": ((0, 1, 2, 3, 8), (4, 7, 6, 5, 8), (0, 4, 5, 1, 8), (1, 5, 6, 2, 8), (2, 6, 7, 3, 8), (3, 7, 4, 0, 8)),
+}
+
+
+@checked
+def naca0015(*, points: int = REFERENCE_POINTS) -> jm.Mesh:
+    """Makes the C-grid around the NACA0015 of the paper's section 3.1, in chords.
+
+    It has 39,666 points, none coincident, and 39,300 convex quads; patches `airfoil` (166 nodes)
+    and `farfield` (566). The mean skewness (weighted by area) is 0.0710, the largest 0.1750, the
+    paper's values. The first cell is 1e-5 chords, the trailing edge blunt.
+
+    The first 260 x 150 cells are layers round the airfoil, from the wall outwards. Those of columns
+    50 to 209 touch the wall in the first layer. The others are above and below the wake. The last
+    50 x 6 are behind the base.
+
+    **Arguments:**
+
+    - `points`: about how many points: 2,000 for a test, a million for a benchmark. Default 39,666,
+      at least 300.
+
+    **Returns:** a `Mesh`.
+
+    **Raises:** `ValueError` for fewer than 300 points.
+    """
+    return naca4("0015", points=points, first_cell=1e-5)
+
+
+@checked
+def naca4(code: str, *, points: int = REFERENCE_POINTS, first_cell: float = 1e-6, sharp: bool = False) -> jm.Mesh:
+    """Makes a C-grid around a NACA 4-digit airfoil, in chords: `cases.naca4("4412")`.
+
+    Thickness is laid off normal to the camber line, and the trailing edge is blunt, as published
+    (Jacobs, Ward and Pinkerton, NACA Report 460, 1933). Rays leave the wall as nearly along its
+    normal as lets them turn steadily from one trailing edge to the other, so that they never meet
+    before a concave wall. Cells, their order and patches as in `naca0015`.
+
+    **Arguments:**
+
+    - `code`: four digits: the camber in percent of the chord, its place in tenths, and the
+      thickness in percent.
+    - `points`: about how many points, 300 or more. Default 39,666.
+    - `first_cell`: height of the cells at the wall, in chords. Default 1e-6.
+    - `sharp`: True lets the thickness end at zero (its last coefficient is then 0.1036). Both sides
+      meet in one node, and there is no base. Default False.
+
+    **Returns:** a `Mesh`.
+
+    **Raises:** `ValueError` for a code that is not of the family, fewer than 300 points, and a
+    first cell that does not fit. Also for sections that straight rays cannot leave without a cell
+    that is not convex. Such sections are below 4 % thickness with the camber far aft, or 24 % and
+    more with large camber in the first tenth (9901, 9124). No other is known.
+    """
+    if not (isinstance(code, str) and len(code) == 4 and code.isascii() and code.isdigit()):
+        raise ValueError(f"`code` is {code!r}; the NACA 4-digit family is written with four digits, such as '4412'.")
+    camber, place, thickness = int(code[0]) / 100, int(code[1]) / 10, int(code[2:]) / 100
+    if thickness == 0:
+        raise ValueError(f"`code` is {code!r}: by its last two digits the section has no thickness.")
+    if camber > 0 and place == 0:
+        raise ValueError(f"`code` is {code!r}: a cambered section needs a place of its largest camber, 1 to 9 tenths.")
+    return c_grid(
+        functools.partial(_section, camber, place, thickness, 0.1036 if sharp else 0.1015),
+        points=points,
+        first_cell=first_cell,
+    )
+
+
+def _section(camber: float, place: float, thickness: float, last: float, t: np.ndarray) -> np.ndarray:
+    """Computes the contour, x = t^2 along the chord: t < 0 below, t > 0 above."""
+    x = t**2
+    half = 5 * thickness * (0.2969 * np.abs(t) - 0.1260 * x - 0.3516 * x**2 + 0.2843 * x**3 - last * x**4)
+    line, slope = np.zeros_like(x), np.zeros_like(x)
+    if camber:
+        ahead = x < place
+        scale = camber / np.where(ahead, place, 1 - place) ** 2
+        line = scale * (np.where(ahead, 0, 1 - 2 * place) + 2 * place * x - x**2)
+        slope = 2 * scale * (place - x)
+    away = np.sign(t) * half / np.sqrt(1 + slope**2)
+    return np.column_stack([x - away * slope, line + away])
+
+
+@checked
+def wing(
+    code: str = "6409", *, points: int = 2000, stations: int = 13, span: float = 2.0, first_cell: float = 1e-5
+) -> jm.Mesh:
+    """Makes a swept and tapered wing of hexahedra between two planes.
+
+    The C-grid of `naca4` is repeated at stations along y, from the root of chord 1 to the tip of
+    chord 0.7. The tip's leading edge lies half a chord behind. Nodes on the wall lie much closer
+    along the section than along the span: chains of nearest neighbours stay within one section.
+    Patches: `wing`, `farfield`, and the planes `root` (y = 0) and `tip` (y = span).
+
+    **Arguments:**
+
+    - `code`: four digits of the section, as in `naca4`. Default "6409".
+    - `points`: about how many points each station has, 300 or more. Default 2000.
+    - `stations`: sections along the span, 2 or more. Default 13.
+    - `span`: length of the wing, in chords of the root. Default 2.
+    - `first_cell`: height of the cells at the wall, in chords of the root. Default 1e-5.
+
+    **Returns:** a `Mesh`.
+
+    **Raises:** `ValueError` for fewer than 2 stations, and as `naca4` does.
+    """
+    between("span", span, 0)
+    if stations < 2:
+        raise ValueError(f"a wing needs 2 stations, not {stations}.")
+    section = naca4(code, points=points, first_cell=first_cell)
+    n, cells = len(section.points), section.cells["quad"]
+    eta = np.linspace(0, 1, stations)[:, None]
+    x = (1 - 0.3 * eta) * section.points[:, 0] + 0.5 * eta
+    z = (1 - 0.3 * eta) * section.points[:, 1]
+    places = np.stack([x, np.broadcast_to(span * eta, x.shape), z], axis=-1).reshape(-1, 3)
+    layers = cells + n * np.arange(stations)[:, None, None]
+    corners = np.concatenate([layers[1:], layers[:-1]], axis=-1).reshape(-1, 8)
+    ids = ids_of(stations, n)
+    patches = {
+        name: ids[:, section.patch(patch)].ravel() for name, patch in (("wing", "airfoil"), ("farfield", "farfield"))
+    }
+    return jm.Mesh(places, {"hexahedron": corners}, patches | {"root": ids[0], "tip": ids[-1]})
+
+
+@checked
+def bricks(kind: str = "hexahedron", *, cells: int = 6, first_cell: float | None = None) -> jm.Mesh:
+    """Makes the unit cube of `cells` by `cells` by `cells` bricks, divided into cells of a type.
+
+    Patches: `floor` (z = 0), `lid` (z = 1), `sides`, which share nodes.
+
+    **Arguments:**
+
+    - `kind`: the type of the cells. It is `hexahedron`, `wedge` (2 a brick), `tetra` (6 a brick),
+      `pyramid` (6 a brick, around a node in its middle) or `mixed`. A mixed mesh has hexahedra at
+      the floor, a layer of pyramids above, and wedges.
+    - `cells`: bricks along each edge, 3 or more. Default 6.
+    - `first_cell`: height of the bricks at z = 0, from which the layers grow. Default None: all
+      layers are equal.
+
+    **Returns:** a `Mesh`.
+
+    **Raises:** `ValueError` for another kind, fewer than 3 cells, and a first cell that is not
+    between 0 and 1.
+    """
+    if kind not in (*PARTS, "mixed") or cells < 3:
+        raise ValueError(f"expected one of {', '.join(PARTS)}, mixed, and 3 cells at least, not {kind!r} and {cells}.")
+    first = 1 / cells if first_cell is None else first_cell
+    if not 0 < first < 1:
+        raise ValueError(f"`first_cell` is {first}; the cube's side is 1.")
+    z, x = geometric(cells, first), np.linspace(0, 1, cells + 1)
+    height, across, along = np.meshgrid(z, x, x, indexing="ij")
+    points = np.stack([along, across, height], axis=-1).reshape(-1, 3)
+    ids = ids_of(*(cells + 1,) * 3)
+    sides = np.concatenate([ids[:, [0, -1]].ravel(), ids[:, :, [0, -1]].ravel()])
+    patches = {"floor": ids[0].ravel(), "lid": ids[-1].ravel(), "sides": sides}
+    whole = hexahedra(ids)
+    if kind != "mixed":
+        return jm.Mesh(*_divided(points, {kind: whole}), patches)
+    below, middle = (share * cells * cells for share in (cells // 2, cells // 2 + 1))
+    layers = {"hexahedron": whole[:below], "pyramid": whole[below:middle], "wedge": whole[middle:]}
+    return jm.Mesh(*_divided(points, layers), patches)
+
+
+def _divided(points: np.ndarray, layers: dict[str, np.ndarray]) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Divides bricks (k, 8) into cells of each type."""
+    cells = {}
+    for kind, corners in layers.items():
+        if kind == "pyramid":
+            middles = points[corners].mean(axis=1)
+            corners = np.column_stack([corners, len(points) + np.arange(len(corners))])
+            points = np.concatenate([points, middles])
+        parts = np.array(PARTS[kind])
+        cells[kind] = corners[:, parts].reshape(-1, parts.shape[1])
+    return points, cells
+
+
+@checked
+def bodies(
+    boxes: Mapping[str, Sequence[float]], *, box: Sequence[float] = (-8.0, 8.0, -4.0, 4.0), spacing: float = 0.25
+) -> jm.Mesh:
+    """Makes squares around rectangular bodies in a box, which may pass each other or part.
+
+    Patches: each body by its name, and `farfield`.
+
+    **Arguments:**
+
+    - `boxes`: each body's sides, (x least, x largest, y least, y largest), by its name. They are
+      moved to the nearest grid line.
+    - `box`: sides of the box, as in `boxes`. Default: 16 wide and 8 high about the origin.
+    - `spacing`: side of a cell, about; a whole number of them fills the box. Default 0.25.
+
+    **Returns:** a `Mesh`.
+
+    **Raises:** `ValueError` for sides in another order, and a body without a cell within or beside
+    it.
+    """
+    left, right, bottom, top = finite_array("box", box, (4,)).tolist()
+    sides = {name: finite_array(f"boxes[{name!r}]", box, (4,)).tolist() for name, box in boxes.items()}
+    ends = []
+    if not (left < right and bottom < top and spacing > 0):
+        raise ValueError(f"a box has x and y from least to largest and a positive spacing, not {box} and {spacing}.")
+    axes = [
+        np.linspace(*side, 1 + max(1, round((side[1] - side[0]) / spacing))) for side in ((bottom, top), (left, right))
+    ]
+    for name, (x0, x1, y0, y1) in sides.items():
+        near = [
+            np.abs(axis[:, None] - side).argmin(axis=0) for axis, side in zip(axes, ((y0, y1), (x0, x1)), strict=True)
+        ]
+        if any(not 0 < first < last < len(axis) - 1 for axis, (first, last) in zip(axes, near, strict=True)):
+            raise ValueError(
+                f"body {name!r} at {(x0, x1, y0, y1)} has no cell within it or beside it: try a smaller spacing."
+            )
+        ends.append([axis[i] for axis, i in zip(axes, near, strict=True)])
+
+    def within(y, x, margin):
+        return [(y > a - margin) & (y < b + margin) & (x > c - margin) & (x < d + margin) for (a, b), (c, d) in ends]
+
+    places, cells = cut(axes, lambda y, x: np.any([np.zeros(len(x), bool), *within(y, x, 0.0)], axis=0))
+    y, x = places.T
+    patches = dict(zip(boxes, within(y, x, 1e-9), strict=True))
+    patches["farfield"] = (y == bottom) | (y == top) | (x == left) | (x == right)
+    return jm.Mesh(np.stack([x, y], axis=1), {"quad": cells}, {k: np.flatnonzero(v) for k, v in patches.items()})

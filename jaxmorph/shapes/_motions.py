@@ -1,0 +1,265 @@
+"""Motions of all positions: rotation, translation, scaling; twist and bend along a line or an axis.
+
+Each adds an increment that is exactly zero at the neutral parameter: x comes back bit for bit.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._host.package.arguments import checked, finite_array
+from .._kernels.values import clipped, is_known
+from ._arguments import Number, Numbers, axis_for, direction, number, positions, positive, vector
+from ._shape import AbstractShape
+
+
+@checked
+def rotate(x: Numbers, angle: Number | Numbers, about: Numbers, axis: Numbers | None = None) -> Float[Array, "m d"]:
+    """Rotates positions about a point in 2-D, about an axis through a point in 3-D.
+
+    **Arguments:**
+
+    - `x`: positions (m, d).
+    - `angle`: radians, counter-clockwise as seen against `axis`, for all positions or one for each
+      (m,); 0 is neutral.
+    - `about`: a point (d,) that stays.
+    - `axis`: direction (3,) of any length; only in 3-D.
+
+    **Raises:** `ValueError` for wrong shapes, an axis in 2-D, none in 3-D, or one without length.
+    """
+    x = positions(x)
+    angle = jnp.asarray(angle, x.dtype)
+    angle = angle[:, None] if angle.shape == x.shape[:1] else number("angle", angle, x)
+    return x + _turn(x - vector("about", about, x)[None, :], angle, axis_for(axis, x))
+
+
+@checked
+def translate(x: Numbers, by: Numbers) -> Float[Array, "m d"]:
+    """Translates positions.
+
+    **Arguments:**
+
+    - `x`: positions (m, d).
+    - `by`: vector (d,), in the units of `x`; 0 is neutral.
+
+    **Raises:** `ValueError` for wrong shapes.
+    """
+    x = positions(x)
+    return x + vector("by", by, x)[None, :]
+
+
+@checked
+def scale(x: Numbers, factors: Numbers | Number, about: Numbers) -> Float[Array, "m d"]:
+    """Scales positions about a point.
+
+    **Arguments:**
+
+    - `x`: positions (m, d).
+    - `factors`: one number, or one for each coordinate (d,); 1 is neutral.
+    - `about`: a point (d,) that stays.
+
+    **Raises:** `ValueError` for wrong shapes.
+    """
+    x = positions(x)
+    factors = jnp.asarray(factors, x.dtype)
+    if factors.ndim == 0:
+        factors = jnp.broadcast_to(factors, x.shape[1:])
+    return x + (vector("factors", factors, x) - 1)[None, :] * (x - vector("about", about, x)[None, :])
+
+
+@checked
+def twist(x: Numbers, angle: Number, about: Numbers, axis: Numbers, length: Number) -> Float[Array, "m 3"]:
+    """Twists positions about an axis, in proportion to the distance along the axis.
+
+    Positions before `about` stay, positions beyond `length` turn by the whole angle.
+
+    **Arguments:**
+
+    - `x`: positions (m, 3).
+    - `angle`: radians at the end of the length; 0 is neutral.
+    - `about`: the point (3,) on the axis where the twist begins.
+    - `axis`: direction (3,) in which it grows.
+    - `length`: distance over which it grows, above 0.
+
+    **Raises:** `ValueError` for positions in 2-D, for wrong shapes, and for an axis or a length
+    that is 0.
+    """
+    x = positions(x)
+    if x.shape[1] == 2:
+        raise ValueError("`twist` is for positions in 3-D; `rotate` turns a section in 2-D.")
+    arm, along = x - vector("about", about, x)[None, :], direction("axis", axis, x)
+    span = positive("length", length, x)
+    share = clipped(arm @ along, 0, span) / span
+    return x + _turn(arm, number("angle", angle, x) * share[:, None], along)
+
+
+@checked
+def bend(
+    x: Numbers, angle: Number, about: Numbers, along: Numbers, length: Number, axis: Numbers | None = None
+) -> Float[Array, "m d"]:
+    """Bends a straight line, with all that is around it, into an arc of equal length.
+
+    Sections stay plane and at right angles to the line. Positions before `about` stay, positions
+    beyond `length` follow the tangent.
+
+    **Arguments:**
+
+    - `x`: positions (m, d).
+    - `angle`: radians by which the tangent turns at the end, in the sense of `rotate`; 0 is
+      neutral.
+    - `about`: the point (d,) where the line begins.
+    - `along`: direction (d,) of the line.
+    - `length`: length of the arc, above 0.
+    - `axis`: direction (3,) about which the line turns, at right angles to it; only in 3-D.
+
+    **Raises:** `ValueError` for wrong shapes, directions or a length that are 0, and an axis not at
+    right angles to the line.
+    """
+    x = positions(x)
+    arm, along = x - vector("about", about, x)[None, :], direction("along", along, x)
+    span, normal = positive("length", length, x), axis_for(axis, x)
+    if normal is not None and is_known(normal, along) and abs(np.vdot(normal, along)) > 1e-3:
+        raise ValueError(f"`axis` and `along` must be at right angles; their cosine is {float(normal @ along):.3g}.")
+    up = jnp.stack([-along[1], along[0]]) if normal is None else jnp.cross(normal, along)
+    curvature = number("angle", angle, x) / span
+    reach, height = arm @ along, arm @ up
+    s = clipped(reach, 0, span)
+    turned, beyond = curvature * s, reach - s
+    versine = 2 * jnp.sin(turned / 2) ** 2
+    # the arc's chord: s sin(a) / a forward, s (1 - cos a) / a upward, exact at a = 0
+    forward = s * (jnp.sinc(turned / jnp.pi) - 1) - height * jnp.sin(turned) - beyond * versine
+    upward = s * jnp.sin(turned / 2) * jnp.sinc(turned / 2 / jnp.pi) - height * versine + beyond * jnp.sin(turned)
+    return x + forward[:, None] * along[None, :] + upward[:, None] * up[None, :]
+
+
+def _turn(
+    arm: Float[Array, "m d"], angle: Float[Array, ""] | Float[Array, "m 1"], axis: Float[Array, " 3"] | None
+) -> Float[Array, "m d"]:
+    """Computes what a rotation adds to arms from its centre (Rodrigues' formula)."""
+    versine = 2 * jnp.sin(angle / 2) ** 2
+    if axis is None:
+        return jnp.sin(angle) * jnp.stack([-arm[:, 1], arm[:, 0]], axis=1) - versine * arm
+    axis = jnp.broadcast_to(axis, arm.shape)
+    across = jnp.cross(axis, arm)
+    return jnp.sin(angle) * across + versine * jnp.cross(axis, across)
+
+
+NEUTRAL = {"twist": 0.0, "chord": 1.0, "sweep": 0.0, "dihedral": 0.0, "span": 0.0}
+"""Values of a planform's parameters that change nothing."""
+
+
+class ReferenceAxis(AbstractShape):
+    """Moves sections of a wing with stations of an axis: twisted, scaled and carried.
+
+    The parameters are a dict with any of these, one value for each station (k,):
+
+    - `twist`: radians about the direction of the span at the axis, in the sense of `rotate`; 0 is
+      neutral.
+    - `chord`: factor of a section's size around the axis; 1 is neutral. A taper is a chord that
+      falls from root to tip.
+    - `sweep`, `dihedral`, `span`: lengths by which a station moves along the chord, across chord
+      and span, and along the span.
+
+    Between stations the values are interpolated. Before the first and behind the last station they
+    are constant.
+
+    **Arguments:**
+
+    - `points`: (k, 3) stations on the axis, from root to tip; straight lines join them.
+    - `chordwise`, `spanwise`: directions (3,) of chord and span, at right angles; the axes x and y
+      by default.
+    - `cubic`: natural cubic splines between stations instead of straight lines, for values and
+      axis.
+
+    **Raises:** `ValueError` for fewer than two stations, stations that do not advance along the
+    span, and wrong parameters.
+    """
+
+    points: Float[Array, "k 3"]
+    chordwise: Float[Array, " 3"]
+    spanwise: Float[Array, " 3"]
+    cubic: bool = eqx.field(static=True)
+
+    @checked
+    def __init__(
+        self,
+        points: Numbers,
+        *,
+        chordwise: Numbers = (1.0, 0.0, 0.0),
+        spanwise: Numbers = (0.0, 1.0, 0.0),
+        cubic: bool = False,
+    ):
+        known = finite_array("points", points, (None, 3))
+        along, across = finite_array("chordwise", chordwise, (3,)), finite_array("spanwise", spanwise, (3,))
+        along, across = along / np.linalg.norm(along), across / np.linalg.norm(across)
+        if not abs(along @ across) <= 1e-9:
+            raise ValueError(
+                f"`chordwise` and `spanwise` must be directions at right angles; their cosine is {along @ across:.3g}."
+            )
+        if len(known) < 2:
+            raise ValueError(f"`points` has shape {known.shape}; expected (k, 3), k >= 2.")
+        steps = np.diff(known @ across)
+        if not (steps > 0).all():
+            raise ValueError(f"station {int(np.argmin(steps)) + 1} is not farther along the span than the one before.")
+        self.points, self.chordwise, self.spanwise = jnp.asarray(known), jnp.asarray(along), jnp.asarray(across)
+        self.cubic = cubic
+
+    def neutral(self) -> dict[str, Float[Array, " k"]]:
+        return {name: jnp.full(len(self.points), value) for name, value in NEUTRAL.items()}
+
+    def __call__(self, x: Numbers, parameters: Mapping[str, Any]) -> Float[Array, "m 3"]:
+        """Moves positions (m, 3) by a dict of values at the stations."""
+        x, needed = positions(x), self.points.shape[:1]
+        shapes = {name: np.shape(values) for name, values in parameters.items() if np.shape(values) != needed}
+        if x.shape[1] != 3 or shapes or not set(parameters) <= set(NEUTRAL):
+            raise ValueError(
+                f"`x` has shape {x.shape}, parameters {', '.join(parameters)} of shapes {shapes or needed}: expected (m, 3), and "
+                f"{needed} for any of {', '.join(NEUTRAL)}."
+            )
+        chord, span = self.chordwise.astype(x.dtype), self.spanwise.astype(x.dtype)
+        weights = self.weights(x)
+        changes = {name: jnp.asarray(values, x.dtype) - NEUTRAL[name] for name, values in parameters.items()}
+        change = {name: (weights @ values)[:, None] for name, values in changes.items()}
+        arm = x - weights @ self.points.astype(x.dtype)
+        arm = arm - (arm @ span)[:, None] * span[None, :]
+        added = change["chord"] * arm if "chord" in change else jnp.zeros_like(x)
+        if "twist" in change:
+            added = added + _turn(arm + added, change["twist"], span)
+        for name, way in (("sweep", chord), ("dihedral", jnp.cross(chord, span)), ("span", span)):
+            if name in change:
+                added = added + change[name] * way[None, :]
+        return x + added
+
+    def weights(self, x: Float[Array, "m 3"]) -> Float[Array, "m k"]:
+        """Computes the weight of each station at each position, by its place along the span."""
+        stations = (self.points @ self.spanwise).astype(x.dtype)
+        y = clipped(x @ self.spanwise.astype(x.dtype), stations[0], stations[-1])
+        steps = jnp.diff(stations)
+        left = jnp.clip(jnp.searchsorted(stations, y, side="right") - 1, 0, len(steps) - 1)
+        share, size = (y - stations[left]) / steps[left], steps[left]
+        identity = jnp.eye(len(stations), dtype=x.dtype)
+        weights = (1 - share)[:, None] * identity[left] + share[:, None] * identity[left + 1]
+        if not self.cubic or len(stations) < 3:
+            return weights
+        curvature = _second_derivatives(steps)
+        begin, end = ((1 - share) ** 3 - (1 - share)) * size**2 / 6, (share**3 - share) * size**2 / 6
+        return weights + begin[:, None] * curvature[left] + end[:, None] * curvature[left + 1]
+
+
+def _second_derivatives(steps: Float[Array, " j"]) -> Float[Array, "k k"]:
+    """Computes the matrix from values at stations to second derivatives of a natural spline."""
+    before, after = steps[:-1], steps[1:]
+
+    def rows(left: Array, middle: Array, right: Array, end: float) -> Float[Array, "k k"]:
+        lower, upper = jnp.pad(left, (0, 1)), jnp.pad(right, (1, 0))
+        return jnp.diag(lower, -1) + jnp.diag(jnp.pad(middle, 1, constant_values=end)) + jnp.diag(upper, 1)
+
+    system, right = (
+        rows(before, 2 * (before + after), after, 1),
+        rows(6 / before, -6 / before - 6 / after, 6 / after, 0),
+    )
+    return jnp.linalg.solve(system, right)
