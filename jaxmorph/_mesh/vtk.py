@@ -7,8 +7,7 @@ import numpy as np
 
 from .._host.cells.orders import VTK_ORDER, reordered
 from .._host.cells.topology import CORNERS, DIMENSION, NODES, SHAPES, VTK, VTK_LAGRANGE, VTK_QUADRATIC
-from .arrays import checked_parts
-from .exchange import Arrays, Grid, Parts, imported, parts
+from .exchange import Arrays, Grid, Parts, checked_parts, imported, parts
 from .faces import Faces, faces_of_cells, joined_faces, open_cells, standard_cells
 from .polyhedra import Polyhedra, spread, tetrahedra
 

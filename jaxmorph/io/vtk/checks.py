@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxmorph._mesh import vtk
 
-from ..text.digits import parse
+from .._text import parse
 
 
 def check_nodes(data: Any, announced: int) -> None:

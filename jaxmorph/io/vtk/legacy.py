@@ -11,7 +11,7 @@ import numpy as np
 from jaxmorph._host.cells.topology import VTK_LAGRANGE
 from jaxmorph._mesh import vtk
 
-from ..text.sections import scan
+from .._text import scan
 from .checks import check_streams, numbers
 
 HEAD = re.compile(
