@@ -18,8 +18,9 @@ from .._host.package.arguments import checked, finite_array, rows_of, whole
 from .._host.package.files import complete, output_path
 from . import _plane
 from ._outside import outlines, outside
-from ._plane import ROOM, Axes, MaxNLocator, Window, plt, to_hex
+from ._plane import ROOM, Axes, Figure, MaxNLocator, Window, plt, to_hex
 from ._space import (
+    AIMED,
     before_after_3d,
     content,
     fitted_window,
@@ -122,7 +123,7 @@ def _in_2d(before: jm.Mesh, points: Float[np.ndarray, "n 2"], moving: np.ndarray
     states = np.asarray(before.points), points
     window = _window(np.concatenate([state[moving] for state in states]))
     width, height = (side[1] - side[0] for side in window)
-    figure = plt.Figure(figsize=(8, 1.5 + 3.6 * min(height / width, 1.5)), dpi=200, layout="constrained")
+    figure = Figure(figsize=(8, 1.5 + 3.6 * min(height / width, 1.5)), dpi=200, layout="constrained")
     axes = figure.subplots(1, 2, sharey=True)
     largest = max(float(report.max_skewness) for report in reports)
     for axis, state, report, title in zip(axes, states, reports, ("undeformed", "deformed"), strict=True):
@@ -349,13 +350,12 @@ def _view(first: Any, draw: Callable, frames: list[np.ndarray]) -> Any:
         return np.column_stack([low[:, 0], high[:, 1]]), figure.get_size_inches(), figure.dpi
     if not hasattr(first, "screenshot"):
         raise ValueError(f"`draw` should return the axes or the plotter that it drew on, not {type(first).__name__}.")
-    view, window, shown = view_of(first), first.window_size, content(first)
-    viewer = view[:3] - view[3:6]
-    fitted = fitted_window(first, shown, viewer)
-    if not any(np.allclose(view, whole_view(shown, size, viewer, margins(first))) for size in (fitted, window)):
+    view, window = view_of(first), first.window_size
+    aimed, viewer, fitted = AIMED.get(first, (None, None, None))
+    if not np.array_equal(view, aimed):
         return view, first.camera.parallel_projection, window  # `draw` placed the camera
-    every = np.concatenate([shown, *(content(other) for other in _farthest(draw, frames))])
-    window = fitted_window(first, every, viewer) if tuple(window) == fitted else window
+    every = np.concatenate([content(first), *(content(other) for other in _farthest(draw, frames))])
+    window = fitted_window(first, every, viewer) if window == fitted else window
     return whole_view(every, window, viewer, margins(first)), True, window
 
 
