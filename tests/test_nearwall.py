@@ -195,6 +195,30 @@ def test_width(width):
     assert (moved != alone)[middle].all()
 
 
+def test_the_formula_written_out():
+    """Wendland's C2 between the wall's mean, by Franke and Little's squared weights, and the correction."""
+    x = np.linspace(0, 1, 21) ** 1.05  # no two nodes are equally near
+    wall, lid = np.column_stack([x, 0 * x]), np.column_stack([x, 0 * x + 1])
+    inner = np.column_stack([np.full(40, x[10] + 0.002), np.geomspace(1e-6, 0.9, 40)])
+    points, moving, fixed = np.concatenate([wall, lid, inner]), np.arange(21), np.arange(21, 42)
+    u, width = np.random.default_rng(0).normal(size=(21, 2)), 0.3
+    alone, moved = (
+        np.asarray(jm.deform(jm.prepare(points, moving, fixed, method=method), u) - points)[42:]
+        for method in (PUBLISHED, jm.NearWall(width=width))
+    )
+    apart, gap = (cdist(points[42:], points[nodes]) for nodes in (moving, fixed))
+    order = np.argsort(apart, axis=1)[:, :7]
+    near = np.take_along_axis(apart, order, axis=1)
+    weights = ((near[:, 6:] - near[:, :6]) / (near[:, 6:] * near[:, :6])) ** 2
+    wall = np.einsum("kn,knd->kd", weights / weights.sum(axis=1, keepdims=True), u[order[:, :6]])
+    halfway = 2 * near[:, 0] / (near[:, 0] + gap.min(axis=1))
+    xi = np.minimum(((near[:, 0] / width) ** 4 + halfway**4) ** 0.25, 1)
+    chi = ((1 - xi) ** 4 * (4 * xi + 1))[:, None]
+    below = points[42:, 1] < 0.5
+    assert ((chi > 0.05) & (chi < 0.95)).sum() > 5
+    np.testing.assert_allclose(moved[below], (chi * wall + (1 - chi) * alone)[below], rtol=0, atol=1e-5)
+
+
 @pytest.mark.slow
 def test_derivatives_with_respect_to_displacement_and_base_points():
     points, moving, fixed = strip()

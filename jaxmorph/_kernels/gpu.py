@@ -128,7 +128,6 @@ def _layout(n: int, count: int) -> tuple[int, int, int, int]:
 
 
 def _looped(add: Callable, first: Any, last: Any, sums: tuple) -> tuple:
-    """Adds the sources from `first` to `last`, `TOGETHER` in a round, then the rest one by one."""
     whole = (last - first) // TOGETHER
 
     def add_together(i, sums):

@@ -109,7 +109,6 @@ class InverseDistanceField(AbstractField):
         )
 
     def _weights(self, points: Float[Array, "k d"]) -> Float[Array, "k b"]:
-        """Computes weights that add to one."""
         far, near, alpha = self.method.far, self.method.near, self.method.alpha.astype(points.dtype)
         squared = jnp.maximum(squared_distances(points, self.surface), (SMALLEST * self.extent) ** 2)
         least = jax.lax.stop_gradient(squared.min(axis=1, keepdims=True))

@@ -133,10 +133,6 @@ def _solve(ids: Hierarchy, entries: Float[Array, " e"], values: Float[Array, "b 
 def _swept(
     sweep: Sweep, source: Int[Array, " e"], entries: Float[Array, " e"], values: Float[Array, "b d"]
 ) -> Float[Array, "b d"]:
-    """Substitutes step by step.
-
-    Each step subtracts from its owners what the nodes known by then contribute.
-    """
     used = sweep.entries >= 0
     weights = jnp.where(used, entries[sweep.entries], 0)
     nodes = jnp.where(used, source[sweep.entries], 0)

@@ -184,8 +184,6 @@ class WallRow(eqx.Module):
 
 
 class NearWallField(AbstractField):
-    """chi u_wall + (1 - chi) u_correction at one point."""
-
     method: NearWall
     correction: AbstractField
     wall: InterpolatedField
@@ -204,7 +202,6 @@ class NearWallField(AbstractField):
 
 
 def _blend(x: Float[Array, " d"], row: WallRow, width: Float[Array, " b"], surface: Float[Array, "b d"]):
-    """Computes chi, and the weights of the nearest wall nodes."""
     nearest, other = row.nodes[:-1], row.nodes[-1]
     distance = norm(surface[nearest] - x[None])
     # the last node was the farthest when it was found: of nodes as far as it is, it alone decides,

@@ -111,14 +111,11 @@ class SurfaceReconstruction(AbstractPlacing):
         return self._split(ids, factors, surface, u)[1]
 
     def _split(self, ids, factors, surface, u):
-        """Makes the coarse field, and computes what it leaves on the surface."""
         coarse = self.coarse.field(ids[0], factors[0], surface, u)
         return coarse, u - map_points(coarse, surface, factors[1])  # eq. (5)
 
 
 class SumField(AbstractField):
-    """The sum of two fields with ids of their own."""
-
     first: AbstractField
     second: AbstractField
 

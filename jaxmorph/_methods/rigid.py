@@ -104,7 +104,6 @@ class RigidField(AbstractField):
 
 
 def _sinc(squared: Float[Array, ""]) -> Float[Array, ""]:
-    """Computes sin(a) / a from a^2."""
     small = squared < 1e-6
     a = jnp.sqrt(jnp.where(small, 1, squared))
     return jnp.where(small, 1 - squared / 6 + squared**2 / 120, jnp.sin(a) / a)

@@ -76,7 +76,6 @@ class Interpolation(eqx.Module):
             return Table(*as_jax([np.concatenate(part) for part in (entries, owners, gathered)]))
 
     def without_table(self) -> "Interpolation":
-        """Drops the table: every leaf then has one row a point."""
         return Interpolation(self.nodes, self.weights, self.reached)
 
     def with_table_of(self, old: "Interpolation") -> "Interpolation":
@@ -99,7 +98,6 @@ class Reach(eqx.Module):
     reached: Bool[Array, "*n k"]
 
     def weighted(self, weights: Float[Array, " k"]) -> Interpolation:
-        """Interpolates one point with these values of the functions."""
         return Interpolation(self.nodes, jnp.where(self.reached, weights, 0), self.reached)
 
 

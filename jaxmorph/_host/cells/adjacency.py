@@ -53,7 +53,6 @@ def neighbours(cells: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]
 
 
 def _turns(nodes: Sequence[np.ndarray], ordered: Sequence[np.ndarray]) -> np.ndarray:
-    """Finds the sense of faces: True if the lower neighbour follows the lowest node."""
     if len(nodes) == 2:
         return nodes[0] < nodes[1]
     turns = np.zeros(len(nodes[0]), dtype=bool)
@@ -71,7 +70,6 @@ def _has_extent(rows: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def _by_cell(values: np.ndarray, cells: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Reorders values that stand face by face, so that all faces of one cell follow each other."""
     parts, first = [], 0
     for kind, corners in cells.items():
         last = first + len(FACES[kind]) * len(corners)

@@ -69,12 +69,10 @@ class Lagrange:
 
     @property
     def corners(self) -> int:
-        """The number of corners, which are the first nodes."""
         return CORNERS[self.shape]
 
     @property
     def dimension(self) -> int:
-        """The dimension of the reference cell."""
         return DIMENSION[self.shape]
 
     @property
@@ -84,7 +82,6 @@ class Lagrange:
 
     @property
     def place(self) -> dict[tuple[int, ...], int]:
-        """The node at each place of the lattice."""
         return {tuple(at): node for node, at in enumerate(self.lattice.tolist())}
 
     @property
@@ -140,7 +137,6 @@ def depth(shape: str, order: int, at: np.ndarray) -> Any:
 
 @functools.cache
 def of_order(shape: str, order: int, is_complete: bool = True) -> Lagrange:
-    """Describes the type with the shape of a linear cell, and an order."""
     corners, nodes = np.array(PLACES[shape]), [tuple(order * np.array(at)) for at in PLACES[shape]]
     for first, second in EDGES[shape]:
         nodes += [tuple((order - t) * corners[first] + t * corners[second]) for t in range(1, order)]
@@ -200,7 +196,6 @@ def derivatives(kind: str, places: np.ndarray) -> np.ndarray:
 
 
 def values(kind: str, places: np.ndarray) -> np.ndarray:
-    """Computes the shape functions (s, nodes) of a type at places (s, d)."""
     (at_places, _), inverse, completion = _expanded(kind, places)
     return at_places @ inverse @ completion
 
@@ -214,7 +209,6 @@ def _expanded(kind: str, places: np.ndarray) -> tuple[tuple[np.ndarray, np.ndarr
 
 
 def _basis(cell: Lagrange, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Computes a basis (s, k) of Legendre products, and its derivatives (s, k, d)."""
     p, powers = cell.order, cell.lattice
     one = legendre.legvander(2 * places - 1, p)  # (s, d, p + 1)
     slope = np.stack([legendre.legval(2 * places - 1, legendre.legder(row) * 2) for row in np.eye(p + 1)], axis=2)

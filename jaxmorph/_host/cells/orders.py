@@ -65,7 +65,6 @@ def reordered(kind: str, ids: Any, origin: NodeOrder | None, target: NodeOrder |
 
 
 def _rows(shape: str, order: int) -> np.ndarray:
-    """Lists the inner lattice row by row, the first coordinate fastest."""
     cell = lagrange_types()[shape]
     grid = np.indices((order + 1,) * cell.dimension).reshape(cell.dimension, -1)[::-1].T
     return grid[depth(shape, order, grid) > 0]
@@ -164,8 +163,6 @@ CGNS_ORDER = NodeOrder(
 
 
 class _Meshio(NodeOrder):
-    """Describes meshio's node order: VTK's for cells of order 2, gmsh's for higher orders."""
-
     def lattice(self, shape: str, order: int, *, is_complete: bool = True) -> np.ndarray:
         origin = VTK_ORDER if order == 2 and not (shape == "pyramid" and is_complete) else GMSH
         return origin.lattice(shape, order, is_complete=is_complete)

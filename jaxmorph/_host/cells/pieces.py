@@ -127,7 +127,6 @@ def steps_of(shape: str, m: int) -> dict[str, np.ndarray]:
 
 
 def _of_lattice(cell: Lagrange) -> dict[str, list]:
-    """Cuts a cell with all lattice nodes into cells of its shape; pyramids also into tetrahedra."""
     place, p, shape = cell.place, cell.order, cell.shape
 
     def rows(corners: np.ndarray, starts: np.ndarray) -> list[list[int]]:
@@ -158,7 +157,6 @@ def _of_lattice(cell: Lagrange) -> dict[str, list]:
 
 
 def _of_pyramid(rows, starts: np.ndarray) -> dict[str, list]:
-    """Cuts a pyramid: upright and turned pyramids, and tetrahedra between them."""
     upright = np.array(PLACES["pyramid"])
     turned = np.array([(0, 0, 1), (0, 1, 1), (1, 1, 1), (1, 0, 1), (1, 1, 0)])
     along = np.array([(1, 0, 0), (1, 1, 0), (0, 0, 1), (1, 0, 1)])

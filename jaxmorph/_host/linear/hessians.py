@@ -125,7 +125,6 @@ def _iterated(matrix: Any, right: np.ndarray, accuracy: float) -> np.ndarray:
 
 
 def _inverse_diagonal(matrix: Any) -> np.ndarray:
-    """Inverts the blocks on the diagonal, with positive eigenvalues."""
     rows = np.repeat(np.arange(matrix.shape[0] // matrix.blocksize[0]), np.diff(matrix.indptr))
     values, vectors = np.linalg.eigh(matrix.data[matrix.indices == rows])
     return np.einsum("nip,np,njp->nij", vectors, 1 / np.maximum(np.abs(values), 1e-8), vectors)

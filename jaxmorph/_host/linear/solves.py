@@ -52,7 +52,6 @@ class Factors:
 
     @property
     def order(self) -> np.ndarray:
-        """The order (k,) of the pivots."""
         return np.argsort(self._factors.perm_c) if self._factors is not None else np.arange(0)
 
 
@@ -142,7 +141,6 @@ class Hierarchy:
     last: Callable[[np.ndarray], np.ndarray]
 
     def __call__(self, right: np.ndarray, depth: int = 0) -> np.ndarray:
-        """Solves roughly for one right side (k,)."""
         if depth == len(self.levels):
             return self.last(right)
         level = self.levels[depth]
@@ -167,7 +165,6 @@ def hierarchy(matrix: Any, mode: np.ndarray) -> Hierarchy:
 
 
 def _last(matrix: Any) -> Callable[[np.ndarray], np.ndarray]:
-    """Makes the last level's solver: a dense inverse, or sparse factors if it is large."""
     if matrix.shape[0] <= COARSEST:
         return np.linalg.pinv(matrix.toarray(), hermitian=True).__matmul__
     return Factors(matrix)

@@ -133,7 +133,6 @@ def _blocks(pairs, values, diagonal, rows, used) -> sparse.bsr_matrix:
 
 
 def _of_matrix(matrix: Any, d: int, multigrid: bool) -> Callable[[np.ndarray], np.ndarray]:
-    """Makes a matrix's solver, scaled to a diagonal of ones, for right sides (k,) or (k, c)."""
     if matrix.shape[0] == 0:
         return lambda right: right
     if not (matrix.diagonal() > 0).all():

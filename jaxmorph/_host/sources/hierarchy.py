@@ -70,7 +70,6 @@ class Share(AbstractReduction):
 
 
 def _own_images(points: np.ndarray, images: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Finds each node's nearest mirror image: distance (infinite without images) and id."""
     distance, nearest = np.full(len(points), np.inf), np.arange(len(points))
     # Sorted by number, the images of a node are neighbours. Two rows that are `shift` places apart
     # are compared where their numbers are equal, for all shifts up to the largest group.
@@ -86,10 +85,6 @@ def _own_images(points: np.ndarray, images: np.ndarray) -> tuple[np.ndarray, np.
 
 
 def _first(points: np.ndarray, distance: np.ndarray, nearest: np.ndarray) -> np.ndarray:
-    """Picks the node farthest from the middle.
-
-    If it has no image, the node farthest from it becomes its nearest.
-    """
     first = first_largest(np.linalg.norm(points - points.mean(axis=0), axis=1))
     if nearest[first] == first:
         away = np.linalg.norm(points - points[first], axis=1)

@@ -137,7 +137,6 @@ def _graph(nodes: np.ndarray, flat: float) -> Delaunay:
 
 
 def _has_volume(nodes: np.ndarray, simplices: np.ndarray, flat: float) -> bool:
-    """Checks whether any simplex is higher than `flat`; mostly one of the first is."""
     parts = np.split(simplices, range(4096, len(simplices), 4096))
     return any(bool((smallest_height(nodes[part]) > flat).any()) for part in parts)
 
@@ -237,7 +236,6 @@ def locate(
 
 
 def _among(wanted: np.ndarray, ids: np.ndarray, nodes: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Finds the `wanted` points among the `ids`: their places in `wanted`, and their nodes."""
     node = np.full(n, -1, dtype=np.int64)
     node[ids] = nodes
     place = np.flatnonzero(node[wanted] >= 0)
@@ -259,7 +257,6 @@ def _inwards(
 
 
 def _repair(graph: Graph, points: np.ndarray, simplex: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Finds better simplices for points that the search missed: ids, and smallest weights."""
     # A point is inside of a simplex if its smallest weight is not negative, so that the best
     # simplex has the largest one. First a point moves a little towards the middle, out of the flat
     # simplices along a plane side of the hull, and is searched again. Then a point without a good
@@ -293,10 +290,6 @@ def _repair(graph: Graph, points: np.ndarray, simplex: np.ndarray) -> tuple[np.n
 
 
 def _search(graph: Graph, points: np.ndarray, simplex: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Tries all simplices for a few points: the best ones, and the points' distances beyond them.
-
-    Between flat simplices of nodes in one plane, the walk of `_repair` may end early.
-    """
     heights = smallest_height(graph.nodes[graph.delaunay.simplices])
     sound = np.flatnonzero(heights > graph.flat)
     corners, margin = graph.nodes[graph.delaunay.simplices[sound]], 2 * JITTER + graph.flat

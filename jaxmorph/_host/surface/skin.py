@@ -242,7 +242,6 @@ class Tips:
     tips: np.ndarray
 
     def lengths(self, tip: int, lengths: np.ndarray) -> np.ndarray:
-        """Selects, from the `lengths` (e,) of the edges, the lengths of a tip's edges."""
         return lengths[(self.ends == tip).any(axis=1)]
 
     def sides(self, tip: int, length: float) -> list[int]:

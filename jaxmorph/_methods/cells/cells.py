@@ -67,7 +67,6 @@ class NodeFactors(eqx.Module):
 
 
 def product(ids: NodeIds, factors: NodeFactors, x: Float[Array, "n d"]) -> Float[Array, "n d"]:
-    """Multiplies by the matrix."""
     once = symmetric_product(ids.pairs, factors.values, factors.diagonal, x)
     if not len(factors.masses):
         return once
@@ -269,7 +268,6 @@ def _of_kind(corners, entry, flipped) -> CellIds:
 
 
 def _frame(normals: np.ndarray) -> np.ndarray:
-    """Completes the normals of planes to axes, the columns of a matrix."""
     d = normals.shape[1]
     axes: list[np.ndarray] = []
     for direction in (*normals, *np.eye(d)):
@@ -280,5 +278,4 @@ def _frame(normals: np.ndarray) -> np.ndarray:
 
 
 def all_pairs(kind: str) -> tuple[tuple[int, int], ...]:
-    """Lists all pairs of a cell's corners."""
     return tuple((i, j) for j in range(CORNERS[kind]) for i in range(j))

@@ -131,7 +131,6 @@ def warn_of_close_sources(method: str, factors: RBFFactors, values: Float[np.nda
 
 
 def warn_of_close(nodes: Float[np.ndarray, "s d"], radius: float, method: str) -> None:
-    """Warns of nodes that nearly coincide."""
     first, second = nearly_coincident(nodes, radius, NEAR)
     if len(first):
         distance = np.linalg.norm(nodes[first[0]] - nodes[second[0]])

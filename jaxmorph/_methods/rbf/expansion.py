@@ -39,7 +39,6 @@ class RBFFactors(eqx.Module):
     cardinals: Cardinals | None = None
 
     def solve(self, values: Float[Array, "t k"]) -> Float[Array, "t k"]:
-        """Solves the factored system."""
         half = triangular_solve(self.lu, values[self.order], left_side=True, lower=True, unit_diagonal=True)
         return triangular_solve(self.lu, half, left_side=True, lower=False)
 
@@ -70,7 +69,6 @@ class RBFField(AbstractField):
         return Radial(self.basis, self.scale)
 
     def evaluate(self, points, ids):
-        """Sums the functions, and adds the polynomial."""
         if self.block_size is None:
             x = (points - self.centre[None]) * self.scale
             terms = polynomial(x, self.degree)[:, :, None] * self.alpha.T[None]
@@ -102,7 +100,6 @@ class Expansion(Module):
         return self.sign * self.ridge
 
     def kernel(self, r2, scale):
-        """Computes the kernel's square matrix, ridge included."""
         kernel = Radial(self.basis, scale)(r2)
         return kernel + self.at_sources * jnp.eye(len(kernel), dtype=kernel.dtype) if self.ridge else kernel
 
@@ -123,7 +120,6 @@ class Expansion(Module):
         return lu, order
 
     def rows(self, sources, scale, points: Float[Array, "k d"]) -> Float[Array, "k t"]:
-        """Computes rows of the system at any points. Traced."""
         kernel = Radial(self.basis, scale)(squared_distances(points, sources))
         return jnp.concatenate([kernel, polynomial(points, self.degree)], axis=1)
 
@@ -150,7 +146,6 @@ class Expansion(Module):
         return jax.lax.custom_linear_solve(product, right, lambda _, right: iterations.solve(right), symmetric=True)
 
     def iterations(self, factors: RBFFactors) -> ConjugateGradients:
-        """Makes the conjugate gradients for factors with `cardinals`."""
         cardinals = factors.cardinals
         assert cardinals is not None
         first = len(factors.sources) - len(cardinals.earlier)

@@ -94,7 +94,6 @@ class WallIds(eqx.Module):
 
     @classmethod
     def without_edges(cls, surface: Surface, sources: np.ndarray) -> "WallIds":
-        """Makes the ids of a field that interpolates."""
         moving, fixed = sources[sources < surface.moving], sources[sources >= surface.moving]
         none = np.zeros((0, 2))
         rows = (moving, fixed, moving, none, none[:, 0], none, none[:, 0], np.zeros((0, 3)))
@@ -348,7 +347,6 @@ class FittedRBF(AbstractMethod):
         return self.rbf.expansion.field(factors.rbf, everything, u.dtype)
 
     def _affine_part(self, factors: "FitFactors", values):
-        """Finds the coefficients (p, d) of the affine motion nearest to the displacement."""
         moments = _product(factors.polynomial.T, values)
         return jax.scipy.linalg.cho_solve((factors.moments, True), moments)
 

@@ -117,8 +117,6 @@ def precondition(rows: Cardinals, solve_first: Callable, residual: Float[Array, 
 
 
 class Progress(eqx.Module):
-    """The state of conjugate gradients for k columns."""
-
     beta: Float[Array, "s k"]
     residual: Float[Array, "s k"]
     direction: Float[Array, "s k"]
@@ -140,7 +138,6 @@ class ConjugateGradients:
     tolerance: Float[Array, ""]
 
     def coefficients(self, values: Float[Array, "s k"]) -> Float[Array, "p k"]:
-        """Fits the polynomial to values at the sources, in least squares."""
         return self._moments(_times(self.tail.T, values))
 
     def _moments(self, moments):
@@ -150,7 +147,6 @@ class ConjugateGradients:
         return jax.scipy.linalg.cho_solve((lower, True), moments)
 
     def without_polynomial(self, values: Float[Array, "s k"]) -> Float[Array, "s k"]:
-        """Subtracts the polynomial that fits best."""
         return values - _times(self.tail, self.coefficients(values))
 
     def begin(self, residual: Float[Array, "s k"], energy: Float[Array, " k"]) -> Progress:

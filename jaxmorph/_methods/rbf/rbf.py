@@ -275,7 +275,6 @@ class RBF(AbstractMethod):
         return self.expansion.field(factors, u[_rows(ids)].astype(factors.lu.dtype), u.dtype)
 
     def _unusable(self, factors: RBFFactors, fault: str) -> str:
-        """Describes what is wrong with a system, where, and what of the method to change."""
         sources = np.asarray(factors.sources / factors.scale + factors.centre[None])
         *hints, last = self._hints(factors.cardinals is not None, single=sources.dtype != np.float64)
         return (
@@ -284,7 +283,6 @@ class RBF(AbstractMethod):
         )
 
     def _hints(self, iterates: bool, single: bool) -> list[str]:
-        """Lists what to change where the system is unusable: only what this method has."""
         lengths = [field.name for field in dataclasses.fields(self.basis) if "radius" in field.name]
         hints = [*(f"a smaller `{name}` of the basis" for name in lengths), "a `ridge` of RBF such as 1e-6"]
         if all(hasattr(reduction, "separation") for reduction in (self.reduction, self.fixed_reduction)):

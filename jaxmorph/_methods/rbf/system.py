@@ -36,12 +36,10 @@ def polynomial(points: Float[Array, "k d"], degree: int | None) -> Float[Array, 
 
 
 def squared_distances(a: Float[Array, "k d"], b: Float[Array, "s d"]) -> Float[Array, "k s"]:
-    """Computes squared distances by differences."""
     return sum((a[:, None, k] - b[None, :, k]) ** 2 for k in range(a.shape[1]))  # pyright: ignore[reportReturnType]
 
 
 def block_size(count: int) -> int:
-    """Returns how many points make a block of the kernel with `count` sources."""
     return min(BLOCK, max(64, KERNEL_BLOCK // count // 64 * 64))
 
 
