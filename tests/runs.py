@@ -1,6 +1,26 @@
-"""Which run holds which cases of a law: the fast tests, `.ci/run` or `.ci/nightly`."""
+"""Which run holds which cases of a law: the fast tests, `.ci/run` or `.ci/nightly`; and runs of several processes."""
+
+import os
+import pathlib
+import subprocess
+import sys
 
 import pytest
+
+TESTS = pathlib.Path(__file__).resolve().parent
+
+
+def mpi_run(count: int, script: str, *words: str) -> str:
+    """Runs a script of `tests` in several processes, and returns what they print; skips without mpi4py and its mpiexec."""
+    pytest.importorskip("mpi4py")
+    command = pathlib.Path(sys.executable).with_name("mpiexec")
+    if not command.exists():
+        pytest.skip("no mpiexec beside this python: another one may belong to another MPI than mpi4py")
+    run = [str(command), "-n", str(count), sys.executable, str(TESTS / script), *words]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(TESTS.parent), str(TESTS)])}
+    done = subprocess.run(run, capture_output=True, text=True, env=environment, timeout=900, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
 
 
 def runs(fast=(), slow=(), nightly=()) -> list:

@@ -12,7 +12,7 @@ import idwarp_meshes as meshes
 import jax
 import numpy as np
 import pytest
-from runs import runs
+from runs import mpi_run, runs
 
 import jaxmorph as jm
 from jaxmorph import cases, io
@@ -22,7 +22,7 @@ MPI = pytest.importorskip("mpi4py.MPI")
 pytest.importorskip("h5py")
 idwarp = pytest.importorskip("jaxmorph.integrations.idwarp")
 USMesh, MultiUSMesh = idwarp.USMesh, idwarp.MultiUSMesh
-walls_of = pytest.importorskip("jaxmorph.integrations.idwarp._walls").walls_of
+surface_room = pytest.importorskip("jaxmorph.integrations.idwarp._surface")
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 PLANES = {1: [[[0, 0, 0], [1, 0, 0]]], 2: [[[0, 0, 0], [1, 0, 0]], [[0, 0, 0], [0, 1, 0]]]}
 
@@ -39,6 +39,13 @@ def opened(grids, kind, **options):
     walls = {"specifiedSurfaces": ["kmin" if kind == "plot3d" else "Floor"]}
     settled = {"gridFile": str(grids[kind][0]), "fileType": meshes.FILES[kind][1], "useRotations": False}
     return USMesh(options=settled | walls | options, comm=MPI.COMM_SELF)
+
+
+def bumped(mesh):
+    """Moves the mesh by a bump of its surface; returns the nodes in the order of the file."""
+    mesh.setSurfaceCoordinates(meshes.bump(mesh.getSurfaceCoordinates()))
+    mesh.warpMesh()
+    return mesh.getCommonGrid().reshape(-1, 3)
 
 
 def dot_is_equal(mesh, seed=0):
@@ -70,9 +77,7 @@ def test_walls_planes_and_derivatives(grids, kind, count, capsys):
     assert np.array_equal(np.unique(surface, axis=0), np.unique(floor, axis=0))
     assert len(surface) == len(np.unique(floor, axis=0))
 
-    mesh.setSurfaceCoordinates(meshes.bump(surface))
-    mesh.warpMesh()
-    moved = mesh.getCommonGrid().reshape(-1, 3)
+    moved = bumped(mesh)
     wall = meshes.on(nodes, "floor")
     np.testing.assert_allclose(moved[wall], meshes.bump(nodes[wall]), atol=1e-15)
     held = np.setdiff1d(np.concatenate([meshes.on(nodes, name) for name in ("lid", "xmax", "ymax")]), wall)
@@ -148,13 +153,9 @@ def test_options_are_those_of_baseclasses(grids, capsys):
     told = capsys.readouterr().out
     assert "useRotations: True" in told
     assert "errTol: 0.001" in told
-    surface = mesh.getSurfaceCoordinates()
-    mesh.setSurfaceCoordinates(meshes.bump(surface))
-    mesh.warpMesh()
-    turning = opened(grids, "structured", symmetryPlanes=PLANES[1], useRotations=True)
-    turning.setSurfaceCoordinates(meshes.bump(turning.getSurfaceCoordinates()))
-    turning.warpMesh()
-    assert np.array_equal(mesh.getCommonGrid(), turning.getCommonGrid())
+    assert np.array_equal(
+        bumped(mesh), bumped(opened(grids, "structured", symmetryPlanes=PLANES[1], useRotations=True))
+    )
     for name, value, message in (
         ("useRotations", False, "surface is defined"),
         ("gridFile", "other.cgns", "grid is read"),
@@ -190,15 +191,13 @@ def test_the_method_is_idwarps_or_the_default(grids, is_turning):
     """`useRotations` asks for IDWarp's; without it the mesh moves as `prepare` moves it."""
     options = {"useRotations": is_turning, "symmetryPlanes": PLANES[2]}
     mesh = opened(grids, "unstructured", **options)
-    surface = mesh.getSurfaceCoordinates()
-    mesh.setSurfaceCoordinates(meshes.bump(surface))
-    mesh.warpMesh()
+    moved = bumped(mesh)
     file = io.read(grids["unstructured"][0])
     method = jm.InverseDistance(rotations=True) if is_turning else None
     planes = [jm.Plane([1, 0, 0], [0, 0, 0]), jm.Plane([0, 1, 0], [0, 0, 0])]
     plan = jm.prepare(file, "floor", ["lid", "xmax", "ymax"], method=method, symmetry=planes)
     expected = jm.deform(plan, meshes.bump(plan.moving_points) - plan.moving_points)
-    np.testing.assert_allclose(mesh.getCommonGrid().reshape(-1, 3), expected, atol=1e-12)
+    np.testing.assert_allclose(moved, expected, atol=1e-12)
     dot_is_equal(mesh)
     assert mesh.verifyWarpDeriv(dofStart=30, dofEnd=33) < 1e-6
 
@@ -220,10 +219,7 @@ def test_a_solvers_own_points_move_the_wall(grids):
     definition = faces_of(nodes)
     mesh.setSurfaceDefinition(*definition, np.zeros(len(definition[2])))
     assert np.array_equal(mesh.getSurfaceCoordinates(), definition[0])
-    for each in (mesh, own):
-        each.setSurfaceCoordinates(meshes.bump(each.getSurfaceCoordinates()))
-        each.warpMesh()
-    np.testing.assert_allclose(mesh.getCommonGrid(), own.getCommonGrid(), atol=1e-14)
+    np.testing.assert_allclose(bumped(mesh), bumped(own), atol=1e-14)
     dot_is_equal(mesh)
     # all points at one place together have the derivative of the node there
     seed = np.random.default_rng(1).normal(size=nodes.size)
@@ -258,12 +254,10 @@ def test_points_that_are_no_nodes_move_the_wall_by_a_linear_map(grids, count, ha
 
 def test_closest_points_of_triangles_are_those_of_a_fine_search():
     """Oracle: the nearest of many points of each triangle; long triangles among short ones."""
-    from jaxmorph.integrations.idwarp._definition import Definition
-
     random = np.random.default_rng(5)
     points = random.normal(size=(30, 3)) * [5, 1, 0.2]
     triangles = np.array([random.choice(30, 3, replace=False) for _ in range(25)])
-    surface = Definition(points, triangles)
+    surface = surface_room.Definition(points, triangles)
     x = random.normal(size=(40, 3)) * [5, 1, 1]
     weights, away, _ = surface.weights(x)
     weights = weights.toarray()
@@ -433,9 +427,7 @@ def test_walls_and_planes_of_the_file_are_the_default(grids, kind):
     nodes = grids[kind][1]
     floor = nodes[meshes.on(nodes, "floor")]
     assert np.array_equal(np.unique(mesh.getSurfaceCoordinates(), axis=0), np.unique(floor, axis=0))
-    mesh.setSurfaceCoordinates(meshes.bump(mesh.getSurfaceCoordinates()))
-    mesh.warpMesh()
-    moved = mesh.getCommonGrid().reshape(-1, 3)
+    moved = bumped(mesh)
     for name, axis in (("sym0", 0), ("sym1", 1)):
         rows = meshes.on(nodes, name)
         assert np.array_equal(moved[rows, axis], nodes[rows, axis])
@@ -481,8 +473,7 @@ def test_planes_hold_nodes_within_symmtol(grids):
 def test_grids_are_written(grids, kind, tmp_path):
     path, nodes = grids[kind]
     mesh = opened(grids, kind, symmetryPlanes=PLANES[2])
-    mesh.setSurfaceCoordinates(meshes.bump(mesh.getSurfaceCoordinates()))
-    mesh.warpMesh()
+    bumped(mesh)
     written = tmp_path / path.name
     mesh.writeGrid(str(written))
     new, old = io.read(written), io.read(path)
@@ -496,8 +487,7 @@ def test_grids_are_written(grids, kind, tmp_path):
 def test_numbers_are_doubles_whatever_the_mode_is(grids):
     with jax.enable_x64(False):
         mesh = opened(grids, "structured", symmetryPlanes=PLANES[1])
-        mesh.setSurfaceCoordinates(meshes.bump(mesh.getSurfaceCoordinates()))
-        mesh.warpMesh()
+        bumped(mesh)
         dot_is_equal(mesh)
         assert jax.numpy.ones(1).dtype == np.float32
     assert mesh.getCommonGrid().dtype == np.float64
@@ -571,7 +561,7 @@ def test_nonsense_is_refused_by_name(grids, tmp_path):
 def test_the_adapter_stands_on_public_names():
     """What it imports of the package outside of `integrations` has no private part."""
     files = sorted((ROOT / "jaxmorph" / "integrations" / "idwarp").glob("*.py"))
-    assert len(files) > 5
+    assert len(files) > 4
     for file in files:
         for node in ast.walk(ast.parse(file.read_text())):
             if isinstance(node, ast.ImportFrom) and not node.level:
@@ -597,19 +587,13 @@ def test_the_extra_says_what_else_it_needs():
 
 @pytest.mark.nightly
 def test_two_processes_have_what_one_has(grids, tmp_path):
-    command = pathlib.Path(sys.executable).with_name("mpiexec")
-    if not command.exists():
-        pytest.skip("no mpiexec beside this python: another one may belong to another MPI than mpi4py")
     meshes.write_openfoam(tmp_path / "case", parts=True)
     meshes.write_structured(tmp_path / "grid.cgns")
     meshes.write_unstructured(tmp_path / "mesh.cgns")
     meshes.write_plot3d(tmp_path / "grid.xyz")
     meshes.write_overset(tmp_path / "overset.cgns")
     for count in (1, 2):
-        run = [str(command), "-n", str(count), sys.executable, str(ROOT / "tests" / "mpi_idwarp.py"), str(tmp_path)]
-        environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")])}
-        done = subprocess.run(run, capture_output=True, text=True, env=environment, timeout=900, check=False)
-        assert done.returncode == 0, done.stderr
+        mpi_run(count, "mpi_idwarp.py", str(tmp_path))
     for kind in ("structured", "unstructured", "plot3d", "openfoam", "overset"):
         one, two = (np.load(tmp_path / f"{kind}-{count}.npz") for count in (1, 2))
         assert set(one) == set(two) == {"grid", "dXs", "change", *(["solver"] if kind != "overset" else [])}
@@ -622,8 +606,8 @@ def test_two_processes_have_what_one_has(grids, tmp_path):
 
 @pytest.mark.parametrize(
     ("name", "kind", "becomes"),
-    [("sym_overset", "", "free"), ("asymmetric_part", "", ""), ("symm", "", "flat"), ("sym", "overset", "free"),
-     ("overset", "BCSymmetryPlane", "flat"), ("near_overset", "UserDefined", "free"), ("side", "symmetryPlane", "flat")],
+    [("sym_overset", "", "overset"), ("asymmetric_part", "", ""), ("symm", "", "symmetry"), ("sym", "overset", "overset"),
+     ("overset", "BCSymmetryPlane", "symmetry"), ("near_overset", "UserDefined", "overset"), ("side", "symmetryPlane", "symmetry")],
 )  # fmt: skip
 def test_patches_are_sorted_by_kind_then_by_name(name, kind, becomes):
     """What the file says counts; a name counts by the beginnings of its words."""
@@ -631,5 +615,5 @@ def test_patches_are_sorted_by_kind_then_by_name(name, kind, becomes):
     source = Source(pathlib.Path("a.cgns"), "CGNS", None, kinds={name: kind} if kind else {})
     mesh = jm.Mesh(points, {"hexahedron": np.array([[0, 4, 6, 2, 1, 5, 7, 3]])}, {name: np.array([0, 2, 4, 6])}, source)
     options = {"specifiedSurfaces": None, "symmetrySurfaces": None, "symmetryPlanes": None}
-    walls = walls_of(mesh, options)
-    assert {part for part in ("flat", "free") if name in getattr(walls, part)} == ({becomes} - {""})
+    found = surface_room.patches_by_kind(mesh, options)
+    assert {kind for kind, names in found.items() if name in names} == ({becomes} - {""})

@@ -10,6 +10,7 @@ SAYS = {
     "before": "before|moving|no cells|nonsense|nowhere|surface",
     "by": "`by`|measure",
     "cells": "cells|cell type",
+    "control": "control|parameters",
     "cell_data": "cell_data|array 'a'",
     "point_data": "point_data|array 'a'",
     "centres": "centres|bumps",

@@ -129,8 +129,7 @@ def run(**options):
 
 
 def test_the_extra_is_named_where_it_is_missing(monkeypatch):
-    for module in ("_traced", "openmdao"):
-        monkeypatch.delitem(sys.modules, f"jaxmorph.integrations.{module}", raising=False)
+    monkeypatch.delitem(sys.modules, "jaxmorph.integrations.openmdao", raising=False)
     monkeypatch.setitem(sys.modules, "openmdao.api", None)
     with pytest.raises(ImportError, match=r"needs openmdao: pip install 'jaxmorph\[openmdao\]'"):
         import jaxmorph.integrations.openmdao  # noqa: F401

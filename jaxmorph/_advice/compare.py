@@ -16,6 +16,7 @@ from jaxtyping import ArrayLike, Float, Real
 from .._boundary.boundary import Boundary
 from .._host.package.arguments import checked, shown
 from .._host.sources.reduction import KDTree
+from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod, check_kind
 from .._methods.inverse_distance import InverseDistance
 from .._methods.rbf.rbf import RBF
@@ -122,13 +123,19 @@ def compare(
     of points alone, and for `methods` that are no methods by name. Also what `prepare` raises where
     it refuses every method.
     """
-    if boundary.mesh is None:
+    if (mesh := boundary.mesh) is None:
         raise ValueError(
             "compare judges cells: give it the boundary of a mesh, compare(jm.Boundary(mesh, ...), motions)."
         )
     boundary.warn_of_free_faces()
     motions = _checked_motions(motions, (len(boundary.moving), boundary.points.shape[1]))
-    pairs = [_tried(boundary, motions, name, make) for name, make in _makers(boundary, methods).items()]
+    pairs = []
+    for name, make in _makers(boundary, methods).items():
+        plan = _plan(boundary, make)
+        if isinstance(plan, Plan):
+            pairs.append((_trial(mesh, plan, motions, name), plan))
+        else:
+            pairs.append((Trial(name, refused=plan), None))
     pairs.sort(key=lambda pair: pair[0].badness)
     rows, plans = zip(*pairs, strict=True)
     if plans[0] is None:
@@ -178,14 +185,18 @@ def _small_enough(make: Any, boundary: Boundary) -> AbstractMethod:
     return method
 
 
-def _tried(boundary: Boundary, motions: Float[np.ndarray, "s m d"], name: str, make: Any) -> tuple[Trial, Plan | None]:
+def _plan(boundary: Boundary, make: Any) -> Plan | str:
+    """Prepares a plan of a method, or returns why it is refused."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of a bad condition: the table shows what comes of it
         try:
-            plan = plan_of(boundary, make())
+            return plan_of(boundary, make())
         except (ValueError, ImportError) as error:  # ImportError: a solver for large 3-D meshes is not installed
-            return Trial(name, refused=str(error) or repr(error)), None
-    mesh, vectors = boundary.mesh, [jnp.asarray(u, plan.points.dtype) for u in motions]
+            return str(error) or repr(error)
+
+
+def _trial(mesh: Mesh, plan: Plan, motions: Float[np.ndarray, "s m d"], name: str) -> Trial:
+    vectors = [jnp.asarray(u, plan.points.dtype) for u in motions]
     moved = [deform(plan, u) for u in vectors]
     jax.block_until_ready(moved)
     began = time.process_time()
@@ -198,4 +209,4 @@ def _tried(boundary: Boundary, motions: Float[np.ndarray, "s m d"], name: str, m
     except ValueError:  # no cell has a side on the wall
         angle = math.nan
     inverted = sum(int(report.inverted) for report in reports)
-    return Trial(name, len(plan.sources) or None, inverted, ratio, angle, seconds), plan
+    return Trial(name, len(plan.sources) or None, inverted, ratio, angle, seconds)

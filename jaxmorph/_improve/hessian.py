@@ -103,7 +103,6 @@ def _unit(a: Vector, otherwise: Vector, noise: Scalar) -> Vector:
 
 
 def _across(a: Vector) -> Vector:
-    """Computes a unit vector at right angles to a unit vector."""
     flat = jnp.abs(a[2]) < 0.9
     other = Vector(
         [jnp.where(flat, -a[1], jnp.zeros_like(a[0])), jnp.where(flat, a[0], -a[2]), jnp.where(flat, 0, a[1])]
@@ -139,7 +138,6 @@ def convex(
 
 
 def _measures(sigma: Sequence[Scalar] | Float[Array, "d s k"]) -> tuple[Scalar, Scalar]:
-    """Computes |T|^2 / d and det T."""
     return _added(s**2 for s in sigma) / len(sigma), functools.reduce(jnp.multiply, list(sigma))
 
 
@@ -148,7 +146,6 @@ def _added(terms: Iterable[Scalar]) -> Scalar:
 
 
 def _hessian(function, x: Float[Array, "d s k"]) -> Float[Array, "d d s k"]:
-    """Computes second derivatives of a function that works entry by entry."""
     ones = jnp.ones_like(x[0])
 
     def slope(x):

@@ -43,12 +43,10 @@ class Ways(eqx.Module):
 
     @property
     def is_linear(self) -> bool:
-        """True if all walls are flat."""
         return all(track.is_linear for track in self.tracks)
 
     @property
     def off(self) -> Float[Array, "n d d"]:
-        """Projections onto the normals."""
         return jnp.einsum("nqa,nqb->nab", self.normals, self.normals, precision="highest")
 
     def __call__(

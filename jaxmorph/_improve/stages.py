@@ -221,7 +221,7 @@ class HessianSolver(lx.AbstractLinearSolver):
     base: Float[Array, "n d"]
     pattern: Pattern
 
-    def init(self, operator, options):
+    def init(self, operator: Any, options):
         return self.distortion.blocks(jax.lax.stop_gradient(operator.x), self.base, -jnp.inf)
 
     def compute(self, state, vector, options):

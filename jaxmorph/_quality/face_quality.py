@@ -71,6 +71,7 @@ class FaceQuality(Report):
     mean_non_orthogonality: float
     volume_ratio: Float[np.ndarray, " k"]
 
+    @checked
     def mean(self, name: str, *, weighted: bool = True) -> float:
         """Averages a measure by area or volume; non-orthogonality as checkMesh does."""
         is_of_faces = name == "non_orthogonality" and weighted
@@ -161,7 +162,6 @@ class _Shape:
         return cls(faces, moments, volumes)
 
     def turn(self, sign: Float[np.ndarray, " k"] | None) -> None:
-        """Turns the faces and volumes of cells by their sign."""
         if sign is not None:
             self.volume *= sign
             for group, _, area in self.faces:
@@ -261,7 +261,6 @@ class OfFaces(NamedTuple):
 
 
 def of_faces(block: Block, centres: Columns, areas: Columns, middle: Columns, points: Columns) -> OfFaces:
-    """Measures a block of faces between cells with given middles."""
     centre, area = centres[:, block.rows], areas[:, block.rows]
     skewness, cosine = _across(block, centre, area, middle, points)
     inner = cosine[block.behind >= 0]
@@ -272,7 +271,6 @@ def of_faces(block: Block, centres: Columns, areas: Columns, middle: Columns, po
 def _across(
     block: Block, centre: Columns, area: Columns, middle: Columns, points: Columns
 ) -> tuple[Float[np.ndarray, " b"], Float[np.ndarray, " b"]]:
-    """Computes the skewness of faces, and cosines of area vectors with lines of centres."""
     owner, behind = block.owner, block.behind
     arm, size = _arm(centre, middle, owner), _size(area)
     across = [m.take(behind) - m.take(owner) for m in middle]  # anything where there is no cell behind

@@ -54,7 +54,6 @@ class Judged:
         return self.faces if self.by_faces else self.corners
 
     def key(self, name: str) -> str:
-        """Names a measure of the report as limits and tables do."""
         return next((key for key, measure in BY_FACES.items() if self.by_faces and measure == name), name)
 
     @functools.cached_property
@@ -85,7 +84,6 @@ class Judged:
 
     @property
     def _old(self) -> Bool[np.ndarray, " k"]:
-        """Cells that were inverted before the motion."""
         return np.zeros(len(self.report.is_inverted), dtype=bool) if self.before is None else self.before.inverted
 
     @functools.cached_property

@@ -305,7 +305,7 @@ def centre_of_mass(kind: str, x: Sequence[Vector]) -> Vector:
     return Vector(moment) * divide(xp.full_like(whole, 0.25), whole, 0.0)
 
 
-def _moments(x: Vector, corners: Int[Either, " c"]) -> list[Scalar]:
+def _moments(x: Vector, corners: Int[Either, " c"]) -> list:
     """Computes six volumes and 24 first moments of tetrahedra.
 
     They lie between one face and the first corner.

@@ -11,6 +11,7 @@ from jaxtyping import Float
 import jaxmorph as jm
 from jaxmorph import io
 from jaxmorph._host.package.ranks import Alone, Ranks, together
+from jaxmorph._host.package.rounding import rows_in
 
 from ._deform import check_files, described, write_job
 from ._method import patches_of

@@ -11,6 +11,7 @@ import numpy as np
 from jaxmorph import _demo
 from jaxmorph._advice.methods import METHODS, entry
 from jaxmorph._host.package.files import check_apart, input_path, is_same, output_path
+from jaxmorph._host.package.text import GRADIENTS, LATTICES, SENSITIVITIES, is_folder
 from jaxmorph.integrations import su2
 
 from ._job import job_of

@@ -14,10 +14,8 @@ import openmdao.api as om
 from jaxtyping import Array, Float, PyTree
 
 import jaxmorph as jm
-from jaxmorph._host.package.arguments import check
 
-from ._traced import Deformed, MovedMesh, TracedComponent
-from .openmdao import add_parameters, first_parameters, from_inputs
+from .openmdao import MovedMesh, Traced, TracedComponent, Values, add_parameters, first_parameters, from_inputs
 
 SURFACE = MPhysVariables.Aerodynamics.Surface
 VOLUME = "aero_vol_coords"
@@ -66,9 +64,7 @@ class VolumeBuilder(Builder):
 
     def __init__(self, plan: jm.Plan, mesh: jm.Mesh | None = None, *, raise_if_inverted: bool = True):
         super().__init__()
-        check("plan", plan, jm.Plan, VolumeBuilder)
-        check("mesh", mesh, jm.Mesh | None, VolumeBuilder)
-        check("raise_if_inverted", raise_if_inverted, bool, VolumeBuilder)
+        Volume(plan=plan, mesh=mesh, raise_if_inverted=raise_if_inverted)  # OpenMDAO refuses values of other types
         if plan.points.shape[1] != 3:
             raise ValueError(f"this mesh is in {plan.points.shape[1]}-D; MPhys's coordinates are in 3-D.")
         self.plan, self.mesh, self.raise_if_inverted = plan, mesh, raise_if_inverted
@@ -112,9 +108,8 @@ class Geometry(TracedComponent):
         add_parameters(self, self.options["parameters"], tags=["mphys_input"])
         self.add_output(SURFACE.Geometry.COORDINATES_OUTPUT, copy_shape=name, distributed=True, units="m", tags=tags)
 
-    def traced(self) -> "_Moved":
-        """Returns the shape."""
-        return _Moved(self.options["shape"], self.options["parameters"])
+    def traced(self) -> Traced:
+        return eqx.Partial(_moved, self.options["shape"], self.options["parameters"])
 
 
 class Volume(MovedMesh):
@@ -127,15 +122,14 @@ class Volume(MovedMesh):
         self.add_input(SURFACE.COORDINATES, wall.ravel(), distributed=True, units="m", tags=["mphys_coordinates"])
         self.add_output(VOLUME, points.ravel(), distributed=True, units="m", tags=tags)
 
-    def traced(self) -> Deformed:
-        """Returns `deform` of the plan by positions."""
-        return Deformed(self.options["plan"], SURFACE.COORDINATES, is_position=True)
+    def traced(self) -> Traced:
+        return eqx.Partial(_deformed, self.options["plan"])
 
 
-class _Moved(eqx.Module):
-    shape: Any
-    parameters: PyTree
+def _moved(shape: Any, parameters: PyTree, values: Values) -> Float[Array, " k"]:
+    x = jnp.reshape(values[SURFACE.Geometry.COORDINATES_INPUT], (-1, 3))
+    return shape(x, from_inputs(parameters, values)).ravel()
 
-    def __call__(self, values: dict[str, Any]) -> Float[Array, " k"]:
-        x = jnp.reshape(values[SURFACE.Geometry.COORDINATES_INPUT], (-1, 3))
-        return self.shape(x, from_inputs(self.parameters, values)).ravel()
+
+def _deformed(plan: jm.Plan, values: Values) -> Float[Array, "n 3"]:
+    return jm.deform(plan, jnp.reshape(values[SURFACE.COORDINATES], (-1, 3)) - plan.moving_points)

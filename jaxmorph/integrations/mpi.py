@@ -15,14 +15,8 @@ import numpy as np
 from jaxtyping import ArrayLike, Bool, Float, Int, Real
 
 import jaxmorph as jm
-from jaxmorph._host.package.arguments import check
-from jaxmorph._host.package.ranks import Agreement, together
 
-from .._host.package.rounding import rows_in
-from ._share import Share, surface_of
-from ._shared import check_comm, faces_of, joined, owned
-
-ROWS = Real[ArrayLike, "k d"] | Sequence[Any]
+from ._pieces import Agreement, check_comm, faces_of, numbers_of, owned, rows_in, surface_of, together
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,10 +66,7 @@ class Piece:
         u = self.gathered(u)
 
         def of_piece() -> np.ndarray:
-            check("cotangent", cotangent, ROWS, Piece.pullback)
-            values = np.asarray(cotangent, dtype=float)
-            if values.shape != self.plan.points.shape:
-                raise ValueError(f"`cotangent` has shape {values.shape}; this piece has {self.plan.points.shape}.")
+            values = numbers_of("cotangent", cotangent, self.plan.points.shape)
             return np.array(jm.pullback(self.plan, u, np.where(self.is_owner[:, None], values, 0)))
 
         total = together(self.comm, of_piece)
@@ -93,18 +84,10 @@ class Piece:
     def gathered(self, u: Real[ArrayLike, "k d"], name: str = "u") -> Float[np.ndarray, "m d"]:
         """Gathers all moving nodes' displacements from all processes; errors call them `name`."""
 
-        def checked() -> np.ndarray:
-            check(name, u, ROWS, Piece.deform)
-            values = np.asarray(u, dtype=self.plan.points.dtype)
-            expected = (len(self.moving), self.plan.points.shape[1])
-            if values.shape != expected:
-                raise ValueError(
-                    f"`{name}` has shape {values.shape}; this piece moves {expected[0]} points: {expected}."
-                )
-            return values
-
-        shares = self.comm.allgather((self.rows, together(self.comm, checked)))
-        whole = np.full((self.plan.n_moving, self.plan.points.shape[1]), np.nan, self.plan.points.dtype)
+        shape, dtype = (len(self.moving), self.plan.points.shape[1]), self.plan.points.dtype
+        own = together(self.comm, lambda: numbers_of(name, u, shape).astype(dtype))
+        shares = self.comm.allgather((self.rows, own))
+        whole = np.full((self.plan.n_moving, shape[1]), np.nan, dtype)
         for rows, values in shares:
             whole[rows] = values
         torn = sum(int((whole[rows] != values).any(axis=1).sum()) for rows, values in shares)
@@ -121,12 +104,8 @@ class Piece:
         between two pieces are not judged. It raises `ValueError`, in every process, as
         `jaxmorph.judge` does.
         """
-
-        def of_piece() -> jm.Verdict:
-            check("mesh", mesh, jm.Mesh, Piece.judge)
-            return jm.judge(mesh, points, limits, part=self.comm.rank)
-
-        return jm.Verdict.together(self.comm.allgather(together(self.comm, of_piece)))
+        verdict = together(self.comm, lambda: jm.judge(mesh, points, limits, part=self.comm.rank))
+        return jm.Verdict.together(self.comm.allgather(verdict))
 
 
 def prepare(
@@ -170,17 +149,20 @@ def prepare(
     that two processes have at different places.
     """
     check_comm(comm)
-    piece = together(comm, lambda: _share(points, nodes, moving, fixed, symmetry, is_open))
-    marks = owned(comm, piece.nodes)
-    faces = faces_of(comm, piece.mesh, piece.nodes, marks[1])
-    everything, names, m, count, total = surface_of(comm, piece, faces)
+    mesh = points if isinstance(points, jm.Mesh) else None
+    own, ids = together(comm, lambda: _own(points, nodes, moving, fixed, symmetry))
+    marks = owned(comm, ids)
+    faces = faces_of(comm, mesh, ids, marks[1])
+    everything, names, m, count, total = surface_of(comm, own, ids, faces)
     whole = comm.gather(faces)
 
     def half() -> jm.SurfaceHalf | None:
         if comm.rank:
             return None
         free = np.arange(count, total if is_open else count)
-        known: dict[str, Any] = {"is_open": is_open} if faces is None else {"faces": joined(whole, names)}
+        known: dict[str, Any] = {"is_open": is_open}
+        if faces is not None:
+            known = {"faces": {kind: rows_in(names, np.concatenate([part[kind] for part in whole])) for kind in faces}}
         try:
             boundary = jm.Boundary(everything, np.arange(m), np.arange(m, count), symmetry=symmetry, free=free)
             return jm.prepare_surface(boundary, nodes=names, method=method, **known)
@@ -189,16 +171,18 @@ def prepare(
 
     shared = comm.bcast(together(comm, half))
     assert shared is not None
-    plan = together(comm, lambda: shared.attach(piece.points, piece.nodes))
-    rows = np.searchsorted(names[:m], piece.nodes[piece.moving])
-    return Piece(comm, plan, piece.nodes, piece.moving, rows, *marks)
+    plan = together(comm, lambda: shared.attach(own.points, ids))
+    return Piece(comm, plan, ids, own.moving, np.searchsorted(names[:m], ids[own.moving]), *marks)
 
 
-def _share(points: Any, nodes: Any, moving: Any, fixed: Any, symmetry: Any, is_open: Any) -> Share:
-    check("points", points, jm.Mesh | ROWS, prepare)
-    check("symmetry", symmetry, jm.Plane | Sequence[jm.Plane], prepare)
-    check("is_open", is_open, bool, prepare)
-    return Share.checked(points, nodes, moving, fixed, symmetry)
+def _own(points: Any, nodes: Any, moving: Any, fixed: Any, symmetry: Any) -> tuple[jm.Boundary, np.ndarray]:
+    """Returns the boundary of a piece, and the ids (n,) of its points."""
+    x = points.points if isinstance(points, jm.Mesh) else points
+    boundary, ids = jm.Boundary(x, moving, fixed, symmetry=symmetry), np.asarray(nodes)
+    n = len(boundary.points)
+    if ids.shape != (n,) or ids.dtype.kind not in "iu" or (ids < 0).any() or len(np.unique(ids)) < n:
+        raise ValueError(f"`nodes` must be one id for each of {n} points, from 0 on, no id twice.")
+    return boundary, ids.astype(np.int64)
 
 
 def attach(
@@ -220,8 +204,12 @@ def attach(
     **Raises:** `ValueError`, in every process, as `SurfaceHalf.attach` does.
     """
     check_comm(comm)
-    together(comm, lambda: check("half", half, jm.SurfaceHalf, attach))
-    plan = together(comm, lambda: half.attach(np.asarray(points), np.asarray(nodes)))
-    ids = np.asarray(nodes)
+
+    def attached() -> jm.Plan:
+        if not isinstance(half, jm.SurfaceHalf):
+            raise ValueError(f"`half` must be what prepare_surface returned, not {half!r}.")
+        return half.attach(np.asarray(points), np.asarray(nodes))
+
+    plan, ids = together(comm, attached), np.asarray(nodes)
     moving = np.flatnonzero(np.isin(ids, half.moving))
     return Piece(comm, plan, ids, moving, rows_in(half.moving, ids[moving]), *owned(comm, ids))

@@ -1,18 +1,104 @@
-"""OpenMDAO components: design variables to surface displacements, and these to volume points."""
+"""OpenMDAO components: design variables to surface displacements, and these to volume points.
 
+A component computes a traced function; its derivatives are products without a matrix.
+"""
+
+try:
+    import openmdao.api as om
+except ImportError as error:
+    raise ImportError("this component needs openmdao: pip install 'jaxmorph[openmdao]'") from error
+
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, ArrayLike, Float, PyTree
 
 import jaxmorph as jm
 from jaxmorph import shapes
+from jaxmorph._host.cells.topology import solid
 from jaxmorph._host.package.arguments import shown
+from jaxmorph._host.package.errors import warn
 
-from ._traced import Deformed, MovedMesh, TracedComponent
+Values = dict[str, Any]
+Traced = Callable[[Values], Any]
+"""A pytree that computes one array from arrays by name."""
+
+
+class TracedComponent(om.ExplicitComponent):
+    """Computes one output of inputs by a traced function; forward and reverse products are JAX's.
+
+    A subclass adds inputs and one output in `setup`, and returns the function from `traced`: a
+    pytree, so that it is compiled once.
+    """
+
+    def traced(self) -> Traced:
+        raise NotImplementedError
+
+    def compute(self, inputs, outputs, discrete_inputs=None, discrete_outputs=None) -> None:
+        (name,) = outputs.keys()
+        value = _value(self.traced(), _arrays(inputs))
+        outputs[name] = np.asarray(value).reshape(outputs[name].shape)
+        self.judge(value)
+
+    def judge(self, value: Array) -> None:
+        """Raises `openmdao.api.AnalysisError` for a value no solver should get; none by default."""
+
+    def compute_jacvec_product(
+        self, inputs, d_inputs, d_outputs, mode, discrete_inputs=None, discrete_outputs=None
+    ) -> None:
+        if not list(d_inputs.keys()) or not list(d_outputs.keys()):
+            return
+        (name,), values = d_outputs.keys(), _arrays(inputs)
+        if mode == "fwd":
+            tangents = {key: np.zeros_like(value) for key, value in values.items()} | _arrays(d_inputs)
+            d_outputs[name] += np.asarray(_forward(self.traced(), values, tangents)).reshape(d_outputs[name].shape)
+        else:
+            slopes = _reverse(self.traced(), values, np.array(d_outputs[name]))
+            for key in d_inputs:
+                d_inputs[key] += np.asarray(slopes[key]).reshape(d_inputs[key].shape)
+
+
+class MovedMesh(TracedComponent):
+    """Moves a mesh by the option `plan`; judges its cells where the option `mesh` has them."""
+
+    def initialize(self) -> None:
+        self.options.declare("plan", types=jm.Plan, recordable=False, desc="what jaxmorph.prepare returned")
+        self.options.declare(
+            "mesh", types=jm.Mesh, default=None, allow_none=True, recordable=False, desc="whose cells are judged"
+        )
+        self.options.declare("raise_if_inverted", types=bool, default=True, desc="AnalysisError on inverted cells")
+
+    def setup(self) -> None:
+        plan, mesh = self.options["plan"], self.options["mesh"]
+        self._is_inverted = None
+        if not self.options["raise_if_inverted"]:
+            return
+        if mesh is None:
+            warn(
+                "inverted cells are not seen: pass the mesh, mesh=mesh, so that they raise AnalysisError, or "
+                "raise_if_inverted=False."
+            )
+            return
+        if tuple(mesh.points.shape) != tuple(plan.points.shape):
+            raise ValueError(
+                f"`mesh` has points {tuple(mesh.points.shape)}, the plan {tuple(plan.points.shape)}: pass the mesh that it is of."
+            )
+        judged = jm.Mesh(mesh.points, solid(mesh.cells, mesh.points.shape[1]))
+        self._is_inverted = jax.jit(lambda points: jm.inverted(judged, points).any())
+
+    def judge(self, value: Array) -> None:
+        """Raises `AnalysisError` where cells have inverted, or points are not finite."""
+        points = jnp.reshape(value, self.options["plan"].points.shape)
+        if self._is_inverted is None or not self._is_inverted(points):
+            return
+        try:
+            jm.quality(self.options["mesh"], points).raise_if_inverted()
+        except ValueError as error:
+            raise om.AnalysisError(f"{self.pathname}: {error}") from None
 
 
 class MeshDeformation(MovedMesh):
@@ -56,9 +142,8 @@ class MeshDeformation(MovedMesh):
         self.add_input("displacements", val=rest.ravel() if flat else rest, units=units)
         self.add_output("points", val=points.ravel() if flat else points, units=units)
 
-    def traced(self) -> Deformed:
-        """Returns `deform` of the plan."""
-        return Deformed(self.options["plan"], "displacements")
+    def traced(self) -> Traced:
+        return eqx.Partial(_deformed, self.options["plan"])
 
 
 class ShapeDisplacement(TracedComponent):
@@ -92,16 +177,15 @@ class ShapeDisplacement(TracedComponent):
         self.options.declare("units", types=str, default=None, allow_none=True, desc="of the output")
 
     def setup(self) -> None:
-        function, flat, units = self.traced(), self.options["flat"], self.options["units"]
-        parameters = add_parameters(self, function.parameters)
-        out: Any = np.asarray(function(parameters), float)
+        flat, units = self.options["flat"], self.options["units"]
+        start = add_parameters(self, first_parameters(self.options["shape"], self.options["parameters"]))
+        out: Any = np.asarray(self.traced()(start), float)
         name = "positions" if self.options["positions"] else "displacements"
         self.add_output(name, val=out.ravel() if flat else out, units=units)
 
-    def traced(self) -> "_Displaced":
-        """Returns the shape at the plan's moving nodes."""
-        shape, start = self.options["shape"], first_parameters(self.options["shape"], self.options["parameters"])
-        return _Displaced(shape, self.options["plan"], start, self.options["positions"])
+    def traced(self) -> Traced:
+        shape, move = self.options["shape"], _positions if self.options["positions"] else _displacements
+        return eqx.Partial(move, shape, self.options["plan"], first_parameters(shape, self.options["parameters"]))
 
 
 def first_parameters(shape: Any, parameters: PyTree) -> PyTree:
@@ -137,12 +221,33 @@ def _inputs(parameters: PyTree) -> list[tuple[str, Any]]:
     return [(jax.tree_util.keystr(path, simple=True, separator=":") or "parameters", leaf) for path, leaf in paths]
 
 
-class _Displaced(eqx.Module):
-    shape: Any
-    plan: jm.Plan
-    parameters: PyTree
-    positions: bool
+def _deformed(plan: jm.Plan, values: Values) -> Float[Array, "n d"]:
+    return jm.deform(plan, jnp.reshape(values["displacements"], plan.moving_points.shape))
 
-    def __call__(self, values: dict[str, Any]) -> Float[Array, "m d"]:
-        u = shapes.displacement(self.shape, self.plan, from_inputs(self.parameters, values))
-        return self.plan.moving_points + u if self.positions else u
+
+def _displacements(shape: Any, plan: jm.Plan, parameters: PyTree, values: Values) -> Float[Array, "m d"]:
+    return shapes.displacement(shape, plan, from_inputs(parameters, values))
+
+
+def _positions(shape: Any, plan: jm.Plan, parameters: PyTree, values: Values) -> Float[Array, "m d"]:
+    return plan.moving_points + _displacements(shape, plan, parameters, values)
+
+
+def _arrays(vector: Any) -> Values:
+    return {name: np.array(values) for name, values in vector.items()}
+
+
+@eqx.filter_jit
+def _value(function: Traced, values: Values) -> Array:
+    return function(values)
+
+
+@eqx.filter_jit
+def _forward(function: Traced, values: Values, tangents: Values) -> Array:
+    return jax.jvp(function, (values,), (tangents,))[1]
+
+
+@eqx.filter_jit
+def _reverse(function: Traced, values: Values, cotangent: ArrayLike) -> Values:
+    out, transpose = jax.vjp(function, values)
+    return transpose(jnp.reshape(cotangent, out.shape).astype(out.dtype))[0]

@@ -18,7 +18,7 @@ from .._host.package.arguments import checked, finite_array, rows_of, whole
 from .._host.package.files import complete, output_path
 from . import _plane
 from ._outside import outlines, outside
-from ._plane import ROOM, Axes, MaxNLocator, Window, plt, to_hex
+from ._plane import ROOM, Axes, Figure, MaxNLocator, Window, plt, to_hex
 from ._space import (
     before_after_3d,
     content,
@@ -122,7 +122,7 @@ def _in_2d(before: jm.Mesh, points: Float[np.ndarray, "n 2"], moving: np.ndarray
     states = np.asarray(before.points), points
     window = _window(np.concatenate([state[moving] for state in states]))
     width, height = (side[1] - side[0] for side in window)
-    figure = plt.Figure(figsize=(8, 1.5 + 3.6 * min(height / width, 1.5)), dpi=200, layout="constrained")
+    figure = Figure(figsize=(8, 1.5 + 3.6 * min(height / width, 1.5)), dpi=200, layout="constrained")
     axes = figure.subplots(1, 2, sharey=True)
     largest = max(float(report.max_skewness) for report in reports)
     for axis, state, report, title in zip(axes, states, reports, ("undeformed", "deformed"), strict=True):

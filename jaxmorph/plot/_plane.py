@@ -38,6 +38,7 @@ try:
     from matplotlib.collections import LineCollection as LineCollection
     from matplotlib.collections import PolyCollection
     from matplotlib.colors import to_hex as to_hex
+    from matplotlib.figure import Figure as Figure
     from matplotlib.font_manager import findfont as findfont
     from matplotlib.patches import Patch as Patch
     from matplotlib.textpath import TextPath as TextPath

@@ -1,6 +1,7 @@
 """Shapes: functions of positions and parameters, and shapes made of shapes."""
 
 import abc
+import functools
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -232,7 +233,7 @@ def _summed(*operators_and_parameters: Any) -> Float[Array, "m d"]:
     if len(parameters) != len(operators):
         raise ValueError(f"{len(parameters)} sets of parameters for {len(operators)} shapes.")
     first, *others = (operator(values) for operator, values in zip(operators, parameters, strict=True))
-    return sum(others, first)
+    return functools.reduce(jnp.add, others, first)
 
 
 class Part(AbstractLinearShape):

@@ -79,7 +79,6 @@ class Form:
         return [[bernstein.contracted(matrix, component) for component in x] for matrix in matrices]
 
     def determinant(self, columns: list[list[Either]]) -> Float[Either, "n k"]:
-        """Computes the coefficients of det J."""
         a, b, *rest = columns
         first, second, *last = self.spaces
         product = bernstein.multiplied(first, second, a, b, products.cross)
@@ -89,7 +88,6 @@ class Form:
         return product[0] / bernstein.multinomials(self.space).astype(product[0].dtype)[:, None]
 
     def coefficients(self, x: list[Either]) -> Float[Either, "n k"]:
-        """Computes the coefficients of det J from the nodes."""
         return self.determinant(self.columns(x))
 
     def round_off(self, x: list[np.ndarray], columns: list[list[np.ndarray]]) -> Float[np.ndarray, " k"]:

@@ -85,7 +85,6 @@ class _Parts:
         return _Parts(bernstein.halved(space, self.coefficients), np.tile(self.cell, np.prod(counts)), corners)
 
     def place(self, corner: Int[np.ndarray, " p"]) -> Float[np.ndarray, "f p"]:
-        """Finds where a corner of each part is in the cell."""
         own = np.unravel_index(corner, [len(corners) for corners in self.corners])
         rows = zip(self.corners, own, strict=True)
         return np.concatenate([corners[i, :, np.arange(len(corner))].T for corners, i in rows])
@@ -130,7 +129,6 @@ class _Search:
 
     @functools.cached_property
     def _size(self) -> int:
-        """The number of parts that are cut together."""
         return max(1, ROOM // (bernstein.count(self.space) * 2 ** _dimension(self.space)))
 
 

@@ -1,4 +1,4 @@
-"""A grid file in MPI processes: each one's nodes, the file's order, and a solver's order."""
+"""A grid file in MPI processes: each one's nodes, the file's and a solver's order, arrays."""
 
 import dataclasses
 import pathlib
@@ -11,7 +11,7 @@ import jaxmorph as jm
 from jaxmorph import io
 
 from .. import mpi
-from .._shared import check_comm, together
+from .._pieces import check_comm, numbers_of, together
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -43,7 +43,6 @@ class Grid:
         """Reads a file or OpenFOAM case; several processes read their processor* folders."""
         if comm.size > 1 and any(comm.allgather(bool([*pathlib.Path(path).glob("processor*")]))):
             return Grid._decomposed(comm, path)
-
         return Grid.shared(comm, together(comm, lambda: None if comm.rank else _in_space(io.read(path), path)))
 
     @staticmethod
@@ -78,7 +77,6 @@ class Grid:
         return {"nodes": io.global_nodes(self.outside), "faces": self.outside.cells}
 
     def listed(self, points: Inexact[np.ndarray, "n 3"]) -> Inexact[np.ndarray, " c"]:
-        """Lists coordinates of nodes in the order of the file, in one row."""
         return points[self.rows].ravel()
 
     def added(self, values: Float[np.ndarray, " c"]) -> Float[np.ndarray, "n 3"]:
@@ -88,7 +86,6 @@ class Grid:
         return total
 
     def write(self, path: str, points: Float[np.ndarray, "n 3"]) -> None:
-        """Writes the grid with other coordinates."""
         if self.case is not None and self.mesh is not None:
             with self.case.writing(path, self.comm) as writer:
                 writer.add(self.comm.rank, self.mesh.moved(points))
@@ -121,18 +118,16 @@ class SolverOrder:
 
     @property
     def size(self) -> int:
-        """The numbers that this process' solver has."""
         return sum(map(len, self.places))
 
     def to_solver(self, values: np.ndarray) -> np.ndarray:
-        """Takes this process' numbers to the solver's."""
         result = np.zeros(self.size, values.dtype)
         for rows, answer in zip(self.places, self.comm.alltoall([values[rows] for rows in self.sent]), strict=True):
             result[rows] = answer
         return result
 
     def from_solver(self, values: np.ndarray) -> np.ndarray:
-        """Adds the solvers' numbers to this process': the transpose of `to_solver`."""
+        """Adds up the solvers' numbers: the transpose of `to_solver`."""
         result = np.zeros(self.count)
         for rows, answer in zip(self.sent, self.comm.alltoall([values[rows] for rows in self.places]), strict=True):
             np.add.at(result, rows, answer)
@@ -162,14 +157,12 @@ def solver_order(comm: Any, count: int, indices: Any) -> SolverOrder:
 
 
 def _in_space(mesh: jm.Mesh, path: str) -> jm.Mesh:
-    """Returns the mesh. Raises `ValueError` for one in 2-D."""
     if mesh.points.shape[1] != 3:
         raise ValueError(f"{path}: this mesh is in 2-D, and IDWarp's coordinates are in 3-D: take `jaxmorph.prepare`.")
     return mesh
 
 
 def communicator(comm: Any) -> Any:
-    """Returns the communicator, by default of all processes. Raises `ValueError` otherwise."""
     comm = mpi.MPI.COMM_WORLD if comm is None else comm
     check_comm(comm)
     return comm
@@ -185,3 +178,41 @@ def surface_blocks(comm: Any, path: str) -> tuple[np.ndarray, np.ndarray]:
         raise ValueError(f"{path}: a surface in 3-D of blocks with one layer of nodes is expected, not {mesh}.")
     first = np.unique(mesh.file_nodes, return_index=True)[1]
     return points, first[np.asarray(mesh.cells["quad"])]
+
+
+def faces(points: Any, conn: Any, sizes: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    points = numbers_of("pts", points)
+    points = points if points.size else points.reshape(-1, 3)
+    corners, counts = _whole("conn", conn), _whole("faceSizes", sizes)
+    if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
+        raise ValueError(f"`pts` has shape {points.shape}; expected finite coordinates (k, 3).")
+    if (counts < 3).any() or counts.sum() != len(corners):
+        raise ValueError(
+            f"`faceSizes` adds up to {counts.sum()}, and `conn` has {len(corners)} corners; a face has 3 or more."
+        )
+    if corners.size and (corners.min() < 0 or corners.max() >= len(points)):
+        raise ValueError(
+            f"`conn` goes from {corners.min()} to {corners.max()}; `pts` has points 0 to {len(points) - 1}."
+        )
+    return points, corners, counts
+
+
+def _whole(name: str, values: Any) -> np.ndarray:
+    """Returns whole numbers, which may come as floats, in one row."""
+    array = numbers_of(name, values)
+    if not (array == np.floor(array)).all():
+        raise ValueError(f"`{name}` must be whole numbers.")
+    return array.astype(np.int64).ravel()
+
+
+def reals(name: str, values: Any, shape: tuple[int, ...]) -> np.ndarray:
+    array = numbers_of(name, values, shape)
+    if not np.isfinite(array).all():
+        raise ValueError(f"`{name}` has numbers that are not finite.")
+    return array
+
+
+def numbers(name: str, values: Any, shape: tuple[int, ...], kind: type) -> np.ndarray:
+    if kind is not complex:
+        return reals(name, values, shape)
+    return reals(name, np.real(values), shape) + 1j * reals(name, np.imag(values), shape)

@@ -1,23 +1,108 @@
-"""IDWarp's mesh object, in one grid."""
+"""IDWarp's mesh object in one grid, with its options."""
 
 import types
+import warnings
 from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Inexact
+from jaxtyping import Complex, Float, Inexact
 
 import jaxmorph as jm
 
-from ..._kernels.compile import float64_mode
 from .. import mpi
-from .._shared import rows_in, together
-from ._arrays import faces, reals
-from ._definition import Definition
-from ._follower import Follower
-from ._grid import Grid, SolverOrder, communicator, solver_order, surface_blocks
-from ._options import FILE, WITHOUT, changed, checked, name_of, warn_of
-from ._walls import walls_of
+from .._pieces import float64_mode, rows_in, together
+from ._grid import Grid, SolverOrder, communicator, faces, reals, solver_order, surface_blocks
+from ._surface import Definition, Follower, boundary_of, patches_by_kind
+
+OPTIONS: dict[str, tuple[tuple[type, ...], Any]] = {
+    "gridFile": ((str,), None),
+    "fileType": ((str,), "CGNS"),
+    "specifiedSurfaces": ((list, tuple), None),
+    "symmetrySurfaces": ((list, tuple), None),
+    "symmetryPlanes": ((list, tuple, np.ndarray), None),
+    "symmTol": ((int, float), 1e-6),
+    "useRotations": ((bool,), None),
+    "aExp": ((int, float), 3.0),
+    "bExp": ((int, float), 5.0),
+    "alpha": ((int, float), 0.25),
+    "LdefFact": ((int, float), 1.0),
+    "errTol": ((int, float), 5e-4),
+    "evalMode": ((str,), "fast"),
+    "zeroCornerRotations": ((bool,), True),
+    "cornerAngle": ((int, float), 30.0),
+    "restartFile": ((str,), None),
+    "bucketSize": ((int,), 8),
+}
+"""IDWarp's options: the types that each takes beside None, and its default."""
+WEIGHTS = ("aExp", "bExp", "alpha")
+"""Options of IDWarp's own method alone."""
+WITHOUT = ("LdefFact", "errTol", "evalMode", "zeroCornerRotations", "cornerAngle", "restartFile", "bucketSize")
+"""Options that nothing here corresponds to."""
+FILE = ("gridFile", "fileType")
+"""Options that say what is read."""
+KINDS = {kind.lower(): kind for kind in ("CGNS", "OpenFOAM", "PLOT3D")}
+
+
+def checked(options: Any) -> dict[str, Any]:
+    """Completes options by IDWarp's defaults, and adds a list of those that were given."""
+    if not isinstance(options, Mapping) or not all(isinstance(name, str) for name in options):
+        raise ValueError(f"`options` must be a dictionary of options by name, such as gridFile, not {options!r}.")
+    values = {name_of(name): value for name, value in options.items()}
+    for name, value in values.items():
+        if value is not None:
+            _check(name, value)
+    values["fileType"] = KINDS.get((values.get("fileType") or "CGNS").lower())
+    if values.get("gridFile") is None or values["fileType"] is None:
+        raise ValueError(f"`gridFile` must be the name of a grid, and `fileType` one of {', '.join(KINDS.values())}.")
+    return {name: values.get(name, default) for name, (_, default) in OPTIONS.items()} | {"told": tuple(values)}
+
+
+def name_of(name: str) -> str:
+    known = {option.lower(): option for option in OPTIONS}
+    if not isinstance(name, str) or name.lower() not in known:
+        raise ValueError(f"`options`: IDWarp has no option {name}; it has {', '.join(OPTIONS)}.")
+    return known[name.lower()]
+
+
+def _is_of(value: Any, kinds: tuple[type, ...]) -> bool:
+    return isinstance(value, kinds) and (bool in kinds or not isinstance(value, bool))
+
+
+def _check(name: str, value: Any) -> None:
+    kinds = OPTIONS[name][0]
+    if not _is_of(value, kinds):
+        raise ValueError(f"`{name}` is {value!r}; expected {' or '.join(kind.__name__ for kind in kinds)}.")
+    if name in ("specifiedSurfaces", "symmetrySurfaces") and not all(isinstance(entry, str) for entry in value):
+        raise ValueError(f"`{name}` is {value!r}; expected names of patches.")
+    if name == "symmetryPlanes" and len(value):
+        try:
+            shape = np.asarray(value, dtype=float).shape
+        except (TypeError, ValueError):
+            shape = ()
+        if shape[1:] != (2, 3):
+            raise ValueError(
+                f"`{name}` is {value!r}; expected a point and a normal for each: [[[0, 0, 0], [0, 1, 0]]]."
+            )
+
+
+def warn_of(options: Mapping[str, Any]) -> None:
+    without = WITHOUT if options["useRotations"] is not None else (*WEIGHTS, *WITHOUT)
+    told = [name for name in without if name in options["told"] and options[name] is not None]
+    if told:
+        by = "IDWarp's, not approximated" if without is WITHOUT else "the default of jaxmorph.prepare"
+        warnings.warn(
+            f"options of IDWarp that nothing corresponds to here: {', '.join(told)}. The method is {by}.", stacklevel=3
+        )
+
+
+def method(options: Mapping[str, Any], is_loose: bool) -> jm.AbstractMethod | None:
+    """Makes the method, or None for `prepare`'s default, which is not for a mesh that is free."""
+    turns = options["useRotations"]
+    if turns is None and not is_loose:
+        return None
+    far, near, alpha = (options[name] for name in WEIGHTS)
+    return jm.InverseDistance(far=far, near=near, alpha=alpha, rotations=turns is not False)
 
 
 class USMesh:
@@ -55,7 +140,6 @@ class USMesh:
 
     @classmethod
     def _of(cls, comm: Any, options: Mapping[str, Any], grid: Grid) -> "USMesh":
-        """Makes the mesh object of a grid that is read."""
         mesh = cls.__new__(cls)
         mesh._begin(comm, options, lambda path: grid)
         return mesh
@@ -216,7 +300,7 @@ class USMesh:
         if name in FILE or (name not in WITHOUT and self._surface is not None):
             what = "the grid is read" if name in FILE else "the surface is defined"
             raise ValueError(f"`{name}` is taken when {what}: give it to USMesh.")
-        self._options = changed(self._options, name, value)
+        self._options = checked({key: self._options[key] for key in self._options["told"]} | {name: value})
 
     def printOptions(self) -> None:
         """Prints the options and their values, in the first process."""
@@ -235,7 +319,7 @@ class USMesh:
         """Returns the surface; where no solver has defined one, that of the wall patches."""
         if self._surface is None:
             outside = self._grid.outside
-            names = together(self.comm, lambda: None if outside is None else self._specified(outside))
+            names = together(self.comm, lambda: None if outside is None else self._walls(outside))
             names, mesh = self.comm.bcast(names), self._grid.mesh
             patches = [] if mesh is None else [np.asarray(mesh.patches[name]) for name in names if name in mesh.patches]
             rows = np.unique(np.concatenate([np.zeros(0, int), *patches]))
@@ -244,8 +328,8 @@ class USMesh:
         assert self._surface is not None
         return self._surface
 
-    def _specified(self, mesh: jm.Mesh) -> tuple[str, ...]:
-        walls = walls_of(mesh, self._options).walls
+    def _walls(self, mesh: jm.Mesh) -> tuple[str, ...]:
+        walls = patches_by_kind(mesh, self._options)["wall"]
         if not walls:
             raise ValueError(
                 "no patch is a wall: name the moving patches in the option `specifiedSurfaces`, or call setSurfaceDefinition. "
@@ -261,10 +345,10 @@ class USMesh:
                 return None
             if not len(definition.points):
                 raise ValueError("the surface has no points: no process defines any.")
-            walls = walls_of(grid.outside, self._options)
-            moving, weights = walls.moving(definition, is_own)
-            half = walls.half(moving, self._options, grid.known)
-            ids = grid.known.get("nodes", np.arange(len(grid.outside.points)))[moving]
+            boundary, weights = boundary_of(grid.outside, self._options, definition, is_own)
+            is_loose = len(boundary.free) > 0 and not len(boundary.fixed)
+            half = jm.prepare_surface(boundary, method=method(self._options, is_loose), **grid.known)
+            ids = grid.known.get("nodes", np.arange(len(grid.outside.points)))[boundary.moving]
             return half, weights[rows_in(ids, half.moving)]
 
         with float64_mode():
@@ -286,8 +370,34 @@ class USMesh:
         return together(self.comm, lambda: reals(name, values, shape))
 
     def _volume(self, name: str, values: Any, is_solvers: bool) -> np.ndarray:
-        """Returns values by coordinates in the order of the file."""
         if not is_solvers:
             return together(self.comm, lambda: reals(name, values, (3 * len(self._grid.rows),)))
         order = self._solver()
         return order.from_solver(together(self.comm, lambda: reals(name, values, (order.size,))))
+
+
+class USMesh_C(USMesh):
+    """`USMesh` with complex coordinates, called as `idwarp.USMesh_C`.
+
+    The real parts move the mesh as `USMesh` does. The imaginary parts come from the derivative, as
+    in `warpDerivFwd`, so a step may be as small as 1e-200.
+    """
+
+    _step: np.ndarray | None = None
+
+    def getSurfaceCoordinates(self) -> Complex[np.ndarray, "k 3"]:
+        """Returns the surface's points that this process has, with their steps."""
+        points = super().getSurfaceCoordinates()
+        return points + 1j * (np.zeros_like(points) if self._step is None else self._step)
+
+    def setSurfaceCoordinates(self, coordinates: Any) -> None:
+        """Sets the surface's points and steps, as `getSurfaceCoordinates` orders them."""
+        values = np.asarray(coordinates, complex)
+        super().setSurfaceCoordinates(np.real(values))
+        self._step = self._rows("coordinates", np.imag(values))
+
+    def warpMesh(self) -> None:
+        """Moves the mesh from its first place to where the surface is, with the steps."""
+        super().warpMesh()
+        if self._step is not None:
+            self._moved = self._moved + 1j * self._defined().pushforward(self._step)

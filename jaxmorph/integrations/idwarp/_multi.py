@@ -6,17 +6,16 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Inexact, Int
+from jaxtyping import Float, Inexact
 
 import jaxmorph as jm
 from jaxmorph import io
 from jaxmorph.io.cgns.file import open_zones
 from jaxmorph.io.cgns.tree import opened
 
-from .._shared import together
-from ._arrays import faces, numbers, reals
-from ._grid import Grid, SolverOrder, communicator, solver_order
-from ._mesh import USMesh
+from .._pieces import together
+from ._grid import Grid, SolverOrder, communicator, faces, numbers, reals, solver_order
+from ._mesh import USMesh, USMesh_C
 
 
 class MultiUSMesh:
@@ -48,13 +47,16 @@ class MultiUSMesh:
         debug: bool = False,
     ):
         self.comm = communicator(comm)
-        together(self.comm, lambda: _check_type(dtype, self._number))
-        read = together(self.comm, lambda: _read(CGNSFile, optionsDict) if self.comm.rank == 0 else None)
-        self._zones: _Zones = self.comm.bcast(None if read is None else read[1])
-        self._whole = Grid.shared(self.comm, None if read is None else read[0])
+        expected = "d" if self._number is float else "D"
+        if dtype != expected:
+            raise ValueError(f"`dtype` is {dtype!r}; {expected!r} is taken: complex steps have a class, MultiUSMesh_C.")
+        read = (None, None) if self.comm.rank else None
+        mesh, zones = together(self.comm, lambda: read or _read(CGNSFile, optionsDict))
+        names, self._counts, self._grid = self.comm.bcast(zones)
+        self._whole = Grid.shared(self.comm, mesh)
         self.meshes = []
-        for k, name in enumerate(self._zones.names):
-            part = None if read is None else _part(read[0], self._zones.grid_of_nodes() == k)
+        for k, name in enumerate(names):
+            part = None if mesh is None else _part(mesh, np.repeat(self._grid, self._counts) == k)
             options = {**optionsDict[name], "gridFile": CGNSFile}
             self.meshes.append(self._mesh_class._of(self.comm, options, Grid.shared(self.comm, part)))
         self._order: SolverOrder | None = None
@@ -65,10 +67,17 @@ class MultiUSMesh:
     def setExternalMeshIndices(self, ind: Any) -> None:
         """Sets the file's coordinates that this process' solver has, three a node, from 0."""
         self._order = solver_order(self.comm, 3 * len(self._whole.rows), ind)
-        grid, own = self._zones.own(np.asarray(ind, dtype=np.int64))
-        self._chosen = [np.flatnonzero(grid == k) for k in range(len(self.meshes))]
-        for mesh, chosen in zip(self.meshes, self._chosen, strict=True):
-            mesh.setExternalMeshIndices(own[chosen])
+        indices, self._chosen = np.asarray(ind, dtype=np.int64), []
+        first = np.cumsum(self._counts) - self._counts
+        zone = np.searchsorted(first, indices // 3, side="right") - 1
+        for k, mesh in enumerate(self.meshes):
+            # A grid's nodes are counted through its own zones: the shift is a zone's first node in
+            # the file less that in the grid.
+            counts = np.where(self._grid == k, self._counts, 0)
+            shift = first - (np.cumsum(counts) - counts)
+            chosen = np.flatnonzero(self._grid[zone] == k)
+            self._chosen.append(chosen)
+            mesh.setExternalMeshIndices(indices[chosen] - 3 * shift[zone[chosen]])
 
     def setSurfaceDefinition(
         self, pts: Any, conn: Any = None, faceSizes: Any = None, cgnsBlockIDs: Any = None, distTol: float = 1e-6
@@ -80,10 +89,10 @@ class MultiUSMesh:
         - `distTol`: IDWarp's; nothing here depends on it.
         """
         points, corners, sizes = together(self.comm, lambda: faces(pts, conn, faceSizes))
-        zones = together(self.comm, lambda: self._zones.checked(cgnsBlockIDs, sizes.shape))
+        zones = together(self.comm, lambda: self._zones_of_faces(cgnsBlockIDs, sizes.shape))
         self._coordinates, self._rows = points.astype(self._number), []
         for k, mesh in enumerate(self.meshes):
-            is_own = self._zones.grid[zones] == k
+            is_own = self._grid[zones] == k
             own = corners[np.repeat(is_own, sizes)]
             self._rows.append(np.unique(own))
             mesh.setSurfaceDefinition(points[self._rows[k]], np.searchsorted(self._rows[k], own), sizes[is_own])
@@ -156,12 +165,20 @@ class MultiUSMesh:
         def write() -> None:
             mesh = self._whole.mesh
             if mesh is not None:
-                points, grid = np.array(mesh.points), self._zones.grid_of_nodes()
+                points, grid = np.array(mesh.points), np.repeat(self._grid, self._counts)
                 for k, parts in enumerate(shares):
                     points[mesh.file_nodes[grid == k]] = np.concatenate(parts or [])
                 io.write(f"{baseName or 'IDWarpMulti'}.cgns", mesh.moved(points))
 
         together(self.comm, write)
+
+    def _zones_of_faces(self, zones: Any, shape: tuple[int, ...]) -> np.ndarray:
+        found = reals("cgnsBlockIDs", np.ravel(zones), shape).astype(int)
+        if found.size and (found.min() < 0 or found.max() >= len(self._grid)):
+            raise ValueError(
+                f"`cgnsBlockIDs` go from {found.min()} to {found.max()}; there are {len(self._grid)} zones."
+            )
+        return found
 
     def _solver(self) -> SolverOrder:
         if self._order is None:
@@ -174,47 +191,20 @@ class MultiUSMesh:
         return self._rows
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class _Zones:
-    """Zones of a file: each one's number of nodes, and its grid, a place in `names`, or -1."""
+class MultiUSMesh_C(MultiUSMesh):
+    """`MultiUSMesh` with complex coordinates, called as `idwarp.MultiUSMesh_C`: see `USMesh_C`."""
 
-    names: list[str]
-    counts: Int[np.ndarray, " z"]
-    grid: Int[np.ndarray, " z"]
+    _mesh_class = USMesh_C
+    _number = complex
 
-    def checked(self, zones: Any, shape: tuple[int, ...]) -> Int[np.ndarray, " f"]:
-        """Returns the numbers of the zones of faces. Raises `ValueError` for numbers of no zone."""
-        found = reals("cgnsBlockIDs", np.ravel(zones), shape).astype(int)
-        if found.size and (found.min() < 0 or found.max() >= len(self.grid)):
-            raise ValueError(
-                f"`cgnsBlockIDs` go from {found.min()} to {found.max()}; there are {len(self.grid)} zones."
-            )
-        return found
-
-    def grid_of_nodes(self) -> Int[np.ndarray, " N"]:
-        """Finds the grid of each node of the file."""
-        return np.repeat(self.grid, self.counts)
-
-    def own(self, indices: Int[np.ndarray, " k"]) -> tuple[Int[np.ndarray, " k"], Int[np.ndarray, " k"]]:
-        """Finds the grid of the file's coordinates, and their numbers within the grid."""
-        # A coordinate's zone is found by the first node of each. Nodes of one grid are counted
-        # through its own zones: the shift is the zone's first node in the file less that in the
-        # grid.
-        first, within = np.cumsum(self.counts) - self.counts, np.zeros_like(self.counts)
-        for k in range(-1, len(self.names)):
-            counts = self.counts[self.grid == k]
-            within[self.grid == k] = np.cumsum(counts) - counts
-        zone = np.searchsorted(first, indices // 3, side="right") - 1
-        return self.grid[zone], indices - 3 * (first - within)[zone]
+    def __init__(
+        self, CGNSFile: str, optionsDict: Mapping[str, Mapping[str, Any]], comm: Any = None, debug: bool = False
+    ):
+        super().__init__(CGNSFile, optionsDict, comm, "D", debug)
 
 
-def _check_type(dtype: Any, number: type) -> None:
-    expected = "d" if number is float else "D"
-    if dtype != expected:
-        raise ValueError(f"`dtype` is {dtype!r}; {expected!r} is taken: complex steps have a class, MultiUSMesh_C.")
-
-
-def _read(path: str, options: Any) -> tuple[jm.Mesh, _Zones]:
+def _read(path: str, options: Any) -> tuple[jm.Mesh, tuple[list[str], np.ndarray, np.ndarray]]:
+    """Reads a mesh and its grids: names, and by zone its number of nodes and its grid, or -1."""
     mesh = io.read(path)
     with opened(pathlib.Path(path)) as file:
         zones = open_zones(pathlib.Path(path), file)[0]
@@ -226,7 +216,7 @@ def _read(path: str, options: Any) -> tuple[jm.Mesh, _Zones]:
         raise ValueError(
             f"`optionsDict`: {path} has no grid {', '.join(missing)}; it has {', '.join(dict.fromkeys(grids))}."
         )
-    return mesh, _Zones(names, counts, np.array([names.index(name) if name in names else -1 for name in grids]))
+    return mesh, (names, counts, np.array([names.index(name) if name in names else -1 for name in grids]))
 
 
 def _part(mesh: jm.Mesh, is_own: np.ndarray) -> jm.Mesh:

@@ -10,19 +10,19 @@ if typing.TYPE_CHECKING:
     from ._config import Config as Config
     from ._config import read_config as read_config
     from ._motion import DesignVariables as DesignVariables
+    from ._options import checked_options as checked_options
     from ._sensitivity import Sensitivity as Sensitivity
     from ._sensitivity import read_sensitivity as read_sensitivity
-    from ._variables import checked_options as checked_options
-    from ._variables import write_gradient as write_gradient
+    from ._sensitivity import write_gradient as write_gradient
 
 _MODULES = {
     "Config": "_config",
     "DesignVariables": "_motion",
     "Sensitivity": "_sensitivity",
-    "checked_options": "_variables",
+    "checked_options": "_options",
     "read_config": "_config",
     "read_sensitivity": "_sensitivity",
-    "write_gradient": "_variables",
+    "write_gradient": "_sensitivity",
 }
 __all__ = sorted(_MODULES)  # pyright: ignore[reportUnsupportedDunderAll]
 

@@ -9,19 +9,15 @@ from collections.abc import Sequence
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
-from jaxmorph import Mesh, io, shapes
+from jaxmorph import Mesh, io
 from jaxmorph._host.package.arguments import checked
 from jaxmorph._host.package.errors import warn
 
-from ._airfoil import SIDED, airfoil_parts
-from ._boxes import box_parts, boxes_of
-from ._control import BoxPart
-from ._motion import AbstractPart, DesignVariables, Displacement, rigid_parts
-from ._options import Options, read_options
-from ._planes import free_coordinates
-from ._variables import CONSTANT, LEFT, NOTHING, WHOLE, Variable, checked_variables
+from ._boxes import BoxPart, box_parts, boxes_of
+from ._motion import AbstractPart, DesignVariables, wall_parts
+from ._options import KINDS, Options, Variable, checked_variables, read_options
 
 LARGE = 0.5
 """Motion of a wall over its own length that is taken for a mistake."""
@@ -62,19 +58,22 @@ class Config:
     @property
     def angles(self) -> list[int]:
         """Places of the angles of attack among the design variables: no wall moves by them."""
-        return [k for k, name in enumerate(self.names) if name.partition("[")[0] in LEFT]
+        return [k for k, name in enumerate(self.names) if _sort(name) == "flow"]
 
     @property
     def constants(self) -> list[str]:
         """Names of design variables that move the wall whatever their value is."""
-        return [name for name in self.names if name.partition("[")[0] in CONSTANT]
+        return [name for name in self.names if _sort(name) == "constant"]
 
     @functools.cached_property
     def path(self) -> Float[np.ndarray, "k m d"]:
         """Total displacements of the moving nodes in equal steps, as `jm.march` takes them."""
-        x = np.asarray(self.mesh.points)[self.mesh.patch(*self.moving)]
-        u = np.asarray(jax.jit(self.shape)(x, self.parameters)) - x
+        u = np.asarray(jax.jit(self.shape)(self._wall, self.parameters)) - self._wall
         return np.stack([u * (k + 1) / self.steps for k in range(self.steps)])
+
+    @property
+    def _wall(self) -> Float[np.ndarray, "m d"]:
+        return np.asarray(self.mesh.points)[self.mesh.patch(*self.moving)]
 
     @property
     def largest(self) -> float:
@@ -84,21 +83,17 @@ class Config:
     @property
     def share(self) -> float:
         """`largest` over the length of the moving patches: for an airfoil, in chords."""
-        x = np.asarray(self.mesh.points)[self.mesh.patch(*self.moving)]
-        length = np.ptp(x, axis=0).max() if len(x) else 0
+        length = np.ptp(self._wall, axis=0).max() if len(self._wall) else 0
         return float(self.largest / length) if length else 0.0
 
     @property
     def moved_boxes(self) -> tuple[io.Box, ...]:
         """The boxes with the control points where the parameters put them."""
-        changes = {id(part.control): part for part in self.shape.parts if isinstance(part, BoxPart)}
-        moved = {box.name: box for box in self.boxes}
-        values = jnp.asarray(self.parameters) * self.shape.scales
-        for part in changes.values():
-            name = part.variables[0].box
-            change = np.asarray(part.change(values[np.array(part.rows, int)]))
-            moved[name] = dataclasses.replace(moved[name], control=moved[name].control + change)
-        return tuple(moved.values())
+        changes, values = {}, jnp.asarray(self.parameters) * self.shape.scales
+        for part in self.shape.parts:
+            if isinstance(part, BoxPart):
+                changes[part.variables[0].box] = np.asarray(part.change(values[np.array(part.rows, int)]))
+        return tuple(dataclasses.replace(box, control=box.control + changes.get(box.name, 0)) for box in self.boxes)
 
 
 @checked
@@ -126,19 +121,20 @@ def read_config(path: str | os.PathLike[str], *, definition: bool = False) -> Co
     listed, markers = checked_variables(options, definition)
     mesh = io.read(options.mesh_file)
     is_setting = any(variable.kind == "FFD_SETTING" for variable in listed)
-    is_whole = any(variable.kind in WHOLE for variable in listed)
-    needs_moving = is_setting or any(variable.kind not in (*NOTHING, *LEFT) for variable in listed)
-    moving = tuple(mesh.patches) if is_whole else _present(options, mesh, "DV_MARKER", markers, needs_moving)
+    sorts = {variable.sort for variable in listed}
+    if "mesh" in sorts:
+        moving = tuple(mesh.patches)
+    else:
+        moving = _present(options, mesh, "DV_MARKER", markers, is_setting or not sorts <= {"nothing", "flow"})
     planes, inner = (_present(options, mesh, name, options.words(name)) for name in ("MARKER_SYM", "MARKER_INTERNAL"))
     try:
         boxes = boxes_of(options, mesh, moving, is_setting)
-        parts = _parts(options, listed, mesh, moving, boxes)
+        parts = wall_parts(options, listed, mesh, moving) + box_parts(options, listed, mesh, moving, boxes)
     except ValueError as error:
         raise ValueError(f"{options.path}: {str(error).removeprefix(f'{options.path}: ')}") from None
-    shape = _shape(options, listed, parts, free_coordinates(mesh, moving, () if is_whole else planes))
+    shape = _shape(options, listed, parts, _free_coordinates(mesh, moving, () if "mesh" in sorts else planes))
     symmetry = tuple(name for name in planes if name not in moving)
     loose = {*moving, *symmetry, *inner}
-    steps = options.whole("DEFORM_NONLINEAR_ITER", options.text("DEFORM_NONLINEAR_ITER", "1"))
     config = Config(
         mesh,
         options.output,
@@ -146,13 +142,18 @@ def read_config(path: str | os.PathLike[str], *, definition: bool = False) -> Co
         _values(options, shape, definition),
         moving,
         symmetry,
-        tuple(name for name in mesh.patches if name not in loose),
-        steps,
-        boxes,
-        options,
+        fixed=tuple(name for name in mesh.patches if name not in loose),
+        steps=options.whole("DEFORM_NONLINEAR_ITER"),
+        boxes=boxes,
+        options=options,
     )
     _warn_of_results(config, listed)
     return config
+
+
+def _sort(name: str) -> str:
+    """Returns what a variable moves, by its name `KIND[0]`."""
+    return KINDS[name.partition("[")[0]].sort
 
 
 def _present(
@@ -176,15 +177,15 @@ def _present(
 
 def _warn_of_results(config: Config, listed: Sequence[Variable]) -> None:
     """Warns of what SU2 would do otherwise, and of a wall that moves suspiciously far."""
-    options, kinds = config.options, [variable.kind for variable in listed]
-    for kind in dict.fromkeys(kind for kind in kinds if kind in LEFT):
+    options = config.options
+    for kind in dict.fromkeys(variable.kind for variable in listed if variable.sort == "flow"):
         warn(f"{kind} is left alone: it is the flow solver's, no wall moves by it.")
     if left_out := options.left_out():
         warn(f"{options.path}: not honoured here, though SU2's result depends on it: {', '.join(left_out)}.")
-    relaxed, may_be_far = options.relaxation, {*CONSTANT, *WHOLE, *LEFT}
-    if relaxed == 1:
-        may_be_far |= {"TRANSLATION", "ROTATION", "SCALE"}
-    if config.share > LARGE and not may_be_far.issuperset(kinds):
+    relaxed = options.relaxation
+    rigid = ("TRANSLATION", "ROTATION", "SCALE") if relaxed == 1 else ()  # they may go far
+    suspect = [variable for variable in listed if variable.sort in ("wall", "box") and variable.kind not in rigid]
+    if config.share > LARGE and suspect:
         cause = f"OPT_RELAX_FACTOR= {relaxed:g} multiplies DV_VALUE, as in SU2" if relaxed != 1 else "check DV_VALUE"
         warn(f"{options.path}: the wall moves by {config.share:.3g} times its own length: {cause}.")
 
@@ -200,38 +201,12 @@ def _values(options: Options, shape: DesignVariables, definition: bool) -> Float
     return np.array(values)
 
 
-def _sizes(listed: Sequence[Variable]) -> tuple[list[Variable], np.ndarray]:
-    """Lists the variables that have values, and the place of each one's first value."""
-    own = [variable for variable in listed if variable.kind not in NOTHING]
-    return own, np.cumsum([0, *(variable.size for variable in own)])[:-1].astype(int)
-
-
-def _parts(
-    options: Options, listed: Sequence[Variable], mesh: Mesh, moving: Sequence[str], boxes: Sequence[io.Box]
-) -> list[AbstractPart]:
-    listed, first = _sizes(listed)
-    if not listed:
-        return []
-    nodes, points = mesh.patch(*moving), np.asarray(mesh.points, float)
-    is_sided = any(variable.kind in SIDED for variable in listed)
-    normals = shapes.wall_normals(mesh, *moving) if is_sided else np.zeros((len(nodes), points.shape[1]))
-    parts = rigid_parts(listed, first, points.shape[1]) + airfoil_parts(listed, first, points[nodes], normals)
-    if listed[0].kind == "SURFACE_FILE":
-        file = options.text("DV_FILENAME", options.text("MOTION_FILENAME", "surface_positions.dat"))  # the older name
-        u = io.read_displacement(options.beside(file), mesh, nodes)
-        parts.append(Displacement((0,), jnp.asarray(u)))
-    return parts + box_parts(options, listed, first, mesh, moving, boxes)
-
-
 def _shape(
     options: Options, listed: Sequence[Variable], parts: Sequence[AbstractPart], free: np.ndarray
 ) -> DesignVariables:
-    listed, _ = _sizes(listed)
-    sizes = [variable.size for variable in listed]
-    relaxed = options.relaxation
     # SU2 relaxes amplitudes, not the vectors of control points without a direction, nor camber
     scales = [
-        variable.scale * (relaxed if variable.size == 1 and variable.kind != "HICKS_HENNE_CAMBER" else 1)
+        variable.scale * (options.relaxation if variable.size == 1 and variable.kind != "HICKS_HENNE_CAMBER" else 1)
         for variable in listed
     ]
     rest = [
@@ -242,5 +217,21 @@ def _shape(
         for k, variable in enumerate(listed)
         for part in range(variable.size)
     ]
+    sizes = [variable.size for variable in listed]
     factors, neutral = (jnp.asarray(np.repeat(values, sizes)) for values in (scales, rest))
     return DesignVariables(tuple(names), tuple(parts), factors, neutral, jnp.asarray(free))
+
+
+def _free_coordinates(mesh: Mesh, moving: Sequence[str], planes: Sequence[str]) -> Bool[np.ndarray, "m d"]:
+    """Marks coordinates of the moving nodes that may change.
+
+    A node of a patch of `planes` stays in the plane, whose axis is that along which the patch is
+    thinnest, as SU2 has it.
+    """
+    nodes, points = mesh.patch(*moving) if moving else np.zeros(0, int), np.asarray(mesh.points, float)
+    free = np.ones((len(nodes), points.shape[1]), bool)
+    for name in planes:
+        own = mesh.patch(name)
+        axis = np.argmin(np.sum((points[own] - points[own[0]]) ** 2, axis=0))
+        free[np.isin(nodes, own), axis] = False
+    return free

@@ -1,17 +1,25 @@
 """The motion of a wall by SU2's design variables, as SU2 states each; displacements add up."""
 
 import abc
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 
-from jaxmorph import shapes
+from jaxmorph import Mesh, io, shapes
 
-from ._variables import Variable
+from ._options import LOWER, Options, Variable
+
+Numbers = Sequence[tuple[float, ...]]
+"""The parameters of each variable."""
+TAIL = 0.99
+"""The place along the chord behind which `HICKS_HENNE_CAMBER` moves nothing."""
+EPS = 1e-16
+"""Number that SU2 adds to numbers before it takes their powers."""
 
 
 class AbstractPart(eqx.Module):
@@ -22,6 +30,21 @@ class AbstractPart(eqx.Module):
     @abc.abstractmethod
     def __call__(self, x: Float[Array, "m d"], values: Float[Array, " k"]) -> Float[Array, "m d"]:
         """Computes displacements (m, d) of a wall at `x`."""
+
+
+class WallPart(AbstractPart):
+    """The displacement by all variables of one kind, by its function in `MOVES`.
+
+    `data` is what the function knows of the undeformed wall.
+    """
+
+    rows: tuple[int, ...] = eqx.field(static=True)
+    move: Callable[..., Float[Array, "m d"]] = eqx.field(static=True)
+    numbers: tuple[tuple[float, ...], ...] = eqx.field(static=True)
+    data: Any
+
+    def __call__(self, x, values):
+        return self.move(x, values, self.numbers, self.data).astype(x.dtype)
 
 
 class DesignVariables(shapes.AbstractShape):
@@ -51,66 +74,169 @@ class DesignVariables(shapes.AbstractShape):
         return x + jnp.where(self.free, sum(terms[1:], terms[0]), 0) if terms else x
 
 
-class Translation(AbstractPart):
-    """Moves all nodes along a vector, times the value."""
+def wall_parts(options: Options, listed: Sequence[Variable], mesh: Mesh, moving: Sequence[str]) -> list[AbstractPart]:
+    """Makes a part of the variables of each kind that moves no boxes.
 
-    rows: tuple[int, ...] = eqx.field(static=True)
-    along: Float[Array, " d"]
-
-    def __call__(self, x, values):
-        return jnp.broadcast_to(values[0] * self.along.astype(x.dtype), x.shape)
-
-
-class Rotation(AbstractPart):
-    """Turns all nodes about an axis, by the value in degrees."""
-
-    rows: tuple[int, ...] = eqx.field(static=True)
-    about: Float[Array, " d"]
-    axis: Float[Array, " 3"] | None
-
-    def __call__(self, x, values):
-        return shapes.rotate(x, jnp.deg2rad(values[0]), self.about, self.axis) - x
-
-
-class Scale(AbstractPart):
-    """Stretches all nodes from the origin, by the value."""
-
-    rows: tuple[int, ...] = eqx.field(static=True)
-
-    def __call__(self, x, values):
-        return (values[0] - 1) * x
-
-
-class Displacement(AbstractPart):
-    """Moves nodes to where a file puts them, whatever the value."""
-
-    rows: tuple[int, ...] = eqx.field(static=True)
-    u: Float[Array, "m d"]
-
-    def __call__(self, x, values):
-        return self.u.astype(x.dtype)
-
-
-def rigid_parts(listed: Sequence[Variable], first: Int[np.ndarray, " v"], d: int) -> list[AbstractPart]:
-    """Makes the parts of the variables that move all nodes alike, or the whole mesh.
-
-    `first` is the place of each variable's first value.
+    Raises `ValueError` for parameters that do not fit the mesh.
     """
     parts: list[AbstractPart] = []
-    for variable, row in zip(listed, first.tolist(), strict=True):
-        numbers, rows = np.array(variable.numbers), (row,)
-        if variable.kind in ("TRANSLATION", "TRANSLATE_GRID"):
-            length = np.linalg.norm(numbers[:d]) if variable.kind == "TRANSLATE_GRID" else 1.0
-            if not length:
-                raise ValueError("TRANSLATE_GRID along a vector without length.")
-            parts.append(Translation(rows, jnp.asarray(numbers[:d] / length)))
-        elif variable.kind in ("ROTATION", "ROTATE_GRID"):
-            axis = numbers[3:] - numbers[:3]
-            if d == 2 and axis[:2].any():
-                raise ValueError(f"{variable.kind} about the axis {axis}: in 2-D both ends have the same x and y.")
-            if d == 3 and not axis.any():
-                raise ValueError(f"{variable.kind} about an axis without length: its two ends are one point.")
-            parts.append(Rotation(rows, jnp.asarray(numbers[:d]), jnp.asarray(axis) if d == 3 else None))
-        elif variable.kind in ("SCALE", "SCALE_GRID"):
-            parts.append(Scale(rows))
+    for kind in dict.fromkeys(variable.kind for variable in listed if variable.kind in MOVES):
+        members = [variable for variable in listed if variable.kind == kind]
+        numbers = tuple(variable.numbers for variable in members)
+        move, data_of = MOVES[kind]
+        _check(kind, numbers, mesh.points.shape[1])
+        data = data_of(options, mesh, moving) if data_of else None
+        parts.append(WallPart(tuple(variable.first for variable in members), move, numbers, data))
     return parts
+
+
+def _check(kind: str, numbers: Numbers, d: int) -> None:
+    """Raises `ValueError` for vectors and axes that do not suit the dimension of the mesh."""
+    if kind == "HICKS_HENNE_CAMBER" and d != 2:
+        raise ValueError(f"{kind} in 3-D: SU2 has it for airfoils in 2-D.")
+    for own in numbers:
+        if kind == "TRANSLATE_GRID" and not any(own[:d]):
+            raise ValueError(f"{kind} along a vector without length.")
+        if kind in ("ROTATION", "ROTATE_GRID"):
+            check_axis(kind, own, d)
+
+
+def check_axis(kind: str, numbers: Sequence[float], d: int) -> None:
+    """Raises `ValueError` for two ends of an axis that is not along z in 2-D, or has no length."""
+    axis = np.subtract(numbers[3:6], numbers[:3])
+    if d == 2 and axis[:2].any():
+        raise ValueError(f"{kind} in 2-D about an axis that is not along z: both ends have the same x and y.")
+    if (d == 3 or kind.startswith("FFD")) and not axis.any():
+        raise ValueError(f"{kind} about an axis without length: its two ends are one point.")
+
+
+def _signs(options: Options, mesh: Mesh, moving: Sequence[str]) -> Float[np.ndarray, " m"]:
+    """Finds the side of each node: 1 where the wall's normal points up, -1 where down."""
+    return np.sign(shapes.wall_normals(mesh, *moving)[:, 1])
+
+
+def _chord(options: Options, mesh: Mesh, moving: Sequence[str]) -> tuple[shapes.Chord, Float[np.ndarray, " m"]]:
+    """Finds the airfoil's own chord, which SU2 takes to be 1 long, and nodes ahead of `TAIL`."""
+    wall = np.asarray(mesh.points, float)[mesh.patch(*moving)]
+    own = shapes.Chord.along(wall)
+    nose, along = np.asarray(own.nose), np.asarray(own.tail - own.nose)
+    chord = shapes.Chord(nose, nose + along / np.linalg.norm(along))
+    return chord, np.where(np.asarray(chord.coordinates(jnp.asarray(wall))[0]) <= TAIL, 1.0, 0.0)
+
+
+def _file(options: Options, mesh: Mesh, moving: Sequence[str]) -> Float[np.ndarray, "m d"]:
+    name = options.text("DV_FILENAME", options.text("MOTION_FILENAME", "surface_positions.dat"))  # the older name
+    return io.read_displacement(options.beside(name), mesh, mesh.patch(*moving))
+
+
+def _translation(x, values, numbers: Numbers, data):
+    return jnp.broadcast_to(values @ _along(x, numbers), x.shape)
+
+
+def _translation_of_length(x, values, numbers: Numbers, data):
+    along = _along(x, numbers)
+    return jnp.broadcast_to(values @ (along / np.linalg.norm(along, axis=1, keepdims=True)), x.shape)
+
+
+def _along(x, numbers: Numbers) -> Float[np.ndarray, "k d"]:
+    return np.array(numbers)[:, : x.shape[1]].astype(x.dtype)
+
+
+def _rotation(x, values, numbers: Numbers, data):
+    """Turns about an axis by degrees, which the numbers have by its two ends."""
+    d, ends = x.shape[1], np.array(numbers)
+    axes = ends[:, 3:] - ends[:, :3] if d == 3 else [None] * len(ends)
+    return sum(
+        shapes.rotate(x, jnp.deg2rad(value), about[:d], axis) - x
+        for value, about, axis in zip(values, ends, axes, strict=True)
+    )
+
+
+def _scale(x, values, numbers: Numbers, data):
+    return (values - 1).sum() * x
+
+
+def _displacement(x, values, numbers: Numbers, u):
+    return jnp.asarray(u, x.dtype)
+
+
+def _hicks_henne(x, values, numbers: Numbers, signs):
+    """Moves each side outwards by sin(pi t^(ln 0.5 / ln c))^3 across a unit chord along x."""
+    sides, tops = np.array(numbers).T
+    ways = np.where(sides == LOWER, -1, 1)[None, :]
+    return _upwards(x, (_bumps(x[:, 0], tops) * (ways * (signs[:, None] == ways))) @ values)
+
+
+def _camber(x, values, numbers: Numbers, data):
+    chord, weights = data
+    rise = (_bumps(chord.coordinates(x)[0], np.ravel(numbers)) @ values) * weights.astype(x.dtype)
+    return rise[:, None] * chord.up.astype(x.dtype)[None, :]
+
+
+def _bumps(t: Float[Array, " m"], tops: Float[np.ndarray, " k"]) -> Float[Array, "m k"]:
+    behind = (t > 10 * EPS)[:, None]
+    power = (math.log(0.5) / np.log(tops))[None, :].astype(t.dtype)
+    return jnp.where(behind, jnp.sin(jnp.pi * jnp.where(behind, t[:, None], 0.5) ** power) ** 3, 0)
+
+
+def _kulfan(x, values, numbers: Numbers, signs):
+    """Moves one side by a Bernstein polynomial times sqrt(t) (1 - t)."""
+    t = jnp.maximum(x[:, 0], 0)
+    front = jnp.where(t > 0, jnp.sqrt(jnp.where(t > 0, t, 1)), 0) * (1 - t)
+    rise = 0
+    for value, (side, number, most) in zip(values, numbers, strict=True):
+        k, n = int(number) - 1, int(most) - 1
+        on = signs == (-1 if side == LOWER else 1)
+        rise += value * math.comb(n, k) * t**k * (1 - t) ** (n - k) * on
+    return _upwards(x, front * rise)
+
+
+def _surface_bump(x, values, numbers: Numbers, data):
+    """Moves both sides upwards by bumps along x between two places."""
+    rise = jnp.zeros_like(x[:, 0])
+    for value, (start, end, top) in zip(values, numbers, strict=True):
+        size, t = end - start, x[:, 0] - start
+        inside = (t > 0) & (t < size)
+        power = math.log(0.5) / math.log((top - start + EPS) / size)
+        bump = jnp.sin(jnp.pi * ((jnp.where(inside, t, size / 2) + EPS) / size) ** power) ** 3
+        rise += value * jnp.where(inside, bump, 0)
+    return _upwards(x, rise)
+
+
+def _naca(x, values, numbers: Numbers, signs):
+    camber, place, thickness = (np.array(numbers[0]) / [100, 10, 100]).tolist()
+    t = x[:, 0]
+    ahead = t < place
+    width = jnp.where(ahead, place if place > 0 else 1.0, 1 - place)
+    mean = camber / width**2 * (jnp.where(ahead, 0, 1 - 2 * place) + 2 * place * t - t**2)
+    root = jnp.sqrt(jnp.where(t > 0, t, 0))
+    half = thickness * (1.4845 * root + t * (-0.63 + t * (-1.758 + t * (1.4215 - 0.518 * t))))
+    return _upwards(x, jnp.where(signs != 0, mean + signs * half - x[:, 1], 0))
+
+
+def _parabolic(x, values, numbers: Numbers, signs):
+    t, (centre, thickness) = x[:, 0], numbers[0]
+    half = thickness / 100 * (t * t - t) / (2 * (centre * centre - centre))
+    return _upwards(x, jnp.where(signs != 0, signs * half - x[:, 1], 0))
+
+
+def _upwards(x: Float[Array, "m d"], up: Float[Array, " m"]) -> Float[Array, "m d"]:
+    return jnp.zeros_like(x).at[:, 1].set(up)
+
+
+MOVES: dict[str, tuple[Callable[..., Any], Callable[..., Any] | None]] = {
+    "TRANSLATION": (_translation, None),
+    "ROTATION": (_rotation, None),
+    "SCALE": (_scale, None),
+    "TRANSLATE_GRID": (_translation_of_length, None),
+    "ROTATE_GRID": (_rotation, None),
+    "SCALE_GRID": (_scale, None),
+    "HICKS_HENNE": (_hicks_henne, _signs),
+    "HICKS_HENNE_CAMBER": (_camber, _chord),
+    "CST": (_kulfan, _signs),
+    "SURFACE_BUMP": (_surface_bump, None),
+    "NACA_4DIGITS": (_naca, _signs),
+    "PARABOLIC": (_parabolic, _signs),
+    "SURFACE_FILE": (_displacement, _file),
+}
+"""How each kind moves a wall, and what it knows of the undeformed one."""

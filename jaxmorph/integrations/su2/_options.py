@@ -1,12 +1,72 @@
-"""The options of a config file as text: comments, continued lines, lists in brackets."""
+"""A config file's options and design variables, as text and numbers: no JAX, no mesh."""
 
+import dataclasses
+import os
 import pathlib
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
+from jaxmorph._host.package.arguments import checked
+from jaxmorph._host.package.errors import warn
 from jaxmorph._host.package.files import input_path
+from jaxmorph._host.package.text import similar
+
+
+class Kind(NamedTuple):
+    """A kind of design variable.
+
+    - `number`: its number in `DEFINITION_DV`.
+    - `parameters`: how many it has, the tag of a box among them; None for a kind that is not taken.
+    - `sort`: what it moves, a `wall`, a `box`, or the whole `mesh`. A `constant` kind moves the
+      wall whatever its value is, `flow` and `nothing` move none.
+    - `indices`: how many of the parameters are numbers of control points.
+    """
+
+    number: int
+    parameters: int | None = None
+    sort: str = "wall"
+    indices: int = 0
+
+
+KINDS = {
+    "NO_DEFORMATION": Kind(0, 0, "nothing"),
+    "TRANSLATION": Kind(1, 3),
+    "ROTATION": Kind(2, 6),
+    "SCALE": Kind(3, 0),
+    "FFD_SETTING": Kind(10, 0, "nothing"),
+    "FFD_CONTROL_POINT": Kind(11, 7, "box", 3),
+    "FFD_NACELLE": Kind(12, 6, "box", 3),
+    "FFD_GULL": Kind(13, 2, "box", 1),
+    "FFD_CAMBER": Kind(14, 3, "box", 2),
+    "FFD_TWIST": Kind(15, 8, "box", 1),
+    "FFD_THICKNESS": Kind(16, 3, "box", 2),
+    "FFD_ROTATION": Kind(18, 7, "box"),
+    "FFD_CONTROL_POINT_2D": Kind(19, 5, "box", 2),
+    "FFD_CAMBER_2D": Kind(20, 2, "box", 1),
+    "FFD_THICKNESS_2D": Kind(21, 2, "box", 1),
+    "FFD_TWIST_2D": Kind(22),
+    "FFD_CONTROL_SURFACE": Kind(23, 7, "box"),
+    "FFD_ANGLE_OF_ATTACK": Kind(24, 2, "flow"),
+    "HICKS_HENNE": Kind(30, 2),
+    "PARABOLIC": Kind(31, 2, "constant"),
+    "NACA_4DIGITS": Kind(32, 3, "constant"),
+    "AIRFOIL": Kind(33),
+    "CST": Kind(34, 3),
+    "SURFACE_BUMP": Kind(35, 3),
+    "SURFACE_FILE": Kind(36, 0, "constant"),
+    "HICKS_HENNE_CAMBER": Kind(37, 1),
+    "TRANSLATE_GRID": Kind(50, 3, "mesh"),
+    "ROTATE_GRID": Kind(51, 6, "mesh"),
+    "SCALE_GRID": Kind(52, 0, "mesh"),
+    "ANGLE_OF_ATTACK": Kind(101, 1, "flow"),
+}
+"""Kinds of design variables; `MOVES` has how they move a wall, `BoxPart` how control points."""
+
+UPPER, LOWER, ONE = 1, 0, 2
+"""Sides of an airfoil, as the first parameter has them; for `ONE` SU2 moves the upper side."""
 
 LEFT_OUT = {
     **{"FFD_INTPREV": ("NO",), "CONVEXITY_CHECK": ("NO",), "OPT_LINE_SEARCH_BOUND": ("1E6",)},
@@ -35,23 +95,20 @@ class Options:
         return bool(self.values.get(name)) and self.values[name].strip("() ").upper() != "NONE"
 
     def text(self, name: str, default: str = "") -> str:
-        """Returns a value as it stands, without blanks around it."""
         return self.values[name] if name in self else default
 
     def words(self, name: str) -> list[str]:
-        """Splits a value into its words, brackets and commas left out."""
         return split(self.text(name))
 
     def groups(self, name: str) -> list[list[str]]:
-        """Splits a value at its semicolons, and each part into words."""
         return [split(part) for part in self.text(name).split(";") if split(part)]
 
     def numbers(self, name: str) -> list[float]:
-        """Reads a list of numbers. Raises `ValueError` for anything else."""
         return [self.number(name, word) for word in split(self.text(name).replace(";", " "))]
 
-    def number(self, name: str, word: str) -> float:
-        """Reads one word of an option as a number. Raises `ValueError` for anything else."""
+    def number(self, name: str, word: str | None = None) -> float:
+        """Reads a word of an option as a number; by default its value, or 1 where it is not set."""
+        word = self.text(name, "1") if word is None else word
         try:
             value = float(word)
         except ValueError:
@@ -60,15 +117,14 @@ class Options:
             raise self.error(name, f"a number expected, found {word!r}")
         return value
 
-    def whole(self, name: str, word: str) -> int:
-        """Reads one word of an option as a whole number, 1 or more. Raises as `number` does."""
+    def whole(self, name: str, word: str | None = None) -> int:
+        """Reads what `number` does as a whole number, 1 or more."""
         value = self.number(name, word)
         if value != int(value) or value < 1:
-            raise self.error(name, f"a whole number, 1 or more, expected, found {word}")
+            raise self.error(name, f"a whole number, 1 or more, expected, found {value:g}")
         return int(value)
 
     def choice(self, name: str, default: str, *known: str) -> str:
-        """Reads one of the words that are known. Raises `ValueError` for another one."""
         word = self.text(name, default).upper()
         if word not in known:
             raise self.error(name, f"{word} is not taken; {', '.join(known)} are")
@@ -76,8 +132,8 @@ class Options:
 
     @property
     def relaxation(self) -> float:
-        """The factor `OPT_RELAX_FACTOR` of the values, as SU2 has it."""
-        return self.number("OPT_RELAX_FACTOR", self.text("OPT_RELAX_FACTOR", "1"))
+        """The factor of the values, as SU2 has it."""
+        return self.number("OPT_RELAX_FACTOR")
 
     def left_out(self) -> list[str]:
         """Lists the options of `LEFT_OUT` that are set to something else than SU2's default."""
@@ -85,7 +141,6 @@ class Options:
         return [f"{name}= {text}" for name, text in given if _plain(text) not in map(_plain, LEFT_OUT[name])]
 
     def error(self, name: str, message: str) -> ValueError:
-        """Makes a `ValueError` that names the file and the option."""
         return ValueError(f"{self.path}: {name}= {message}.")
 
     @property
@@ -101,7 +156,6 @@ class Options:
         return file if file.suffix else file.with_name(f"{file.name}.su2")
 
     def beside(self, name: str) -> pathlib.Path:
-        """Returns a path relative to the folder of the config file."""
         return self.path.parent / name
 
 
@@ -114,7 +168,6 @@ def _plain(text: str) -> str | float:
 
 
 def split(text: str) -> list[str]:
-    """Splits a text into words."""
     return [word for word in SEPARATORS.split(text) if word]
 
 
@@ -140,3 +193,144 @@ def read_options(path: pathlib.Path) -> Options:
             raise ValueError(f"{path}, line {number}: {name}= comes a second time.")
         values[name] = value.strip()
     return Options(path, values)
+
+
+@dataclasses.dataclass(frozen=True)
+class Variable:
+    """A design variable: kind, box tag, parameters, number of values, factor and first row."""
+
+    kind: str
+    box: str = ""
+    numbers: tuple[float, ...] = ()
+    size: int = 1
+    scale: float = 1.0
+    first: int = 0
+
+    @property
+    def rows(self) -> tuple[int, ...]:
+        """Places of the variable's values among those of all variables."""
+        return tuple(range(self.first, self.first + self.size))
+
+    @property
+    def sort(self) -> str:
+        """What the variable moves, as `Kind` has it."""
+        return KINDS[self.kind].sort
+
+
+@checked
+def checked_options(path: str | os.PathLike[str], *, definition: bool = False) -> Options:
+    """Reads the options of a config file, and checks what needs no mesh.
+
+    **Arguments:**
+
+    - `path`, `definition`: as for `read_config`.
+
+    **Returns:** the options, with `mesh_file` and `output`.
+
+    **Raises:** `ValueError` for kinds, words and numbers that are not taken, each with its option.
+    """
+    options = read_options(pathlib.Path(path))
+    checked_variables(options, definition)
+    return options
+
+
+def checked_variables(options: Options, definition: bool) -> tuple[list[Variable], list[str]]:
+    """Lists the design variables, and the markers that they move, and reads every number.
+
+    `definition` takes the variables of `DEFINITION_DV`. Raises `ValueError` for kinds that are not
+    taken or that SU2 does not combine, and for wrong parameters.
+    """
+    listed, markers = _definition(options) if definition else _listed(options)
+    _check_alone(options, listed)
+    faults = filter(None, (_fault(variable.kind, variable.numbers) for variable in listed))
+    for fault in faults:
+        raise ValueError(f"{options.path}: {fault}")
+    options.number("OPT_RELAX_FACTOR")
+    options.numbers("DV_VALUE_NEW" if definition else "DV_VALUE")
+    options.whole("DEFORM_NONLINEAR_ITER")
+    ends = np.cumsum([variable.size for variable in listed]).tolist()
+    listed = [dataclasses.replace(own, first=end - own.size) for own, end in zip(listed, ends, strict=True)]
+    return listed, markers
+
+
+def _listed(options: Options) -> tuple[list[Variable], list[str]]:
+    kinds, groups = [word.upper() for word in options.words("DV_KIND")], options.groups("DV_PARAM")
+    if not kinds:
+        raise ValueError(f"{options.path}: DV_KIND= is missing: it says what kind of design variables there are.")
+    _check_kinds(options, "DV_KIND", kinds)
+    if not any(KINDS[kind].parameters for kind in kinds):
+        groups = [[]] * len(kinds)
+    if len(groups) != len(kinds):
+        raise options.error("DV_PARAM", f"{len(groups)} groups of parameters for {len(kinds)} of DV_KIND")
+    listed = [_variable(options, "DV_PARAM", *entry) for entry in zip(kinds, groups, strict=True)]
+    return listed, options.words("DV_MARKER")
+
+
+def _definition(options: Options) -> tuple[list[Variable], list[str]]:
+    name, listed, markers = "DEFINITION_DV", [], []
+    by_number = {str(kind.number): name for name, kind in KINDS.items()}
+    for text in filter(split, options.text(name).split(";")):
+        head, *rest = [split(part) for part in text.split("|")]
+        if not 1 <= len(head) <= 2 or len(rest) not in (1, 2):
+            raise options.error(name, f"( kind, scale | markers | parameters ) expected, found {text.strip()[:60]!r}")
+        kind = by_number.get(head[0], head[0].upper())
+        _check_kinds(options, name, [kind])
+        scale = options.number(name, head[1]) if len(head) == 2 else 1.0
+        listed.append(_variable(options, name, kind, rest[1] if len(rest) == 2 else [], scale))
+        markers.append(rest[0])
+    if not listed:
+        raise ValueError(f"{options.path}: DEFINITION_DV= is missing.")
+    for other in markers:
+        if other != markers[0]:
+            raise options.error(name, f"variables of different markers, {' '.join(markers[0])} and {' '.join(other)}")
+    return listed, markers[0]
+
+
+def _check_kinds(options: Options, name: str, kinds: list[str]) -> None:
+    taken = [kind for kind, (_, parameters, *_) in KINDS.items() if parameters is not None]
+    wrong = [kind for kind in dict.fromkeys(kinds) if kind not in taken]
+    if wrong:
+        near = similar(wrong[0], taken)
+        hint = f" (did you mean {near}?)" if near and wrong[0] not in KINDS else ""
+        raise options.error(name, f"{', '.join(wrong)} is not taken{hint}; {', '.join(taken)} are")
+
+
+def _check_alone(options: Options, listed: Sequence[Variable]) -> None:
+    """Raises `ValueError` for kinds that stand alone in SU2, and boxes beside other kinds."""
+    moving = [variable for variable in listed if variable.sort != "flow"]
+    alone = [variable.kind for variable in moving if variable.sort in ("constant", "mesh")]
+    if alone and len(listed) > 1:
+        raise ValueError(f"{options.path}: {alone[0]} is taken alone; found {len(listed)} design variables.")
+    kinds = {variable.kind for variable in moving}
+    for sort in ({kind for kind in kinds if kind.startswith("FFD_")}, kinds & {"HICKS_HENNE_CAMBER"}):
+        if sort and sort != kinds:
+            both = f"{', '.join(sorted(sort))} beside {', '.join(sorted(kinds - sort))}"
+            raise ValueError(f"{options.path}: {both}: SU2 moves by one sort.")
+
+
+def _fault(kind: str, numbers: tuple[float, ...]) -> str | None:
+    """Says which parameters of a kind make no sense, whatever the mesh is."""
+    match kind, numbers:
+        case "HICKS_HENNE" | "CST", (side, *_) if side not in (LOWER, UPPER, ONE):
+            return f"{kind} has the side {side:g}; 0 is the lower one, 1 the upper one."
+        case ("HICKS_HENNE", (_, top)) | ("HICKS_HENNE_CAMBER", (top,)) if not 0 < top < 1:
+            return f"a bump has its top at {top:g} of the chord; expected between 0 and 1."
+        case "CST", (_, number, most) if number % 1 or most % 1 or not 1 <= number <= most:
+            return f"CST has the function {number:g} of {most:g}: whole numbers from 1 expected."
+        case "SURFACE_BUMP", (start, end, top) if not start < top < end:
+            return f"SURFACE_BUMP from {start:g} to {end:g} with its top at {top:g}: it must lie between."
+    return None
+
+
+def _variable(options: Options, name: str, kind: str, words: list[str], scale: float = 1.0) -> Variable:
+    _, count, sort, indices = KINDS[kind]
+    if not count or sort == "flow":
+        return Variable(kind, size=0 if sort == "nothing" else 1, scale=scale)
+    if len(words) < count:
+        raise options.error(name, f"{kind} has {count} parameters, found {len(words)}: {' '.join(words)}")
+    if len(words) > count:
+        warn(f"{options.path}: {name}= {kind} has {count} parameters, left out: {' '.join(words[count:])}.")
+    box, start = (words[0], 1) if sort == "box" else ("", 0)
+    numbers = tuple(options.number(name, word) for word in words[start:count])
+    is_free = kind.startswith("FFD_CONTROL_POINT") and not any(numbers[indices:])  # no direction: a value for each
+    return Variable(kind, box, numbers, indices if is_free else 1, scale)

@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxmorph import io, shapes
-from jaxmorph._host.package.arguments import checked
-from jaxmorph._host.package.files import input_path
+from jaxmorph._host.package.arguments import checked, finite_array
+from jaxmorph._host.package.files import complete, input_path, output_path
 
 from ._config import Config
 from ._options import Options
@@ -71,9 +71,9 @@ def read_sensitivity(config: Config, path: str | os.PathLike[str] | None = None)
     """
     is_normal = config.options.text("MATH_PROBLEM").upper() == "CONTINUOUS_ADJOINT"
     file = input_path(path) if path is not None else _file(config.options, is_normal)
-    if is_normal and (rows := _normal_rows(file)) is not None:
-        return Sensitivity(file, _along_normals(config, file, *rows), _by_angle(file))
-    by_nodes = io.read_sensitivity(file, config.mesh, moving=config.mesh.patch(*config.moving))
+    by_nodes = _by_normals(config, file) if is_normal else None
+    if by_nodes is None:
+        by_nodes = io.read_sensitivity(file, config.mesh, moving=config.mesh.patch(*config.moving))
     return Sensitivity(file, by_nodes, _by_angle(file))
 
 
@@ -97,30 +97,25 @@ def _file(options: Options, is_normal: bool) -> pathlib.Path:
     )
 
 
-def _normal_rows(file: pathlib.Path) -> tuple[np.ndarray, np.ndarray] | None:
-    """Reads ids and derivatives along normals; None for a table without them."""
+def _by_normals(config: Config, file: pathlib.Path) -> Float[np.ndarray, "m d"] | None:
+    """Reads derivatives along the wall's normals, which point into the flow; None without them."""
     with file.open("rb") as stream:
         names = [name.strip(b"\"' \r\n\t").decode(errors="replace").lower() for name in stream.readline().split(b",")]
     column = next((names.index(name) for name in NORMAL if name in names), None)
     if column is None:
         return None
     try:
-        table = np.loadtxt(file, delimiter=",", skiprows=1, usecols=(0, column), ndmin=2)
+        rows = np.loadtxt(file, delimiter=",", skiprows=1, usecols=(0, column), ndmin=2).tolist()
     except ValueError as error:
         raise ValueError(f"{file}: {error}") from None
-    return table[:, 0].astype(int), table[:, 1]
-
-
-def _along_normals(config: Config, file: pathlib.Path, ids: np.ndarray, slopes: np.ndarray) -> np.ndarray:
-    """Lays derivatives along the normals of the wall, which point into the flow: (m, d)."""
-    nodes, normals = config.mesh.patch(*config.moving), shapes.wall_normals(config.mesh, *config.moving)
-    by_id = dict(zip(ids.tolist(), slopes.tolist(), strict=True))
-    missing = [node for node in nodes.tolist() if node not in by_id]
-    if missing or not np.isfinite(slopes).all():
+    nodes, slopes = config.mesh.patch(*config.moving), {int(node): slope for node, slope in rows}
+    missing = [node for node in nodes.tolist() if node not in slopes]
+    if missing or not np.isfinite(rows).all():
         fault = f"{len(missing)} of {len(nodes)} nodes of DV_MARKER are missing, first {missing[0]}" if missing else ""
         raise ValueError(f"{file}: {fault or 'values that are not finite'}.")
+    normals = shapes.wall_normals(config.mesh, *config.moving)
     length = np.linalg.norm(normals, axis=1, keepdims=True)
-    values = np.array([by_id[node] for node in nodes.tolist()])
+    values = np.array([slopes[node] for node in nodes.tolist()])
     return -values[:, None] * normals / np.where(length > 0, length, 1)
 
 
@@ -137,3 +132,21 @@ def _by_angle(file: pathlib.Path) -> float | None:
         if found:
             return float(found[1])
     return None
+
+
+@checked
+def write_gradient(path: str | os.PathLike[str], gradient: Float[np.ndarray, " n"], objective: str = "DRAG") -> None:
+    """Writes a derivative a line below a line with the name of the objective: `of_grad.dat`.
+
+    **Arguments:**
+
+    - `path`: the file.
+    - `gradient`: (n,), in the order of the design variables.
+    - `objective`: its name, as `OBJECTIVE_FUNCTION` has it.
+
+    **Raises:** `ValueError` for values that are not finite, and a folder that is not there.
+    """
+    values = finite_array("gradient", gradient, (None,))
+    lines = [f"{objective} gradient ", *map(repr, values.astype(float).tolist()), ""]
+    with complete(output_path(path)) as partial:
+        partial.write_text("\n".join(lines), encoding="utf-8")
