@@ -55,8 +55,7 @@ def numbers_of(grid: Any) -> np.ndarray:
     """Returns VTK's number of each cell's type."""
     if not grid.GetNumberOfCells():
         return np.zeros(0, np.uint8)
-    is_new = hasattr(vtk("vtkCommonDataModel"), "vtkCellTypeUtilities")  # from 9.6 on
-    return _as_numpy(grid.GetCellTypes() if is_new else grid.GetCellTypesArray())
+    return _as_numpy(grid.GetCellTypes())
 
 
 def data_of(attributes: Any) -> dict[str, np.ndarray]:
@@ -106,8 +105,7 @@ def _kind(number: int, size: int) -> str:
         shape = _SHAPES[number]
         return shape if size == CORNERS[shape] else f"{shape}{size}"
     if number not in _KINDS:
-        model = vtk("vtkCommonDataModel")
-        names = getattr(model, "vtkCellTypeUtilities", model.vtkCellTypes)
+        names = vtk("vtkCommonDataModel").vtkCellTypeUtilities
         return names.GetClassNameFromTypeId(number).removeprefix("vtk")
     return _KINDS[number]
 

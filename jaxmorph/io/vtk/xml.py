@@ -57,9 +57,8 @@ class _File:
 
     @property
     def head(self) -> np.dtype:
-        return np.dtype({"UInt32": "u4", "UInt64": "u8"}[self.encoding.header]).newbyteorder(
-            ">" if self.encoding.order == "BigEndian" else "<"
-        )
+        order = ">" if self.encoding.order == "BigEndian" else "<"
+        return np.dtype({"UInt32": "u4", "UInt64": "u8"}[self.encoding.header]).newbyteorder(order)
 
     def size(self, array: ElementTree.Element) -> int:
         """Finds the number of bytes that an array has, by the sizes before it."""
