@@ -72,12 +72,6 @@ def coordinates(grid: Any) -> np.ndarray:
     return _as_numpy(grid.GetPoints().GetData()) if grid.GetNumberOfPoints() else np.zeros((0, 3))
 
 
-def cell_arrays(data: Any) -> list[Any]:
-    """Lists the `vtkCellArray`s of a data set, each with the nodes of some of its cells."""
-    names = {"vtkUnstructuredGrid": ("Cells",), "vtkPolyData": ("Verts", "Lines", "Polys", "Strips")}
-    return [getattr(data, f"Get{name}")() for kind, all_names in names.items() if data.IsA(kind) for name in all_names]
-
-
 def unstructured(data: Any) -> Any:
     """Makes an unstructured grid of any data set, with its points and cells in their order."""
     if data.IsA("vtkUnstructuredGrid"):
@@ -146,12 +140,12 @@ def of_vtk(grid: Any) -> tuple[Grid, Whole | None]:
         raise ValueError(f"cells of type {', '.join(unknown)} are not supported; they would be lost.")
     blocks, rows_of = [], []
     for kind in dict.fromkeys(kinds.tolist()):
-        if kind in top and "polyhedron" in top:
-            continue
         rows = np.flatnonzero(kinds == kind)
         sizes = np.diff(starts)[rows]
         if kind in NODES and (sizes != NODES[kind]).any():
             raise ValueError(f"cells of type {kind} have {sizes[sizes != NODES[kind]][0]} nodes, not {NODES[kind]}.")
+        if kind in top and "polyhedron" in top:
+            continue
         for size in np.unique(sizes).tolist():
             chosen = rows[sizes == size]
             blocks.append((kind, _canonical(kind, ids[starts[chosen][:, None] + np.arange(size)], numbers[chosen])))
