@@ -71,6 +71,16 @@ def test_a_plan_with_it_moves_as_told(sphere, motions):
     np.testing.assert_allclose(moved[moving], sphere + motions[0], atol=1e-15)
 
 
+def test_a_plan_chooses_by_the_motions_of_its_own_nodes(sphere, motions):
+    """Rows of `motions` are those of `moving`, in whatever order a plan lays out its surface."""
+    order = np.random.default_rng(1).permutation(400)
+    reduction = jm.Greedy(40, motions[:, order])
+    points = np.concatenate([sphere[order], 4 * sphere[::10]])
+    plan = jm.prepare(points, np.arange(400), np.arange(400, 440), method=jm.RBF(reduction=reduction))
+    chosen = plan.sources[plan.sources < 400]
+    np.testing.assert_array_equal(np.sort(chosen), reduction(sphere[order]))
+
+
 def test_motions_of_other_points(sphere):
     with pytest.raises(ValueError, match="there are 400 points in 3"):
         jm.Greedy(3, np.ones((1, 7, 3)))(sphere)

@@ -55,7 +55,10 @@ def test_polygons_of_a_2d_case_are_whole(tmp_path, capsys):
     assert main(["info", str(tmp_path / "a")]) == 0
     assert "3 quad, 1 triangle, 1 polygon\n" in capsys.readouterr().out
     assert main(["quality", str(tmp_path / "a"), "--max-skewness", "0.9"]) == 2
-    assert "1 of 5 cells are polygons, of which skewness is not defined. Limits on face skewness" in capsys.readouterr().err
+    assert (
+        "1 of 5 cells are polygons, of which skewness is not defined. Limits on face skewness"
+        in capsys.readouterr().err
+    )
     # the hanging node is drawn into the pentagon: not convex, but seen from its centre
     moved, node = mesh.points.copy(), int(np.flatnonzero((mesh.points == [1, 0.5]).all(axis=1))[0])
     for place, is_inverted in ((0.75, False), (-0.5, True), (1.6, True)):

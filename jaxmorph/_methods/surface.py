@@ -50,6 +50,8 @@ class Surface:
       or a part of a mesh.
     - `in_planes` (b,): the rows that lie in a symmetry plane and are neither moving nor fixed, or
       None without any.
+    - `listed` (b,): for each row its place among the nodes as the caller lists them, or None where
+      rows go in that order. A reduction sees points so: `motions` of `Greedy` have a row for each.
     - `near`: points (k,) near a wall, and the row (k,) of the nearest node, where a method has
       found them. They make searches fast.
     - `values`: what was made `once`, by key.
@@ -64,6 +66,7 @@ class Surface:
     is_open: bool | None = None
     cells: Cells | None = None
     in_planes: np.ndarray | None = None
+    listed: np.ndarray | None = None
     near: tuple[np.ndarray, np.ndarray] | None = None
     values: dict[Any, Any] = dataclasses.field(default_factory=dict, repr=False)
 
@@ -110,7 +113,8 @@ class Surface:
         """
         originals = rows[self.images[rows] == rows]
         closest = reduction.closest(self.points[originals])
-        chosen = originals[reduction.beside(self.points[originals], others)]
+        listed = originals if self.listed is None else originals[np.argsort(self.listed[originals])]
+        chosen = np.sort(listed[reduction.beside(self.points[listed], others)])
         far = self._on_far_walls(reduction, originals, others)
         chosen = drop_close(self.points, np.append(chosen, far), closest) if len(far) else chosen
         images = np.flatnonzero(self.images != np.arange(len(self.points)))

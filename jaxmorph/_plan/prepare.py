@@ -208,6 +208,7 @@ def surface_of(
         is_open=boundary.is_open,
         cells=cells,
         in_planes=in_planes if in_planes.any() else None,
+        listed=own,
     )
     return surface, images, on_plane if boundary.planes else None
 
