@@ -156,7 +156,7 @@ def write(path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arr
 
 
 def _new(mesh: MeshLike) -> Iterator[bytes]:
-    """Yields a new file in pieces; each element has its group's tag twice, as group and as entity."""
+    """Yields a new file in pieces; an element has its group's tag as group and as entity."""
     points, markers = np.asarray(mesh.points, float), patch_faces(mesh)
     blocks = [(kind, 0, np.asarray(ids)) for kind, ids in mesh.cells.items()]
     names = []
