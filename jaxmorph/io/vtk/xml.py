@@ -63,7 +63,7 @@ class _File:
         return np.dtype({"UInt32": "u4", "UInt64": "u8"}[self.encoding.header]).newbyteorder(order)
 
     def size(self, array: ElementTree.Element) -> tuple[int, bytes]:
-        """Finds the number of bytes that an array has, by the sizes before it, and how they stand."""
+        """Finds the number of bytes that an array has, by the sizes before it, and its text."""
         is_inline, width = array.get("format") == "binary", self.head.itemsize
         data, is_text = self.appended, is_inline or not self.encoding.is_raw
         start = 0 if is_inline else int(array.get("offset", "-1"))
@@ -166,11 +166,14 @@ def _values(file: _File, arrays: list[ElementTree.Element]) -> dict[str, np.ndar
     image = ElementTree.SubElement(root, "ImageData", {"WholeExtent": "0 0 0 0 0 0"})
     fields = ElementTree.SubElement(image, "FieldData")
     ElementTree.SubElement(image, "Piece", {"Extent": "0 0 0 0 0 0"})
-    appended = b""
+    appended, empty = b"", {}
     for array in arrays:
-        copy = ElementTree.SubElement(fields, "DataArray", array.attrib)
+        count, _ = _check(file, array, -1)
+        if not count:  # VTK crashes
+            empty[array.get("Name", "")] = np.zeros(0, np.int64)
+            continue
+        copy = ElementTree.SubElement(fields, "DataArray", array.attrib | {"NumberOfTuples": str(count)})
         copy.text = array.text
-        copy.set("NumberOfTuples", str(_check(file, array, -1)[0]))
         if array.get("format") == "appended":
             copy.set("offset", str(len(appended)))
             appended += file.size(array)[1]
@@ -181,7 +184,7 @@ def _values(file: _File, arrays: list[ElementTree.Element]) -> dict[str, np.ndar
     new.SetInputString(ElementTree.tostring(root).removesuffix(b"</VTKFile>") + tail + b"</VTKFile>")
     with errors_told():
         new.Update()
-    return data_of(new.GetOutput().GetFieldData())
+    return empty | data_of(new.GetOutput().GetFieldData())
 
 
 def reader(path: pathlib.Path, _: bytes, encoding: Encoding) -> Any:
