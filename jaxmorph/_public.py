@@ -30,8 +30,8 @@ from ._host.sources.reduction import KDTree as KDTree
 from ._improve.curve import curve as curve
 from ._improve.improve import Improvement as Improvement
 from ._improve.improve import improve as improve
-from ._mesh.elevate import elevate as elevate
 from ._mesh.mesh import Mesh as Mesh
+from ._mesh.mesh import elevate as elevate
 from ._methods.base import AbstractField as AbstractField
 from ._methods.base import AbstractMethod as AbstractMethod
 from ._methods.base import AbstractPlacing as AbstractPlacing

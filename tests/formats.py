@@ -14,7 +14,7 @@ from meshes import bricks
 from plot3d import write as write_plot3d
 
 from jaxmorph import io
-from jaxmorph.io._reading import FORMATS
+from jaxmorph.io._registry import FORMATS
 
 ENDINGS = [".vtk", *((form.suffixes or ("",))[0] for form in FORMATS)]
 

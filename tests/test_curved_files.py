@@ -107,7 +107,7 @@ def test_bad_files_are_refused_in_a_sentence(tmp_path):
     with pytest.raises(ValueError, match=r"short\.msh"):
         io.read(tmp_path / "short.msh")
     text = "$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$Nodes\n3\n1 0 0 0\n2 1 0 0\n3 0 1 0\n$EndNodes\n"
-    for number, count, words in ((25, 21, "triangle21"), (9, 5, "numbers, ")):
+    for number, count, words in ((25, 21, "type 25;"), (9, 5, "numbers, ")):
         row = " ".join(map(str, [1, number, 2, 0, 1, *([1, 2, 3] * 7)[:count]]))
         (tmp_path / "b.msh").write_text(f"{text}$Elements\n1\n{row}\n$EndElements\n")
         with pytest.raises(ValueError, match=words):

@@ -6,9 +6,9 @@ import random
 import numpy as np
 import pytest
 
+from jaxmorph.io import _text
+from jaxmorph.io._text import spliced
 from jaxmorph.io.openfoam.file import load
-from jaxmorph.io.text import digits, sections
-from jaxmorph.io.text.splice import spliced
 
 
 def as_python_reads(words):
@@ -33,15 +33,15 @@ def test_words_are_read_as_python_reads_them():
             words.append(made if rng.random() < 0.5 else repr(rng.gauss(0, 1) * 10 ** rng.randint(-9, 9)))
         values, fine = as_python_reads(words)
         text = " ".join(words).encode() + b"\n"
-        rows, width = digits.parse_rows(text, np.float64)
+        rows, width = _text.parse_rows(text, np.float64)
         if fine:
             good += 1
             assert width == len(words)
-            assert rows.tolist() == digits.parse(text, np.float64).tolist() == values
+            assert rows.tolist() == _text.parse(text, np.float64).tolist() == values
         else:
             bad += 1
             assert width == 0
-            assert len(digits.parse(text, np.float64)) < len(words)
+            assert len(_text.parse(text, np.float64)) < len(words)
     assert min(good, bad) > 400
 
 
@@ -50,8 +50,8 @@ def test_words_are_read_as_python_reads_them():
 )
 def test_what_begins_like_a_number_is_none(word):
     text = f"1 2\n3 {word}\n5 6\n".encode()
-    assert digits.parse_rows(text, np.float64)[1] == 0
-    assert len(digits.parse(text, np.float64)) < 6
+    assert _text.parse_rows(text, np.float64)[1] == 0
+    assert len(_text.parse(text, np.float64)) < 6
 
 
 def test_rows_of_other_forms_are_left_to_the_general_way():
@@ -64,12 +64,12 @@ def test_rows_of_other_forms_are_left_to_the_general_way():
         b"1 2\n3 4",
         b"1 2 \n3 4 \n",
     ):
-        assert digits.parse_rows(text, np.float64)[1] == 0
-        assert digits.parse(text, np.float64).tolist() == [float(word) for word in text.split()]
-        assert digits.parse(text, np.int64).tolist() == [int(word) for word in text.split()]
-    values, width = digits.parse_rows(b"12 -3 4\n5 6 789\n", np.int64)
+        assert _text.parse_rows(text, np.float64)[1] == 0
+        assert _text.parse(text, np.float64).tolist() == [float(word) for word in text.split()]
+        assert _text.parse(text, np.int64).tolist() == [int(word) for word in text.split()]
+    values, width = _text.parse_rows(b"12 -3 4\n5 6 789\n", np.int64)
     assert (values.tolist(), values.dtype, width) == ([12, -3, 4, 5, 6, 789], np.int64, 3)
-    assert digits.parse_rows(b"12 3.5 4\n5 6 789\n", np.int64)[1] == 0
+    assert _text.parse_rows(b"12 3.5 4\n5 6 789\n", np.int64)[1] == 0
 
 
 def hard_values():
@@ -93,13 +93,13 @@ def hard_values():
 @pytest.mark.parametrize("enough", [1, 1 << 30])
 def test_written_numbers_read_back_bit_for_bit(monkeypatch, enough):
     """With as few digits as Python's own."""
-    monkeypatch.setattr(digits, "ENOUGH", enough)
+    monkeypatch.setattr(_text, "ENOUGH", enough)
     values = hard_values()
-    lines = digits.lines(values).split(b"\n")
+    lines = _text.lines(values).split(b"\n")
     assert np.array([float(line) for line in lines]).tobytes() == values.tobytes()
     mantissa = lambda text: len(text.lower().split("e")[0].strip("-").replace(".", "").strip("0"))  # noqa: E731
     assert [mantissa(line.decode()) for line in lines] == [mantissa(repr(value)) for value in values.tolist()]
-    assert digits.parse(b" ".join(lines), np.float64).tobytes() == values.tobytes()
+    assert _text.parse(b" ".join(lines), np.float64).tobytes() == values.tobytes()
 
 
 def test_pieces_are_replaced_where_they_stand():
@@ -109,7 +109,7 @@ def test_pieces_are_replaced_where_they_stand():
         blanks = [" " * rng.randint(0 if i in (0, 50) else 1, longest) for i in range(51)]
         new = ["".join(rng.choice("xyz") for _ in range(rng.randint(0, 12))) for _ in range(50)]
         text = "".join(a + b for a, b in zip(blanks, [*words, ""], strict=True)).encode()
-        starts, ends, _ = sections.scan(text)
+        starts, ends, _ = _text.scan(text)
         found = spliced(text, starts, ends, "\n".join(new).encode())
         assert found.decode() == "".join(a + b for a, b in zip(blanks, [*new, ""], strict=True))
 
@@ -126,7 +126,7 @@ FACES = (
 @pytest.mark.parametrize("faces", FACES)
 @pytest.mark.parametrize("chunk", [1, 1 << 20])
 def test_faces_of_one_size_and_of_several(tmp_path, monkeypatch, faces, chunk):
-    monkeypatch.setattr(sections, "CHUNK", chunk)
+    monkeypatch.setattr(_text, "CHUNK", chunk)
     expected = [[int(word) for word in face.split("(")[1].split()] for face in faces.split(")")[:-1]]
     head = "FoamFile { format ascii; class faceList; object faces; }\n"
     (tmp_path / "faces").write_text(f"{head}2\n(\n{faces})\n")

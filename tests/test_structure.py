@@ -1,6 +1,7 @@
 """The structure of the code: imports point one way, and importing it leaves no trace."""
 
 import ast
+import collections
 import dataclasses
 import functools
 import graphlib
@@ -139,6 +140,54 @@ def test_imports_point_down():
         if FLOOR[each.rooms[1]] >= FLOOR[each.rooms[0]] and each.rooms not in NEIGHBOURS
     ]
     assert not wrong
+
+
+BORDER = {
+    "cli": """
+_advice.cures _advice.inspect _advice.methods _boundary.boundary _boundary.names _boundary.symmetry
+_host.package.cores _host.package.errors _host.package.files _host.package.ranks
+_host.package.rounding _host.package.text _kernels.compile _plan.prepare
+""",
+    "integrations": """
+_host.cells.topology _host.package.arguments _host.package.errors _host.package.files
+_host.package.ranks _host.package.rounding _host.package.text _host.surface.gaps _kernels.compile
+""",
+    "plot": """
+_host.cells.lagrange _host.cells.pieces _host.cells.topology _host.package.arguments
+_host.package.files _quality.report
+""",
+    "shapes": """
+_advice.largest_step _host.cells.adjacency _host.package.arguments _host.package.errors
+_host.package.files _kernels.callback _kernels.linear _kernels.module _kernels.values
+""",
+    "cases": """
+_host.package.arguments
+""",
+}
+"""Private modules that the outer rooms still import: the list may only shrink."""
+
+HOMES = """
+Block Bounds Cells Content Elements Encoding Form Grid Group Hierarchy Method Modes Options Parts
+Patch Progress Rows Sensitivity Side Sides Variable _Content _Reader _Search
+"""
+"""Names of classes that several files define: the list may only shrink."""
+
+
+def test_outer_rooms_import_public_names_alone():
+    found: dict[str, set[str]] = {room: set() for room in BORDER}
+    for each in imports_between_rooms():
+        if each.rooms[0] in BORDER and each.rooms[1].startswith("_") and each.rooms[1] not in ("_public", "_demo"):
+            found[each.rooms[0]].add(each.module.removeprefix("jaxmorph."))
+    assert found == {room: set(modules.split()) for room, modules in BORDER.items()}
+
+
+def test_a_class_has_one_home():
+    homes = collections.defaultdict(set)
+    for file in FILES:
+        for node in ast.walk(tree_of(file)):
+            if isinstance(node, ast.ClassDef):
+                homes[node.name].add(file)
+    assert {name for name, files in homes.items() if len(files) > 1} == set(HOMES.split())
 
 
 def test_no_room_uses_private_names_of_another():

@@ -8,7 +8,7 @@ from su2 import PLAIN
 
 import jaxmorph as jm
 from jaxmorph import io
-from jaxmorph.io.text import sections
+from jaxmorph.io import _text
 
 SHARED = pathlib.Path(__file__).parents[2] / "shared" / "cases"
 
@@ -40,7 +40,7 @@ def written(path: pathlib.Path, text: str) -> pathlib.Path:
 
 @pytest.fixture(params=[1 << 24, 7], ids=["whole", "in pieces"])
 def chunk(request, monkeypatch):
-    monkeypatch.setattr(sections, "CHUNK", request.param)
+    monkeypatch.setattr(_text, "CHUNK", request.param)
 
 
 @pytest.mark.usefixtures("chunk")

@@ -262,6 +262,13 @@ def hostile(kind: str) -> bytes:
     n, zeros = 10**8, packed(np.zeros(3 * 10**7))
     tag = '<DataArray type="{}" Name="{}" NumberOfComponents="{}" format="{}">{}</DataArray>'
     points = tag.format("Float64", "Points", 3, "binary", zeros if kind in ("bomb", "points") else packed(np.zeros(9)))
+    if kind == "offsets":
+        lists = tag.format("Int64", "connectivity", 1, "ascii", "0 1 2") + tag.format("UInt8", "types", 1, "ascii", "5")
+        lists += tag.format("Int64", "offsets", 1, "binary", packed(np.array([10**12])))
+        return (
+            hostile("cells").replace(b'NumberOfCells="%d"' % n, b'NumberOfCells="1"').partition(b"<Cells>")[0]
+            + (f"<Cells>{lists}</Cells></Piece></UnstructuredGrid></VTKFile>").encode()
+        )
     counts = {"bomb": (10**7, 0), "points": (n, 0), "cells": (3, n), "components": (3, 0), "field": (3, 0)}
     if kind in counts:
         count, cells = counts[kind]
@@ -284,7 +291,7 @@ def hostile(kind: str) -> bytes:
     return f"# vtk DataFile Version 4.2\nt\nASCII\nDATASET {kind_of_grid}\n{sections[kind]}".encode()
 
 
-KINDS_OF_HOSTILE = ("bomb", "points", "cells", "components", "field")
+KINDS_OF_HOSTILE = ("bomb", "points", "cells", "components", "field", "offsets")
 KINDS_OF_HOSTILE += ("legacy points", "legacy cells", "legacy field", "legacy grid")
 
 

@@ -1,7 +1,8 @@
 """The mesh: points, cells, and patches of boundary nodes."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -9,14 +10,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Integer, Real
 
-from .._host.cells.pieces import linear_cells
-from .._host.cells.topology import SHAPES
+from .._host.cells.lagrange import ORDERS, node_keys, of_order
+from .._host.cells.pieces import boundary_sides, linear_cells
+from .._host.cells.topology import CORNERS, SHAPES, solid
 from .._host.package.arguments import check, checked, shown
+from .._host.package.text import similar
 from .._kernels.module import Module
 from .._kernels.values import is_known
 from . import exchange, export, vtk
-from .arrays import checked_parts, floats
-from .patches import patch_names
+from .exchange import checked_parts, floats
 from .polyhedra import Polyhedra
 
 
@@ -244,3 +246,104 @@ class Mesh(Module):
         cells = ", ".join(f"{len(corners)} {kind}" for kind, corners in self.cells.items()) or "no cells"
         patches = ", ".join(f"{name} ({len(nodes)})" for name, nodes in self.patches.items()) or "none"
         return f"Mesh({n} points in {d}-D; {cells}; patches: {patches})"
+
+
+SHOWN = 12
+"""Names that an error lists."""
+
+
+def patch_names(names: Sequence[str], patches: Collection[str], groups: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
+    """Lists patches of names: a patch, a group, or patches that match a whole regular expression.
+
+    **Raises:** `ValueError` for a name without a patch.
+    """
+    listed: list[str] = []
+    for name in names:
+        if name in patches:
+            listed.append(name)
+        elif name in groups:
+            listed += [patch for patch in groups[name] if patch in patches]
+        else:
+            listed += _matched(name, patches, groups)
+    return tuple(dict.fromkeys(listed))
+
+
+def _matched(pattern: str, patches: Collection[str], groups: Mapping[str, Sequence[str]]) -> list[str]:
+    try:
+        matched = [name for name in patches if re.fullmatch(pattern, name)]
+    except re.error:
+        matched = []
+    if not matched:
+        raise ValueError(
+            f"no patch is called {pattern!r}{_hint(pattern, [*patches, *groups])}; {_known(patches, groups)}."
+        )
+    return matched
+
+
+def _hint(name: str, known: Sequence[str]) -> str:
+    """Suggests a similar known name, or the regular expression for a shell's pattern."""
+    shell = re.sub(r"(?<![.\])])\*", ".*", name)
+    if shell != name and not re.search(r"[\[(\\]", shell) and any(re.fullmatch(shell, patch) for patch in known):
+        return f" (patterns are regular expressions: {shell!r})"
+    near = similar(name, known)
+    return f" (did you mean {near!r}?)" if near else ""
+
+
+def _known(patches: Collection[str], groups: Mapping[str, Sequence[str]]) -> str:
+    names = [repr(name) for name in patches]
+    more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
+    of_groups = f", and the groups {', '.join(map(repr, groups))}" if groups else ""
+    return f"this mesh has: {', '.join(names[:SHOWN]) or 'none'}{more}{of_groups}"
+
+
+@checked
+def elevate(mesh: Mesh, order: int) -> Mesh:
+    """Makes a mesh of order 2 to 4 of a linear one.
+
+    The cells stay straight, with nodes on their edges, faces and inside. The nodes of the linear
+    mesh come first, as they were. New nodes of boundary faces belong to the patches that have all
+    corners of the face. `curve` then puts the wall's nodes onto a curved surface.
+
+    **Arguments:**
+
+    - `mesh`: a mesh of linear cells.
+    - `order`: 2, 3 or 4.
+
+    **Returns:** a new `Mesh`, which belongs to no file.
+
+    **Raises:** `ValueError` for another order, for cells that are curved already, for a mesh
+    without cells and for polyhedra.
+    """
+    if order not in ORDERS[1:]:
+        raise ValueError(f"`order` is {order}; meshes of order 2, 3 and 4 can be made.")
+    if mesh.is_curved or mesh.polyhedra is not None or not mesh.cells:
+        raise ValueError(f"{mesh} cannot be elevated: linear cells are needed, of the types {', '.join(CORNERS)}.")
+    targets = {kind: of_order(kind, order) for kind in mesh.cells}
+    keys = {kind: node_keys(np.asarray(ids), targets[kind]) for kind, ids in mesh.cells.items()}
+    # a new node is known by its corners and their weights, in ascending order: cells that share a
+    # face agree on it
+    every = np.concatenate([key.reshape(-1, key.shape[2]) for key in keys.values()])
+    nodes, number = np.unique(every, axis=0, return_inverse=True)
+    n, number = len(mesh.points), number.ravel()
+    cells, first = {}, 0
+    for kind, ids in mesh.cells.items():
+        k, new = keys[kind].shape[:2]
+        cells[targets[kind].name] = np.column_stack(
+            [np.asarray(ids), n + number[first : first + k * new].reshape(k, new)]
+        )
+        first += k * new
+    corners, weights = nodes[:, ::2], nodes[:, 1::2]
+    old = np.asarray(mesh.points)
+    added = np.einsum("nc,ncd->nd", weights / weights.sum(axis=1, keepdims=True), old[corners])
+    points = np.concatenate([old, added.astype(old.dtype)])
+    return Mesh(points, cells, _patches(mesh, cells, len(points)))
+
+
+def _patches(mesh: Mesh, cells: dict[str, np.ndarray], n: int) -> dict[str, np.ndarray]:
+    patches = {name: [np.asarray(nodes)] for name, nodes in mesh.patches.items()}
+    for kind, faces in boundary_sides(solid(cells, mesh.points.shape[1]) or cells, n).items():
+        for name, nodes in mesh.patches.items():
+            inside = np.zeros(n, bool)
+            inside[np.asarray(nodes)] = True
+            patches[name].append(faces[inside[faces[:, : CORNERS[SHAPES[kind]]]].all(axis=1)].ravel())
+    return {name: np.concatenate(parts) for name, parts in patches.items()}

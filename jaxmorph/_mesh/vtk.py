@@ -7,8 +7,7 @@ import numpy as np
 
 from .._host.cells.orders import VTK_ORDER, reordered
 from .._host.cells.topology import CORNERS, DIMENSION, NODES, SHAPES, VTK, VTK_LAGRANGE, VTK_QUADRATIC
-from .arrays import checked_parts
-from .exchange import Arrays, Grid, Parts, imported, parts
+from .exchange import Arrays, Grid, Parts, checked_parts, imported, parts
 from .faces import Faces, faces_of_cells, joined_faces, open_cells, standard_cells
 from .polyhedra import Polyhedra, spread, tetrahedra
 
@@ -55,8 +54,7 @@ def numbers_of(grid: Any) -> np.ndarray:
     """Returns VTK's number of each cell's type."""
     if not grid.GetNumberOfCells():
         return np.zeros(0, np.uint8)
-    is_new = hasattr(vtk("vtkCommonDataModel"), "vtkCellTypeUtilities")  # from 9.6 on
-    return _as_numpy(grid.GetCellTypes() if is_new else grid.GetCellTypesArray())
+    return _as_numpy(grid.GetCellTypes())
 
 
 def data_of(attributes: Any) -> dict[str, np.ndarray]:
@@ -71,12 +69,6 @@ def data_of(attributes: Any) -> dict[str, np.ndarray]:
 
 def coordinates(grid: Any) -> np.ndarray:
     return _as_numpy(grid.GetPoints().GetData()) if grid.GetNumberOfPoints() else np.zeros((0, 3))
-
-
-def cell_arrays(data: Any) -> list[Any]:
-    """Lists the `vtkCellArray`s of a data set, each with the nodes of some of its cells."""
-    names = {"vtkUnstructuredGrid": ("Cells",), "vtkPolyData": ("Verts", "Lines", "Polys", "Strips")}
-    return [getattr(data, f"Get{name}")() for kind, all_names in names.items() if data.IsA(kind) for name in all_names]
 
 
 def unstructured(data: Any) -> Any:
@@ -106,8 +98,7 @@ def _kind(number: int, size: int) -> str:
         shape = _SHAPES[number]
         return shape if size == CORNERS[shape] else f"{shape}{size}"
     if number not in _KINDS:
-        model = vtk("vtkCommonDataModel")
-        names = getattr(model, "vtkCellTypeUtilities", model.vtkCellTypes)
+        names = vtk("vtkCommonDataModel").vtkCellTypeUtilities
         return names.GetClassNameFromTypeId(number).removeprefix("vtk")
     return _KINDS[number]
 
@@ -148,12 +139,12 @@ def of_vtk(grid: Any) -> tuple[Grid, Whole | None]:
         raise ValueError(f"cells of type {', '.join(unknown)} are not supported; they would be lost.")
     blocks, rows_of = [], []
     for kind in dict.fromkeys(kinds.tolist()):
-        if kind in top and "polyhedron" in top:
-            continue
         rows = np.flatnonzero(kinds == kind)
         sizes = np.diff(starts)[rows]
         if kind in NODES and (sizes != NODES[kind]).any():
             raise ValueError(f"cells of type {kind} have {sizes[sizes != NODES[kind]][0]} nodes, not {NODES[kind]}.")
+        if kind in top and "polyhedron" in top:
+            continue
         for size in np.unique(sizes).tolist():
             chosen = rows[sizes == size]
             blocks.append((kind, _canonical(kind, ids[starts[chosen][:, None] + np.arange(size)], numbers[chosen])))

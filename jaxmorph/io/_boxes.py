@@ -12,8 +12,7 @@ from jaxmorph.shapes import Hexahedron
 
 from ._format import Source, source_of
 from ._su2 import NAME, Keyword, SU2Content, by_zones
-from .text.digits import decoded
-from .text.sections import Section
+from ._text import Section, decoded
 
 Points = Float[np.ndarray, "..."]
 Surface = Mapping[str, tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k d"]]]

@@ -1,21 +1,102 @@
-"""File formats, and the memory of a mesh of the file that it came from."""
+"""File formats, the source of a mesh in a file, and what the file holds of the mesh's points."""
 
 import contextlib
 import dataclasses
+import functools
 import importlib
 import pathlib
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, Protocol, cast, runtime_checkable
 
 import numpy as np
 
 from jaxmorph._boundary.periodic import Periodic
-from jaxmorph._host.cells.topology import SHAPES
-from jaxmorph._mesh.arrays import checked_parts
-from jaxmorph._mesh.exchange import Grid, Parts, Patch, intact_source, parts
+from jaxmorph._host.cells.pieces import boundary_sides
+from jaxmorph._host.cells.topology import EDGES, SHAPES
+from jaxmorph._host.package.errors import place_of, warn
+from jaxmorph._mesh.exchange import Grid, Parts, Patch, checked_parts, intact_source, parts
 from jaxmorph._mesh.polyhedra import Polyhedra
 
-from ._rounding import Held
+SHARE = 0.1
+"""Share of the motion, or of an edge, that rounding may take without a word."""
+
+EVERYTHING = ((slice(None), slice(None)),)
+"""The `singles` of a file that has single precision everywhere."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Held:
+    """How a file holds the points of its mesh, where it does not keep all of their digits.
+
+    - `points` (N, k): the points of the file, as read.
+    - `in_file`, `in_mesh`: take points (n, d) of the mesh to those of the file, and back.
+    - `singles`: rows and columns of `points` that the file has in single precision.
+    """
+
+    points: np.ndarray
+    in_file: Callable[[np.ndarray], np.ndarray]
+    in_mesh: Callable[[np.ndarray], np.ndarray]
+    singles: Sequence[tuple[slice, Any]] = ()
+
+    def stored(self, points: np.ndarray) -> np.ndarray:
+        """Computes the points (n, d) that reading the written file gives."""
+        values = np.array(self.in_file(points), float)
+        for place in self.singles:
+            values[place] = values[place].astype(np.float32)
+        return self.in_mesh(values)
+
+    @functools.cached_property
+    def base(self) -> np.ndarray:
+        """The mesh's points as read (n, d)."""
+        return self.in_mesh(self.points)
+
+
+def warn_of_loss(path: pathlib.Path, cells: Mapping[str, Any], held: Held, points: np.ndarray) -> np.ndarray:
+    """Computes what the file holds of moved points (n, d); warns where rounding takes much."""
+    stored = held.stored(points)
+    if not held.singles:
+        return stored
+    points = points.astype(float)
+    off = np.linalg.norm(stored - points, axis=1)
+    motion = np.linalg.norm(points - held.base, axis=1)
+    most = motion.max(initial=0.0)
+    losses = []
+    # far from the origin nodes that hardly move are rounded more, and that changes nothing there
+    if (off[motion >= most / 2] > SHARE * most).any():
+        losses.append(f"more than a tenth of the motion, which is {most:.3g}")
+    count, shortest, node = _changed_edges(cells, held.base, points, stored)
+    if count:
+        place = place_of(points[node])
+        losses.append(f"more than a tenth of {count} edges of cells, the shortest {shortest:.3g} near ({place})")
+    if losses:
+        warn(
+            f"{path}: the file holds single precision. Rounding moves nodes by up to {off.max():.3g}: {', and '.join(losses)}. "
+            "Write another format, such as .vtu or .su2, or begin with a file in double precision."
+        )
+    return stored
+
+
+def _changed_edges(
+    cells: Mapping[str, Any], base: np.ndarray, points: np.ndarray, stored: np.ndarray
+) -> tuple[int, float, int]:
+    """Counts edges that rounding changes by much; also the least length, and a node there.
+
+    Edges without a length in the file do not count.
+    """
+    shift, found = stored - points, [np.zeros((0, 2), int)]
+    for kind, ids in cells.items():
+        for edge in EDGES[SHAPES[kind]]:
+            start, end = pairs = np.asarray(ids)[:, edge].T
+            change = np.linalg.norm(shift[end] - shift[start], axis=1)
+            length = np.linalg.norm(points[end] - points[start], axis=1)
+            has_length = (base[start] != base[end]).any(axis=1)
+            found.append(np.sort(pairs[:, has_length & (change > SHARE * length)].T, axis=1))
+    start, end = np.unique(np.concatenate(found), axis=0).T
+    if not len(start):
+        return 0, 0.0, 0
+    length = np.linalg.norm(points[end] - points[start], axis=1)
+    return len(start), float(length.min()), int(start[length.argmin()])
+
 
 Arrays = Mapping[str, np.ndarray]
 
@@ -203,3 +284,32 @@ class StampedPoints(FilePoints):
     """The points of a file, and marks by which a changed file is found."""
 
     stamp: tuple[int, int]
+
+
+def patch_faces(mesh: MeshLike) -> dict[str, dict[str, np.ndarray]]:
+    """Finds the boundary faces of each patch, by type: all nodes of the face are in the patch.
+
+    A face that several patches could have (the one edge of an inlet between two walls of one patch)
+    goes to the smallest of them. It raises `ValueError` for a patch with nodes that none of its
+    faces holds: faces cannot say it.
+    """
+    patches = sorted(mesh.patches.items(), key=lambda item: len(item[1]))
+    n = mesh.points.shape[0]
+    nodes_of_all = np.unique(np.concatenate([np.zeros(0, np.int64), *(np.asarray(nodes) for _, nodes in patches)]))
+    left = boundary_sides({kind: np.asarray(ids) for kind, ids in mesh.cells.items()}, n, nodes_of_all)
+    result: dict[str, dict[str, np.ndarray]] = {}
+    for name, nodes in patches:
+        inside, on_faces = np.zeros(n, bool), np.zeros(n, bool)
+        inside[nodes] = True
+        result[name] = {}
+        for kind, faces in left.items():
+            is_inside = inside[faces].all(axis=1)
+            result[name][kind], left[kind] = faces[is_inside], faces[~is_inside]
+            on_faces[faces[is_inside]] = True
+        missing = np.flatnonzero(inside & ~on_faces)
+        if missing.size:
+            raise ValueError(
+                f"patch {name!r}: {missing.size} of {len(nodes)} nodes (first {missing[0]}) are on no boundary face of "
+                "the patch, and this format keeps patches as faces. Drop the patch, or write .vtu, which keeps nodes."
+            )
+    return {name: result[name] for name in mesh.patches}

@@ -10,8 +10,8 @@ from jaxmorph._host.cells.topology import DIMENSION
 from jaxmorph._mesh.exchange import Grid, Parts, Patch, regions_note
 
 from ._format import Arrays, MeshLike, Source, StampedPoints, of_grid, stamp_of
-from .cgns.tree import opened, write_points
-from .text.digits import decoded
+from ._text import decoded
+from ._tree import opened, write_points
 
 NAME = "MED"
 WHAT = "a MED file"

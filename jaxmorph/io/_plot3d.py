@@ -13,11 +13,9 @@ import numpy as np
 
 from jaxmorph._mesh.exchange import Parts
 
-from ._format import Arrays, MeshLike, Source, faults_of, own_source
-from ._joined import Joined, Zones, join
-from ._rounding import EVERYTHING
-from ._structured import SIDES, block_cells, block_ids, block_sides
-from .text.sections import chunks, parse, replace_words
+from ._format import EVERYTHING, Arrays, MeshLike, Source, faults_of, own_source
+from ._joined import SIDES, Joined, Zones, block_cells, block_ids, block_sides, join
+from ._text import chunks, parse, replace_words
 
 NAME = "PLOT3D"
 TEXT = bytes([*b"\t\r\n", *range(32, 127)])

@@ -1,18 +1,102 @@
-"""`read` and `write`, which choose among the formats, and what a file says beside its mesh."""
+"""`read` and `write` choose among the formats; what a file says beside its mesh; moved meshes."""
 
+import dataclasses
 import os
 import pathlib
+from collections.abc import Iterator, Sequence
+from xml.sax.saxutils import quoteattr
 
 import numpy as np
 from jaxtyping import Float, Shaped
 
-from jaxmorph import Mesh, Periodic
+from jaxmorph import Mesh, Periodic, QualityReport
+from jaxmorph._host.cells.adjacency import repeated_cells
+from jaxmorph._host.cells.topology import HIGH_ORDER
 from jaxmorph._host.package import files
 from jaxmorph._host.package.arguments import checked
+from jaxmorph._host.package.errors import place_of, warn
+from jaxmorph._host.package.files import complete, output_path
+from jaxmorph._host.package.text import MESHES, is_folder
+from jaxmorph._mesh.exchange import Parts, numbers_of_cells
 
-from ._format import Checking, Format, Source, own_source, source_of
-from ._reading import file_mesh, format_of
-from ._rounding import warn_of_loss
+from ._format import Checking, Format, Source, own_source, source_of, warn_of_loss
+
+FORMATS = (
+    Format("SU2", MESHES["SU2"], "_su2"),
+    Format("VTK", MESHES["VTK"], "vtk.file", holds_arrays=True),
+    Format("gmsh", MESHES["gmsh"], "gmsh.file"),
+    Format("CGNS", MESHES["CGNS"], "cgns.file"),
+    Format("MFEM", MESHES["MFEM"], "_mfem"),
+    Format("MED", MESHES["MED"], "_med"),
+    Format("Exodus", MESHES["Exodus"], "_exodus", magic=(b"CDF", b"\x89HDF")),
+    Format("PLOT3D", MESHES["PLOT3D"], "_plot3d"),
+    Format("OpenFOAM", MESHES["OpenFOAM"], "openfoam.case", is_folder=True),
+)
+
+
+def format_of(path: pathlib.Path, source: object = None) -> Format:
+    """Finds the format of a file by its ending, of a folder OpenFOAM.
+
+    Two formats may have an ending. Then the format of `source` decides, from which a mesh to be
+    written came, or the first bytes of a file to be read. It raises `ValueError`, with the endings
+    there are, for another one.
+    """
+    found = [candidate for candidate in FORMATS if path.suffix.lower() in candidate.suffixes]
+    if len(found) > 1 and isinstance(source, Source):
+        found = [candidate for candidate in found if candidate.name == source.format] or found
+    elif len(found) > 1 and path.is_file():
+        with path.open("rb") as file:
+            first = file.read(8)
+        known = [candidate for candidate in found if first.startswith(candidate.magic)]
+        found = known or [candidate for candidate in found if not candidate.magic]
+    found += [candidate for candidate in FORMATS if candidate.is_folder]
+    is_folder(path)  # it raises for unknown endings
+    return found[0]
+
+
+def file_mesh(path: pathlib.Path) -> Parts:
+    """Reads and checks the mesh in a file or a case, as `jaxmorph.io.read` describes it."""
+    mesh = format_of(path).codec().read(path)
+    check_nodes(path, mesh)
+    notes = (*mesh.source.notes, *_hidden_groups(mesh))
+    source = dataclasses.replace(mesh.source, cells=numbers_of_cells(mesh.cells), notes=notes)
+    return mesh._replace(source=source)
+
+
+def _hidden_groups(mesh: Parts) -> Iterator[str]:
+    """Yields a sentence on each group whose name is that of a patch, which goes before it."""
+    for group, names in mesh.source.groups.items():
+        if group in mesh.patches and set(names) != {group}:
+            yield f"the group {group} ({', '.join(names)}) has the name of a patch: {group} is the patch alone."
+
+
+def check_nodes(path: pathlib.Path, mesh: Parts) -> None:
+    """Raises `ValueError` for two cells with equal nodes; warns of curved cells with a node twice.
+
+    Pieces of polyhedra may coincide.
+    """
+    cut, first = None, 0
+    if mesh.source.polyhedra is not None:
+        cut = np.isin(mesh.source.cell_ids, mesh.source.polyhedra.cut)
+    for kind, corners in mesh.cells.items():
+        corners = np.asarray(corners)
+        chosen = None if cut is None else np.flatnonzero(~cut[first : first + len(corners)])
+        first += len(corners)
+        twice = repeated_cells(corners) if chosen is None else chosen[repeated_cells(corners[chosen])]
+        if len(twice):
+            raise ValueError(
+                f"{path}: {len(twice)} cells of type {kind} have the nodes of another one, first cell {twice[0]} "
+                f"between nodes {corners[twice[0]].tolist()}: remove the copies."
+            )
+        if kind not in HIGH_ORDER:
+            continue
+        folded = np.flatnonzero((np.diff(np.sort(corners, axis=1), axis=1) == 0).any(axis=1))
+        if len(folded):
+            centre = place_of(np.asarray(mesh.points)[corners[folded[0]]].mean(axis=0))
+            warn(
+                f"{path}: {len(folded)} of {len(corners)} cells of type {kind} name a node twice, first cell {folded[0]} "
+                f"near ({centre}): they fold there, or are flat."
+            )
 
 
 @checked
@@ -21,8 +105,8 @@ def read(path: str | os.PathLike[str]) -> Mesh:
 
     Files are SU2 (.su2), VTK (.vtu, .vtk, .vts, .vtp, .pvtu, .vtm), gmsh (.msh), CGNS (.cgns) and
     MFEM (.mesh). Others are MED (.med), Exodus (.e, .exo, .ex2, .exoii, .g) and PLOT3D (.xyz, .p3d,
-    .p3dfmt, .x, .g). Of an OpenFOAM case `path` is its folder, or a time folder. VTK, gmsh, CGNS,
-    MED and Exodus need the extra `io`.
+    .p3dfmt, .x, .g). Of an OpenFOAM case `path` is its folder, or a time folder. VTK, CGNS, MED
+    and Exodus need the extra `io`.
 
     Coordinates are float64, in the units and the order of the file. A mesh of 2-D cells has two
     coordinates when all z of the file are equal. Patches are
@@ -197,3 +281,49 @@ def symmetry(mesh: Mesh) -> tuple[str, ...]:
     **Returns:** names for `prepare(..., symmetry=)`; none for other formats.
     """
     return mesh.source.symmetry if isinstance(mesh.source, Source) else ()
+
+
+@checked
+def cell_arrays(report: QualityReport) -> dict[str, np.ndarray]:
+    """Lists each cell's quality by name, as files hold it: a number a cell, as in `mesh.cells`."""
+    names = ("skewness", "aspect_ratio", "volume_ratio", "jacobian_ratio")
+    arrays = {name: np.asarray(getattr(report, name)) for name in names}
+    return arrays | {"is_inverted": np.asarray(report.is_inverted).astype(np.uint8)}
+
+
+@checked
+def write_moved(path: str | os.PathLike[str], mesh: Mesh, moved: Mesh, report: QualityReport) -> None:
+    """Writes a moved mesh, with displacement and cell quality where the format holds arrays.
+
+    **Arguments:**
+
+    - `path`: the file; its ending chooses the format, as for `write`.
+    - `mesh`, `moved`: the undeformed mesh and the moved one.
+    - `report`: what `quality(mesh, moved.points)` gives.
+
+    **Raises:** `ValueError` as `write` does.
+    """
+    path = pathlib.Path(path)
+    if not check_output(path, mesh):
+        write(path, moved)
+        return
+    before, after = np.asarray(mesh.points), np.asarray(moved.points)
+    if before.shape != after.shape:
+        raise ValueError(f"`moved` has points of shape {after.shape}, `mesh` {before.shape}. It must be `mesh`, moved.")
+    write(path, moved, point_data={"displacement": after - before}, cell_data=cell_arrays(report))
+
+
+@checked
+def write_pvd(path: str | os.PathLike[str], files: Sequence[str | os.PathLike[str]], times: Sequence[float]) -> None:
+    """Writes ParaView's collection (.pvd): each of `files`, by its name, at one of `times`."""
+    path = output_path(path, ".pvd")
+    if len(files) != len(times):
+        raise ValueError(f"`times` has {len(times)} numbers for {len(files)} `files`.")
+    rows = [
+        f'    <DataSet timestep="{time!r}" part="0" file={quoteattr(pathlib.Path(file).name)}/>'
+        for file, time in zip(files, times, strict=True)
+    ]
+    head = ['<?xml version="1.0"?>', '<VTKFile type="Collection" version="0.1" byte_order="LittleEndian">']
+    text = "\n".join([*head, "  <Collection>", *rows, "  </Collection>", "</VTKFile>", ""])
+    with complete(path) as partial:
+        partial.write_bytes(text.encode())

@@ -1,20 +1,28 @@
-"""Sensitivities with respect to the points of a mesh, as an adjoint solver writes them."""
+"""Sensitivities by nodes, as adjoint solvers write them, and derivatives by design variables."""
 
+import csv
+import dataclasses
 import io
+import json
 import os
 import pathlib
+import re
 
+import jax
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, PyTree
 
 from jaxmorph import Mesh
 from jaxmorph._host.package.arguments import checked, finite_array, rows_of
 from jaxmorph._host.package.files import complete, input_path, output_path, read_arrays, real_array
+from jaxmorph._host.package.rounding import rows_in
+from jaxmorph._host.package.text import GRADIENTS, SENSITIVITIES
+from jaxmorph.shapes import names
 
-from .._host.package.rounding import rows_in
-from .._host.package.text import SENSITIVITIES
+from ._format import source_of
 from ._surface import read_table
-from .openfoam.field import is_foam_file, read_point_vectors
+from .openfoam.case import NAME
+from .openfoam.file import load
 
 NAMES = ("sensitivity_x", "sensitivity_y", "sensitivity_z")
 """SU2's names of the columns, in lower case."""
@@ -123,3 +131,81 @@ def write_sensitivity(
 def check_sensitivity_output(path: str | os.PathLike[str]) -> pathlib.Path:
     """Raises `ValueError` for a file that `write_sensitivity` cannot write; returns its path."""
     return output_path(path, *SENSITIVITIES)
+
+
+_INTERNAL = re.compile(rb"internalField\s+(nonuniform\s+List<vector>|uniform)")
+_END = re.compile(rb"\)\s*\)\s*;")
+
+
+def is_foam_file(path: pathlib.Path) -> bool:
+    """Checks whether a file is an OpenFOAM file, by its ending or its header."""
+    if path.suffix == ".gz":
+        return True
+    with path.open("rb") as file:
+        return b"FoamFile" in file.read(1 << 14)
+
+
+def read_point_vectors(path: pathlib.Path, mesh: Mesh) -> Float[np.ndarray, "n d"]:
+    """Reads a `pointVectorField` for the nodes of a case's mesh; in 2-D both planes add up.
+
+    It raises `ValueError` for other classes of fields, other numbers of points, and meshes from
+    elsewhere.
+    """
+    source = source_of(mesh, NAME)
+    if source is None:
+        raise ValueError(f"{path}: a file of OpenFOAM; it needs a mesh that was read from an OpenFOAM case.")
+    file = load(path.parent, path.name)
+    kind = file.header.get("class", "")
+    entry = _INTERNAL.search(file.data, file.end)
+    if kind != "pointVectorField" or entry is None or entry[1] == b"uniform":
+        found = f"{kind or 'no class'}{' with one value for all points' if kind == 'pointVectorField' else ''}"
+        raise file.error(f"a pointVectorField with a list of vectors expected, found {found}")
+    stop = None if file.is_binary else _END.search(file.data, entry.end())
+    data = file.data if stop is None else file.data[: stop.end()]
+    values = dataclasses.replace(file, data=data, end=entry.end()).numbers("scalar", 3)
+    content = source.content
+    if len(values) != len(content.points):
+        raise file.error(f"{len(content.points)} vectors expected, one for each point of the case, found {len(values)}")
+    return values if content.plane is None else content.plane.added(values)
+
+
+@checked
+def write_gradient(path: str | os.PathLike[str], parameters: PyTree, gradient: PyTree) -> None:
+    """Writes design variables by name, each with its value and its derivative.
+
+    Names come from `shapes.names`. A table (.csv) has the columns `variable`, `value` and
+    `dJ_dvalue`; JSON has an object for each name, with `value` and `dJ_dvalue`. Numbers that are
+    not finite are `null` in JSON.
+
+    **Arguments:**
+
+    - `path`: the file.
+    - `parameters`: what a shape takes.
+    - `gradient`: dJ/d(parameters), as `shapes.pullback` gives it.
+
+    **Raises:** `ValueError` for another ending, and for a gradient of another structure.
+    """
+    path, variables = check_gradient_output(path), names(parameters)
+    if names(gradient) != variables:
+        raise ValueError(f"a gradient of {len(names(gradient))} numbers for {len(variables)} design variables.")
+    values, slopes = (
+        [float(number) for leaf in jax.tree.leaves(tree) for number in np.ravel(leaf)]
+        for tree in (parameters, gradient)
+    )
+    stream = io.StringIO()
+    if path.suffix.lower() == ".csv":
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerows([("variable", "value", "dJ_dvalue"), *zip(variables, values, slopes, strict=True)])
+    else:
+        rows = zip(variables, values, slopes, strict=True)
+        finite = lambda number: number if np.isfinite(number) else None  # noqa: E731
+        table = {name: {"value": finite(value), "dJ_dvalue": finite(slope)} for name, value, slope in rows}
+        json.dump(table, stream, indent=1)
+    with complete(path) as partial:
+        partial.write_text(stream.getvalue(), encoding="utf-8")
+
+
+@checked
+def check_gradient_output(path: str | os.PathLike[str]) -> pathlib.Path:
+    """Raises `ValueError` for a file that `write_gradient` cannot write; returns its path."""
+    return output_path(path, *GRADIENTS)

@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 
 from .._host.package.arguments import checked
 from .._host.package.files import input_path
-from .text.sections import Section
+from ._text import Section
 
 FACT = re.compile(rb"^[ \t]*[A-Za-z_]+[ \t]*=.*$", re.MULTILINE)
 """A line `NAME= value`, as SU2's older restarts have behind their rows."""

@@ -20,6 +20,7 @@ from . import _plane
 from ._outside import outlines, outside
 from ._plane import ROOM, Axes, Figure, MaxNLocator, Window, plt, to_hex
 from ._space import (
+    AIMED,
     before_after_3d,
     content,
     fitted_window,
@@ -349,13 +350,12 @@ def _view(first: Any, draw: Callable, frames: list[np.ndarray]) -> Any:
         return np.column_stack([low[:, 0], high[:, 1]]), figure.get_size_inches(), figure.dpi
     if not hasattr(first, "screenshot"):
         raise ValueError(f"`draw` should return the axes or the plotter that it drew on, not {type(first).__name__}.")
-    view, window, shown = view_of(first), first.window_size, content(first)
-    viewer = view[:3] - view[3:6]
-    fitted = fitted_window(first, shown, viewer)
-    if not any(np.allclose(view, whole_view(shown, size, viewer, margins(first))) for size in (fitted, window)):
+    view, window = view_of(first), first.window_size
+    aimed, viewer, fitted = AIMED.get(first, (None, None, None))
+    if not np.array_equal(view, aimed):
         return view, first.camera.parallel_projection, window  # `draw` placed the camera
-    every = np.concatenate([shown, *(content(other) for other in _farthest(draw, frames))])
-    window = fitted_window(first, every, viewer) if tuple(window) == fitted else window
+    every = np.concatenate([content(first), *(content(other) for other in _farthest(draw, frames))])
+    window = fitted_window(first, every, viewer) if window == fitted else window
     return whole_view(every, window, viewer, margins(first)), True, window
 
 

@@ -24,12 +24,10 @@ from ._style import (
     WIDTH,
     Limits,
     Values,
-    beyond,
     bodies,
     cell_values,
-    colour_scale,
     finite,
-    usual_limits,
+    scale_of,
 )
 
 try:
@@ -109,19 +107,17 @@ def mesh(
     if values is None and label is not None:
         raise ValueError(f"there are no `values` that are {label!r}.")
     every = None if values is None else cell_values(mesh, values)
-    colours, limits = colour_scale(limits)
     drawn = cells.drawn(window)
     window = _bodies(mesh, points) if window is None else window
+    seen, shown = cells.inside(window), np.zeros(len(cells.ids)) if every is None else every
+    colours, ends, below, above = scale_of(shown[seen], cells.areas[seen], limits)
     ax = show(given_or_new(ax, window, bar=bar and values is not None), window)
     if every is not None:
-        seen = cells.inside(window)
-        shown = every[seen]
         faces = fill(ax, cells.outlines[drawn], cmap=colours)
         ax.set_facecolor(BODY)
         faces.set_array(every[drawn])
-        faces.set_clim(*(limits or usual_limits(shown, cells.areas[seen])))
+        faces.set_clim(*ends)
         if bar:
-            below, above = beyond(shown, faces.get_clim())
             extend = ("neither", "min", "max", "both")[below + 2 * above]
             ax.figure.colorbar(faces, cax=ax.inset_axes((1.02, 0, 0.03, 1)), label=label or "", extend=extend)
     draw_lines(ax, cells, drawn, window, DARK, least=0 if every is None else NARROW)
@@ -184,7 +180,7 @@ def graph(
 
     **Raises:** `ValueError` for a plan in 3-D, and when the shape of `u` is not (m, 2).
     """
-    points = flat(plan.points)
+    points = in_dimension(plan.points)
     moving, fixed = np.asarray(plan.moving), np.asarray(plan.fixed)
     nodes = np.concatenate([moving, fixed])
     simplices = nodes[Delaunay(points[nodes]).simplices]
@@ -269,11 +265,8 @@ class Cells:
             keys[real], axis=0, return_index=True, return_inverse=True, return_counts=True
         )
         which, owner = which.ravel(), np.repeat(self.whole[cells], 4)[real.ravel()]
-        narrowest, first, last = (
-            np.full(len(edges), np.inf),
-            np.full(len(edges), len(self.whole)),
-            np.full(len(edges), -1),
-        )
+        narrowest, first = np.full(len(edges), np.inf), np.full(len(edges), len(self.whole))
+        last = np.full(len(edges), -1)
         np.minimum.at(narrowest, which, np.repeat(width, 4)[real.ravel()])
         np.minimum.at(first, which, owner)
         np.maximum.at(last, which, owner)
@@ -370,12 +363,14 @@ def show(ax: Axes, window: Window) -> Axes:
     return ax
 
 
-def flat(points: Any, other: str | None = None) -> Float[np.ndarray, "n 2"]:
-    """Checks that points are 2-D; the `ValueError` names the `other` function, for 3-D."""
+def in_dimension(points: Any, dimension: int = 2) -> Float[np.ndarray, "n d"]:
+    """Checks the shape of points; the `ValueError` names the functions of both dimensions."""
     points = finite(points)
-    if points.ndim != 2 or points.shape[1] != 2:
-        see = "" if other is None else f"; see `{other}`"
-        raise ValueError(f"this is for points in 2-D, not of shape {points.shape}{see}.")
+    if points.ndim != 2 or points.shape[1] != dimension:
+        raise ValueError(
+            f"this is for points in {dimension}-D, not of shape {points.shape}; `plot.sources_3d` and `plot.surface` "
+            "are for 3-D, `plot.sources` and `plot.mesh` for 2-D."
+        )
     return points
 
 
@@ -391,7 +386,7 @@ def whole(points: Float[Any, "n 2"]) -> Window:
 
     **Raises:** `ValueError` for points that are not in 2-D.
     """
-    points = flat(points)
+    points = in_dimension(points)
     (left, bottom), (right, top) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
     return (left, right), (bottom, top)
 

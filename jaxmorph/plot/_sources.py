@@ -12,9 +12,9 @@ import jaxmorph as jm
 
 from .._host.package.arguments import checked, finite_array
 from ._outside import lines_of
-from ._plane import ROOM, Axes, Window, flat, given_or_new, legend_above, show, whole
+from ._plane import ROOM, Axes, Window, given_or_new, in_dimension, legend_above, show, whole
 from ._space import add_legend, aim, aim_again, new_plotter
-from ._style import BLUE, GREEN, GREY, ORANGE, finite
+from ._style import BLUE, GREEN, GREY, ORANGE
 
 FEW = 30
 """Sources up to which they are drawn as large dots: more of them would cover each other."""
@@ -128,9 +128,9 @@ def _picture(surface: Any, reduction: jm.AbstractReduction | None, fixed: bool, 
     else:
         if reduction is None:
             raise ValueError("points need the `reduction` that is to choose among them, such as jm.KDTree(16).")
-        points = _checked(surface, dimension)
+        points = in_dimension(surface, dimension)
         parts, chosen = [(points, reduction)], points[reduction(points)]
-    nodes = _checked(np.concatenate([points for points, _ in parts]), dimension)
+    nodes = in_dimension(np.concatenate([points for points, _ in parts]), dimension)
     boxes, searched = [np.zeros((0, 2, dimension))], [np.zeros((0, dimension))]
     for points, reduction in parts:
         if isinstance(reduction, jm.KDTree) and len(points):
@@ -163,15 +163,6 @@ def of_plan(plan: jm.Plan, fixed: bool = True) -> tuple[list[tuple[np.ndarray, j
     else:
         sources = sources[np.isin(sources, plan.moving)]
     return parts, points[sources]
-
-
-def _checked(points: Any, dimension: int) -> np.ndarray:
-    if dimension == 2:
-        return flat(points, "plot.sources_3d")
-    points = finite(points)
-    if points.ndim != 2 or points.shape[1] != 3:
-        raise ValueError(f"this is for points in 3-D, not of shape {points.shape}; see `plot.sources`.")
-    return points
 
 
 def _wires(boxes: Float[np.ndarray, "l 2 3"]) -> Any:

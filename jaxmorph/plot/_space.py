@@ -12,19 +12,7 @@ import jaxmorph as jm
 from .._host.package.arguments import checked
 from ._outside import NOTHING, grid_of, near_plane, outlines, outside, pyvista, skin
 from ._plane import ROOM, MaxNLocator, TextPath, findfont, plt
-from ._style import (
-    BLUE,
-    DARK,
-    GREY,
-    ORANGE,
-    STILL,
-    Limits,
-    Values,
-    beyond,
-    bodies,
-    colour_scale,
-    usual_limits,
-)
+from ._style import BLUE, DARK, GREY, ORANGE, STILL, Limits, Values, bodies, scale_of
 
 LIT = {"ambient": 0.4, "diffuse": 0.7}
 LINES = {"show_edges": True, "edge_color": DARK, "edge_opacity": 0.6, "line_width": 0.5}
@@ -32,8 +20,8 @@ LINES = {"show_edges": True, "edge_color": DARK, "edge_opacity": 0.6, "line_widt
 VIEWER = -1.0, -2.5, 1.8
 """The direction towards the viewer: x right, y away, z up; mirrored for an open surface."""
 
-AIMED: weakref.WeakKeyDictionary[Any, tuple[Any, Any]] = weakref.WeakKeyDictionary()
-"""The view that `aim` gave each plotter, and its direction."""
+AIMED: weakref.WeakKeyDictionary[Any, tuple[Any, Any, Any]] = weakref.WeakKeyDictionary()
+"""The view that `aim` gave each plotter, its direction, and the window."""
 
 WINDOW = 1200, 900
 """Width of a picture in pixels, and its largest height."""
@@ -189,17 +177,15 @@ def _draw(
     has_values = "values" in part.cell_data
     if label is not None and not has_values:
         raise ValueError(f"there are no `values` that are {label!r}.")
-    colours, limits = colour_scale(limits)
-    new, plotter = plotter is None, new_plotter() if plotter is None else plotter
     style: dict[str, Any] = {"color": GREY if lighting else "white"}
     ends: list[tuple[str, str]] = []
     if has_values:
         values, sizes = part.cell_data["values"], part.compute_cell_sizes(length=False, volume=False).cell_data["Area"]
-        limits = limits or usual_limits(values, sizes)
-        below, above = beyond(values, limits)
+        colours, limits, below, above = scale_of(values, sizes, limits)
         ends = [("below", "<")] * below + [("above", ">")] * above
         style = {"scalars": "values", "cmap": colours, "clim": limits}
         style |= {f"{side}_color": plt.get_cmap(colours)(float(side == "above")) for side, _ in ends}
+    new, plotter = plotter is None, new_plotter() if plotter is None else plotter
     light = LIT if lighting and not has_values else {"lighting": False}  # it would change the colours, and the bar not
     _add_faces(plotter, part, show_edges, show_scalar_bar=False, **light, **style)
     if has_values and bar:
@@ -347,17 +333,17 @@ def _round_length(largest: float) -> float:
     return float(power * max(factor for factor in (1, 2, 5) if factor * power <= largest * (1 + 1e-9)))
 
 
-def aim(plotter: Any, viewer: Sequence[float] | np.ndarray = VIEWER, shown: np.ndarray | None = None) -> None:
-    """Turns the camera to points, by default all drawn, and gives the window their shape."""
-    shown = content(plotter) if shown is None else shown
+def aim(plotter: Any, viewer: Sequence[float] | np.ndarray = VIEWER) -> None:
+    """Turns the camera to all that is drawn, and gives the window its shape."""
+    shown = content(plotter)
     plotter.window_size = fitted_window(plotter, shown, viewer)
     set_view(plotter, whole_view(shown, plotter.window_size, viewer, margins(plotter)))
-    AIMED[plotter] = view_of(plotter), viewer
+    AIMED[plotter] = view_of(plotter), viewer, plotter.window_size
 
 
 def aim_again(plotter: Any) -> None:
     """Makes room for what was added to a plotter, unless its camera is not where `aim` left it."""
-    view, viewer = AIMED.get(plotter, (None, VIEWER))
+    view, viewer, _ = AIMED.get(plotter, (None, VIEWER, None))
     if view is not None and np.array_equal(view, view_of(plotter)):
         aim(plotter, viewer)
 
@@ -366,16 +352,13 @@ def fitted_window(
     plotter: Any, points: Float[np.ndarray, "k 3"], viewer: Sequence[float] | np.ndarray
 ) -> tuple[int, int]:
     """Chooses width and height in pixels of a picture of points, so that little is white."""
-    (width, height), (left, right, below, above) = (
-        np.ptp(points @ np.stack(view_axes(viewer)[1:]).T, axis=0),
-        margins(plotter),
-    )
+    width, height = np.ptp(points @ np.stack(view_axes(viewer)[1:]).T, axis=0)
+    left, right, below, above = margins(plotter)
     tall = (1 - left - right) * height / max(width, 1e-9 * height) + below + above
     return WINDOW[0], round(float(np.clip(tall * WINDOW[0], WINDOW[1] / 2, WINDOW[1])))
 
 
 def content(plotter: Any) -> Float[np.ndarray, "k 3"]:
-    """Returns the points of all that was drawn."""
     return np.concatenate([np.asarray(mesh.points, dtype=float) for mesh in plotter.meshes])
 
 
@@ -388,8 +371,8 @@ def margins(plotter: Any) -> tuple[float, float, float, float]:
 def whole_view(
     points: Float[np.ndarray, "k 3"],
     window: Sequence[int],
-    viewer: Sequence[float] | np.ndarray = VIEWER,
-    free: tuple[float, float, float, float] = (EDGE, EDGE, BELOW, EDGE),
+    viewer: Sequence[float] | np.ndarray,
+    free: tuple[float, float, float, float],
 ) -> Float[np.ndarray, " 10"]:
     """Places a camera: its position, what it looks at, upwards, half the height that it sees.
 

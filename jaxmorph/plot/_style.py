@@ -75,7 +75,17 @@ def colour_scale(limits: Limits | None, colours: str = COLOURS) -> tuple[str, Li
     return (colours, (light, dark)) if light < dark else (f"{colours}_r", (dark, light))
 
 
-def usual_limits(values: Real[np.ndarray, " k"], sizes: Float[np.ndarray, " k"]) -> Limits:
+def scale_of(
+    values: Real[np.ndarray, " k"], sizes: Float[np.ndarray, " k"], limits: Limits | None
+) -> tuple[str, Limits, bool, bool]:
+    """Returns the colour map, its limits, and whether values are below them, and above."""
+    colours, limits = colour_scale(limits)
+    low, high = limits or _usual_limits(values, sizes)
+    known = values[np.isfinite(values)]
+    return colours, (low, high), bool((known < low).any()), bool((known > high).any())
+
+
+def _usual_limits(values: Real[np.ndarray, " k"], sizes: Float[np.ndarray, " k"]) -> Limits:
     """Returns the least and largest value without outliers: 1 % of the area would pale others."""
     chosen = np.isfinite(values)
     values, sizes = values[chosen].astype(float), np.abs(sizes[chosen])
@@ -91,12 +101,6 @@ def usual_limits(values: Real[np.ndarray, " k"], sizes: Float[np.ndarray, " k"])
         for extreme, end in ((values.min(), low), (values.max(), high))
     )
     return low, high if high - low > 1e-9 * max(abs(low), abs(high)) else low + max(abs(low), 1)
-
-
-def beyond(values: Real[np.ndarray, " k"], limits: Limits) -> tuple[bool, bool]:
-    """Checks for values below, and above, the limits."""
-    chosen = values[np.isfinite(values)]
-    return bool((chosen < limits[0]).any()), bool((chosen > limits[1]).any())
 
 
 def bodies(points: Float[np.ndarray, "n d"], patches: Any) -> np.ndarray:

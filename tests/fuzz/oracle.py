@@ -14,9 +14,6 @@ import warnings
 import h5py
 import numpy as np
 
-from jaxmorph.io import _netcdf
-from jaxmorph.io.cgns import adf
-
 WORD = re.compile(rb"[^\s()<>\",;{}%]*")
 
 
@@ -82,11 +79,11 @@ def _dataset(data: bytes, at: int) -> str:
         if start is not None and start <= at < start + item.id.get_storage_size():
             named.append(name)
 
-    if data[4:25] == adf.MAGIC:
+    if data[4:25] == _adf.MAGIC:
         for name, pieces, _ in _nodes(data):
             named += [name for first, count in pieces if first <= at < first + count]
-    elif data.startswith(_netcdf.MAGIC):
-        for name, array in _netcdf.tree(io.BytesIO(data)).items():
+    elif data.startswith(_tree.MAGIC):
+        for name, array in _tree.classic_tree(io.BytesIO(data)).items():
             named += [name for first, count in array.pieces if 0 < first <= at < first + count]
     else:
         with h5py.File(io.BytesIO(data)) as opened:
@@ -127,10 +124,10 @@ def content(data: bytes) -> dict[str, tuple]:
         except Exception as error:  # h5py answers damage by a dozen classes
             told[name] = (repr(error),)
 
-    if data[4:25] == adf.MAGIC:
+    if data[4:25] == _adf.MAGIC:
         return {name: content for name, _, content in _nodes(data)}
-    if data.startswith(_netcdf.MAGIC):
-        arrays = _netcdf.tree(io.BytesIO(data)).items()
+    if data.startswith(_tree.MAGIC):
+        arrays = _tree.classic_tree(io.BytesIO(data)).items()
         return {name: (sorted(array.attrs.items()), array.shape, array.pieces) for name, array in arrays}
     with h5py.File(io.BytesIO(data)) as file:
         file.visititems(visit)
@@ -139,13 +136,13 @@ def content(data: bytes) -> dict[str, tuple]:
 
 def _nodes(data: bytes) -> list[tuple[str, list[tuple[int, int]], tuple]]:
     """Labels, types and values of an ADF file by the path that HDF5 has, and where values stand in it."""
-    waiting, found = [("", adf.tree(pathlib.Path("a.cgns"), io.BytesIO(data)))], []
+    waiting, found = [("", _adf.tree(pathlib.Path("a.cgns"), io.BytesIO(data)))], []
     while waiting:
         place, node = waiting.pop()
         found.append((place, [], (node.attrs["label"],)))
         for name, child in node.items():
             path = f"{place}/{name}".lstrip("/")
-            if isinstance(child, adf.Array):
+            if isinstance(child, _adf.Array):
                 values = child[()]
                 found.append((path, child.pieces, ([], values.dtype.str, values.tobytes())))
             else:
@@ -218,6 +215,8 @@ def accepted(file: pathlib.Path, data: bytes, damaged: bytes, at: int, good, fou
         return _structure(content(data), content(damaged), wrong, found, where)
     if file.suffix in (".xyz", ".patches", ".cgns") and place != "ids":
         return _places(good, found, np.zeros(0) if file.suffix == ".patches" else values(damaged, at), where)
+    if file.suffix in (".vtk", ".vtu") and "cells faces 0" in good and (good["points"] != found["points"]).sum() == 1:
+        return ""  # the sense of all faces is that of most cells, and follows from points
     numbers = [name for name in wrong if name == "points" or name.startswith("array")]
     if numbers:
         if place == "ids" or len(wrong) > 1:

@@ -10,8 +10,7 @@ from jaxtyping import Float, Inexact
 
 import jaxmorph as jm
 from jaxmorph import io
-from jaxmorph.io.cgns.file import open_zones
-from jaxmorph.io.cgns.tree import opened
+from jaxmorph.io.cgns.file import open_zones, opened
 
 from .._pieces import together
 from ._grid import Grid, SolverOrder, communicator, faces, numbers, reals, solver_order

@@ -1,14 +1,13 @@
-"""Boundary of a zone of a CGNS file: conditions, and interfaces to other zones."""
+"""Boundary of a CGNS file: conditions, their types and families, and interfaces between zones."""
 
 import contextlib
 import dataclasses
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from .polyhedra import Ragged
-from .zone import Content, Zone, children, data, word
+from .zone import Content, Ragged, Zone, children, data, word
 
 NORMAL = {"IFaceCenter": 0, "JFaceCenter": 1, "KFaceCenter": 2}
 
@@ -222,3 +221,48 @@ def _of_elements(
             f"boundary condition {name}: {len(numbers) - count} of its {len(numbers)} elements are not there"
         )
     return None if solid == count else np.concatenate(nodes)
+
+
+SYMMETRY = "BCSymmetryPlane"
+UNSAID = ("", "Null", "FamilySpecified")
+
+
+def kinds_of(file: Any, conditions: list[Condition]) -> dict[str, str]:
+    """Finds each patch's type: its conditions' or family's; several in turn, if they differ."""
+    families = _of_families(file, "FamilyBC_t")
+    types: dict[str, list[str]] = {}
+    for condition in conditions:
+        kind = condition.kind
+        types.setdefault(condition.patch, []).extend(families.get(condition.patch, []) if kind in UNSAID else [kind])
+    kinds = {
+        patch: ", ".join(dict.fromkeys(kind for kind in several if kind not in UNSAID))
+        for patch, several in types.items()
+    }
+    return {patch: kind for patch, kind in kinds.items() if kind}
+
+
+def _of_families(file: Any, label: str) -> dict[str, list[str]]:
+    """Reads the words of each family's nodes of a label."""
+    families = [family for _, base in children(file, "CGNSBase_t") for family in children(base, "Family_t")]
+    return {name: [word(node) for _, node in children(family, label) if " data" in node] for name, family in families}
+
+
+def symmetry_of(kinds: dict[str, str]) -> tuple[str, ...]:
+    """Lists the patches that lie in symmetry planes."""
+    return tuple(patch for patch, kind in kinds.items() if kind == SYMMETRY)
+
+
+def groups_of(file: Any, conditions: list[Condition], names: Iterable[str]) -> dict[str, tuple[str, ...]]:
+    """Lists patches by the families that their family is part of, and by additional families.
+
+    gmsh names physical groups so. Names of patches are no groups.
+    """
+    above = _of_families(file, "FamilyName_t")
+    groups: dict[str, dict[str, None]] = {}
+    for patch, _, condition in conditions:
+        more = [word(family) for _, family in children(condition, "AdditionalFamilyName_t")]
+        for group in [*above.get(patch, []), *more]:
+            groups.setdefault(group, {})[patch] = None
+    known = set(names)
+    groups = {name: {patch: None for patch in several if patch in known} for name, several in groups.items()}
+    return {name: tuple(several) for name, several in groups.items() if name not in known and several}

@@ -15,11 +15,19 @@ from jaxmorph._mesh.polyhedra import Polyhedra
 
 from .._format import Arrays, MeshLike, Source, faults_of, stamp_of
 from .._joined import Joined, Zones, join
-from .conditions import Condition, Connection, conditions, connections, left_interfaces, patches
-from .kinds import groups_of, kinds_of, symmetry_of
-from .polyhedra import Block, Ragged
-from .tree import opened, write_points
-from .zone import DIMENSION, TYPES, Content, Zone, children, data, word
+from .._tree import opened, write_points
+from .conditions import (
+    Condition,
+    Connection,
+    conditions,
+    connections,
+    groups_of,
+    kinds_of,
+    left_interfaces,
+    patches,
+    symmetry_of,
+)
+from .zone import DIMENSION, TYPES, Block, Content, Ragged, Zone, children, data, word
 
 NAME = "CGNS"
 LEVEL = {TYPES[number]: dimension for number, dimension in DIMENSION.items()}

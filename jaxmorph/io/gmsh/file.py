@@ -3,7 +3,6 @@
 import dataclasses
 import pathlib
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 
@@ -11,16 +10,27 @@ from jaxmorph._host.cells.orders import GMSH, reordered
 from jaxmorph._host.cells.topology import DIMENSION
 from jaxmorph._mesh.exchange import LEVELS, Grid, Parts, Patch, regions_note
 
-from .._boundary import patch_faces
-from .._format import Arrays, FilePoints, MeshLike, Source, faults_of, of_grid, source_of
-from .._meshio import meshio, of_mesh
-from ..text.sections import Section, replace_numbers
-from .parts import TYPES, Elements, elements, entities, nodes
-from .sections import Form, Names, Stream, form_of, physical_names, runs, sections
+from .._format import Arrays, FilePoints, MeshLike, Source, faults_of, of_grid, patch_faces, source_of
+from .._text import Section, replace_numbers
+from .sections import (
+    TYPES,
+    Elements,
+    Form,
+    Names,
+    Stream,
+    elements,
+    entities,
+    form_of,
+    nodes,
+    physical_names,
+    runs,
+    sections,
+)
 
 NAME = "gmsh"
 NODES, ELEMENTS = ("Nodes", "ParametricNodes", "NOD"), ("Elements", "ELM")
 """Sections of nodes and of elements; the last name of each is from version 1."""
+NUMBERS = {kind: number for number, kind in TYPES.items()}
 SPARSE = 10
 """Range of the tags of nodes, in numbers of nodes, up to which a table of them is made."""
 
@@ -128,9 +138,6 @@ def check(path: pathlib.Path, mesh: MeshLike) -> None:
         if any(mark in name for mark in '"\r\n') or not name:
             message = f"{path}: {name!r} cannot be the name of a physical group: empty, or with '\"' or a line break."
             raise ValueError(message)
-    unknown = [kind for kind in mesh.cells if kind not in TYPES.values() or kind in ("pyramid30", "pyramid55")]
-    if unknown:
-        raise ValueError(f"{path}: a new file cannot have cells of type {', '.join(unknown)}, only one that was read.")
     patch_faces(mesh)
 
 
@@ -141,31 +148,38 @@ def write(path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arr
     elements.
     """
     source = source_of(mesh, NAME)
-    if source is None:
-        meshio.gmsh.write(str(path), _new(mesh), fmt_version="2.2", binary=True)
-        return
-    points = source.content.in_file(np.asarray(mesh.points))
     with path.open("wb") as file:
-        file.writelines(_replaced(source.content, points))
+        if source is None:
+            file.writelines(_new(mesh))
+        else:
+            file.writelines(_replaced(source.content, source.content.in_file(np.asarray(mesh.points))))
 
 
-def _new(mesh: MeshLike) -> meshio.Mesh:
-    blocks: list[Any] = [_block(kind, np.asarray(nodes)) for kind, nodes in mesh.cells.items()]
-    tags = [np.zeros(len(corners), np.int32) for _, corners in blocks]
-    groups = {}
-    for tag, (name, faces) in enumerate(patch_faces(mesh).items(), start=1):
-        for kind, corners in faces.items():
-            if len(corners):
-                groups[name] = np.array([tag, DIMENSION[kind]])
-                blocks.append(_block(kind, corners))
-                tags.append(np.full(len(corners), tag, np.int32))
-    cell_data: Any = {"gmsh:physical": tags, "gmsh:geometrical": tags}
-    return meshio.Mesh(of_mesh(mesh).points, blocks, cell_data=cell_data, field_data=groups)
-
-
-def _block(kind: str, nodes: np.ndarray) -> tuple[str, np.ndarray]:
-    """Brings nodes into an order of which meshio's writer makes gmsh's."""
-    return kind, meshio.gmsh.common._gmsh_to_meshio_order(kind, reordered(kind, nodes, None, GMSH))
+def _new(mesh: MeshLike) -> Iterator[bytes]:
+    """Yields a new file in pieces; an element has its group's tag as group and as entity."""
+    points, markers = np.asarray(mesh.points, float), patch_faces(mesh)
+    blocks = [(kind, 0, np.asarray(ids)) for kind, ids in mesh.cells.items()]
+    names = []
+    for tag, (name, faces) in enumerate(markers.items(), start=1):
+        kinds = [kind for kind, corners in faces.items() if len(corners)]
+        blocks += [(kind, tag, faces[kind]) for kind in kinds]
+        names += [f'{DIMENSION[kinds[0]]} {tag} "{name}"\n'] if kinds else []
+    yield b"$MeshFormat\n2.2 1 8\n" + np.array(1, "<i4").tobytes() + b"\n$EndMeshFormat\n"
+    if names:
+        yield f"$PhysicalNames\n{len(names)}\n{''.join(names)}$EndPhysicalNames\n".encode()
+    rows = np.zeros(len(points), [("tag", "<i4"), ("x", "<f8", 3)])
+    rows["tag"] = 1 + np.arange(len(points))
+    rows["x"][:, : points.shape[1]] = points
+    yield f"$Nodes\n{len(points)}\n".encode() + rows.tobytes() + b"\n$EndNodes\n"
+    yield f"$Elements\n{sum(len(corners) for *_, corners in blocks)}\n".encode()
+    first = 1
+    for kind, tag, corners in blocks:
+        table = np.full((len(corners), 3 + corners.shape[1]), tag, "<i4")
+        table[:, 0] = first + np.arange(len(corners))
+        table[:, 3:] = 1 + reordered(kind, corners, None, GMSH)
+        yield np.array([NUMBERS[kind], len(corners), 2], "<i4").tobytes() + table.tobytes()
+        first += len(corners)
+    yield b"\n$EndElements\n"
 
 
 def _replaced(content: _GmshContent, points: np.ndarray) -> Iterator[bytes | bytearray | memoryview]:

@@ -20,18 +20,14 @@ import numpy as np
 from jaxmorph._boundary.periodic import Periodic
 from jaxmorph._host.package.errors import warn
 from jaxmorph._host.package.files import complete
-from jaxmorph._mesh.arrays import checked_parts
-from jaxmorph._mesh.exchange import Parts
+from jaxmorph._mesh.exchange import Parts, checked_parts
 from jaxmorph._mesh.polyhedra import Polyhedra, tetrahedra
 
-from .._format import Arrays, MeshLike, Source, as_in_file, source_of
-from .._rounding import EVERYTHING, Held
-from ..text.sections import replace_words
-from .cyclic import check_cyclic, cyclic_pairs
+from .._format import EVERYTHING, Arrays, Held, MeshLike, Source, as_in_file, source_of
+from .._text import replace_words
 from .file import PARENTHESES, FoamFile, Patch, load, patches
-from .plane import Layer, layer, plane_cells
+from .plane import Layer, Sector, check_cyclic, cyclic_pairs, layer, plane_cells, sector
 from .topology import Topology, topology_of
-from .wedge import Sector, sector
 
 NAME = "OpenFOAM"
 COPIED = ("constant", "system", "0", "0.orig")

@@ -10,7 +10,7 @@ import zlib
 
 import numpy as np
 
-from ..text.sections import chunks, parse
+from .._text import chunks, parse
 
 _SPACE = re.compile(rb"(?:\s+|//[^\n]*|/\*.*?(?:\*/|\Z))*", re.DOTALL)
 _HEADER = re.compile(rb"FoamFile\s*\{(.*?)\}", re.DOTALL)

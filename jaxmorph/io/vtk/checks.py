@@ -3,20 +3,12 @@
 import contextlib
 import re
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 
 from jaxmorph._mesh import vtk
 
-from ..text.digits import parse
-
-
-def check_nodes(data: Any, announced: int) -> None:
-    """Raises `ValueError` for cells that have other numbers of nodes than their file."""
-    nodes = sum(cells.GetNumberOfConnectivityIds() for cells in vtk.cell_arrays(data) if cells)
-    if announced != nodes:
-        raise ValueError(f"{announced} numbers in connectivity, {nodes} expected: a damaged file.")
+from .._text import parse
 
 
 def numbers(text: bytes, kind: str) -> np.ndarray:
@@ -56,12 +48,11 @@ def check_streams(numbers: np.ndarray, begins: np.ndarray, ends: np.ndarray) -> 
         raise ValueError("a polyhedron has more numbers than its faces need")
 
 
-def check_lists(ends: np.ndarray, ids: np.ndarray, count: int) -> None:
-    """Raises `ValueError` for lists, up to `ends`, that are not all `ids`, each below `count`."""
-    if (np.diff(ends, prepend=0) < 0).any() or (ends[-1] if len(ends) else 0) != len(ids):
-        raise ValueError(f"lists of polyhedra that do not end with their {len(ids)} numbers")
-    if len(ids) and not 0 <= ids.min() <= ids.max() < count:
-        raise ValueError(f"lists of polyhedra name {ids.min()} to {ids.max()}, of {count}")
+def check_ends(ends: np.ndarray, count: int, name: str) -> None:
+    """Raises `ValueError` for lists that do not end, one after the other, with `count` numbers."""
+    last = int(ends[-1]) if len(ends) else 0
+    if last != count or (np.diff(ends.astype(np.int64), prepend=0) < 0).any():
+        raise ValueError(f"{count} numbers in {name}, {last} expected: a damaged file, or one cut short.")
 
 
 @contextlib.contextmanager

@@ -13,7 +13,7 @@ from jaxmorph._mesh.export import to_vtk
 
 from .._format import Arrays, FilePoints, MeshLike, Source, faults_of, source_of
 from . import legacy, xml
-from .checks import check_nodes, errors_told
+from .checks import errors_told
 
 NAME = "VTK"
 
@@ -105,14 +105,11 @@ def _read(path: pathlib.Path) -> Content:
 def _data(path: pathlib.Path) -> tuple[Any, Any]:
     """Reads one file by VTK, after a look at the sizes that it announces."""
     kind: Any = legacy if path.suffix.lower() == ".vtk" else xml
-    raw, encoding, nodes = kind.checked(path.read_bytes())
+    raw, encoding = kind.checked(path.read_bytes())
     reader = kind.reader(path, raw, encoding)
     with errors_told():
         reader.Update()
-    data = reader.GetOutput()
-    if nodes is not None:
-        check_nodes(data, nodes)
-    return data, encoding
+    return reader.GetOutput(), encoding
 
 
 def _joined(named: list[tuple[str, Any]]) -> Any:

@@ -11,7 +11,7 @@ import numpy as np
 from jaxmorph._host.cells.topology import VTK_LAGRANGE
 from jaxmorph._mesh import vtk
 
-from ..text.sections import scan
+from .._text import scan
 from .checks import check_streams, numbers
 
 HEAD = re.compile(
@@ -58,7 +58,7 @@ class Encoding:
     is_text: bool = False
 
 
-def checked(raw: bytes) -> tuple[bytes, Encoding, None]:
+def checked(raw: bytes) -> tuple[bytes, Encoding]:
     """Raises `ValueError` for sizes that do not fit to the file.
 
     Returns the file in a form that VTK reads, and its encoding.
@@ -83,7 +83,7 @@ def checked(raw: bytes) -> tuple[bytes, Encoding, None]:
     except (ValueError, KeyError, IndexError, TypeError) as error:
         place = f"in the section that begins with {sections.section!r}" if sections.section else "before any section"
         raise ValueError(f"a damaged .vtk file, or one cut short, {place} ({str(error)[:200]}).") from error
-    return sections.readable(), encoding, None
+    return sections.readable(), encoding
 
 
 @dataclasses.dataclass

@@ -18,7 +18,7 @@ import numpy as np
 
 from jaxmorph._mesh.vtk import POLYHEDRON, data_of, vtk
 
-from .checks import check_lists, check_streams, errors_told, numbers
+from .checks import check_ends, check_streams, errors_told, numbers
 
 SMALL, UNPACKED = 2 * 10**8, 100
 """Bytes that a packed file may become in any case, and that one of its bytes may become."""
@@ -33,6 +33,8 @@ KINDS = ("UnstructuredGrid", "StructuredGrid", "PolyData")
 STREAM = ("faces", "faceoffsets")
 LISTS = ("face_connectivity", "face_offsets", "polyhedron_to_faces", "polyhedron_offsets")
 """Arrays of polyhedra, up to version 2.2 and since."""
+
+SECTIONS = ("Cells", "Verts", "Lines", "Strips", "Polys")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,17 +54,16 @@ class _File:
     """The elements of a file, and the bytes that are appended to them."""
 
     root: ElementTree.Element
-    appended: bytes
+    appended: bytes | memoryview
     encoding: Encoding
 
     @property
     def head(self) -> np.dtype:
-        return np.dtype({"UInt32": "u4", "UInt64": "u8"}[self.encoding.header]).newbyteorder(
-            ">" if self.encoding.order == "BigEndian" else "<"
-        )
+        order = ">" if self.encoding.order == "BigEndian" else "<"
+        return np.dtype({"UInt32": "u4", "UInt64": "u8"}[self.encoding.header]).newbyteorder(order)
 
-    def size(self, array: ElementTree.Element) -> int:
-        """Finds the number of bytes that an array has, by the sizes before it."""
+    def size(self, array: ElementTree.Element) -> tuple[int, bytes]:
+        """Finds the number of bytes that an array has, by the sizes before it, and how they stand."""
         is_inline, width = array.get("format") == "binary", self.head.itemsize
         data, is_text = self.appended, is_inline or not self.encoding.is_raw
         start = 0 if is_inline else int(array.get("offset", "-1"))
@@ -72,33 +73,33 @@ class _File:
             raise ValueError(f"it begins at byte {start} of {len(data)}")
         (count,) = self._numbers(data, start, 1, is_text)
         if not self.encoding.compressor:
-            self._check_stream(data, start, 1, count, is_text)
-            return count
+            return count, self._stream(data, start, 1, count, is_text)
         if count * width > len(data):
             raise ValueError(f"{count} blocks in {len(data)} bytes")
         _, size, last, *packed = self._numbers(data, start, 3 + count, is_text) if count else (0, 0, 0)
         total = size * (count - (last > 0)) + last
         if size > total + (1 << 24):
             raise ValueError(f"blocks of {size} bytes for {total}")
-        self._check_stream(data, start, 3 + count if count else 1, sum(packed), is_text)
-        return total
+        return total, self._stream(data, start, 3 + count if count else 1, sum(packed), is_text)
 
-    def _check_stream(self, data: bytes, start: int, heads: int, count: int, is_text: bool) -> None:
-        """Raises `ValueError` where `count` bytes do not follow a header, or are not in base64."""
+    def _stream(self, data: bytes | memoryview, start: int, heads: int, count: int, is_text: bool) -> bytes:
+        """Returns a header and `count` bytes. Raises `ValueError` where they are not there."""
         head = heads * self.head.itemsize
         if not is_text:
+            end = start + head + count
             held = len(data) - start - head
         else:
             # the header is a text of its own where blocks follow or it is padded
             begin = start + 4 * -(-head // 3)
             is_apart = bool(self.encoding.compressor) or data[begin - 1 : begin] == b"="
             begin, wanted = (begin, count) if is_apart else (start, head + count)
-            part = data[begin : begin + 4 * -(-wanted // 3)]
-            held = len(base64.b64decode(part, validate=True)) - wanted + count
+            end = begin + 4 * -(-wanted // 3)
+            held = len(base64.b64decode(data[begin:end], validate=True)) - wanted + count
         if held < count:
             raise ValueError(f"{count} bytes, of which the file has {max(held, 0)}")
+        return bytes(data[start:end])
 
-    def _numbers(self, data: bytes, start: int, count: int, is_text: bool) -> list[int]:
+    def _numbers(self, data: bytes | memoryview, start: int, count: int, is_text: bool) -> list[int]:
         """Reads the first numbers of a header, in base64 or as they are."""
         size = count * self.head.itemsize
         data = data[start : start + (4 * -(-size // 3) if is_text else size)]
@@ -109,61 +110,72 @@ class _File:
         return np.frombuffer(data, self.head, count).tolist()
 
 
-def checked(raw: bytes) -> tuple[bytes, Encoding, int]:
+def checked(raw: bytes) -> tuple[bytes, Encoding]:
     """Raises `ValueError` for arrays that have not the size that the file says.
 
-    Returns the file, its encoding, and the number of nodes of all cells.
+    Returns the file, and its encoding.
     """
     file = _opened(raw)
     if file.encoding.kind not in KINDS:
         raise ValueError(f"{file.encoding.kind!r} in it is no mesh; read are {', '.join(KINDS)}.")
-    size = nodes = 0
-    for array, rows in _arrays(file.root):
-        count, width = _check(file, array, rows)
-        size += count * width
-        nodes += count * (array.get("Name") == "connectivity")
+    size = sum(math.prod(_check(file, array, rows)) for array, rows in _arrays(file.root))
     if size > SMALL + UNPACKED * len(raw):
         raise ValueError(f"{len(raw)} bytes become {size} when unpacked; no mesh does.")
-    _check_polyhedra(file)
-    return raw, file.encoding, nodes
-
-
-def _check_polyhedra(file: _File) -> None:
-    """Raises `ValueError` where pieces list faces that are not those of polyhedra.
-
-    VTK crashes there. So it reads the lists as arrays of a file without cells first.
-    """
     for piece in file.root.iter("Piece"):
-        cells = {array.get("Name"): array for array in piece.iterfind("Cells/DataArray")}
-        if not cells.keys() & {*STREAM, *LISTS}:
-            continue
-        found = _values(file, cells)
-        count = int(piece.get("NumberOfCells", 0))
-        if found.keys() >= {*STREAM}:
-            ends = found["faceoffsets"].astype(np.int64)
-            ends = ends[ends >= 0]  # -1 for other cells
-            check_streams(found["faces"], np.append(0, ends[:-1])[: len(ends)], ends)
-        elif found.keys() >= {*LISTS}:
-            faces, face_ends, of_cells, cell_ends = (found[name] for name in LISTS)
-            check_lists(cell_ends, of_cells, len(face_ends))
-            check_lists(face_ends, faces, int(piece.get("NumberOfPoints", 0)))
-            if len(cell_ends) != count:
-                raise ValueError(f"polyhedra of {len(cell_ends)} cells, for {count}")
-        elif (found.get("types", np.zeros(0)) == POLYHEDRON).any():
-            raise ValueError(f"polyhedra without {' and '.join({*LISTS} - found.keys())}.")
+        for section in piece:
+            if section.tag in SECTIONS:
+                _check_cells(file, piece, section)
+    return raw, file.encoding
 
 
-def _values(file: _File, arrays: dict[str | None, ElementTree.Element]) -> dict[str, np.ndarray]:
+def _check_cells(file: _File, piece: ElementTree.Element, section: ElementTree.Element) -> None:
+    """Raises `ValueError` where lists of nodes and faces do not end as their arrays do.
+
+    VTK takes memory as the ends say, and crashes. So it reads them first, as arrays of a file
+    without cells.
+    """
+    arrays = {array.get("Name", ""): array for array in section.iterfind("DataArray")}
+    if len(arrays) != len(section.findall("DataArray")):
+        raise ValueError(f"two arrays of one name in {section.tag}.")
+    has_faces = bool(arrays.keys() & {*STREAM, *LISTS})
+    found = _values(file, [array for name, array in arrays.items() if has_faces or name in ("offsets", "types")])
+    count = _check(file, arrays["connectivity"], -1)[0] if "connectivity" in arrays else 0
+    check_ends(found.get("offsets", np.zeros(0, np.int64)), count, "connectivity")
+    if not (found.get("types", np.zeros(0)) == POLYHEDRON).any():
+        return
+    if found.keys() >= {*STREAM}:
+        ends = found["faceoffsets"][found["faceoffsets"] >= 0].astype(np.int64)  # -1 for other cells
+        check_streams(found["faces"], np.append(0, ends[:-1])[: len(ends)], ends)
+    elif found.keys() >= {*LISTS}:
+        faces, face_ends, of_cells, cell_ends = (found[name] for name in LISTS)
+        check_ends(cell_ends, len(of_cells), "polyhedron_to_faces")
+        check_ends(face_ends, len(faces), "face_connectivity")
+        if len(cell_ends) != len(found["types"]) or not 0 <= of_cells.min(initial=0) <= of_cells.max(initial=0) < len(
+            face_ends
+        ):
+            raise ValueError(
+                f"polyhedra of {len(cell_ends)} cells name {of_cells.max(initial=0)}, of {len(face_ends)} faces."
+            )
+    else:
+        raise ValueError(f"polyhedra without {' and '.join({*LISTS} - found.keys())}.")
+
+
+def _values(file: _File, arrays: list[ElementTree.Element]) -> dict[str, np.ndarray]:
     """Reads arrays by VTK as those of a file of one point."""
     root = ElementTree.Element("VTKFile", file.root.attrib | {"type": "ImageData"})
     image = ElementTree.SubElement(root, "ImageData", {"WholeExtent": "0 0 0 0 0 0"})
     fields = ElementTree.SubElement(image, "FieldData")
     ElementTree.SubElement(image, "Piece", {"Extent": "0 0 0 0 0 0"})
-    for array in arrays.values():
-        count, _ = _check(file, array, -1)
-        ElementTree.SubElement(fields, "DataArray", array.attrib | {"NumberOfTuples": str(count)}).text = array.text
+    appended = b""
+    for array in arrays:
+        copy = ElementTree.SubElement(fields, "DataArray", array.attrib)
+        copy.text = array.text
+        copy.set("NumberOfTuples", str(_check(file, array, -1)[0]))
+        if array.get("format") == "appended":
+            copy.set("offset", str(len(appended)))
+            appended += file.size(array)[1]
     encoding = b"raw" if file.encoding.is_raw else b"base64"
-    tail = b'<AppendedData encoding="%s">_%s</AppendedData>' % (encoding, file.appended) if file.appended else b""
+    tail = b'<AppendedData encoding="%s">_%s</AppendedData>' % (encoding, appended) if appended else b""
     new = vtk("vtkIOXML").vtkXMLImageDataReader()
     new.ReadFromInputStringOn()
     new.SetInputString(ElementTree.tostring(root).removesuffix(b"</VTKFile>") + tail + b"</VTKFile>")
@@ -219,7 +231,7 @@ def _check(file: _File, array: ElementTree.Element, rows: int) -> tuple[int, int
     dtype, is_text = np.dtype(TYPES[kind]), array.get("format", "ascii") == "ascii"
     try:
         values = numbers((array.text or "").encode(), TYPES[kind]) if is_text else np.zeros(0)
-        count, rest = (len(values), 0) if is_text else divmod(file.size(array), dtype.itemsize)
+        count, rest = (len(values), 0) if is_text else divmod(file.size(array)[0], dtype.itemsize)
     except (ValueError, binascii.Error) as error:
         raise ValueError(f"the array {name!r} is damaged ({error}).") from error
     if kind == "String":  # VTK reads as many as are announced
@@ -276,13 +288,13 @@ def _rows(piece: ElementTree.Element) -> dict[str, dict[str, int]]:
 
 def _opened(raw: bytes) -> _File:
     """Takes a file apart: XML, and what is appended to it."""
-    head, mark, rest = raw.partition(b"<AppendedData")
-    data = re.match(rb"[^>]*>\s*_", rest)
-    if mark and data is None:
-        raise ValueError("no '_' after AppendedData: a damaged file, or one cut short.")
-    tag = data[0] if data else b""
+    at = raw.find(b"<AppendedData")
+    tag = re.compile(rb"[^>]*>\s*_").match(raw, at) if at >= 0 else None
+    end = raw.rfind(b"</AppendedData>")
+    if at >= 0 and (tag is None or end < tag.end()):
+        raise ValueError("no AppendedData that begin with '_' and end: a damaged file, or one cut short.")
     try:
-        root = ElementTree.fromstring(head + b"</VTKFile>" if mark else raw)
+        root = ElementTree.fromstring(raw if tag is None else raw[:at] + b"</VTKFile>")
     except ElementTree.ParseError as error:
         raise ValueError(f"not one of VTK's XML files, or a damaged one ({error}).") from error
     if root.tag != "VTKFile":
@@ -292,9 +304,8 @@ def _opened(raw: bytes) -> _File:
     names = {"header": root.get("header_type", "UInt32"), "order": root.get("byte_order", "LittleEndian")}
     if names["header"] not in ("UInt32", "UInt64") or names["order"] not in ("LittleEndian", "BigEndian"):
         raise ValueError(f"headers of type {names['header']!r}, bytes in the order {names['order']!r}.")
-    encoding = Encoding(root.get("type", ""), mode, b'"raw"' in tag, root.get("compressor", ""), **names)
-    end = rest.rfind(b"</AppendedData>")
-    if mark and end < 0:
-        raise ValueError("no </AppendedData> at its end: a damaged file, or one cut short.")
-    appended = rest[len(tag) : end] if mark else b""
-    return _File(root, appended if encoding.is_raw else b"".join(appended.split()), encoding)
+    encoding = Encoding(
+        root.get("type", ""), mode, tag is not None and b"raw" in tag[0], root.get("compressor", ""), **names
+    )
+    appended = memoryview(raw)[tag.end() : end] if tag else b""
+    return _File(root, appended if encoding.is_raw else b"".join(bytes(appended).split()), encoding)

@@ -13,7 +13,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from ..text.digits import decoded
+from ._text import decoded
 
 BLOCK, NODE, ENTRY, POINTER, TAG = 4096, 246, 44, 12, 4
 MAGIC = b"ADF Database Version "

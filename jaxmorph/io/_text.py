@@ -1,18 +1,110 @@
-"""Rows of numbers in a text file: read in bulk, and replaced where they stand.
+"""Numbers in large text files: read in bulk, rounded correctly, and replaced where they stand.
 
 Everything goes through `scan`, which finds the numbers (runs of non-blank bytes) of many lines at
 once with NumPy.
 """
 
 import dataclasses
+import io
 import pathlib
 import re
+import warnings
 from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from .digits import lines, parse, parse_rows
-from .splice import spliced
+ENOUGH = 1 << 14
+"""Bytes from which SciPy's writer of Matrix Market files pays: `repr`'s digits, much faster."""
+
+_FORTRAN = bytes.maketrans(b"Dd", b"ee")
+_MARKS = b"0123456789.+-eE"
+
+
+def decoded(raw: bytes) -> str:
+    """Decodes a name in a file: UTF-8, or else Latin-1, which older programs write."""
+    try:
+        return raw.decode()
+    except UnicodeDecodeError:
+        return raw.decode("latin-1")
+
+
+def parse_rows(text: bytes, dtype: type) -> tuple[np.ndarray, int]:
+    """Reads that many numbers of lines of equal length, between single blanks; 0 for other texts.
+
+    A text without its digits and marks is the blanks between the words. There is one word more than
+    blanks on each line, or fewer, so if there are as many numbers as that in all, then also on each
+    line.
+    """
+    gaps = text.translate(None, _MARKS)
+    width = gaps.find(b"\n") + 1
+    lines = len(gaps) // max(width, 1)
+    if not width or gaps != (b" " * (width - 1) + b"\n") * lines:
+        return np.zeros(0, dtype), 0
+    values = parse(text, dtype)
+    return values, width if len(values) == width * lines else 0
+
+
+def parse(text: bytes, dtype: type) -> np.ndarray:
+    """Reads a text's numbers up to the first non-number (`numpy.fromstring` rounds correctly).
+
+    Numbers of type float may have Fortran's exponents, 1.5D-3.
+    """
+    if not text.strip():
+        return np.zeros(0, dtype)
+    if np.issubdtype(dtype, np.floating) and (b"D" in text or b"d" in text):
+        text = text.translate(_FORTRAN)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        try:
+            return np.fromstring(text, dtype, sep=" ")
+        except ValueError:
+            return np.zeros(0, dtype)
+
+
+def lines(values: np.ndarray) -> bytes:
+    """Writes one number a line, with the fewest digits that read back as the double it is."""
+    values = values.astype(float, copy=False)
+    if 16 * len(values) < ENOUGH:
+        return repr(values.tolist())[1:-1].encode().replace(b", ", b"\n")
+    import scipy.io  # 40 modules, which a reader does not need
+
+    file = io.BytesIO()
+    scipy.io.mmwrite(file, values.reshape(-1, 1), symmetry="general")
+    text = file.getvalue()
+    head = b"\n%d 1\n" % len(values)
+    return text[text.index(head) + len(head) : -1]
+
+
+WIDEST = 64
+"""Bytes of a text that are one row of a table at most."""
+
+
+def spliced(text: bytes, starts: np.ndarray, ends: np.ndarray, lines: bytes) -> bytes:
+    """Replaces what stands between `starts` and `ends` of a text by `lines`, without line ends.
+
+    Pieces of text and lines alternate. Each becomes a row of a table as wide as the widest of its
+    kind, and the rows are written one after the other without what is beyond their ends. A long
+    piece becomes several rows, and no line follows but the last of them.
+    """
+    begins = np.append(0, ends[:-1])
+    rows = 1 + (starts - begins) // WIDEST
+    last = np.cumsum(rows) - 1
+    place = np.repeat(begins - WIDEST * (last + 1 - rows), rows) + WIDEST * np.arange(rows.sum())
+    own = _rows(text, place, np.minimum(np.repeat(starts, rows) - place, WIDEST))
+    breaks = np.append(np.flatnonzero(np.frombuffer(lines, np.uint8) == ord("\n")), len(lines))
+    first, size = np.zeros((2, len(place)), np.int64)
+    first[last] = np.append(0, breaks[:-1] + 1)
+    size[last] = breaks - first[last]
+    table, inside = (np.concatenate(pair, axis=1) for pair in zip(own, _rows(lines, first, size), strict=True))
+    return table[inside].tobytes() + text[ends[-1] :]
+
+
+def _rows(text: bytes, starts: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Gathers bytes from each of `starts`, as wide as the longest; a mask marks own bytes."""
+    width = max(int(sizes.max()), 1)
+    windows = np.ndarray(len(text) + 1, f"V{width}", text + bytes(width), strides=(1,))
+    return windows[starts].view(np.uint8).reshape(-1, width), np.arange(width) < sizes[:, None]
+
 
 CHUNK = 1 << 20
 """Bytes looked at together: all tables made of them stay in a core's own cache."""

@@ -1,1 +1,0 @@
-"""MFEM's files."""

@@ -1,1 +1,0 @@
-"""Large text files: sections, numbers, and edits in place."""
