@@ -251,7 +251,7 @@ def _common(plan: Plan, u: Any) -> Shared:
 
 @compiled
 def _shared_by(plan: Plan, u: Any, _: str) -> tuple[Shared, str]:
-    """Computes what all points share, and which of its leaves depend on `u`: 1 or 0 for each.
+    """Computes the data common to all points, and a mask of its leaves that depend on `u`.
 
     The string makes both static.
     """

@@ -279,7 +279,7 @@ def extended(plan: Plan, u: Any) -> Float[Array, "o d"]:
 
 
 class Shared(eqx.Module):
-    """Holds what all points share in a motion: the field, what is assigned to nodes, and images.
+    """Data common to all points: the field, the places of nodes that have one, and images.
 
     `are_places` says whether nodes are `assigned` places, or displacements.
     """
@@ -303,7 +303,7 @@ def deform_surface(plan: Plan, vectors: Float[Array, "o d"]) -> Float[Array, "n 
 
 
 def shared_by(plan: Plan, vectors: Float[Array, "o d"]) -> Shared:
-    """Computes what all points share in a motion of the surface's own rows."""
+    """Computes the data common to all points, from displacements of the own rows."""
     surface, vectors = plan.surface, kept(plan, vectors)
     field = plan.method.field(surface.ids, surface.factors, surface.points, surface.with_images(vectors))
     nodes, guide = surface.nodes, surface.guide

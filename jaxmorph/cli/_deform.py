@@ -320,7 +320,7 @@ def explain(attempt: Attempt, bad: list[str], out: Output) -> None:
                 break
             stage.done((k + 1) / len(trials))
     tried = ", ".join(_flags(attempt, cure) for cure in trials)
-    advice = f"With {worked} all is well." if worked else f"A dry run with each of {tried} does not cure it."
+    advice = f"{worked} works." if worked else f"A dry run with each of {tried} does not cure it."
     out.complain(f"{bad[-1]} {advice}" if trials else bad[-1])
     out.say(suggestion=worked)
 

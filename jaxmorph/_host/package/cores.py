@@ -36,7 +36,7 @@ def cores() -> int:
 
 
 class Beside(Generic[T]):
-    """A call that runs in a thread of its own, beside what comes next.
+    """A background call.
 
     With one core, the call runs when its result is asked for, so that no thread waits for another.
     """

@@ -46,7 +46,7 @@ class CompactIds(eqx.Module):
 
     @property
     def has_function(self) -> Bool[Array, " b"]:
-        """Marks the rows that stand for themselves."""
+        """Marks the rows that own a basis function."""
         return self.stands == jnp.arange(len(self.stands))
 
 
