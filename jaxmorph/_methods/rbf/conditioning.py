@@ -20,7 +20,7 @@ SUSPICIOUS = 0.1
 It is relative to the rounding that makes a field NaN.
 """
 
-USELESS, NOTICEABLE, NOTICEABLE_SINGLE = 1e-2, 1e-6, 1e-3
+USELESS, NOTICEABLE, NOTICEABLE_SINGLE = 3e-2, 1e-6, 1e-3
 """Relative changes of displacements by rounding: an error, a warning, one in float32."""
 
 NEAR = 1e-3
