@@ -142,7 +142,7 @@ def test_gmsh_files_move_and_come_back(tmp_path, kind, order, version, binary):
 
 @pytest.mark.parametrize(
     ("order", "is_complete", "words"),
-    [(5, True, "elements of type 28, line6; elements of order 1 to 4 are read"), (3, False, "with all inner nodes")],
+    [(5, True, "elements of type 28; elements of order 1 to 4 are read"), (3, False, "with all inner nodes")],
 )
 def test_orders_that_are_not_read_are_told_in_one_sentence(tmp_path, order, is_complete, words):
     disc(order, "triangle", is_complete=is_complete)
