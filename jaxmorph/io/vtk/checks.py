@@ -14,6 +14,8 @@ from .._text import parse
 def numbers(text: bytes, kind: str) -> np.ndarray:
     """Reads a text's numbers. Raises `ValueError` for numbers that the type cannot hold."""
     dtype = np.dtype(kind)
+    if b"d" in text or b"D" in text:
+        raise ValueError("an exponent of Fortran's, which VTK does not know")
     values = parse(
         text, {"f": np.float64, "u": np.uint64 if dtype.itemsize == 8 else np.int64}.get(dtype.kind, np.int64)
     )

@@ -251,10 +251,7 @@ class _Sections:
             begin, dtype = self.at, np.dtype(TYPES[kind]).newbyteorder(">")
             length = -(-count // 8) if kind == "bit" else count
             self.at += length * dtype.itemsize
-            rest = re.compile(rb"[ \t\r]*(\n|\Z)").match(raw, self.at)
-            if rest is None or self.at > len(raw):
-                raise ValueError(f"other than {count} numbers announced")
-            self.at = rest.end()
+            self._end_line(count)
             return np.frombuffer(raw, dtype, length, begin)
         left, parts = count, [np.zeros(0, np.int64)]
         while left:
@@ -266,7 +263,14 @@ class _Sections:
             if not wanted or len(parts[-1]) != wanted:
                 raise ValueError(f"something that is no number, or {count - left} numbers and not {count}")
             self.at, left = stop, left - wanted
+        self._end_line(count)
         return np.concatenate(parts)
+
+    def _end_line(self, count: int) -> None:
+        rest = re.compile(rb"[ \t\r]*(\n|\Z)").match(self.raw, self.at)
+        if rest is None or self.at > len(self.raw):
+            raise ValueError(f"other than {count} numbers announced")
+        self.at = rest.end()
 
     def _strings(self, count: int) -> None:
         """Goes over strings: a line each in a text, length and bytes in a binary file.
