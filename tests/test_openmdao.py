@@ -43,7 +43,7 @@ def test_partials_pass_openmdaos_check(plan, flat):
     u = given(plan)
     problem.set_val("displacements", u.ravel() if flat else u)
     problem.run_model()
-    np.testing.assert_array_equal(problem.get_val("points").reshape(-1, 2), jm.deform(plan, u))
+    np.testing.assert_allclose(problem.get_val("points").reshape(-1, 2), jm.deform(plan, u), rtol=0, atol=1e-15)
     assert problem.get_val("points", units="mm").ravel()[0] == pytest.approx(1e3 * np.asarray(jm.deform(plan, u))[0, 0])
     # the map is linear: a large step loses nothing, and rounding is all that is left
     data = problem.check_partials(out_stream=None, compact_print=True, step=1.0)
