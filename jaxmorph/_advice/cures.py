@@ -146,7 +146,7 @@ def _folds_none(plan: Plan, mesh: Mesh, u: np.ndarray, cure: Cure) -> bool:
 def _moved(plan: Plan, mesh: Mesh, u: np.ndarray, cure: Cure) -> np.ndarray:
     moving, fixed = np.asarray(plan.moving), np.asarray(plan.fixed)
     if cure.sliding:
-        planes = () if plan.images is None else plan.images.planes
+        planes = plan.images.planes
         others = np.setdiff1d(fixed, mesh.patch(*cure.sliding))
         return np.asarray(
             deform(prepare(mesh, moving, others, method=plan.method, symmetry=planes, sliding=cure.sliding), u)

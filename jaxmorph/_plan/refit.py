@@ -54,15 +54,16 @@ def _fitted(plan: Plan, points: Any, surface: Float[Array, "o d"] | None = None,
     factors = carry_factors(method, ids, before, rows, whole) if carried else method.fit(ids, rows, whole)
 
     def place(shared: PyTree, volume: VolumePart) -> PyTree:
-        points = volume.seen(shared[1][0])
+        *data, first_moving = shared
+        points = volume.seen(first_moving)
         if carried:
-            return carry_points(method, (points, volume.ids, volume.placed), *shared)
-        placed = place_points(method, points, volume.ids, *shared)
+            return carry_points(method, (points, volume.ids, volume.placed), *data)
+        placed = place_points(method, points, volume.ids, *data)
         return placed if volume.placed is None else with_tables_of(volume.placed, placed)
 
     at = whole if plan.layout is None else pad_rows(whole, plan.layout)
     volume = dataclasses.replace(plan.volume, points=at)
-    volume = dataclasses.replace(volume, placed=over_points(plan.layout, place, (factors, rows), volume))
+    volume = dataclasses.replace(volume, placed=over_points(plan.layout, place, (factors, rows, own[0]), volume))
     surface_part = dataclasses.replace(old, points=rows, factors=factors, guide=guide)
     return dataclasses.replace(plan, surface=surface_part, volume=volume, carried=carried)
 
@@ -117,7 +118,7 @@ def refit(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Plan:
     guide = plan.surface.guide
     if guide is not None:
         plan = _with(plan, *_boundary_at(guide.tracks, guide.pairings, points[plan.surface.nodes]))
-    if (guide is not None or plan.images.planes) and is_readable((points, plan)):
+    if (guide is not None or len(plan.images.normals)) and is_readable((points, plan)):
         _check_boundary(plan, np.asarray(points))
     refit = refitted(plan, points)
     if is_readable((points, plan)):

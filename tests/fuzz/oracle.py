@@ -14,6 +14,8 @@ import warnings
 import h5py
 import numpy as np
 
+from jaxmorph.io import _adf, _tree
+
 WORD = re.compile(rb"[^\s()<>\",;{}%]*")
 
 
