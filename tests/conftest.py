@@ -25,6 +25,12 @@ if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
         os.environ[option.upper()] = str(value)
         jax.config.update(option, value)
 
+elif "PYTEST_XDIST_WORKER" not in os.environ:
+    # processes that tests killed have left entries without their time of use, which JAX cannot replace
+    for entry in pathlib.Path(os.environ["JAX_COMPILATION_CACHE_DIR"]).glob("*-cache"):
+        if not entry.with_name(f"{entry.name.removesuffix('-cache')}-atime").exists():
+            entry.unlink(missing_ok=True)
+
 if "JAX_DISABLE_MOST_OPTIMIZATIONS" not in os.environ:
     # most programs run once, on small meshes: compiling takes longer than running. .ci/nightly runs them as users have them
     os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = "true"
