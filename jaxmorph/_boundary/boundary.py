@@ -117,8 +117,7 @@ class Boundary:
         is_free = np.isin(np.arange(len(points)), fixed, invert=True)
         check_repeated(tracks, corners, pairings, points, is_free)
         fixed = np.append(fixed, corners[~np.isin(corners, fixed)])
-        tracks = (Track(track.rows[~np.isin(track.rows, fixed)], track.walls) for track in tracks)
-        tracks = tuple(track for track in tracks if len(track.rows))
+        tracks = _without(tracks, fixed)
         fields = {"mesh": patches, "points": points, "moving": moving, "fixed": fixed, "free": free}
         fields |= {"planes": planes, "pairings": pairings, "tracks": tracks}
         fields["guided"] = _guided(pairings, tracks, moving, fixed, points)
@@ -220,6 +219,11 @@ def boundary_of_lists(
     boundary = object.__new__(Boundary)
     boundary._fill(_EMPTY | {"points": points, "moving": moving, "fixed": fixed, "guided": guided} | fields)
     return boundary
+
+
+def _without(tracks: Sequence[Track], fixed: np.ndarray) -> tuple[Track, ...]:
+    left = (Track(track.rows[~np.isin(track.rows, fixed)], track.walls) for track in tracks)
+    return tuple(track for track in left if len(track.rows))
 
 
 def _check_moving(moving: np.ndarray) -> None:
