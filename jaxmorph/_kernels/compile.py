@@ -80,6 +80,11 @@ def is_for_cpu() -> bool:
     return _is_for_cpu.get()
 
 
+def as_for_cpu() -> contextlib.AbstractContextManager[None]:
+    """Makes JAX trace as for a CPU alone: the body of a kernel cannot choose by platform."""
+    return holding(_is_for_cpu, True)
+
+
 def is_direct(*trees: Any) -> bool:
     """Checks whether arrays are known and on a CPU, untraced: a call with them runs at once."""
     leaves = jax.tree.leaves(trees)
@@ -103,23 +108,20 @@ def float64_mode(is_on: bool = True) -> contextlib.AbstractContextManager[Any]:
     return enable_x64(is_on)
 
 
+@functools.cache
 def _known_options(is_quick: bool) -> dict[str, Any]:
-    return {name: value for name, value in _all_known_options().items() if is_quick or name in OPTIONS}
+    """Selects the options that this XLA knows: it refuses a program for an unknown option."""
+    options = OPTIONS | (UNTUNED if is_quick else {})
+    return {name: value for name, value in options.items() if _knows(name, value)}
 
 
 @functools.cache
-def _all_known_options() -> dict[str, Any]:
-    """Selects the options that this XLA knows: it refuses a program for an unknown option."""
-
-    def is_known(options: dict[str, Any]) -> bool:
-        try:
-            jax.jit(jnp.negative, compiler_options=options)(np.zeros(1))
-        except Exception:
-            return False
-        return True
-
-    options = OPTIONS | UNTUNED
-    return options if is_known(options) else {name: value for name, value in options.items() if is_known({name: value})}
+def _knows(option: str, value: Any) -> bool:
+    try:
+        jax.jit(jnp.negative, compiler_options={option: value})(np.zeros(1))
+    except Exception:
+        return False
+    return True
 
 
 def _array(argument: Any) -> Any:
