@@ -7,10 +7,8 @@ import pathlib
 import re
 import secrets
 import shutil
-import socket
 import stat
 import zipfile
-import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
 
 import numpy as np
@@ -150,8 +148,7 @@ def complete(path: pathlib.Path, *, folder: bool = False, name_errors: bool = Tr
 
     The temporary file is new, and its name is unique: no link is followed, and no file is
     overwritten. If `path` is a symbolic link, its target is replaced. The new file gets the
-    permissions of the old file. Temporary files of `path` that killed writers of this machine left
-    are removed.
+    permissions of the old file.
 
     Raises `FileNotFoundError` if the parent folder does not exist, and `ValueError` if `path` is a
     folder, a device or a pipe. An `OSError` of the writer names `path`, not the temporary file. A
@@ -161,7 +158,6 @@ def complete(path: pathlib.Path, *, folder: bool = False, name_errors: bool = Tr
     if not target.parent.is_dir():
         raise FileNotFoundError(f"{path}: there is no folder {target.parent}.")
     _check_replaceable(path, target, folder)
-    _sweep(target)
     with named(path):
         partial = _new(target, folder)
     try:
@@ -205,9 +201,10 @@ def named(path: pathlib.Path) -> Iterator[None]:
 
 def _new(target: pathlib.Path, folder: bool) -> pathlib.Path:
     """Creates the temporary folder, or a temporary file with the permissions of its target."""
+    room = 255 - len(os.fsencode(target.suffix)) - len("..12345678.partial")  # of a file system's 255 bytes
+    stem = os.fsencode(target.stem)[: max(room, 0)].decode(errors="ignore")
     while True:
-        token = f"{_machine()}-{os.getpid()}-{secrets.token_hex(4)}"
-        partial = target.with_name(f".{_stem(target)}.{token}.partial{target.suffix}")
+        partial = target.with_name(f".{stem}.{secrets.token_hex(4)}.partial{target.suffix}")
         with contextlib.suppress(FileExistsError):
             if folder:
                 partial.mkdir()
@@ -218,41 +215,6 @@ def _new(target: pathlib.Path, folder: bool) -> pathlib.Path:
             if mode is not None:
                 partial.chmod(mode)
             return partial
-
-
-def _sweep(target: pathlib.Path) -> None:
-    """Removes temporary files of a target that killed processes of this machine left."""
-    name = re.compile(
-        rf"\.{re.escape(_stem(target))}\.{_machine()}-(\d+)-[0-9a-f]{{8}}\.partial{re.escape(target.suffix)}"
-    )
-    with contextlib.suppress(OSError):
-        for entry in os.scandir(target.parent):
-            match = name.fullmatch(entry.name)
-            if match and not _is_alive(int(match[1])):
-                _remove(pathlib.Path(entry.path))
-
-
-def _stem(target: pathlib.Path) -> str:
-    """Shortens a target's name, so that its temporary names fit into a file system's 255 bytes."""
-    room = 255 - len(os.fsencode(target.suffix)) - len(".-.partial") - 2 * 8 - 12
-    return os.fsencode(target.stem)[: max(room, 0)].decode(errors="ignore")
-
-
-def _is_alive(process: int) -> bool:
-    if os.name != "posix":
-        return True  # a signal would end it there
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    except OSError:
-        return True
-    return True
-
-
-def _machine() -> str:
-    """Names this machine in eight digits: process numbers of other machines mean nothing here."""
-    return f"{zlib.crc32(socket.gethostname().encode()):08x}"
 
 
 def _remove(partial: pathlib.Path) -> None:
