@@ -8,7 +8,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from ..package.cores import BLOCK, by_blocks, cores, in_order
+from ..package.cores import by_blocks, in_order
 from .topology import FACES
 
 
@@ -149,39 +149,32 @@ def twins(columns: Sequence[np.ndarray]) -> np.ndarray:
 
     `columns` are the nodes of the faces as `sorted_columns` gives them.
     """
-    number = min(cores(), len(columns[0]) // BLOCK)
-    if number <= 1:
-        return _twins(columns)
-    # Equal faces have one first node: each core takes the faces of some first nodes.
-    partner, ends = np.full(len(columns[0]), -1), np.cumsum(np.bincount(columns[0]))
-    limits = np.searchsorted(ends, np.linspace(0, ends[-1], number + 1), side="right")
-
-    def pair(limits: tuple[int, int]) -> None:
-        rows = np.flatnonzero((columns[0] >= limits[0]) & (columns[0] < limits[1]))
-        found = _twins([column[rows] for column in columns])
-        partner[rows] = np.where(found < 0, -1, rows[found])
-
-    for _ in in_order(pair, itertools.pairwise(limits.tolist())):
-        pass
+    order, first, size = _groups(columns)
+    one, other = order[first[size == 2]], order[first[size == 2] + 1]
+    partner = np.full(len(order), -1)
+    partner[one], partner[other] = other, one
     return partner
-
-
-def _twins(columns: Sequence[np.ndarray]) -> np.ndarray:
-    order, same = _ordered(columns)
-    with_next, with_last = np.append(same, False), np.append(False, same)
-    crowded = with_next & with_last
-    crowded = crowded | (with_next & np.roll(crowded, -1)) | (with_last & np.roll(crowded, 1))
-    partner = np.where(with_next, np.roll(order, -1), np.where(with_last, np.roll(order, 1), -1))
-    return _scatter(order, np.where(crowded, -1, partner))
 
 
 def is_single(columns: Sequence[np.ndarray]) -> np.ndarray:
     """Marks (f,) the faces that equal no other face, by their sorted nodes."""
-    order, same = _ordered(columns)
-    repeated = np.zeros(len(order), bool)
-    repeated[1:] |= same
-    repeated[:-1] |= same
-    return _scatter(order, ~repeated)
+    order, first, size = _groups(columns)
+    single = np.zeros(len(order), dtype=bool)
+    single[order[first[size == 1]]] = True
+    return single
+
+
+def _groups(columns: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Brings equal faces side by side: their order, where each group begins, and its size."""
+    keys = list(columns)
+    if columns[0].dtype == np.int32:  # two nodes make one key; -1 stays the least
+        both = itertools.zip_longest(columns[::2], columns[1::2], fillvalue=0)
+        keys = [(first.astype(np.int64) << 32) + second for first, second in both]
+    order = np.lexsort(keys[::-1])
+    begins = np.ones(len(order), dtype=bool)
+    begins[1:] = np.logical_or.reduce([np.diff(key[order]) != 0 for key in keys])
+    first = np.flatnonzero(begins)
+    return order, first, np.diff(first, append=len(order))
 
 
 def unpaired(parts: Sequence[Sequence[np.ndarray]], n: int) -> list[np.ndarray]:
@@ -211,47 +204,6 @@ def is_among(faces: np.ndarray, others: np.ndarray) -> np.ndarray:
     both = np.full((len(faces) + len(others), width), -1, np.int64)
     both[: len(faces), : faces.shape[1]], both[len(faces) :, : others.shape[1]] = faces, others
     return twins(sorted_columns(columns_of(both), width))[: len(faces)] >= len(faces)
-
-
-def _ordered(columns: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Brings equal faces side by side: returns the order, and a mask of faces equal to the next."""
-    keys = _keys(columns)
-    order = np.argsort(keys, kind="stable")  # several times faster on keys that almost ascend
-    same = _equals_next(columns, order)
-    if not np.array_equal(same, _equals_next([keys], order)):  # different faces share a key: sort exactly
-        order = np.lexsort(tuple(reversed(columns)))
-        same = _equals_next(columns, order)
-    return order, same
-
-
-def _equals_next(columns: Sequence[np.ndarray], order: np.ndarray) -> np.ndarray:
-    same = np.ones(max(len(order) - 1, 0), dtype=bool)
-    for column in columns:
-        ordered = column[order]
-        same &= ordered[1:] == ordered[:-1]
-    return same
-
-
-def _keys(columns: Sequence[np.ndarray]) -> np.ndarray:
-    """Packs a face into one integer: its first node in the upper bits, a hash of the rest below.
-
-    One sort of integers then replaces a sort by columns. Keys of a mesh ascend almost as its faces
-    do, which makes the sort fast. Faces with one key are equal, except by an accident that
-    `_ordered` sees.
-    """
-    first = columns[0].astype(np.int64)
-    digest = np.zeros(len(first), np.uint64)
-    for column in columns[1:]:
-        digest = (digest ^ column.astype(np.uint64)) * np.uint64(0x9E3779B97F4A7C15)  # odd, bits without a pattern
-        digest ^= digest >> np.uint64(29)
-    free = 63 - int(first.max(initial=0)).bit_length()
-    return (first << free) | (digest >> np.uint64(64 - free)).astype(np.int64)
-
-
-def _scatter(order: np.ndarray, values: np.ndarray) -> np.ndarray:
-    result = np.empty_like(values)
-    result[order] = values
-    return result
 
 
 def repeated_cells(corners: np.ndarray) -> np.ndarray:
