@@ -168,7 +168,7 @@ def _groups(columns: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.n
     """Brings equal faces side by side: their order, where each group begins, and its size."""
     keys = list(columns)
     if columns[0].dtype == np.int32:  # two nodes make one key; -1 stays the least
-        both = itertools.zip_longest(columns[::2], columns[1::2], fillvalue=0)
+        both = itertools.zip_longest(columns[::2], columns[1::2], fillvalue=np.zeros_like(columns[0]))
         keys = [(first.astype(np.int64) << 32) + second for first, second in both]
     order = np.lexsort(keys[::-1])
     begins = np.ones(len(order), dtype=bool)

@@ -27,19 +27,19 @@ from typing import Any
 import numpy as np
 from numpy.polynomial import legendre
 
-from .topology import CORNERS, DIMENSION, EDGES, FACES, SIDE_TYPES
+from .topology import CORNERS, DIMENSION, EDGES, FACES, SIDE_TYPES, numbers
 
 ORDERS = (1, 2, 3, 4)
 """Orders of cells that are known."""
 
 PLACES = {
-    "line": ((0,), (1,)),
-    "triangle": ((0, 0), (1, 0), (0, 1)),
-    "quad": ((0, 0), (1, 0), (1, 1), (0, 1)),
-    "tetra": ((0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)),
-    "pyramid": ((0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1)),
-    "wedge": ((0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (0, 1, 1)),
-    "hexahedron": ((0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)),
+    "line": numbers("0 1"),
+    "triangle": numbers("00 10 01"),
+    "quad": numbers("00 10 11 01"),
+    "tetra": numbers("000 100 010 001"),
+    "pyramid": numbers("000 100 110 010 001"),
+    "wedge": numbers("000 100 010 001 101 011"),
+    "hexahedron": numbers("000 100 110 010 001 101 111 011"),
 }
 """Corners of the reference cells."""
 

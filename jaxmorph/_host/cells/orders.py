@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from .lagrange import PLACES, depth, lagrange_types
-from .topology import EDGES, FACES, SHAPES
+from .topology import EDGES, FACES, SHAPES, numbers
 
 Sides = Mapping[str, tuple[tuple[int, ...], ...]]
 """Corners of the edges, or of the faces, by shape."""
@@ -86,19 +86,16 @@ def _as_gmsh(shape: str, order: int) -> np.ndarray:
 
 GMSH = NodeOrder(
     {
-        "tetra": ((0, 1), (1, 2), (2, 0), (3, 0), (3, 2), (3, 1)),
-        "pyramid": ((0, 1), (0, 3), (0, 4), (1, 2), (1, 4), (2, 3), (2, 4), (3, 4)),
-        "wedge": ((0, 1), (0, 2), (0, 3), (1, 2), (1, 4), (2, 5), (3, 4), (3, 5), (4, 5)),
-        "hexahedron": (
-            *((0, 1), (0, 3), (0, 4), (1, 2), (1, 5), (2, 3)),
-            *((2, 6), (3, 7), (4, 5), (4, 7), (5, 6), (6, 7)),
-        ),
+        "tetra": numbers("01 12 20 30 32 31"),
+        "pyramid": numbers("01 03 04 12 14 23 24 34"),
+        "wedge": numbers("01 02 03 12 14 25 34 35 45"),
+        "hexahedron": numbers("01 03 04 12 15 23 26 37 45 47 56 67"),
     },
     {
-        "tetra": ((0, 2, 1), (0, 1, 3), (0, 3, 2), (3, 1, 2)),
-        "pyramid": ((0, 1, 4), (3, 0, 4), (1, 2, 4), (2, 3, 4), (0, 3, 2, 1)),
-        "wedge": ((0, 2, 1), (3, 4, 5), (0, 1, 4, 3), (0, 3, 5, 2), (1, 2, 5, 4)),
-        "hexahedron": ((0, 3, 2, 1), (0, 1, 5, 4), (0, 4, 7, 3), (1, 2, 6, 5), (2, 3, 7, 6), (4, 5, 6, 7)),
+        "tetra": numbers("021 013 032 312"),
+        "pyramid": numbers("014 304 124 234 0321"),
+        "wedge": numbers("021 345 0143 0352 1254"),
+        "hexahedron": numbers("0321 0154 0473 1265 2376 4567"),
     },
     _as_gmsh,
 )
@@ -106,16 +103,13 @@ GMSH = NodeOrder(
 
 VTK_ORDER = NodeOrder(
     {
-        "quad": ((0, 1), (1, 2), (3, 2), (0, 3)),
-        "hexahedron": (
-            *((0, 1), (1, 2), (3, 2), (0, 3), (4, 5), (5, 6)),
-            *((7, 6), (4, 7), (0, 4), (1, 5), (2, 6), (3, 7)),
-        ),
+        "quad": numbers("01 12 32 03"),
+        "hexahedron": numbers("01 12 32 03 45 56 76 47 04 15 26 37"),
     },
     {
-        "tetra": ((0, 1, 3), (2, 3, 1), (0, 3, 2), (0, 2, 1)),
-        "wedge": ((0, 1, 2), (3, 4, 5), (0, 1, 4, 3), (1, 2, 5, 4), (2, 0, 3, 5)),
-        "hexahedron": ((0, 3, 7, 4), (1, 2, 6, 5), (0, 1, 5, 4), (3, 2, 6, 7), (0, 1, 2, 3), (4, 5, 6, 7)),
+        "tetra": numbers("013 231 032 021"),
+        "wedge": numbers("012 345 0143 1254 2035"),
+        "hexahedron": numbers("0374 1265 0154 3267 0123 4567"),
     },
     _rows,
 )
@@ -145,17 +139,14 @@ def _spiral(square: np.ndarray) -> np.ndarray:
 
 CGNS_ORDER = NodeOrder(
     {
-        "wedge": ((0, 1), (1, 2), (2, 0), (0, 3), (1, 4), (2, 5), (3, 4), (4, 5), (5, 3)),
-        "hexahedron": (
-            *((0, 1), (1, 2), (2, 3), (3, 0), (0, 4), (1, 5)),
-            *((2, 6), (3, 7), (4, 5), (5, 6), (6, 7), (7, 4)),
-        ),
+        "wedge": numbers("01 12 20 03 14 25 34 45 53"),
+        "hexahedron": numbers("01 12 23 30 04 15 26 37 45 56 67 74"),
     },
     {
-        "tetra": ((0, 1, 2), (0, 1, 3), (1, 2, 3), (2, 0, 3)),
-        "pyramid": ((0, 1, 2, 3), (0, 1, 4), (1, 2, 4), (2, 3, 4), (3, 0, 4)),
-        "wedge": ((0, 1, 2), (0, 1, 4, 3), (1, 2, 5, 4), (2, 0, 3, 5), (3, 4, 5)),
-        "hexahedron": ((0, 1, 2, 3), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7), (4, 5, 6, 7)),
+        "tetra": numbers("012 013 123 203"),
+        "pyramid": numbers("0123 014 124 234 304"),
+        "wedge": numbers("012 0143 1254 2035 345"),
+        "hexahedron": numbers("0123 0154 1265 2376 3047 4567"),
     },
     _spirals,
 )
