@@ -74,17 +74,19 @@ def fused_sum(
     points: Float[Array, "c d"],
     constants: Sequence[Float[Array, ""]] = (),
 ) -> Float[Array, "c k"]:
-    """Computes `phi(squared distances of points and sources, *constants) @ weights`, for CUDA."""
-    # A program of the kernel has a block of points, and, if there are few points, a part of the
-    # sources. All blocks have one size: the last block overlaps the block before it. A thread keeps
-    # the sums of its points in registers, and the loop runs over the sources.
+    """Computes `phi(squared distances of points and sources, *constants) @ weights`, for CUDA.
+
+    A program of the kernel has a block of points, and, if there are few points, a part of the
+    sources. All blocks have one size: the last block overlaps the block before it. A thread keeps
+    the sums of its points in registers, and the loop runs over the sources.
+    """
     from jax.experimental import pallas as pl
     from jax.experimental.pallas import triton
 
     (count, rows), (n, dimension) = weights.shape, points.shape
     block, warps, blocks, share = _layout(n, count)
     parts = -(-count // share)
-    packed = jnp.stack([jnp.asarray(number, points.dtype) for number in constants] or [jnp.zeros((), points.dtype)])
+    packed = jnp.stack([jnp.asarray(number, points.dtype) for number in constants or (0.0,)])
 
     def kernel(weights_ref, sources_ref, points_ref, constants_ref, sums_ref):
         here = pl.ds(jnp.minimum(pl.program_id(0) * block, n - block), block)

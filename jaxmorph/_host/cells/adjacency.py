@@ -13,21 +13,12 @@ from .topology import FACES
 
 
 def neighbours(cells: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Finds the cell behind every face of all cells.
+    """Finds the cell behind every face of `cells`, corner ids (k, corners) by type.
 
-    Two cells are neighbours if a face of one has the nodes of a face of the other.
+    Returns two arrays with one entry a face, by cell, faces in the order of `FACES`:
 
-    **Arguments:**
-
-    - `cells`: corner ids (k, corners) by type.
-
-    **Returns:**
-
-    Two arrays with one entry a face: cells in the order of `cells`, faces of a cell in the order of
-    `FACES`.
-
-    - The id of the neighbour, -1 on the boundary and where more than two cells meet. Also -1 at a
-      face that repeats nodes until it has no extent, as at the pole of a grid of hexahedra.
+    - The id of the neighbour, -1 on the boundary, where more than two cells meet, and at a face
+      without extent, as at the pole of a grid of hexahedra.
     - True where the neighbour is numbered with the opposite handedness.
     """
     # A face becomes a row of its sorted nodes, with its cell and its sense of rotation. `twins`
@@ -83,17 +74,9 @@ def handedness(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Finds the orientation sign of all cells, and their connected parts.
 
-    Cells that faces connect have equal signs if their numbering has one handedness. Ids alone
-    decide, no coordinates. A part that cannot be oriented (a Moebius strip) has sign 1 throughout.
-
-    **Arguments:**
-
-    - `cells`: corner ids (k, corners) by type.
-    - `neighbour`, `flipped`: what `neighbours` returns for them.
-
-    **Returns:**
-
-    Two arrays with one entry a cell: its sign, 1 or -1, and the id of its part.
+    Ids alone decide, no coordinates. `neighbour` and `flipped` are those of `neighbours`. Returns
+    two arrays with one entry a cell: its sign, 1 or -1, and the id of its part. A part that cannot
+    be oriented (a Moebius strip) has sign 1 throughout.
     """
     count = sum(len(corners) for corners in cells.values())
     faces = [np.full(len(corners), len(FACES[kind])) for kind, corners in cells.items()]
@@ -117,10 +100,7 @@ def parts_of(first: np.ndarray, second: np.ndarray, count: int) -> np.ndarray:
 
 
 def sorted_columns(nodes: Sequence[np.ndarray], width: int) -> list[np.ndarray]:
-    """Sorts nodes of faces, given and returned by column: first nodes (f,), second nodes (f,), ...
-
-    Columns of -1 follow, up to the `width`.
-    """
+    """Sorts nodes of faces, by columns (f,); columns of -1 follow, up to the `width`."""
     columns = [np.empty_like(column) for column in nodes]
 
     def sort(rows: slice) -> None:
@@ -145,9 +125,9 @@ def columns_of(corners: np.ndarray) -> list[np.ndarray]:
 
 
 def twins(columns: Sequence[np.ndarray]) -> np.ndarray:
-    """Finds for each face the row of the other face with equal nodes; -1 for none or several.
+    """Finds the row of the other face with equal nodes (f,); -1 for none or several.
 
-    `columns` are the nodes of the faces as `sorted_columns` gives them.
+    `columns` are those of `sorted_columns`.
     """
     order, first, size = _groups(columns)
     one, other = order[first[size == 2]], order[first[size == 2] + 1]
@@ -178,13 +158,10 @@ def _groups(columns: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.n
 
 
 def unpaired(parts: Sequence[Sequence[np.ndarray]], n: int) -> list[np.ndarray]:
-    """Lists the rows of each part but for faces that surely come twice.
-
-    The first node of such a face has only pairs of equal faces. A mesh has few other faces, so that
-    exact work on them is fast. A part has the nodes of its faces by column; there are n nodes.
-    """
+    """Lists the rows of each part, columns of nodes below n, without most faces that come twice."""
     # A face has a random number, made of its nodes in any order. The numbers of two equal faces
-    # cancel each other in an "exclusive or" over all faces of their first node.
+    # cancel each other in an "exclusive or" over all faces of their first node. Few faces of a mesh
+    # are left, so that exact work on them is fast.
     random = np.random.default_rng(n).integers(0, 2**64, n, dtype=np.uint64)
     left, firsts = np.zeros(n, np.uint64), []
 

@@ -1,8 +1,7 @@
 """The order in which each format lists the nodes of a cell of high order.
 
 All formats list corners first, then inner nodes of edges, of faces and of the cell. They differ in
-the order and the sense of edges and faces, and in how inner nodes go. Here is a table of edges and
-one of faces for each format.
+the order and the sense of edges and faces, and in how inner nodes go.
 """
 
 import dataclasses
@@ -12,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from .lagrange import PLACES, depth, lagrange_types
-from .topology import EDGES, FACES, SHAPES, numbers
+from .lagrange import PLACES, inner_places, lagrange_types, lattice
+from .topology import SHAPES, numbers
 
 Sides = Mapping[str, tuple[tuple[int, ...], ...]]
 """Corners of the edges, or of the faces, by shape."""
@@ -23,9 +22,8 @@ Sides = Mapping[str, tuple[tuple[int, ...], ...]]
 class NodeOrder:
     """Describes the order of a format.
 
-    - `edges`, `faces`: in the format's order, each from its first corner; shapes that are not in it
-      go as `EDGES`, `FACES`.
-    - `inner`: lists the inner lattice of a shape and order, as the format goes through it.
+    - `edges`, `faces`: in the format's order; other shapes go as `EDGES`, `FACES`.
+    - `inner`: lists the inner lattice of a shape and order.
     """
 
     edges: Sides
@@ -33,27 +31,15 @@ class NodeOrder:
     inner: Callable[[str, int], np.ndarray]
 
     def lattice(self, shape: str, order: int, *, is_complete: bool = True) -> np.ndarray:
-        """Lists the places (k, d) on the lattice of a cell's nodes."""
-        corners = np.array(PLACES[shape])
-        nodes = [order * corners]
-        for first, second in () if shape == "line" else self.edges.get(shape, EDGES[shape]):
-            t = np.arange(1, order)[:, None]
-            nodes.append((order - t) * corners[first] + t * corners[second])
-        if is_complete:
-            for face in self.faces.get(shape, FACES[shape]) if corners.shape[1] == 3 else ():
-                inside = self.inner({3: "triangle", 4: "quad"}[len(face)], order)
-                along = np.stack([corners[face[1]] - corners[face[0]], corners[face[-1]] - corners[face[0]]])
-                nodes.append(order * corners[face[0]] + inside @ along)
-            nodes.append(self.inner(shape, order))
-        return np.concatenate(nodes)
+        return lattice(shape, order, is_complete, self.edges, self.faces, self.inner)
 
     @functools.cache  # noqa: B019
     def places(self, kind: str) -> np.ndarray:
         """Finds the place (k,) in the format's list of each node of the canonical order."""
         cell = lagrange_types()[kind]
         listed = self.lattice(cell.shape, cell.order, is_complete=cell.is_complete)
-        place = {tuple(at): k for k, at in enumerate(listed.tolist())}
-        return np.array([place[tuple(at)] for at in cell.lattice.tolist()])
+        place = cell.place
+        return np.argsort([place[tuple(at)] for at in listed.tolist()])
 
 
 def reordered(kind: str, ids: Any, origin: NodeOrder | None, target: NodeOrder | None) -> Any:
@@ -64,18 +50,12 @@ def reordered(kind: str, ids: Any, origin: NodeOrder | None, target: NodeOrder |
     return ids if target is None else ids[:, np.argsort(target.places(kind))]
 
 
-def _rows(shape: str, order: int) -> np.ndarray:
-    cell = lagrange_types()[shape]
-    grid = np.indices((order + 1,) * cell.dimension).reshape(cell.dimension, -1)[::-1].T
-    return grid[depth(shape, order, grid) > 0]
-
-
 def _as_gmsh(shape: str, order: int) -> np.ndarray:
     """Lists the inner lattice as gmsh does: as the nodes of a cell of the order that is left."""
     if shape == "line":
-        return _rows(shape, order)
+        return inner_places(shape, order)
     if shape == "wedge":  # at each place in the triangle the ends of the line first
-        triangle, line = _as_gmsh("triangle", order), _rows("line", order)
+        triangle, line = _as_gmsh("triangle", order), inner_places("line", order)
         line = np.concatenate([line[:1], line[1:][::-1]])
         return np.column_stack([np.repeat(triangle, len(line), axis=0), np.tile(line, (len(triangle), 1))])
     left = order - {"triangle": 3, "quad": 2, "tetra": 4, "hexahedron": 2, "pyramid": 3}[shape]
@@ -111,14 +91,14 @@ VTK_ORDER = NodeOrder(
         "wedge": numbers("012 345 0143 1254 2035"),
         "hexahedron": numbers("0374 1265 0154 3267 0123 4567"),
     },
-    _rows,
+    inner_places,
 )
 """The order of VTK's quadratic and Lagrange cells, from VTK 9 on: parametric coordinates."""
 
 
 def _spirals(shape: str, order: int) -> np.ndarray:
     """Lists the inner lattice as CGNS does: layer by layer, each layer of a square in rings."""
-    rows = _rows(shape, order)
+    rows = inner_places(shape, order)
     if shape == "quad":
         return _spiral(rows)
     if shape in ("pyramid", "hexahedron"):
@@ -159,5 +139,5 @@ class _Meshio(NodeOrder):
         return origin.lattice(shape, order, is_complete=is_complete)
 
 
-MESHIO = _Meshio({}, {}, _rows)
+MESHIO = _Meshio({}, {}, inner_places)
 """The order in meshes of meshio. VTK has no pyramid with 14 nodes: that is gmsh's too."""

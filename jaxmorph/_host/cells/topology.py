@@ -55,8 +55,8 @@ def filling(cells: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def numbers(words: str) -> Any:
-    """Reads rows of digits: "03 12" is ((0, 3), (1, 2))."""
-    return tuple(tuple(map(int, word)) for word in words.split())
+    """Reads rows of digits: "03 1a" is ((0, 3), (1, 10))."""
+    return tuple(tuple(int(digit, 36) for digit in word) for word in words.split())
 
 
 FACES: dict[str, tuple[tuple[int, ...], ...]] = {

@@ -144,10 +144,13 @@ def real_array(name: str, values: Any, *shapes: tuple[int | None, ...]) -> np.nd
     words = " or ".join(str(shape).replace("None", "any") for shape in shapes)
     if array.dtype.kind not in "fiu":
         raise ValueError(f"`{name}` must be an array of real numbers {words}, not {shown(values)}.")
-    for shape in shapes:
-        if len(shape) == array.ndim and all(n in (None, m) for n, m in zip(shape, array.shape, strict=True)):
-            return array if array.dtype.kind == "f" else array.astype(float)
-    raise ValueError(f"`{name}` has shape {array.shape}; expected {words}.")
+    if not any(_matches(array.shape, shape) for shape in shapes):
+        raise ValueError(f"`{name}` has shape {array.shape}; expected {words}.")
+    return array if array.dtype.kind == "f" else array.astype(float)
+
+
+def _matches(shape: tuple[int, ...], expected: tuple[int | None, ...]) -> bool:
+    return len(shape) == len(expected) and all(n in (None, m) for n, m in zip(expected, shape, strict=True))
 
 
 def finite_array(name: str, values: Any, *shapes: tuple[int | None, ...]) -> np.ndarray:
@@ -223,39 +226,46 @@ LISTS_OF_NUMBERS = ((Any,), (int,), (list[float],))
 
 @functools.cache
 def _rule(annotation: Any) -> Rule:
-    origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
-    cls = origin or annotation
+    arguments = typing.get_args(annotation)
+    cls = typing.get_origin(annotation) or annotation
     if cls in (typing.Union, types.UnionType):
         return _of_union(arguments)
     if hasattr(annotation, "dim_str"):
         return _of_array(annotation)
     if cls in SIMPLE:
         return SIMPLE[cls]
-    if origin is tuple and arguments[1:] != (...,):
+    if not isinstance(cls, type) or cls.__name__ in SILENT:
+        return Rule("", lambda value: True)
+    return _of_members(cls, arguments) if arguments else Rule(f"a {cls.__name__}", lambda value: isinstance(value, cls))
+
+
+def _of_members(cls: type, arguments: tuple[Any, ...]) -> Rule:
+    if cls is tuple and arguments[1:] != (...,):
         return _of_tuple(arguments)
     for kind in MANY:
-        if isinstance(origin, type) and issubclass(origin, kind):
-            return _of_many(kind, arguments[1 if kind is Mapping else 0])
-    if isinstance(cls, type) and cls.__name__ not in SILENT:
-        return Rule(f"a {cls.__name__}", lambda value: isinstance(value, cls))
-    return Rule("", lambda value: True)
+        if issubclass(cls, kind):
+            return _of_many(kind, arguments[kind is Mapping])
+    return _rule(cls)
 
 
 def _of_union(members: tuple[Any, ...]) -> Rule:
-    array = next((_rule(member) for member in members if hasattr(member, "dim_str")), None)
-    if array:
-        members = tuple(m for m in members if not hasattr(m, "dim_str") and typing.get_args(m) not in LISTS_OF_NUMBERS)
-    others = list(map(_rule, members))
-    words = dict.fromkeys(rule.words for rule in [array, *others] if rule)
+    members = _arrays_first(members)
+    rules = list(map(_rule, members))
+    words = dict.fromkeys(rule.words for rule in rules)
     if REAL.words in words:
         words.pop(WHOLE.words, None)
 
     def fits(value):
-        if array and (has_type(value) or (isinstance(value, list | tuple) and array.fits(value))):
-            return array.fits(value)
-        return any(rule.fits(value) for rule in others)
+        possible = rules[:1] if hasattr(members[0], "dim_str") and has_type(value) else rules
+        return any(rule.fits(value) for rule in possible)
 
     return Rule(" or ".join(words), fits)
+
+
+def _arrays_first(members: tuple[Any, ...]) -> tuple[Any, ...]:
+    arrays = tuple(member for member in members if hasattr(member, "dim_str"))
+    others = tuple(member for member in members if member not in arrays)
+    return arrays[:1] + tuple(o for o in others if not arrays or typing.get_args(o) not in LISTS_OF_NUMBERS)
 
 
 def _of_array(annotation: Any) -> Rule:

@@ -1,9 +1,8 @@
 """The Delaunay graph of a surface, and the simplex that holds a point (paper, section 2.3).
 
-Real surfaces are full of cospherical and coplanar nodes, which qhull turns into simplices without
-volume. So the coordinates for qhull are moved by 1e-8 of the local spacing, by a fixed function of
-place. Everything computed from the graph uses the true coordinates, and all weights are checked
-against them.
+Of cospherical and coplanar nodes qhull makes simplices without volume. So the coordinates for qhull
+are moved by 1e-8 of the local spacing, by a fixed function of place. All that is computed from the
+graph uses the true coordinates.
 """
 
 import contextlib
@@ -59,8 +58,7 @@ class Graph:
     def smallest_weight(self, simplex: np.ndarray, points: np.ndarray) -> np.ndarray:
         """Computes least barycentric coordinates (k,) of points (k, d) in simplices (k,).
 
-        It is -inf where the simplex is -1 or not higher than `flat`. Blocks of points keep memory
-        small.
+        It is -inf where the simplex is -1 or not higher than `flat`.
         """
         smallest = np.empty(len(points))
 
@@ -99,8 +97,8 @@ def graph_of(surface: np.ndarray) -> Graph:
 class _Graph(Delaunay):
     """A triangulation with a closed form of the barycentric transforms.
 
-    SciPy calls LAPACK for every simplex, whose threads cost twenty times more than the work. It
-    fails for the flattest simplices, and then `find_simplex` searches through all simplices.
+    SciPy calls LAPACK for every simplex, at twenty times the cost. It fails for flat simplices, and
+    then `find_simplex` searches through all simplices.
     """
 
     @functools.cached_property
@@ -144,8 +142,7 @@ def _without_coincident(unit: np.ndarray, closest: float) -> np.ndarray:
 def _snapped(nodes: np.ndarray) -> np.ndarray:
     """Rounds coordinates to about `SNAP` of the distance of the nearest node.
 
-    So the last bits of the mesh do not reach qhull. Jitter alone separates nodes on one sphere by
-    no more than qhull's own round-off.
+    So the last bits of the mesh do not reach qhull.
     """
     step = 2 ** np.floor(np.log2(SNAP * spacing(nodes)) + BETWEEN)[:, None]
     return np.floor(nodes / step + BETWEEN) * step
@@ -154,8 +151,7 @@ def _snapped(nodes: np.ndarray) -> np.ndarray:
 def _jittered(nodes: np.ndarray, phase: int) -> np.ndarray:
     """Moves nodes by `JITTER` of the distance of their nearest nodes, by a function of place alone.
 
-    The function is a sine of very short wave length. Unlike random numbers, it does not depend on
-    the order of the nodes, on units, or on the place of the mesh.
+    Unlike random numbers, a sine of very short wave length does not depend on the order of nodes.
     """
     dimension = nodes.shape[1]
     waves = 1e6 * np.sqrt(np.array([[2.0, 3.0, 5.0], [7.0, 11.0, 13.0], [17.0, 19.0, 23.0]]))[:dimension, :dimension]
@@ -187,14 +183,9 @@ def locate(surface: np.ndarray | Graph, points: np.ndarray, wanted: np.ndarray) 
 
     Coordinates in single precision count as exact numbers, except for points on the hull.
 
-    **Arguments:**
-
-    - `surface`: the surface nodes (b, d), or their graph.
-    - `points`: all points (n, d).
-    - `wanted`: ids (w,) of the points to locate.
-
-    **Raises:** `MeshError` for points outside of the surface's convex hull, with their number, the
-    worst point and its distance. `ValueError` for a surface without extent in some direction.
+    `surface` are the surface nodes (b, d), or their graph, `points` (n, d) all points, and `wanted`
+    (w,) the ids of those to locate. Raises `MeshError` for points outside of the surface's convex
+    hull, `ValueError` for a surface without extent in some direction.
     """
     graph = surface if isinstance(surface, Graph) else graph_of(surface)
     points = points.astype(np.float64, copy=False)
