@@ -50,7 +50,7 @@ def compiled(function: Function) -> Function:
     plain = eqx.filter_jit(function)
 
     @functools.cache
-    def direct(only_arrays: bool, is_quick: bool, for_cpu: bool) -> Callable:  # tracing differs `for_cpu`
+    def direct(only_arrays: bool, is_quick: bool, for_cpu: bool) -> Callable:  # tracing depends on `for_cpu`
         # `jax.jit` is quicker to call, `filter_jit` knows static arguments
         compile: Any = jax.jit if only_arrays else eqx.filter_jit
         return compile(function, compiler_options=_known_options(is_quick))
