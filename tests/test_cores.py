@@ -54,7 +54,6 @@ def few_points(monkeypatch):
     monkeypatch.setattr(slabs, "LEAST", 1024)
     monkeypatch.setattr(rounding, "FEW", 64)
     monkeypatch.setattr(cores, "BLOCK", 512)
-    monkeypatch.setattr(adjacency, "BLOCK", 512)
     monkeypatch.setattr(sides, "BLOCK", 512)
     monkeypatch.setattr(vector, "CACHED", 512)
 
