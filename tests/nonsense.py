@@ -61,6 +61,7 @@ FOLDER = pathlib.Path(tempfile.mkdtemp(prefix="jaxmorph-nonsense-"))
 (FOLDER / "moves.dat").write_text("".join(f"{node} 0.0 0.0\n" for node in WALL))
 np.savez(FOLDER / "moves.npz", displacement=U, ids=WALL)
 np.savez(FOLDER / "every.npz", sensitivity=POINTS)
+SPACE = {"mesh": BRICKS, "points": PLACES, "values": np.zeros(8)}
 SQUARE = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 BOX = shapes.FreeForm([-1.0, -1.0], 3 * np.eye(2), (3, 3))
 
@@ -120,13 +121,8 @@ GOOD: dict[str, dict[str, Any]] = {
     "": {
         **{"plan": plan, "report": report, "plans": Lazy(lambda: (plan(),)), "shape": BOX, "parent": BOX, "child": BOX},
         **{"mesh": MESH, "moved": MESH, "points": POINTS, "u": U, "u_dot": U, "direction": U},
-        **{
-            "moving": WALL,
-            "fixed": FAR,
-            "boundary": Lazy(lambda: jm.Boundary(MESH, "wall", "far")),
-            "nodes": np.arange(N),
-            "cotangent": POINTS,
-        },
+        **{"moving": WALL, "fixed": FAR, "boundary": Lazy(lambda: jm.Boundary(MESH, "wall", "far"))},
+        **{"nodes": np.arange(N), "cotangent": POINTS},
         **{"path": np.zeros((2, len(WALL), 2))},
         **{"motions": np.ones((1, len(WALL), 2)), "motion": lambda t: t * U, "displacement": lambda y: U, "wall": WALL},
         **each("radius support_radius ell mu width exponent alpha lineal poisson", 0.5),
@@ -151,9 +147,7 @@ GOOD: dict[str, dict[str, Any]] = {
     "jm.Periodic": {"patch": np.array([0]), "partner": np.array([1]), "translation": np.array([0.0, 1.0])},
     "jm.Plane": {"normal": np.array([0.0, 1.0]), "origin": np.zeros(2)},
     "jm.Plane.through": {"nodes": WALL},
-    "jm.Revolution": {
-        **{"axis": np.array([0.0, 0.0, 1.0]), "origin": np.zeros(3), "profile": np.array([[0.0, 1.0], [1.0, 1.0]])}
-    },
+    "jm.Revolution": {"axis": np.eye(3)[2], "origin": np.zeros(3), "profile": np.array([[0.0, 1.0], [1.0, 1.0]])},
     "jm.Slide": {"patch": np.array([0]), "on": jm.Plane([0.0, 1.0], [0.0, 0.0])},
     "jm.boundary_faces": {"*": "wall"},
     "jm.compare": {"methods": {"graph": jm.DelaunayGraph()}},
@@ -215,27 +209,18 @@ GOOD: dict[str, dict[str, Any]] = {
     "shapes.varied": {"parameters": {"a": 1.0}, "changes": {"a": 1.0}},
     "shapes.volume": {"x": PLACES, "faces": np.array([[0, 1, 2]]), "plane": np.zeros(3)},
     "shapes.wall_normals": {"mesh": BRICKS, "*": "floor"},
-    "plot.animate": {
-        "path": FOLDER / "a.gif",
-        "draw": lambda x: plot.mesh(MESH, x),
-        "frames": np.stack([POINTS, POINTS]),
-    },
+    "plot.animate": {"path": FOLDER / "a.gif", "draw": lambda x: plot.mesh(MESH, x), "frames": np.stack([POINTS] * 2)},
     "plot.before_after_3d": {"mesh": BRICKS, "points": PLACES},
     "plot.convergence": {"errors": {"a": plot.SurfaceErrors(np.array([3]), np.array([0.1]), np.array([0.1]))}},
-    "plot.cut": {
-        "mesh": BRICKS,
-        "points": PLACES,
-        "plane": jm.Plane([0.0, 0.0, 1.0], [0.0, 0.0, 0.3]),
-        "values": np.zeros(8),
-    },
+    "plot.cut": SPACE | {"plane": jm.Plane([0.0, 0.0, 1.0], [0.0, 0.0, 0.3])},
     "plot.graph": {"interior": False},
     "plot.histogram": {"reports": Lazy(lambda: {"a": report()})},
     "plot.mesh": {"values": np.zeros(9)},
-    "plot.page": {"path": FOLDER / "a.html", "mesh": BRICKS, "points": PLACES, "values": np.zeros(8)},
+    "plot.page": SPACE | {"path": FOLDER / "a.html"},
     "plot.picture": {"before": MESH},
     "plot.sources": {"surface": plan},
     "plot.sources_3d": {"surface": PLACES},
-    "plot.surface": {"mesh": BRICKS, "points": PLACES, "values": np.zeros(8)},
+    "plot.surface": SPACE,
     "plot.surface_errors": {
         "plan": Lazy(lambda: jm.prepare(MESH, "wall", "far", method=jm.RBF(reduction=jm.AllPoints()))),
         **{"u": np.ones_like(U), "reductions": (jm.AllPoints(),)},
@@ -347,37 +332,17 @@ def of_kind(kind: str, good: Any) -> dict[str, Any]:
     if kind == "array":
         good = np.asarray(good if good is not None else array, dtype=float)
         masked = np.ma.masked_array(good, mask=np.ones(good.shape, bool))
-        forms = {
-            "words": good.astype(str),
-            "objects": np.full(good.shape, None),
-            "dates": np.zeros(good.shape, "M8[s]"),
-        }
-        forms |= {"complex": good + 1j, "masked": masked, "ragged": [[1.0, 2.0], [3.0]], "axis": good[None]}
-        forms |= {"nan": np.full(good.shape, np.nan), "infinite": np.full(good.shape, np.inf), "number": 0.1}
-        if good.ndim > 1:
-            forms["wide"] = np.zeros((*good.shape[:-1], 5))
-        return ANY | forms | {"list": [[1.0], "a"]}
+        forms = {"words": good.astype(str), "complex": good + 1j, "masked": masked, "axis": good[None], "number": 0.1}
+        forms |= {"objects": np.full(good.shape, None), "dates": np.zeros(good.shape, "M8[s]")}
+        forms |= {"nan": np.full(good.shape, np.nan), "infinite": np.full(good.shape, np.inf)}
+        forms |= {"ragged": [[1.0, 2.0], [3.0]], "list": [[1.0], "a"]}
+        return ANY | forms | ({"wide": np.zeros((*good.shape[:-1], 5))} if good.ndim > 1 else {})
     if kind == "ids":
-        ids = {
-            "objects": np.full(3, None),
-            "dates": np.zeros(3, "M8[s]"),
-            "complex": np.ones(3) + 1j,
-            "below": np.array([-1]),
-        }
-        ids |= {
-            "beyond": np.array([N]),
-            "huge": np.array([2**62]),
-            "floats": np.array([0.5, 1.5]),
-            "list": [[0, 1], [1]],
-        }
-        return (
-            ANY
-            | ids
-            | {
-                "axis": np.asarray(good)[None] if np.size(good) and good is not None else [[0]],
-                "mask": np.ones(N, bool),
-            }
-        )
+        axis = np.asarray(good)[None] if np.size(good) and good is not None else [[0]]
+        ids = {"objects": np.full(3, None), "dates": np.zeros(3, "M8[s]"), "complex": np.ones(3) + 1j}
+        ids |= {"below": np.array([-1]), "beyond": np.array([N]), "huge": np.array([2**62])}
+        ids |= {"floats": np.array([0.5, 1.5]), "list": [[0, 1], [1]], "axis": axis, "mask": np.ones(N, bool)}
+        return ANY | ids
     if bases := [base for base in type(good).__mro__ if base.__name__.startswith("Abstract")]:
         return ANY | {"array": array, "base": bases[-1]}
     return ANY | {"array": array} | {"mapping": {"contents": {"a": 3}}, "sequence": {"list": [3]}}.get(kind, {})
@@ -480,12 +445,12 @@ def public() -> Iterator[str]:
             if f"{module}.{name}" not in BUILT:
                 yield f"{module}.{name}"
             for member, value in vars(each).items() if inspect.isclass(each) else ():
-                is_method = (
-                    isinstance(value, staticmethod | classmethod)
-                    or inspect.isroutine(value)
-                    or hasattr(value, "method")
-                )
-                if is_method and not member.startswith("_") and not {member, f"{name}.{member}"} & CONTRACT:
+                is_routine = isinstance(value, staticmethod | classmethod) or inspect.isroutine(value)
+                if (
+                    (is_routine or hasattr(value, "method"))
+                    and not member.startswith("_")
+                    and not {member, f"{name}.{member}"} & CONTRACT
+                ):
                     yield f"{module}.{name}.{member}"
 
 

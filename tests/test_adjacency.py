@@ -34,15 +34,6 @@ def test_twins_and_single_faces(nodes, corners, largest):
         assert twin[rows].tolist() == expected, ids
 
 
-def test_different_faces_with_one_key(monkeypatch):
-    table = faces(60, 7, 3)
-    columns = adjacency.sorted_columns(adjacency.columns_of(table), 3)
-    twin, single = adjacency.twins(columns), adjacency.is_single(columns)
-    monkeypatch.setattr(adjacency, "_keys", lambda columns: columns[0] % 2)
-    assert np.array_equal(adjacency.twins(columns), twin)
-    assert np.array_equal(adjacency.is_single(columns), single)
-
-
 def test_no_faces():
     columns = adjacency.sorted_columns(adjacency.columns_of(np.zeros((0, 3), int)), 4)
     assert len(adjacency.twins(columns)) == len(adjacency.is_single(columns)) == 0

@@ -16,7 +16,6 @@ from meshes import grid, lattice
 from runs import runs
 
 import jaxmorph as jm
-from jaxmorph._host.cells import adjacency
 from jaxmorph._host.package import cores, rounding
 from jaxmorph._host.surface.neighbours import near_walls
 from jaxmorph._methods.blocks import is_rows
@@ -54,7 +53,6 @@ def few_points(monkeypatch):
     monkeypatch.setattr(slabs, "LEAST", 1024)
     monkeypatch.setattr(rounding, "FEW", 64)
     monkeypatch.setattr(cores, "BLOCK", 512)
-    monkeypatch.setattr(adjacency, "BLOCK", 512)
     monkeypatch.setattr(sides, "BLOCK", 512)
     monkeypatch.setattr(vector, "CACHED", 512)
 
@@ -260,21 +258,6 @@ def test_blocks_hold_every_row_once(few_points, monkeypatch, count):
     seen = np.zeros(count, dtype=int)
     cores.by_blocks(lambda rows: np.add.at(seen, rows, 1), count)
     np.testing.assert_array_equal(seen, 1)
-
-
-@pytest.mark.parametrize("number", ["1", "2", "5"])
-def test_faces_have_equal_twins_on_any_number_of_cores(few_points, monkeypatch, number):
-    monkeypatch.setenv(cores.SWITCH, number)
-    faces = np.sort(np.random.default_rng(0).integers(0, 24, (4000, 3)), axis=1)
-    same: dict[tuple, list[int]] = {}
-    for row, face in enumerate(map(tuple, faces.tolist())):
-        same.setdefault(face, []).append(row)
-    expected = np.full(len(faces), -1)
-    for rows in same.values():
-        if len(rows) == 2:
-            expected[rows] = rows[::-1]
-    assert (expected >= 0).any()
-    np.testing.assert_array_equal(adjacency.twins(list(faces.T)), expected)
 
 
 @pytest.mark.parametrize("number", ["1", "3"])

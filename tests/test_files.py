@@ -1,12 +1,8 @@
-"""Files appear whole or not at all, whatever links, modes, threads and killed writers are about."""
+"""Files appear whole or not at all, whatever links, modes and threads are about."""
 
 import errno
 import os
-import pathlib
-import signal
 import stat
-import subprocess
-import sys
 import threading
 
 import pytest
@@ -128,27 +124,6 @@ def test_threads_that_write_one_file_do_not_meet(tmp_path):
     assert not errors
     assert names(tmp_path) == ["a.txt"]
     assert len(set((tmp_path / "a.txt").read_text())) == 1
-
-
-@posix
-def test_what_a_killed_writer_left_is_swept(tmp_path):
-    code = f"""
-import os, pathlib, signal
-from jaxmorph._host.package.files import complete
-kept = [complete(pathlib.Path({str(tmp_path)!r}) / name, folder=name == "case") for name in ("a.txt", "case")]
-for each in kept:
-    each.__enter__()
-os.kill(os.getpid(), signal.SIGKILL)
-"""
-    done = subprocess.run([sys.executable, "-c", code], cwd=pathlib.Path(__file__).parents[1], check=False)
-    assert done.returncode == -signal.SIGKILL
-    assert len(names(tmp_path)) == 2
-    with complete(tmp_path / "a.txt") as partial, complete(tmp_path / "a.txt") as other:
-        assert partial.exists()  # of a process that lives
-        assert other.exists()
-    with complete(tmp_path / "case", folder=True):
-        pass
-    assert names(tmp_path) == ["a.txt", "case"]
 
 
 @posix

@@ -13,7 +13,7 @@ from jax.experimental import pallas
 from runs import runs
 
 import jaxmorph as jm
-from jaxmorph._kernels import gpu, instructions, log
+from jaxmorph._kernels import gpu
 from jaxmorph._methods.rbf import system
 
 BASES = [
@@ -30,17 +30,7 @@ def numbers(*shape: int, seed: int = 0) -> np.ndarray:
 
 @pytest.fixture
 def interpreted(monkeypatch):
-    """Gives what stands for the GPU's instructions, and has the kernel run here."""
-
-    def fma(a, b, c, negated=None):
-        return (-a if negated == 1 else a) * b + (-c if negated == 3 else c)
-
-    def rough_reciprocal(x):
-        words = jax.lax.bitcast_convert_type(1 / x, jnp.uint64)
-        return jax.lax.bitcast_convert_type(words & jnp.uint64(0xFFFFFFFF00000000), x.dtype)
-
-    monkeypatch.setattr(instructions, "fma", fma)
-    monkeypatch.setattr(log, "rough_reciprocal", rough_reciprocal)
+    """Has the kernel run here."""
     monkeypatch.setattr(pallas, "pallas_call", functools.partial(pallas.pallas_call, interpret=True))
 
 
@@ -67,27 +57,6 @@ def test_the_sum_is_that_of_scipys_distances(interpreted, monkeypatch, basis, ph
     found = gpu.fused_sum(lambda r2, *leaves: jax.tree.unflatten(structure, leaves)(r2), *given, constants=leaves)
     expected = phi(scipy.spatial.distance.cdist(points, sources)) @ weights
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-13 * np.abs(expected).max())
-
-
-@pytest.mark.parametrize("sign", [1, -1])
-def test_products_are_contracted_into_sums(monkeypatch, sign):
-    """Each product that is only added becomes part of one instruction; one that is used twice, or is a result, does not."""
-    calls = []
-
-    def fma(a, b, c, negated=None):
-        calls.append(negated)
-        return (-a if negated == 1 else a) * b + (-c if negated == 3 else c)
-
-    monkeypatch.setattr(instructions, "fma", fma)
-
-    def function(a, b, c):
-        once, twice = a * b, b * c
-        return once + sign * 2 - c, a - twice, twice, a**2 - b, c - jnp.square(a)
-
-    x = tuple(jnp.asarray(numbers(4, seed=i)) for i in range(3))
-    found = instructions.contracted(function, *x)
-    np.testing.assert_allclose(found, function(*x), rtol=0, atol=1e-15)
-    assert calls == [None, 3, 1]
 
 
 @pytest.mark.parametrize("shapes", [((300, 3), (300, 3), (10**7, 3)), ((10**7, 2), (10**7, 2), (300, 2))])
@@ -137,12 +106,11 @@ def test_an_exported_program_has_loops():
     assert "stablehlo.while" in exported or "stablehlo.reduce" in exported
 
 
-def test_a_version_of_jax_without_the_instructions_has_loops(monkeypatch):
+def test_a_version_of_jax_without_the_kernel_has_loops(monkeypatch):
     """Where Pallas has other names, sums are made by loops, and a warning tells why."""
-    monkeypatch.delattr(pallas.triton, "elementwise_inline_asm")
+    monkeypatch.delattr(pallas.triton, "CompilerParams")
     monkeypatch.setattr(system, "has_kernels", lambda: True)
-    spline, gaussian = (system.Radial(basis, jnp.ones(())) for basis in (jm.ThinPlateSpline(), jm.Gaussian(0.5)))
-    assert not system.is_fused(spline, jnp.dtype("float64"))
+    gaussian = system.Radial(jm.Gaussian(0.5), jnp.ones(()))
     shapes = [jax.ShapeDtypeStruct(shape, "float64") for shape in [(9, 3), (9, 3), (2000, 3)]]
     program = jax.jit(lambda sources, weights, points: system.fused(gaussian, sources, weights, points)).trace(*shapes)
     with pytest.warns(UserWarning, match="loops take its place: AttributeError"):

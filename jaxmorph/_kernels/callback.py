@@ -11,19 +11,16 @@ from jax.extend.core import Primitive
 from jax.interpreters import batching, mlir
 from jaxtyping import Array
 
-# `jax.pure_callback` makes JAX arrays of its arguments. XLA copies arrays above 100 KiB on a thread
-# pool that also waits for programs. On one core, the copy then waits for the program that waits for
-# the copy. This primitive passes on NumPy arrays, which are complete.
+# `jax.pure_callback` makes JAX arrays of its arguments, which XLA copies on a thread pool that also
+# waits for programs: on one core, each waits for the other. This primitive passes on NumPy arrays.
 # `jax.experimental.buffer_callback` does so too, but not on a GPU, and once a device.
-# `jax.interpreters.mlir` is public, but may change between versions of JAX.
 
 
 def host_call(function: Callable[..., Any], result: jax.ShapeDtypeStruct, *arguments: Any) -> Array:
     """Calls a function of NumPy arrays on the host, for an array shaped as `result`. Traced.
 
-    The function must be pure and must not call JAX, which may wait. Under `vmap` it is called for
-    one element after another. It has no derivative: the caller may wrap it, as in
-    `jax.lax.custom_linear_solve`.
+    The function must be pure and must not call JAX. Under `vmap` it is called for one element after
+    another. It has no derivative: `jax.lax.custom_linear_solve`, for example, gives it one.
     """
     return _call_p.bind(*arguments, function=function, shape=result.shape, dtype=np.dtype(result.dtype), batch=())
 

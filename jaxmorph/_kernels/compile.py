@@ -32,10 +32,10 @@ Function = TypeVar("Function", bound=Callable)
 
 
 class Constant(eqx.Module):
-    """Holds a value that shapes a program. The value is no leaf.
+    """Holds a static value.
 
-    A call with arrays alone as leaves returns before its results are there, so that programs run
-    beside each other. `equinox.filter_jit` waits for them.
+    A call with arrays alone as leaves returns before its results are there; `equinox.filter_jit`
+    waits.
     """
 
     value: Any = eqx.field(static=True)
@@ -45,16 +45,13 @@ def compiled(function: Function) -> Function:
     """Compiles a function as `equinox.filter_jit` does, with `OPTIONS` for direct calls on a CPU.
 
     Within another transformation it is an ordinary jitted function: JAX takes options only for the
-    outermost program. Lists and tuples of numbers become arrays. Otherwise all numbers would be
-    static arguments, and new numbers would compile anew.
+    outermost program. Lists and tuples of numbers become arrays, not static arguments.
     """
     plain = eqx.filter_jit(function)
 
     @functools.cache
-    def direct(
-        only_arrays: bool, is_quick: bool, for_cpu: bool
-    ) -> Callable:  # a key only: tracing differs with `for_cpu`
-        # `jax.jit` is quicker to call; `filter_jit` knows static arguments.
+    def direct(only_arrays: bool, is_quick: bool, for_cpu: bool) -> Callable:  # tracing depends on `for_cpu`
+        # `jax.jit` is quicker to call, `filter_jit` knows static arguments
         compile: Any = jax.jit if only_arrays else eqx.filter_jit
         return compile(function, compiler_options=_known_options(is_quick))
 
@@ -62,15 +59,15 @@ def compiled(function: Function) -> Function:
     def call(*arguments, **keywords):
         arguments = tuple(map(_array, arguments))
         keywords = {name: _array(value) for name, value in keywords.items()}
-        leaves = jax.tree.leaves((arguments, keywords))
-        arrays = [leaf for leaf in leaves if isinstance(leaf, jax.Array | np.ndarray)]
         if _is_for_cpu.get():
             return function(*arguments, **keywords)  # traced into the program of a direct call
-        if not _is_direct(arrays):
+        if not is_direct(arguments, keywords):
             return plain(*arguments, **keywords)
-        for_cpu = any(isinstance(leaf, jax.Array) for leaf in arrays)
+        leaves = jax.tree.leaves((arguments, keywords))
+        only_arrays = all(isinstance(leaf, jax.Array | np.ndarray) for leaf in leaves)
+        for_cpu = any(isinstance(leaf, jax.Array) for leaf in leaves)
         with holding(_is_for_cpu, for_cpu):
-            return direct(len(arrays) == len(leaves), _is_quick.get(), for_cpu)(*arguments, **keywords)
+            return direct(only_arrays, _is_quick.get(), for_cpu)(*arguments, **keywords)
 
     return call  # pyright: ignore[reportReturnType]
 
@@ -80,17 +77,23 @@ def is_for_cpu() -> bool:
     return _is_for_cpu.get()
 
 
+def as_for_cpu() -> contextlib.AbstractContextManager[None]:
+    """Makes JAX trace as for a CPU alone: the body of a kernel cannot choose by platform."""
+    return holding(_is_for_cpu, True)
+
+
 def is_direct(*trees: Any) -> bool:
     """Checks whether arrays are known and on a CPU, untraced: a call with them runs at once."""
+    if _is_for_cpu.get() or not is_known(trees):
+        return False
     leaves = jax.tree.leaves(trees)
-    return not _is_for_cpu.get() and _is_direct([leaf for leaf in leaves if isinstance(leaf, jax.Array | np.ndarray)])
+    devices = next((leaf.sharding.device_set for leaf in leaves if isinstance(leaf, jax.Array)), set())
+    on_cpu = all(device.platform == "cpu" for device in devices)
+    return on_cpu and is_known(jnp.zeros(()))  # a tracer is made even of a constant under `jit`
 
 
 def quickly_compiled(is_quick: bool = True) -> contextlib.AbstractContextManager[None]:
-    """Makes calls within compile without optimisation, for programs that run once on a small mesh.
-
-    With `is_quick=False` it changes nothing.
-    """
+    """Makes calls within compile without optimisation, for programs that run a few times."""
     return holding(_is_quick, is_quick or _is_quick.get())
 
 
@@ -103,37 +106,26 @@ def float64_mode(is_on: bool = True) -> contextlib.AbstractContextManager[Any]:
     return enable_x64(is_on)
 
 
+@functools.cache
 def _known_options(is_quick: bool) -> dict[str, Any]:
-    return {name: value for name, value in _all_known_options().items() if is_quick or name in OPTIONS}
+    """Selects the options that this XLA knows: it refuses a program for an unknown option."""
+    options = OPTIONS | (UNTUNED if is_quick else {})
+    return {name: value for name, value in options.items() if _knows(name, value)}
 
 
 @functools.cache
-def _all_known_options() -> dict[str, Any]:
-    """Selects the options that this XLA knows: it refuses a program for an unknown option."""
-
-    def is_known(options: dict[str, Any]) -> bool:
-        try:
-            jax.jit(jnp.negative, compiler_options=options)(np.zeros(1))
-        except Exception:
-            return False
-        return True
-
-    options = OPTIONS | UNTUNED
-    return options if is_known(options) else {name: value for name, value in options.items() if is_known({name: value})}
+def _knows(option: str, value: Any) -> bool:
+    try:
+        jax.jit(jnp.negative, compiler_options={option: value})(np.zeros(1))
+    except Exception:
+        return False
+    return True
 
 
 def _array(argument: Any) -> Any:
     leaves = jax.tree.leaves(argument) if isinstance(argument, tuple) else ()
     is_numbers = len(leaves) > 0 and all(isinstance(leaf, int | float) for leaf in leaves)
     return jnp.asarray(argument) if isinstance(argument, list) or is_numbers else argument
-
-
-def _is_direct(arrays: list) -> bool:
-    if not is_known(arrays):
-        return False
-    devices = next((leaf.sharding.device_set for leaf in arrays if isinstance(leaf, jax.Array)), set())
-    on_cpu = all(device.platform == "cpu" for device in devices)
-    return on_cpu and is_known(jnp.zeros(()))  # a tracer is made even of a constant under `jit`
 
 
 T = TypeVar("T")

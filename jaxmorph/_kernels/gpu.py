@@ -1,8 +1,7 @@
 """Sums of functions on NVIDIA's GPUs, as one kernel that writes only the sums to memory.
 
 XLA writes blocks of function values to memory, or reaches a tenth of the card's speed. Pallas, a
-part of JAX, keeps the sums in registers. Neither contracts a product and a sum into one
-instruction; `contracted` does, which halves the time.
+part of JAX, keeps the sums in registers.
 """
 
 import math
@@ -14,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .instructions import CALLS, INLINE, contracted, in_kernel
+from .compile import as_for_cpu
 
 BLOCK, WARPS = 512, 2
 """Points of a program of the kernel, and its groups of 32 threads: eight points a thread."""
@@ -27,9 +26,6 @@ FEW_BLOCK, FEW_WARPS = 64, 1
 
 PROGRAMS, LEAST_SHARE = 2**17, 256
 """Number of programs that keep a card busy to the end, and least number of sources of a program."""
-
-TOGETHER = 4
-"""Sources in one round of the kernel's loop."""
 
 LEAST_CAPABILITY = 8
 """Major compute capability below which Triton, by which Pallas compiles, has no kernels."""
@@ -52,21 +48,21 @@ def has_kernels() -> bool:
     return major is not None and int(major[1]) >= LEAST_CAPABILITY
 
 
+CALLS = {"jit": "jaxpr", "pjit": "jaxpr", "custom_jvp_call": "call_jaxpr", "closed_call": "call_jaxpr"}
+"""Operations that hold a jaxpr, and its parameter, by names of JAX, which may change."""
+
+
 def is_elementwise(phi: Callable, dtype: Any) -> bool:
     """Checks whether a function of one array uses only operations that a kernel may use."""
-    try:
-        with in_kernel():
-            closed = jax.make_jaxpr(phi)(jax.ShapeDtypeStruct((BLOCK,), dtype))
-    except (ImportError, AttributeError):  # Pallas is experimental, and may rename its instructions
-        return False
+    with as_for_cpu():
+        closed = jax.make_jaxpr(phi)(jax.ShapeDtypeStruct((BLOCK,), dtype))
     return not any(jnp.ndim(const) for const in closed.consts) and _allowed(closed.jaxpr)
 
 
 def _allowed(jaxpr: Any) -> bool:
     def is_allowed(equation: Any) -> bool:
         name = equation.primitive.name
-        inner = equation.params.get(CALLS.get(name, ""))
-        return name in (*ELEMENTWISE, INLINE) if inner is None else _allowed(inner.jaxpr)
+        return _allowed(equation.params[CALLS[name]].jaxpr) if name in CALLS else name in ELEMENTWISE
 
     return all(map(is_allowed, jaxpr.eqns))
 
@@ -78,36 +74,33 @@ def fused_sum(
     points: Float[Array, "c d"],
     constants: Sequence[Float[Array, ""]] = (),
 ) -> Float[Array, "c k"]:
-    """Computes `phi(squared distances of points and sources, *constants) @ weights`, for CUDA."""
-    # A program of the kernel has a block of points, and, if there are few points, a part of the
-    # sources. All blocks have one size: the last block overlaps the block before it. A thread keeps
-    # the sums of its points in registers, and the loop runs over the sources.
+    """Computes `phi(squared distances of points and sources, *constants) @ weights`, for CUDA.
+
+    A program of the kernel has a block of points, and, if there are few points, a part of the
+    sources. All blocks have one size: the last block overlaps the block before it. A thread keeps
+    the sums of its points in registers, and the loop runs over the sources.
+    """
     from jax.experimental import pallas as pl
     from jax.experimental.pallas import triton
 
     (count, rows), (n, dimension) = weights.shape, points.shape
     block, warps, blocks, share = _layout(n, count)
     parts = -(-count // share)
-    packed = jnp.stack([jnp.asarray(number, points.dtype) for number in constants] or [jnp.zeros((), points.dtype)])
+    packed = jnp.stack([jnp.asarray(number, points.dtype) for number in constants or (0.0,)])
 
     def kernel(weights_ref, sources_ref, points_ref, constants_ref, sums_ref):
         here = pl.ds(jnp.minimum(pl.program_id(0) * block, n - block), block)
         x = [points_ref[here, axis] for axis in range(dimension)]
         numbers = [constants_ref[i] for i in range(len(constants))]
 
-        def term(sums, x, y, weights):
-            r2 = sum((a - b) ** 2 for a, b in zip(x, y, strict=True))
-            value = phi(r2, *numbers)
-            return [total + weight * value for total, weight in zip(sums, weights, strict=True)]
-
         def add(j, sums):
-            y = [sources_ref[j, axis] for axis in range(dimension)]
-            return tuple(contracted(term, sums, x, y, [weights_ref[j, row] for row in range(rows)]))
+            value = phi(sum((x[axis] - sources_ref[j, axis]) ** 2 for axis in range(dimension)), *numbers)
+            return tuple(total + weights_ref[j, row] * value for row, total in enumerate(sums))
 
         first = pl.program_id(1) * share
         last = count if parts == 1 else jnp.minimum(first + share, count)
-        with in_kernel():
-            sums = _looped(add, first, last, (jnp.zeros(block, points.dtype),) * rows)
+        with as_for_cpu():
+            sums = jax.lax.fori_loop(first, last, add, (jnp.zeros(block, points.dtype),) * rows)
         for row, total in enumerate(sums):
             sums_ref[pl.program_id(1), here, row] = total
 
@@ -125,15 +118,3 @@ def _layout(n: int, count: int) -> tuple[int, int, int, int]:
     block, warps = (BLOCK, WARPS) if n >= FEW else (min(FEW_BLOCK, 1 << int(math.log2(n))), FEW_WARPS)
     blocks = -(-n // block)
     return block, warps, blocks, count if n >= FEW else max(LEAST_SHARE, -(-count * blocks // PROGRAMS))
-
-
-def _looped(add: Callable, first: Any, last: Any, sums: tuple) -> tuple:
-    whole = (last - first) // TOGETHER
-
-    def add_together(i, sums):
-        for k in range(TOGETHER):
-            sums = add(first + i * TOGETHER + k, sums)
-        return sums
-
-    sums = jax.lax.fori_loop(0, whole, add_together, sums)
-    return jax.lax.fori_loop(first + whole * TOGETHER, last, add, sums)

@@ -43,18 +43,10 @@ def _program(primitive: Primitive, compute: Callable) -> Callable:
 def linear_primitive(name: str, compute: Callable, rows: Callable, turned: Callable) -> Primitive:
     """Makes a primitive of `compute(values, *others, **options)`, linear in `values` (b, c).
 
-    Its transpose is the primitive with other arguments. Derivatives by `others` are the derivatives
-    of `compute`. Under `vmap` of `values` alone the primitive gets more columns; if `others` vary,
-    `compute` is mapped.
-
-    **Arguments:**
-
-    - `name`: the name in a jaxpr.
-    - `compute`: traced; its options are keywords without defaults, and are static.
-    - `rows`: counts the rows of the result, `rows(*others, **options)`.
-    - `turned`: returns `others` and `options` of the transpose, `turned(*others, **options)`.
-
-    **Returns:** the primitive, to which a lowering for one platform may be added.
+    Its transpose is the primitive with other arguments, `turned(*others, **options)`. Derivatives
+    by `others` are those of `compute`. Under `vmap` of `values` alone the primitive gets more
+    columns; if `others` vary, `compute` is mapped. Options are static keywords. The result has
+    `rows(*others, **options)` rows. A lowering for one platform may be added.
     """
     primitive = Primitive(name)
 
@@ -100,9 +92,8 @@ MOST_ROWS = 4
 
 
 # The transpose of a sum over a kernel's block contracts a few rows of a cotangent with the block's
-# long axis. On a CPU it takes a quarter of the time as one matrix-vector product a row. With the
-# rows of many displacements (`vmap`), one product of matrices is faster. Only a primitive can
-# distinguish the two cases and stay bilinear.
+# long axis. On a CPU it takes a quarter of the time as one matrix-vector product a row; under
+# `vmap` one product of matrices is faster.
 
 
 def few_rows_times(rows: Float[Array, "k s"], block: Float[Array, "s c"]) -> Float[Array, "k c"]:
@@ -130,8 +121,7 @@ def _few_rows(rows, block, *, axis):
 def few_rows_in_one_loop(rows: Float[Array, "k s"], block: Float[Array, "..."], axis: int) -> Float[Array, "k c"]:
     """Computes the product of `_few_rows` as one reduction of all rows, for GPUs.
 
-    XLA computes an element of the block where it is summed, once for all rows. A library's product
-    of matrices would need the block in memory.
+    XLA computes an element of the block where it is summed: the block is not in memory.
     """
     if len(rows) > MOST_ROWS:
         return _contract(rows, block, axis)

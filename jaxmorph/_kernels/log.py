@@ -1,9 +1,9 @@
 """The float64 logarithm for CPUs, in operations that compile to vectors: four times XLA's speed.
 
-The method is that of textbooks (Muller, Elementary Functions, chapter 11): x = 2^k m with m in
-[sqrt(1/2), sqrt(2)), and log m = 2 artanh(s) with s = (m - 1) / (m + 1). Newton's iteration
-computes the quotient, since a hardware division costs as much as ten multiplications. Coefficients
-interpolate at Chebyshev points. The largest error seen is 0.87 units in the last place.
+x = 2^k m with m in [sqrt(1/2), sqrt(2)), and log m = 2 artanh(s) with s = (m - 1) / (m + 1)
+(Muller, Elementary Functions, chapter 11). Newton's iteration computes the quotient: a division
+costs ten multiplications. Coefficients interpolate at Chebyshev points. The largest error seen is
+0.87 units in the last place.
 """
 
 import jax
@@ -11,7 +11,6 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from .compile import is_for_cpu
-from .instructions import is_in_kernel, rough_reciprocal
 
 _ROOT_HALF = 0x3FE6A09E00000000
 """The bits of sqrt(1/2), rounded down to a multiple of 2^32."""
@@ -19,10 +18,7 @@ _ROOT_HALF = 0x3FE6A09E00000000
 _ONE = 0x3FF0000000000000
 _MANTISSA = 0x000FFFFFFFFFFFFF
 _EXPONENT_1 = 0x0010000000000000
-"""One more in the exponent, and the bits of the smallest normal number."""
-
-_INFINITY = 0x7FF0000000000000
-_SIGN = 0x8000000000000000
+"""One more in the exponent."""
 
 _TWO_52 = 0x4330000000000000
 """The bits of 2^52; with an integer k < 2^52 in the mantissa, they are the bits of 2^52 + k."""
@@ -42,27 +38,13 @@ _ARTANH = (
     0.07665860800278021,
     0.07308224842521703,
 )
-"""(artanh(s) / s - 1) / s^2 as a polynomial in s^2.
-
-It holds for |s| <= (sqrt(2) - 1) / (sqrt(2) + 1), to 2^-57.
-"""
-
-_SHORT_ARTANH = (
-    1.0000000000000002,
-    0.3333333333327646,
-    0.20000000030870888,
-    0.14285708010541007,
-    0.1111171727469358,
-    0.09060967184541023,
-    0.08418830369333632,
-)
-"""artanh(s) / s as a polynomial in s^2, to 2^-52."""
+"""(artanh(s) / s - 1) / s^2 as a polynomial in s^2, for |s| <= 0.1716, to 2^-57."""
 
 
 @jax.custom_jvp
 def log(x: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
-    """Computes `jax.numpy.log` to one unit in the last place, with all of its special values."""
-    return _by_platform(_whole_range_log, jnp.log, x)
+    """Computes `jax.numpy.log` of positive normal numbers, to one unit in the last place."""
+    return _by_platform(lambda x: 2 * _half_log(x), jnp.log, x)
 
 
 @log.defjvp
@@ -77,12 +59,7 @@ def half_x_log_x(x: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
 
     Below round-off squared, the slope is constant.
     """
-    return _by_platform(
-        lambda x: x * _short_half_log(x),
-        lambda x: 0.5 * x * jnp.log(_not_zero(x)),
-        x,
-        in_kernel=lambda x: x * _seeded_half_log(x),
-    )
+    return _by_platform(lambda x: x * _short_half_log(x), lambda x: 0.5 * x * jnp.log(_not_zero(x)), x)
 
 
 @half_x_log_x.defjvp
@@ -92,38 +69,23 @@ def _half_x_log_x_jvp(primals, tangents):
 
 
 def _not_zero(x):
-    """Returns x, but at least the square of round-off at unit size.
-
-    A `where` on x > 0 is not safe. A compiler may compute the distance of a point from itself
-    twice: once as 0, and once, with a fused multiply-add, as a rounding error. Then condition and
-    value differ.
-    """
+    """Returns x, but at least the square of round-off at unit size."""
+    # A `where` on x > 0 is not safe. A compiler may compute the distance of a point from itself
+    # twice: once as 0, and once, with a fused multiply-add, as a rounding error.
     return jnp.maximum(x, float(jnp.finfo(x.dtype).eps) ** 2)
 
 
-def _by_platform(float64_on_cpu, otherwise, x, in_kernel=None):
+def _by_platform(in_polynomials, otherwise, x):
     if x.dtype != jnp.float64:
         return otherwise(x)
-    if is_in_kernel():
-        return (in_kernel or otherwise)(x)
     if is_for_cpu():
-        return float64_on_cpu(x)
-    return jax.lax.platform_dependent(x, cpu=float64_on_cpu, default=otherwise)
+        return in_polynomials(x)
+    return jax.lax.platform_dependent(x, cpu=in_polynomials, default=otherwise)
 
 
-def _whole_range_log(x):
-    bits = _bits(x)
-    subnormal = bits < _word(_EXPONENT_1)  # 0 too; comparisons of floats on XLA's threads take subnormals for 0
-    normal = jnp.where(subnormal, _float(bits | _word(_TWO_52)) - 2.0**52, x)  # x 2^1074
-    result = 2 * _half_log(normal, jnp.where(subnormal, 1074.0, 0.0))
-    result = jnp.where(normal == 0, -jnp.inf, result)
-    beyond = jnp.where(bits == _word(_INFINITY), jnp.inf, jnp.nan)
-    return jnp.where((bits < _word(_INFINITY)) | (bits == _word(_SIGN)), result, beyond)
-
-
-def _half_log(x, less: Array | float = 0.0):
-    """Computes (log x - `less` log 2) / 2 for positive normal numbers; else a number below 373."""
-    k, f, s = _reduced(x, less)
+def _half_log(x):
+    """Computes log(x) / 2 for positive normal numbers; else a number below 373."""
+    k, f, s = _reduced(x)
     correction = s * s * _polynomial(_ARTANH, s * s)
     return k * _HALF_LOG_2[0] + (f + (k * _HALF_LOG_2[1] - s * (f - correction)))
 
@@ -134,36 +96,20 @@ def _short_half_log(x):
     return k * sum(_HALF_LOG_2) + s * _polynomial((1.0, *_ARTANH), s * s)
 
 
-def _seeded_half_log(x):
-    """Computes log(x) / 2 to 6 units in the last place, from the GPU's rough reciprocal."""
-    k, m = _split(x)
-    f, d = m - 0.5, m + 0.5
-    y = rough_reciprocal(d)
-    e, s = 1 - d * y, f * y
-    s = s + s * (e + e * e)
-    return k * sum(_HALF_LOG_2) + s * _polynomial(_SHORT_ARTANH, s * s)
+def _reduced(x):
+    """Splits x = 2^k m with m in [sqrt(1/2), sqrt(2)): k, f = (m - 1) / 2, s = (m - 1) / (m + 1).
 
-
-def _reduced(x, less: Array | float = 0.0):
-    """Splits x = 2^(k + `less`) m with m in [sqrt(1/2), sqrt(2)).
-
-    Returns k, f = (m - 1) / 2, s = (m - 1) / (m + 1). The half in f costs nothing here, and a thin
-    plate spline needs it.
+    The half in f costs nothing here, and a thin plate spline needs it.
     """
-    k, m = _split(x, less)
+    bits = _bits(x) + _word(_ONE - _ROOT_HALF)
+    k = _float(bits >> _word(52) | _word(_TWO_52)) - (2.0**52 + 1023)
+    m = _float((bits & _word(_MANTISSA)) + _word(_ROOT_HALF - _EXPONENT_1))  # half of it
     f, d = m - 0.5, m + 0.5
     y = _polynomial(_RECIPROCAL, d)
     e = 1 - d * y
     y = y + y * (e + e * e)
     s = f * y
     return k, f, s + y * (f - d * s)
-
-
-def _split(x, less: Array | float = 0.0):
-    """Splits x = 2^(k + `less`) 2 m with m in [sqrt(1/2), sqrt(2)) / 2."""
-    bits = _bits(x) + _word(_ONE - _ROOT_HALF)
-    k = _float(bits >> _word(52) | _word(_TWO_52)) - (2.0**52 + 1023 + less)
-    return k, _float((bits & _word(_MANTISSA)) + _word(_ROOT_HALF - _EXPONENT_1))
 
 
 def _polynomial(coefficients, x):

@@ -17,9 +17,8 @@ _BoundMethod: Any = type(_Probe().method)
 class Module(eqx.Module):
     """An Equinox module that has a hash, also with arrays.
 
-    `jax.jit` looks functions up by hash and equality. Arrays have no hash, and a comparison of
-    arrays would be traced. So a module with arrays is equal only to itself; a module without arrays
-    is compared by its fields. `equinox.tree_equal` compares arrays.
+    `jax.jit` looks functions up by hash and equality. A module with arrays is equal only to itself;
+    a module without arrays is compared by its fields. `equinox.tree_equal` compares arrays.
     """
 
     def __hash__(self) -> int:

@@ -10,10 +10,7 @@ from jax.core import Tracer  # pyright: ignore[reportAttributeAccessIssue]
 from jaxtyping import Array, Float
 
 Either = Any
-"""An array of JAX or NumPy, for formulas with `namespace`.
-
-Type checkers know no common operations of both.
-"""
+"""An array of JAX or NumPy, for formulas with `namespace`."""
 
 
 def namespace(array: Any) -> Any:
@@ -30,11 +27,7 @@ def constant(values: Either) -> Either:
 
 
 def as_jax(tree: Any) -> Any:
-    """Copies the NumPy arrays of a tree into arrays of JAX.
-
-    `jnp.asarray` compiles a program for every new shape, and may share memory that the caller
-    changes later.
-    """
+    """Copies the NumPy arrays of a tree into arrays of JAX, without a program for a new shape."""
     return jax.tree.map(lambda leaf: leaf if isinstance(leaf, jax.Array) else jax.device_put(np.array(leaf)), tree)
 
 
@@ -53,28 +46,9 @@ def on_host(*values: Any) -> bool:
 
 def taken(values: Any, rows: Any) -> Any:
     """Returns some rows of an array; without a program where the array is in the host's memory."""
-    if not _is_plain(values, rows):
+    if not (isinstance(values, jax.Array) and on_host(values, rows) and len(values.devices()) == 1):
         return values[rows]
-    return _put_like(np.asarray(values)[rows], values)
-
-
-def replaced(values: Any, rows: Any, new: Any) -> Any:
-    """Returns an array with other rows, in the host's memory without a program."""
-    if not _is_plain(values, rows, new):
-        return values.at[rows].set(new)
-    result = np.array(values)
-    result[rows] = np.asarray(new)
-    return _put_like(result, values)
-
-
-def _put_like(new: np.ndarray, values: Any) -> Any:
-    """Puts an array where `values` are; commits it to the device only if they are committed."""
-    return jax.device_put(new, values.sharding if values.committed else None)
-
-
-def _is_plain(values: Any, *others: Any) -> bool:
-    """Checks whether values are an array of one CPU, and all else is known."""
-    return isinstance(values, jax.Array) and on_host(values, others) and len(values.devices()) == 1
+    return jax.device_put(np.asarray(values)[rows], values.sharding if values.committed else None)
 
 
 def is_readable(*values: Any) -> bool:
@@ -111,9 +85,8 @@ def _largest(values, axis):
 
 @_largest.defjvp
 def _largest_jvp(axis, primals, tangents):
-    # JAX's own rule compares the values with their maximum. If XLA computes the values anew, their
-    # last bits may differ: then no value is equal, and the derivative would be zero. The place of
-    # the maximum is always found.
+    # JAX's own rule compares the values with their maximum. If XLA computes the values anew, none
+    # may be equal. The place of the maximum is always found.
     (values,), (tangent,) = primals, tangents
     top, index = _largest(values, axis), jnp.argmax(values, axis=axis, keepdims=True)
     rows = jax.lax.broadcasted_iota(index.dtype, values.shape, axis % values.ndim)
@@ -128,10 +101,7 @@ def slack(dtype: Any) -> float:
 
 
 def clipped(values: Float[Array, "*shape"], low: Any, high: Any) -> Float[Array, "*shape"]:
-    """Clips values to an interval.
-
-    Its ends count as inside, with round-off; `jnp.clip` halves the derivative there.
-    """
+    """Clips values to an interval, ends inside, where `jnp.clip` halves the derivative."""
     beyond = slack(values.dtype) * (high - low)
     return jnp.where(values < low - beyond, low, jnp.where(values > high + beyond, high, values))
 

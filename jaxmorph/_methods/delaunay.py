@@ -36,7 +36,7 @@ class DelaunayGraph(AbstractPlacing):
         inside = np.flatnonzero(rows == len(surface.points))
         repaired = outside = 0
         if inside.size:
-            location = locate(_begun(surface).result(), points, inside, surface.near)
+            location = locate(_begun(surface).result(), points, inside)
             vertices[inside], repaired, outside = location.vertices, location.repaired, location.outside
         return Located(*as_jax((np.int32(repaired), np.int32(outside)))), vertices
 

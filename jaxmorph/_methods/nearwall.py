@@ -82,7 +82,6 @@ class NearWall(AbstractPlacing):
         row_of_point = surface.rows(len(points))
         inside = np.flatnonzero(row_of_point == len(surface.points))
         near, rows = near_walls(surface.points, wall, 1.25 * width, points[inside], NEIGHBOURS + 1, surface.once)
-        surface = surface.altered(near=(inside[near], rows[:, 0]))
         correction, correction_at_points = self.correction.connect(surface, points)
         nodes = np.repeat(row_of_point[:, None], NEIGHBOURS + 2, axis=1)  # a node of the surface: itself
         nodes[inside] = 0

@@ -52,8 +52,6 @@ class Surface:
       None without any.
     - `listed` (b,): for each row its place among the nodes as the caller lists them, or None where
       rows go in that order. A reduction sees points so: `motions` of `Greedy` have a row for each.
-    - `near`: points (k,) near a wall, and the row (k,) of the nearest node, where a method has
-      found them. They make searches fast.
     - `values`: what was made `once`, by key.
     """
 
@@ -67,7 +65,6 @@ class Surface:
     cells: Cells | None = None
     in_planes: np.ndarray | None = None
     listed: np.ndarray | None = None
-    near: tuple[np.ndarray, np.ndarray] | None = None
     values: dict[Any, Any] = dataclasses.field(default_factory=dict, repr=False)
 
     @property

@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from .._host.package.arguments import as_array, check_fields, checked
 from .._kernels.module import Module
-from .._kernels.values import as_jax, is_known, replaced, taken
+from .._kernels.values import as_jax, is_known, taken
 from ._arguments import Numbers, check_finite, positions
 
 
@@ -163,7 +163,7 @@ class OnRows(AbstractShape):
         x = positions(x)
         if is_known(self.rows) and (np.asarray(self.rows) >= len(x)).any():
             raise ValueError(f"`rows` has {len(self.rows)} rows up to {self.rows.max()}; `x` has {len(x)}.")
-        return replaced(x, self.rows, self.shape(taken(x, self.rows), parameters))
+        return x.at[self.rows].set(self.shape(taken(x, self.rows), parameters))
 
 
 class Linked(AbstractLinearShape):

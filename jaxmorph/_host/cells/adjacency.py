@@ -8,26 +8,17 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from ..package.cores import BLOCK, by_blocks, cores, in_order
+from ..package.cores import by_blocks, in_order
 from .topology import FACES
 
 
 def neighbours(cells: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Finds the cell behind every face of all cells.
+    """Finds the cell behind every face of `cells`, corner ids (k, corners) by type.
 
-    Two cells are neighbours if a face of one has the nodes of a face of the other.
+    Returns two arrays with one entry a face, by cell, faces in the order of `FACES`:
 
-    **Arguments:**
-
-    - `cells`: corner ids (k, corners) by type.
-
-    **Returns:**
-
-    Two arrays with one entry a face: cells in the order of `cells`, faces of a cell in the order of
-    `FACES`.
-
-    - The id of the neighbour, -1 on the boundary and where more than two cells meet. Also -1 at a
-      face that repeats nodes until it has no extent, as at the pole of a grid of hexahedra.
+    - The id of the neighbour, -1 on the boundary, where more than two cells meet, and at a face
+      without extent, as at the pole of a grid of hexahedra.
     - True where the neighbour is numbered with the opposite handedness.
     """
     # A face becomes a row of its sorted nodes, with its cell and its sense of rotation. `twins`
@@ -83,17 +74,9 @@ def handedness(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Finds the orientation sign of all cells, and their connected parts.
 
-    Cells that faces connect have equal signs if their numbering has one handedness. Ids alone
-    decide, no coordinates. A part that cannot be oriented (a Moebius strip) has sign 1 throughout.
-
-    **Arguments:**
-
-    - `cells`: corner ids (k, corners) by type.
-    - `neighbour`, `flipped`: what `neighbours` returns for them.
-
-    **Returns:**
-
-    Two arrays with one entry a cell: its sign, 1 or -1, and the id of its part.
+    Ids alone decide, no coordinates. `neighbour` and `flipped` are those of `neighbours`. Returns
+    two arrays with one entry a cell: its sign, 1 or -1, and the id of its part. A part that cannot
+    be oriented (a Moebius strip) has sign 1 throughout.
     """
     count = sum(len(corners) for corners in cells.values())
     faces = [np.full(len(corners), len(FACES[kind])) for kind, corners in cells.items()]
@@ -117,10 +100,7 @@ def parts_of(first: np.ndarray, second: np.ndarray, count: int) -> np.ndarray:
 
 
 def sorted_columns(nodes: Sequence[np.ndarray], width: int) -> list[np.ndarray]:
-    """Sorts nodes of faces, given and returned by column: first nodes (f,), second nodes (f,), ...
-
-    Columns of -1 follow, up to the `width`.
-    """
+    """Sorts nodes of faces, by columns (f,); columns of -1 follow, up to the `width`."""
     columns = [np.empty_like(column) for column in nodes]
 
     def sort(rows: slice) -> None:
@@ -145,53 +125,43 @@ def columns_of(corners: np.ndarray) -> list[np.ndarray]:
 
 
 def twins(columns: Sequence[np.ndarray]) -> np.ndarray:
-    """Finds for each face the row of the other face with equal nodes; -1 for none or several.
+    """Finds the row of the other face with equal nodes (f,); -1 for none or several.
 
-    `columns` are the nodes of the faces as `sorted_columns` gives them.
+    `columns` are those of `sorted_columns`.
     """
-    number = min(cores(), len(columns[0]) // BLOCK)
-    if number <= 1:
-        return _twins(columns)
-    # Equal faces have one first node: each core takes the faces of some first nodes.
-    partner, ends = np.full(len(columns[0]), -1), np.cumsum(np.bincount(columns[0]))
-    limits = np.searchsorted(ends, np.linspace(0, ends[-1], number + 1), side="right")
-
-    def pair(limits: tuple[int, int]) -> None:
-        rows = np.flatnonzero((columns[0] >= limits[0]) & (columns[0] < limits[1]))
-        found = _twins([column[rows] for column in columns])
-        partner[rows] = np.where(found < 0, -1, rows[found])
-
-    for _ in in_order(pair, itertools.pairwise(limits.tolist())):
-        pass
+    order, first, size = _groups(columns)
+    one, other = order[first[size == 2]], order[first[size == 2] + 1]
+    partner = np.full(len(order), -1)
+    partner[one], partner[other] = other, one
     return partner
-
-
-def _twins(columns: Sequence[np.ndarray]) -> np.ndarray:
-    order, same = _ordered(columns)
-    with_next, with_last = np.append(same, False), np.append(False, same)
-    crowded = with_next & with_last
-    crowded = crowded | (with_next & np.roll(crowded, -1)) | (with_last & np.roll(crowded, 1))
-    partner = np.where(with_next, np.roll(order, -1), np.where(with_last, np.roll(order, 1), -1))
-    return _scatter(order, np.where(crowded, -1, partner))
 
 
 def is_single(columns: Sequence[np.ndarray]) -> np.ndarray:
     """Marks (f,) the faces that equal no other face, by their sorted nodes."""
-    order, same = _ordered(columns)
-    repeated = np.zeros(len(order), bool)
-    repeated[1:] |= same
-    repeated[:-1] |= same
-    return _scatter(order, ~repeated)
+    order, first, size = _groups(columns)
+    single = np.zeros(len(order), dtype=bool)
+    single[order[first[size == 1]]] = True
+    return single
+
+
+def _groups(columns: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Brings equal faces side by side: their order, where each group begins, and its size."""
+    keys = list(columns)
+    if columns[0].dtype == np.int32:  # two nodes make one key; -1 stays the least
+        both = itertools.zip_longest(columns[::2], columns[1::2], fillvalue=np.zeros_like(columns[0]))
+        keys = [(first.astype(np.int64) << 32) + second for first, second in both]
+    order = np.lexsort(keys[::-1])
+    begins = np.ones(len(order), dtype=bool)
+    begins[1:] = np.logical_or.reduce([np.diff(key[order]) != 0 for key in keys])
+    first = np.flatnonzero(begins)
+    return order, first, np.diff(first, append=len(order))
 
 
 def unpaired(parts: Sequence[Sequence[np.ndarray]], n: int) -> list[np.ndarray]:
-    """Lists the rows of each part but for faces that surely come twice.
-
-    The first node of such a face has only pairs of equal faces. A mesh has few other faces, so that
-    exact work on them is fast. A part has the nodes of its faces by column; there are n nodes.
-    """
+    """Lists the rows of each part, columns of nodes below n, without most faces that come twice."""
     # A face has a random number, made of its nodes in any order. The numbers of two equal faces
-    # cancel each other in an "exclusive or" over all faces of their first node.
+    # cancel each other in an "exclusive or" over all faces of their first node. Few faces of a mesh
+    # are left, so that exact work on them is fast.
     random = np.random.default_rng(n).integers(0, 2**64, n, dtype=np.uint64)
     left, firsts = np.zeros(n, np.uint64), []
 
@@ -211,47 +181,6 @@ def is_among(faces: np.ndarray, others: np.ndarray) -> np.ndarray:
     both = np.full((len(faces) + len(others), width), -1, np.int64)
     both[: len(faces), : faces.shape[1]], both[len(faces) :, : others.shape[1]] = faces, others
     return twins(sorted_columns(columns_of(both), width))[: len(faces)] >= len(faces)
-
-
-def _ordered(columns: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Brings equal faces side by side: returns the order, and a mask of faces equal to the next."""
-    keys = _keys(columns)
-    order = np.argsort(keys, kind="stable")  # several times faster on keys that almost ascend
-    same = _equals_next(columns, order)
-    if not np.array_equal(same, _equals_next([keys], order)):  # different faces share a key: sort exactly
-        order = np.lexsort(tuple(reversed(columns)))
-        same = _equals_next(columns, order)
-    return order, same
-
-
-def _equals_next(columns: Sequence[np.ndarray], order: np.ndarray) -> np.ndarray:
-    same = np.ones(max(len(order) - 1, 0), dtype=bool)
-    for column in columns:
-        ordered = column[order]
-        same &= ordered[1:] == ordered[:-1]
-    return same
-
-
-def _keys(columns: Sequence[np.ndarray]) -> np.ndarray:
-    """Packs a face into one integer: its first node in the upper bits, a hash of the rest below.
-
-    One sort of integers then replaces a sort by columns. Keys of a mesh ascend almost as its faces
-    do, which makes the sort fast. Faces with one key are equal, except by an accident that
-    `_ordered` sees.
-    """
-    first = columns[0].astype(np.int64)
-    digest = np.zeros(len(first), np.uint64)
-    for column in columns[1:]:
-        digest = (digest ^ column.astype(np.uint64)) * np.uint64(0x9E3779B97F4A7C15)  # odd, bits without a pattern
-        digest ^= digest >> np.uint64(29)
-    free = 63 - int(first.max(initial=0)).bit_length()
-    return (first << free) | (digest >> np.uint64(64 - free)).astype(np.int64)
-
-
-def _scatter(order: np.ndarray, values: np.ndarray) -> np.ndarray:
-    result = np.empty_like(values)
-    result[order] = values
-    return result
 
 
 def repeated_cells(corners: np.ndarray) -> np.ndarray:

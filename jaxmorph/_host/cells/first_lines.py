@@ -15,10 +15,9 @@ from .topology import CORNERS, DIMENSION, FACES, SHAPES
 class Sides(NamedTuple):
     """Sides of cells of one type on the wall.
 
-    - `ids`, `rows` (f, s): the nodes of each side, and their rows among the wall nodes; one row
-      more stands for a node without a line.
-    - `sign` (f,): 1 or -1, of triangles the half. An area vector times its sign points into the
-      mesh.
+    - `ids`, `rows` (f, s): nodes of each side, and their rows among the wall nodes; a node without
+      a line has the row after them.
+    - `sign` (f,): 1 or -1, of triangles the half, so that area vectors point into the mesh.
     - `slopes` (s, s, d - 1): derivatives of the shape functions at the nodes of a side.
     """
 
@@ -35,10 +34,9 @@ class Sides(NamedTuple):
 class Lines(NamedTuple):
     """First grid lines of w wall nodes, and the sides of the wall.
 
-    - `nodes`, `ends` (w,): ids of the wall nodes, and of the ends of their lines: the cell's nodes
-      at the other end of the reference line through the whole cell.
-    - `near`, `weights` (w, k): the derivative along a line at its wall node is the weighted sum of
-      nodes.
+    - `nodes`, `ends` (w,): ids of the wall nodes, and of the ends of their lines, at the other side
+      of the cell.
+    - `near`, `weights` (w, k): the derivative along a line at its wall node, as a sum of nodes.
     - `beside` (w,): ids of neighbours on the wall.
     - `sides`: the sides on the wall, by type.
     """
@@ -81,9 +79,8 @@ def _slopes(kind: str) -> np.ndarray:
 def first_lines(cells: Mapping[str, np.ndarray], points: np.ndarray, wall: np.ndarray) -> Lines:
     """Picks, for every wall node, the grid line off the wall that is nearest to the wall's normal.
 
-    From a node on an edge or inside of a side, a line goes to the node opposite. It is the apex of
-    a simplex, and the node straight above the side of another cell. Raises `ValueError` if no
-    boundary side of a cell has all nodes among the wall nodes.
+    From a node inside of an edge or a side, a line goes to the node opposite. Raises `ValueError`
+    if no boundary side of a cell has all nodes among the wall nodes.
     """
     on_wall = np.zeros(len(points), dtype=bool)
     on_wall[wall] = True
@@ -154,17 +151,13 @@ def _candidates(
 
 @functools.cache
 def _lines(kind: str) -> tuple[tuple[int, int, np.ndarray, np.ndarray], ...]:
-    """Lists the lines of a type that may leave a wall: start, end, and weights of some nodes.
-
-    Lines are the edges in both senses, and lead from nodes of sides to the opposite nodes.
-    """
+    """Lists the lines of a type that may leave a wall: start, end, and weights of some nodes."""
     cell, lines = lagrange_types()[kind], []
     ends = derivatives_at_nodes("line" if cell.order == 1 else f"line{cell.order + 1}")[:2, :, 0]
     for edge in cell.edges:
         first, last = edge[:2].tolist()
         lines += [(first, last, edge, ends[0]), (last, first, edge, -ends[1])]
-    place = {tuple(at): node for node, at in enumerate(cell.lattice.tolist())}
-    slopes = derivatives_at_nodes(kind)
+    place, slopes = cell.place, derivatives_at_nodes(kind)
     for side, (_, nodes) in zip(FACES[cell.shape], cell.sides, strict=True):
         for node in nodes[nodes >= cell.corners].tolist():
             last = place[tuple(_opposite(cell, side, cell.lattice[node]))]
@@ -182,12 +175,8 @@ def _opposite(cell: Lagrange, side: tuple[int, ...], at: np.ndarray) -> list[int
         return (p * corners[others[0]]).tolist()
     if cell.shape == "wedge" and len(side) == 4:  # the other edge, at the height of the place
         return [*(p * corners[others[0]][:2]).tolist(), int(at[2])]
-    if cell.shape == "pyramid":  # the triangle opposite, at the height of the place
-        axis = int(np.flatnonzero(np.ptp(corners[list(side[:2])], axis=0) == 0)[0])
-        end = at.copy()
-        end[axis] = p - at[2] - at[axis]
-        return end.tolist()
-    axis = int(np.flatnonzero(np.ptp(corners[list(side)], axis=0) == 0)[0])
+    is_pyramid = cell.shape == "pyramid"  # the triangle opposite, at the height of the place
+    axis = int(np.flatnonzero(np.ptp(corners[list(side[: 2 if is_pyramid else 4])], axis=0) == 0)[0])
     end = at.copy()
-    end[axis] = p - at[axis]
+    end[axis] = p - at[axis] - (at[2] if is_pyramid else 0)
     return end.tolist()

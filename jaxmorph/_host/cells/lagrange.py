@@ -8,11 +8,9 @@ corners at 0 and 1:
 - wedge: the triangle times the unit interval; pyramid: the unit square, and its apex (0, 0, 1)
   above corner 0.
 
-In the canonical order corners come first, as in the linear cell. Inner nodes of the edges follow,
-edge by edge as `EDGES` lists them, from the edge's first corner to its second. Then come inner
-nodes of the faces, face by face as `FACES` lists them. They go in rows along the face's first edge,
-from its first corner towards its last one. At the end come inner nodes of the cell, the first
-coordinate fastest.
+In the canonical order corners come first, then inner nodes of the `EDGES`, from first to second
+corner. Those of the `FACES` go in rows along the first edge, from the first corner towards the
+last. At the end come inner nodes of the cell, the first coordinate fastest.
 
 The shape functions are polynomials whose exponents are the lattice; for a pyramid the space of
 Bergot et al. (J. Sci. Comput. 42, 2010), polynomials in (x / (1 - z), y / (1 - z), 1 - z). They
@@ -27,19 +25,19 @@ from typing import Any
 import numpy as np
 from numpy.polynomial import legendre
 
-from .topology import CORNERS, DIMENSION, EDGES, FACES, SIDE_TYPES
+from .topology import CORNERS, DIMENSION, EDGES, FACES, SIDE_TYPES, numbers
 
 ORDERS = (1, 2, 3, 4)
 """Orders of cells that are known."""
 
 PLACES = {
-    "line": ((0,), (1,)),
-    "triangle": ((0, 0), (1, 0), (0, 1)),
-    "quad": ((0, 0), (1, 0), (1, 1), (0, 1)),
-    "tetra": ((0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)),
-    "pyramid": ((0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1)),
-    "wedge": ((0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (0, 1, 1)),
-    "hexahedron": ((0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)),
+    "line": numbers("0 1"),
+    "triangle": numbers("00 10 01"),
+    "quad": numbers("00 10 11 01"),
+    "tetra": numbers("000 100 010 001"),
+    "pyramid": numbers("000 100 110 010 001"),
+    "wedge": numbers("000 100 010 001 101 011"),
+    "hexahedron": numbers("000 100 110 010 001 101 111 011"),
 }
 """Corners of the reference cells."""
 
@@ -50,8 +48,7 @@ class Lagrange:
 
     - `shape`, `order`: the type of its linear cell, and the order of its edges.
     - `lattice`: whole numbers (k, d), the place of each node in the reference cell times `order`.
-    - `is_complete`: False where nodes of the lattice inside of faces and of the cell are left out
-      (serendipity).
+    - `is_complete`: False without nodes inside of faces and of the cell (serendipity).
     """
 
     shape: str
@@ -61,10 +58,7 @@ class Lagrange:
 
     @property
     def name(self) -> str:
-        """The name of the type.
-
-        It is meshio's, or the shape and the number of nodes; a linear cell's has no number.
-        """
+        """The name of the type, as in meshio."""
         return self.shape if self.order == 1 else f"{self.shape}{len(self.lattice)}"
 
     @property
@@ -135,21 +129,29 @@ def depth(shape: str, order: int, at: np.ndarray) -> Any:
     return np.minimum(at.min(axis=1), order - beyond.max(axis=1))
 
 
+def inner_places(shape: str, order: int) -> np.ndarray:
+    """Lists the inner lattice (k, d) of a shape, the first coordinate fastest."""
+    grid = np.indices((order + 1,) * DIMENSION[shape]).reshape(DIMENSION[shape], -1)[::-1].T
+    return grid[depth(shape, order, grid) > 0]
+
+
+def lattice(shape: str, order: int, is_complete: bool, edges=EDGES, faces=FACES, inner=inner_places) -> np.ndarray:
+    """Lists the places (k, d) of nodes: corners, then the inner ones of edges, faces, cell."""
+    corners, t = np.array(PLACES[shape]), np.arange(1, order)[:, None]
+    nodes = [order * corners]
+    for first, second in edges.get(shape, EDGES[shape]):
+        nodes.append((order - t) * corners[first] + t * corners[second])
+    if is_complete and shape != "line":
+        for face in faces.get(shape, FACES[shape]) if corners.shape[1] == 3 else ():
+            along = corners[[face[1], face[-1]]] - corners[face[0]]
+            nodes.append(order * corners[face[0]] + inner(SIDE_TYPES[len(face)], order) @ along)
+        nodes.append(inner(shape, order))
+    return np.concatenate(nodes)
+
+
 @functools.cache
 def of_order(shape: str, order: int, is_complete: bool = True) -> Lagrange:
-    corners, nodes = np.array(PLACES[shape]), [tuple(order * np.array(at)) for at in PLACES[shape]]
-    for first, second in EDGES[shape]:
-        nodes += [tuple((order - t) * corners[first] + t * corners[second]) for t in range(1, order)]
-    if is_complete:
-        for face in FACES[shape] if DIMENSION[shape] == 3 else ():
-            u, v = corners[face[1]] - corners[face[0]], corners[face[-1]] - corners[face[0]]
-            for t, s in itertools.product(range(1, order), repeat=2):
-                if len(face) == 4 or s + t < order:
-                    nodes.append(tuple(order * corners[face[0]] + s * u + t * v))
-        grid = np.array(list(itertools.product(range(order + 1), repeat=DIMENSION[shape])))[:, ::-1]
-        present = {tuple(map(int, at)) for at in nodes}
-        nodes += [at for at in map(tuple, grid[depth(shape, order, grid) >= 0].tolist()) if at not in present]
-    return Lagrange(shape, order, np.array(nodes, dtype=np.int64), is_complete)
+    return Lagrange(shape, order, lattice(shape, order, is_complete), is_complete)
 
 
 @functools.cache
@@ -162,10 +164,7 @@ def lagrange_types() -> dict[str, Lagrange]:
 
 @functools.cache
 def derivatives_at_nodes(kind: str) -> np.ndarray:
-    """Returns derivatives (s, nodes, d) of the shape functions at the nodes of a type.
-
-    They are by the reference coordinates.
-    """
+    """Returns derivatives (s, nodes, d) of the shape functions at the nodes of a type."""
     return derivatives(kind, collapsed(kind, lagrange_types()[kind].reference))
 
 
@@ -173,8 +172,7 @@ def derivatives_at_nodes(kind: str) -> np.ndarray:
 def jacobian_samples(kind: str) -> tuple[np.ndarray, np.ndarray]:
     """Returns shape function derivatives (s, nodes, d) where det J is measured, and weights (s,).
 
-    Places are a lattice twice as fine as that of the nodes, where weights are 0, and Gauss points
-    of the exact volume.
+    Places are a lattice of half the step, of weight 0, and Gauss points of the exact volume.
     """
     cell = lagrange_types()[kind]
     d, fine = cell.dimension, 2 * cell.order
@@ -260,10 +258,7 @@ def _of_cube(shape: str, cube: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def node_keys(ids: np.ndarray, cell: Lagrange) -> np.ndarray:
-    """Lists corners and weights in turn (k, new, 16) of each cell's new nodes.
-
-    Corners ascend, with zeros in front.
-    """
+    """Lists ascending corners and weights in turn (k, new, 16) of new nodes; zeros in front."""
     weights = _weights(cell)
     weights = weights // np.gcd.reduce(weights, axis=1)[:, None]  # alike in cells of all types that share a face
     order = np.argsort(np.where(weights[None] > 0, ids[:, None], -1), axis=2, kind="stable")

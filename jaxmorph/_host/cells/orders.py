@@ -1,8 +1,7 @@
 """The order in which each format lists the nodes of a cell of high order.
 
 All formats list corners first, then inner nodes of edges, of faces and of the cell. They differ in
-the order and the sense of edges and faces, and in how inner nodes go. Here is a table of edges and
-one of faces for each format.
+the order and the sense of edges and faces, and in how inner nodes go.
 """
 
 import dataclasses
@@ -12,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from .lagrange import PLACES, depth, lagrange_types
-from .topology import EDGES, FACES, SHAPES
+from .lagrange import PLACES, inner_places, lagrange_types, lattice
+from .topology import SHAPES, numbers
 
 Sides = Mapping[str, tuple[tuple[int, ...], ...]]
 """Corners of the edges, or of the faces, by shape."""
@@ -23,9 +22,8 @@ Sides = Mapping[str, tuple[tuple[int, ...], ...]]
 class NodeOrder:
     """Describes the order of a format.
 
-    - `edges`, `faces`: in the format's order, each from its first corner; shapes that are not in it
-      go as `EDGES`, `FACES`.
-    - `inner`: lists the inner lattice of a shape and order, as the format goes through it.
+    - `edges`, `faces`: in the format's order; other shapes go as `EDGES`, `FACES`.
+    - `inner`: lists the inner lattice of a shape and order.
     """
 
     edges: Sides
@@ -33,27 +31,15 @@ class NodeOrder:
     inner: Callable[[str, int], np.ndarray]
 
     def lattice(self, shape: str, order: int, *, is_complete: bool = True) -> np.ndarray:
-        """Lists the places (k, d) on the lattice of a cell's nodes."""
-        corners = np.array(PLACES[shape])
-        nodes = [order * corners]
-        for first, second in () if shape == "line" else self.edges.get(shape, EDGES[shape]):
-            t = np.arange(1, order)[:, None]
-            nodes.append((order - t) * corners[first] + t * corners[second])
-        if is_complete:
-            for face in self.faces.get(shape, FACES[shape]) if corners.shape[1] == 3 else ():
-                inside = self.inner({3: "triangle", 4: "quad"}[len(face)], order)
-                along = np.stack([corners[face[1]] - corners[face[0]], corners[face[-1]] - corners[face[0]]])
-                nodes.append(order * corners[face[0]] + inside @ along)
-            nodes.append(self.inner(shape, order))
-        return np.concatenate(nodes)
+        return lattice(shape, order, is_complete, self.edges, self.faces, self.inner)
 
     @functools.cache  # noqa: B019
     def places(self, kind: str) -> np.ndarray:
         """Finds the place (k,) in the format's list of each node of the canonical order."""
         cell = lagrange_types()[kind]
         listed = self.lattice(cell.shape, cell.order, is_complete=cell.is_complete)
-        place = {tuple(at): k for k, at in enumerate(listed.tolist())}
-        return np.array([place[tuple(at)] for at in cell.lattice.tolist()])
+        place = cell.place
+        return np.argsort([place[tuple(at)] for at in listed.tolist()])
 
 
 def reordered(kind: str, ids: Any, origin: NodeOrder | None, target: NodeOrder | None) -> Any:
@@ -64,18 +50,12 @@ def reordered(kind: str, ids: Any, origin: NodeOrder | None, target: NodeOrder |
     return ids if target is None else ids[:, np.argsort(target.places(kind))]
 
 
-def _rows(shape: str, order: int) -> np.ndarray:
-    cell = lagrange_types()[shape]
-    grid = np.indices((order + 1,) * cell.dimension).reshape(cell.dimension, -1)[::-1].T
-    return grid[depth(shape, order, grid) > 0]
-
-
 def _as_gmsh(shape: str, order: int) -> np.ndarray:
     """Lists the inner lattice as gmsh does: as the nodes of a cell of the order that is left."""
     if shape == "line":
-        return _rows(shape, order)
+        return inner_places(shape, order)
     if shape == "wedge":  # at each place in the triangle the ends of the line first
-        triangle, line = _as_gmsh("triangle", order), _rows("line", order)
+        triangle, line = _as_gmsh("triangle", order), inner_places("line", order)
         line = np.concatenate([line[:1], line[1:][::-1]])
         return np.column_stack([np.repeat(triangle, len(line), axis=0), np.tile(line, (len(triangle), 1))])
     left = order - {"triangle": 3, "quad": 2, "tetra": 4, "hexahedron": 2, "pyramid": 3}[shape]
@@ -86,19 +66,16 @@ def _as_gmsh(shape: str, order: int) -> np.ndarray:
 
 GMSH = NodeOrder(
     {
-        "tetra": ((0, 1), (1, 2), (2, 0), (3, 0), (3, 2), (3, 1)),
-        "pyramid": ((0, 1), (0, 3), (0, 4), (1, 2), (1, 4), (2, 3), (2, 4), (3, 4)),
-        "wedge": ((0, 1), (0, 2), (0, 3), (1, 2), (1, 4), (2, 5), (3, 4), (3, 5), (4, 5)),
-        "hexahedron": (
-            *((0, 1), (0, 3), (0, 4), (1, 2), (1, 5), (2, 3)),
-            *((2, 6), (3, 7), (4, 5), (4, 7), (5, 6), (6, 7)),
-        ),
+        "tetra": numbers("01 12 20 30 32 31"),
+        "pyramid": numbers("01 03 04 12 14 23 24 34"),
+        "wedge": numbers("01 02 03 12 14 25 34 35 45"),
+        "hexahedron": numbers("01 03 04 12 15 23 26 37 45 47 56 67"),
     },
     {
-        "tetra": ((0, 2, 1), (0, 1, 3), (0, 3, 2), (3, 1, 2)),
-        "pyramid": ((0, 1, 4), (3, 0, 4), (1, 2, 4), (2, 3, 4), (0, 3, 2, 1)),
-        "wedge": ((0, 2, 1), (3, 4, 5), (0, 1, 4, 3), (0, 3, 5, 2), (1, 2, 5, 4)),
-        "hexahedron": ((0, 3, 2, 1), (0, 1, 5, 4), (0, 4, 7, 3), (1, 2, 6, 5), (2, 3, 7, 6), (4, 5, 6, 7)),
+        "tetra": numbers("021 013 032 312"),
+        "pyramid": numbers("014 304 124 234 0321"),
+        "wedge": numbers("021 345 0143 0352 1254"),
+        "hexahedron": numbers("0321 0154 0473 1265 2376 4567"),
     },
     _as_gmsh,
 )
@@ -106,25 +83,22 @@ GMSH = NodeOrder(
 
 VTK_ORDER = NodeOrder(
     {
-        "quad": ((0, 1), (1, 2), (3, 2), (0, 3)),
-        "hexahedron": (
-            *((0, 1), (1, 2), (3, 2), (0, 3), (4, 5), (5, 6)),
-            *((7, 6), (4, 7), (0, 4), (1, 5), (2, 6), (3, 7)),
-        ),
+        "quad": numbers("01 12 32 03"),
+        "hexahedron": numbers("01 12 32 03 45 56 76 47 04 15 26 37"),
     },
     {
-        "tetra": ((0, 1, 3), (2, 3, 1), (0, 3, 2), (0, 2, 1)),
-        "wedge": ((0, 1, 2), (3, 4, 5), (0, 1, 4, 3), (1, 2, 5, 4), (2, 0, 3, 5)),
-        "hexahedron": ((0, 3, 7, 4), (1, 2, 6, 5), (0, 1, 5, 4), (3, 2, 6, 7), (0, 1, 2, 3), (4, 5, 6, 7)),
+        "tetra": numbers("013 231 032 021"),
+        "wedge": numbers("012 345 0143 1254 2035"),
+        "hexahedron": numbers("0374 1265 0154 3267 0123 4567"),
     },
-    _rows,
+    inner_places,
 )
 """The order of VTK's quadratic and Lagrange cells, from VTK 9 on: parametric coordinates."""
 
 
 def _spirals(shape: str, order: int) -> np.ndarray:
     """Lists the inner lattice as CGNS does: layer by layer, each layer of a square in rings."""
-    rows = _rows(shape, order)
+    rows = inner_places(shape, order)
     if shape == "quad":
         return _spiral(rows)
     if shape in ("pyramid", "hexahedron"):
@@ -145,17 +119,14 @@ def _spiral(square: np.ndarray) -> np.ndarray:
 
 CGNS_ORDER = NodeOrder(
     {
-        "wedge": ((0, 1), (1, 2), (2, 0), (0, 3), (1, 4), (2, 5), (3, 4), (4, 5), (5, 3)),
-        "hexahedron": (
-            *((0, 1), (1, 2), (2, 3), (3, 0), (0, 4), (1, 5)),
-            *((2, 6), (3, 7), (4, 5), (5, 6), (6, 7), (7, 4)),
-        ),
+        "wedge": numbers("01 12 20 03 14 25 34 45 53"),
+        "hexahedron": numbers("01 12 23 30 04 15 26 37 45 56 67 74"),
     },
     {
-        "tetra": ((0, 1, 2), (0, 1, 3), (1, 2, 3), (2, 0, 3)),
-        "pyramid": ((0, 1, 2, 3), (0, 1, 4), (1, 2, 4), (2, 3, 4), (3, 0, 4)),
-        "wedge": ((0, 1, 2), (0, 1, 4, 3), (1, 2, 5, 4), (2, 0, 3, 5), (3, 4, 5)),
-        "hexahedron": ((0, 1, 2, 3), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7), (4, 5, 6, 7)),
+        "tetra": numbers("012 013 123 203"),
+        "pyramid": numbers("0123 014 124 234 304"),
+        "wedge": numbers("012 0143 1254 2035 345"),
+        "hexahedron": numbers("0123 0154 1265 2376 3047 4567"),
     },
     _spirals,
 )
@@ -168,5 +139,5 @@ class _Meshio(NodeOrder):
         return origin.lattice(shape, order, is_complete=is_complete)
 
 
-MESHIO = _Meshio({}, {}, _rows)
+MESHIO = _Meshio({}, {}, inner_places)
 """The order in meshes of meshio. VTK has no pyramid with 14 nodes: that is gmsh's too."""

@@ -54,42 +54,41 @@ def filling(cells: Mapping[str, Any]) -> dict[str, Any]:
     return {kind: corners for kind, corners in cells.items() if DIMENSION[kind] == highest >= 2}
 
 
+def numbers(words: str) -> Any:
+    """Reads rows of digits: "03 1a" is ((0, 3), (1, 10))."""
+    return tuple(tuple(int(digit, 36) for digit in word) for word in words.split())
+
+
 FACES: dict[str, tuple[tuple[int, ...], ...]] = {
-    "line": (),
-    "triangle": ((0, 1), (1, 2), (2, 0)),
-    "quad": ((0, 1), (1, 2), (2, 3), (3, 0)),
-    "tetra": ((0, 1, 3), (1, 2, 3), (2, 0, 3), (0, 2, 1)),
-    "pyramid": ((0, 3, 2, 1), (0, 1, 4), (1, 2, 4), (2, 3, 4), (3, 0, 4)),
-    "wedge": ((0, 2, 1), (3, 4, 5), (0, 1, 4, 3), (1, 2, 5, 4), (2, 0, 3, 5)),
-    "hexahedron": ((0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)),
+    "line": numbers(""),
+    "triangle": numbers("01 12 20"),
+    "quad": numbers("01 12 23 30"),
+    "tetra": numbers("013 123 203 021"),
+    "pyramid": numbers("0321 014 124 234 304"),
+    "wedge": numbers("021 345 0143 1254 2035"),
+    "hexahedron": numbers("0321 4567 0154 1265 2376 3047"),
 }
 FACES |= {kind: FACES[SHAPES[kind]] for kind in HIGH_ORDER}
 """Corners of the faces by type (edges of a 2-D cell), counterclockwise as seen from outside."""
 
 EDGES: dict[str, tuple[tuple[int, int], ...]] = {
-    "line": ((0, 1),),
-    "triangle": ((0, 1), (1, 2), (2, 0)),
-    "quad": ((0, 1), (1, 2), (2, 3), (3, 0)),
-    "tetra": ((0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)),
-    "pyramid": ((0, 1), (1, 2), (2, 3), (3, 0), (0, 4), (1, 4), (2, 4), (3, 4)),
-    "wedge": ((0, 1), (1, 2), (2, 0), (3, 4), (4, 5), (5, 3), (0, 3), (1, 4), (2, 5)),
-    "hexahedron": (
-        *((0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4)),
-        *((0, 4), (1, 5), (2, 6), (3, 7)),
-    ),
+    "line": numbers("01"),
+    "triangle": numbers("01 12 20"),
+    "quad": numbers("01 12 23 30"),
+    "tetra": numbers("01 12 20 03 13 23"),
+    "pyramid": numbers("01 12 23 30 04 14 24 34"),
+    "wedge": numbers("01 12 20 34 45 53 03 14 25"),
+    "hexahedron": numbers("01 12 23 30 45 56 67 74 04 15 26 37"),
 }
 
 FRAMES: dict[str, tuple[tuple[int, ...], ...]] = {
-    "line": ((0, 1),),
-    "triangle": ((0, 1, 2),),
-    "quad": ((0, 1, 3), (1, 2, 0), (2, 3, 1), (3, 0, 2)),
-    "tetra": ((0, 1, 2, 3),),
-    "pyramid": ((0, 1, 3, 4), (1, 2, 0, 4), (2, 3, 1, 4), (3, 0, 2, 4)),
-    "wedge": ((0, 1, 2, 3), (1, 2, 0, 4), (2, 0, 1, 5), (3, 5, 4, 0), (4, 3, 5, 1), (5, 4, 3, 2)),
-    "hexahedron": (
-        *((0, 1, 3, 4), (1, 2, 0, 5), (2, 3, 1, 6), (3, 0, 2, 7)),
-        *((4, 7, 5, 0), (5, 4, 6, 1), (6, 5, 7, 2), (7, 6, 4, 3)),
-    ),
+    "line": numbers("01"),
+    "triangle": numbers("012"),
+    "quad": numbers("013 120 231 302"),
+    "tetra": numbers("0123"),
+    "pyramid": numbers("0134 1204 2314 3024"),
+    "wedge": numbers("0123 1204 2015 3540 4351 5432"),
+    "hexahedron": numbers("0134 1205 2316 3027 4750 5461 6572 7643"),
 }
 """Corners with the ends of their edges, right-handed, for corner Jacobians; a simplex has one."""
 

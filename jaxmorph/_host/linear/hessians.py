@@ -64,9 +64,9 @@ def _ordering(starts: np.ndarray, columns: np.ndarray) -> np.ndarray:
 def solve(starts, columns, block, order, blocks, shift, right) -> np.ndarray:
     """Solves (H + diag(shift)) x = right for a step that descends.
 
-    `right` is (n, d), and H the sum of `blocks` (d, d, pairs). A small matrix is factored; for a
-    large matrix, conjugate gradients with the diagonal blocks as preconditioner run to 1 % of the
-    right side. The matrix is damped if H is not positive. The result is zero if H is not finite.
+    `right` is (n, d), and H the sum of `blocks` (d, d, pairs). A small matrix is factored, and
+    damped if it is not positive. For a large matrix, conjugate gradients run to 1 % of the right
+    side. The result is zero if H is not finite.
     """
     return _solved((starts, columns, block, order), blocks, shift, right, None)
 
@@ -74,8 +74,7 @@ def solve(starts, columns, block, order, blocks, shift, right) -> np.ndarray:
 def solve_exactly(starts, columns, block, order, blocks, shift, right) -> np.ndarray:
     """Solves as `solve` does, to round-off or to 1e-10 of the right side.
 
-    The result is NaN if the matrix is not positive or the iteration does not converge; zero for
-    a right side of zeros, whatever the matrix is.
+    The result is NaN if the matrix is not positive or the iteration does not converge.
     """
     return _solved((starts, columns, block, order), blocks, shift, right, 1e-10)
 
@@ -83,7 +82,7 @@ def solve_exactly(starts, columns, block, order, blocks, shift, right) -> np.nda
 def _solved(structure, blocks, shift, right, accuracy: float | None) -> np.ndarray:
     starts, columns, block, order = structure
     n, d = right.shape
-    parts = [np.bincount(block, blocks[a, b], len(columns)) for a in range(d) for b in range(d)]
+    parts = [np.bincount(block, part, len(columns)) for part in blocks.reshape(d * d, -1)]
     data = np.stack(parts, axis=1).reshape(-1, d, d)
     if not right.any():
         return np.zeros_like(right)
@@ -95,7 +94,8 @@ def _solved(structure, blocks, shift, right, accuracy: float | None) -> np.ndarr
         solved = _factored(matrix, wanted, (0.0,) if accuracy else (0.0, *DAMPING))
     else:
         solved = _iterated(matrix.tobsr((d, d)), wanted, accuracy or ROUGH)
-    if accuracy and not np.linalg.norm(matrix @ solved.ravel() - wanted.ravel()) <= 1e-6 * np.linalg.norm(wanted):
+    missed = np.linalg.norm(matrix @ solved.ravel() - wanted.ravel()) if accuracy else 0.0
+    if not missed <= 1e-6 * np.linalg.norm(wanted):
         solved = np.full_like(solved, np.nan)
     solution = np.empty_like(right)
     solution[order] = solved

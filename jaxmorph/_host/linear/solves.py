@@ -1,10 +1,8 @@
 """Solvers of a sparse symmetric system: factors, conjugate gradients, and a multigrid cycle.
 
-SciPy's conjugate gradients stop at the residual alone. Their sums of products are computed by a
-BLAS. Its threads wait in a loop for the next sum, at the cost of a second core. Here NumPy computes
-the sums. The cycle has pyamg's levels, swept by SciPy's products. pyamg's Gauss-Seidel sweeps need
-as many steps, and two to three times as long. Its polynomials take their bounds from random
-vectors, so that no two runs would agree. `benchmarks/README.md` compares them.
+SciPy's conjugate gradients stop at the residual alone, and sum by a BLAS whose threads cost a
+second core. The cycle has pyamg's levels, swept by SciPy's products. pyamg's Gauss-Seidel sweeps
+take two to three times as long, and its polynomials take bounds from random vectors.
 """
 
 import dataclasses
@@ -26,8 +24,7 @@ def is_factored(unknowns: int, dimension: int) -> bool:
 class Factors:
     """Factors of a sparse symmetric matrix, by pivots on the diagonal.
 
-    Pivots are taken in an order of minimum degree, or, with `is_ordered`, in the order of the
-    matrix.
+    Their order is that of minimum degree, or, with `is_ordered`, of the matrix.
     """
 
     def __init__(self, matrix: Any, *, is_ordered: bool = False):
@@ -60,16 +57,9 @@ def conjugate_gradients(
 ) -> tuple[np.ndarray, bool]:
     """Solves for a right side (k,), up to negative curvature (Nocedal and Wright, algorithm 7.1).
 
-    **Arguments:**
-
-    - `matrix`: has products `matrix @ x`.
-    - `right`: the right side (k,).
-    - `inverse`: the preconditioner, a symmetric positive map of (k,) to (k,).
-    - `is_enough`: decides from the solution, the residual and the residual's image under `inverse`.
-    - `limit`: most steps.
-
-    **Returns:** x (k,), and True if it `is_enough`. If the first direction has negative curvature,
-    x is the direction.
+    `inverse` is the preconditioner. `is_enough` decides from the solution, the residual and the
+    residual's image under `inverse`; there are at most `limit` steps. Returns x (k,), and True if
+    it `is_enough`. If the first direction has negative curvature, x is the direction.
     """
     x, residual, along, before = np.zeros_like(right), right.copy(), np.zeros_like(right), 1.0
     for _ in range(limit):
@@ -99,9 +89,8 @@ SPREAD = 10
 STRONG = 0.3
 """Least entry, relative to the most negative entry of its row, by which unknowns are joined.
 
-In a thin layer of hexahedra, a node's neighbour across the layer has the entry -16/36, the nodes
-beside that neighbour -4/36, and the nodes beside the node itself a positive entry. So only lines
-across the layer are joined.
+In a thin layer of hexahedra, the neighbour across the layer has the entry -16/36, nodes beside it
+-4/36, other nodes a positive entry. So only lines across the layer are joined.
 """
 
 COARSEST = 90
@@ -112,8 +101,8 @@ COARSEST = 90
 class Level:
     """A matrix (k, k) of the cycle, and the way to the next matrix.
 
-    - `prolongation` (k, coarse), `restriction` (coarse, k): the interpolation from the next level,
-      and its transpose.
+    - `prolongation` (k, coarse): the interpolation from the next level; `restriction`: its
+      transpose.
     - `inverse` (k,): one over the diagonal.
     - `top`: a bound of the eigenvalues of the matrix over its diagonal, by Gershgorin's circles.
     """

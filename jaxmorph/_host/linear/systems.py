@@ -141,7 +141,10 @@ def _of_matrix(matrix: Any, d: int, multigrid: bool) -> Callable[[np.ndarray], n
     scaled = _scaled(matrix, scale)
     if is_factored(matrix.shape[0], d):
         return _factored(scaled, scale)
-    cycle = _cycle(scaled, scale) if multigrid else None
+    return _iterative(scaled, scale, _cycle(scaled, scale) if multigrid else None)
+
+
+def _iterative(scaled: Any, scale: np.ndarray, cycle: Callable | None) -> Callable[[np.ndarray], np.ndarray]:
     factors: list[Callable[[np.ndarray], np.ndarray]] = []
 
     def apply(right):
@@ -170,8 +173,7 @@ def iterated(
     """Solves for a right side (k,); NaN if CG does not converge, or the matrix is not positive.
 
     The wanted unknowns are `scale` (k,) times x. The cycle's image of the residual is as large as
-    the error. The residual alone says too little: one that is small beside stiff cells moves soft
-    cells far. Without a cycle, it must be enough.
+    the error: a residual that is small beside stiff cells moves soft cells far.
     """
     enough = ACCURACY**2 * inner_product(right, right)
 
@@ -190,11 +192,7 @@ def _largest(x: np.ndarray) -> float:
 
 
 def _cycle(scaled: Any, scale: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-    """Makes a matrix's multigrid cycle; for blocks, one a component, of diagonal entries.
-
-    The diagonal entries are equivalent to the matrix (Korn's inequality), with a ninth of its
-    entries.
-    """
+    """Makes a matrix's multigrid cycle; for blocks, one a component, by Korn's inequality."""
     if scaled.format != "bsr":
         return hierarchy(scaled, 1 / scale)
     d, cycles = scaled.blocksize[0], []
@@ -243,10 +241,7 @@ def reached(pairs: np.ndarray, known: np.ndarray) -> np.ndarray:
 
 
 def coincident(points: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """Finds, for every point (n,), the point that represents its place.
-
-    A point of `first` represents itself, and all other points at its place.
-    """
+    """Finds the point that represents each point's place (n,); one of `first` if there is any."""
     order = np.concatenate([first, np.setdiff1d(np.arange(len(points)), first)])
     index, inverse = distinct(points[order])
     stands = np.empty(len(points), dtype=np.int64)

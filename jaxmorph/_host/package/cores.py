@@ -1,4 +1,4 @@
-"""The cores that this process may use, and work on several of them at once."""
+"""The cores that this process may use, and background calls."""
 
 import collections
 import contextvars
@@ -87,7 +87,7 @@ def in_order(function: Callable[[Any], T], pieces: Iterable[Any]) -> Iterator[T]
 def by_blocks(function: Callable[[slice], Any], count: int) -> None:
     """Calls `function` with slices of `count` rows, on all cores: it fills the rows of results.
 
-    The number of cores does not change the slices.
+    Slices do not depend on the number of cores.
     """
     for _ in in_order(function, (slice(start, min(start + BLOCK, count)) for start in range(0, count, BLOCK))):
         pass

@@ -7,10 +7,8 @@ import pathlib
 import re
 import secrets
 import shutil
-import socket
 import stat
 import zipfile
-import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
 
 import numpy as np
@@ -19,8 +17,7 @@ import numpy as np
 def input_path(path: str | os.PathLike[str]) -> pathlib.Path:
     """Checks the name of a file or folder to read; returns a path, also where nothing exists.
 
-    It raises `ValueError` for a device or a pipe, for which a reader would wait, and for a name
-    with a null byte.
+    Raises `ValueError` for a device or a pipe, and for a name with a null byte.
     """
     path = _without_null(path)
     if path.exists() and not (path.is_file() or path.is_dir()):
@@ -50,8 +47,8 @@ def _without_null(path: str | os.PathLike[str]) -> pathlib.Path:
 def output_path(path: str | os.PathLike[str], *endings: str, folder: bool = False) -> pathlib.Path:
     """Checks the name of a file, or of a folder, to write, before any work; returns it as a path.
 
-    It raises `ValueError` for a name without one of the `endings`, if there are any, and if the
-    parent folder does not exist. Also for a folder, a device or a pipe, which no file can replace.
+    Raises `ValueError` for a name without one of the `endings`, if there are any, without a parent
+    folder, and for a folder, a device or a pipe.
     """
     path = _without_null(path) if folder else file_path(path)
     if endings and path.suffix.lower() not in endings:
@@ -93,8 +90,7 @@ def check_apart(
 def read_arrays(path: pathlib.Path, what: str = "an NPZ file") -> dict[str, np.ndarray]:
     """Reads the arrays of an NPZ file by name, without objects.
 
-    It raises `ValueError` for a file that is damaged or not `what` is expected, `OSError` for a
-    file that cannot be opened.
+    Raises `ValueError` for a damaged file, and one that is not `what` is expected.
     """
     with path.open("rb") as file:
         try:
@@ -106,10 +102,7 @@ def read_arrays(path: pathlib.Path, what: str = "an NPZ file") -> dict[str, np.n
 
 
 def _member(archive: zipfile.ZipFile, name: str) -> np.ndarray:
-    """Reads one array to the end of its member, where `zipfile` compares the checksum.
-
-    With a damaged type, NumPy would read only a part of the member.
-    """
+    # read to the end, where `zipfile` compares the checksum: a damaged type hides a part
     with archive.open(name) as member:
         array = np.lib.format.read_array(member, allow_pickle=False)
         if member.read(1):
@@ -133,10 +126,7 @@ _is_wanted: contextvars.ContextVar[Callable[[], bool] | None] = contextvars.Cont
 
 @contextlib.contextmanager
 def appearing_if(is_wanted: Callable[[], bool]) -> Iterator[None]:
-    """Lets a file that is `complete` wait for `is_wanted` before it appears.
-
-    The writer gets an `UnwantedError`, and nothing appears, where the answer is False.
-    """
+    """Lets a `complete` file appear only if `is_wanted()`, else raises `UnwantedError`."""
     token = _is_wanted.set(is_wanted)
     try:
         yield
@@ -148,20 +138,17 @@ def appearing_if(is_wanted: Callable[[], bool]) -> Iterator[None]:
 def complete(path: pathlib.Path, *, folder: bool = False, name_errors: bool = True) -> Iterator[pathlib.Path]:
     """Yields a temporary file or folder that replaces `path` at the end; a failure leaves nothing.
 
-    The temporary file is new, and its name is unique: no link is followed, and no file is
-    overwritten. If `path` is a symbolic link, its target is replaced. The new file gets the
-    permissions of the old file. Temporary files of `path` that killed writers of this machine left
-    are removed.
+    If `path` is a symbolic link, its target is replaced. The new file has the permissions of the
+    old file.
 
     Raises `FileNotFoundError` if the parent folder does not exist, and `ValueError` if `path` is a
-    folder, a device or a pipe. An `OSError` of the writer names `path`, not the temporary file. A
-    caller that raises errors of its own passes `name_errors=False`, and writes within `named`.
+    folder, a device or a pipe. An `OSError` of the writer names `path`. A caller with errors of its
+    own passes `name_errors=False`, and writes within `named`.
     """
     target = pathlib.Path(os.path.realpath(path))
     if not target.parent.is_dir():
         raise FileNotFoundError(f"{path}: there is no folder {target.parent}.")
     _check_replaceable(path, target, folder)
-    _sweep(target)
     with named(path):
         partial = _new(target, folder)
     try:
@@ -173,7 +160,10 @@ def complete(path: pathlib.Path, *, folder: bool = False, name_errors: bool = Tr
         with named(path):
             partial.replace(target)
     finally:
-        _remove(partial)
+        if partial.is_dir() and not partial.is_symlink():
+            shutil.rmtree(partial, ignore_errors=True)
+        else:
+            partial.unlink(missing_ok=True)
 
 
 def _check_replaceable(path: pathlib.Path, target: pathlib.Path, folder: bool) -> None:
@@ -194,20 +184,24 @@ def named(path: pathlib.Path) -> Iterator[None]:
         # `shutil` lists the errors of a tree: the first one counts.
         text = str(error.args[0][0][-1] if isinstance(error, shutil.Error) else error)
         number = getattr(error, "errno", None) or int((re.search(r"\b[Ee]rrno (?:= )?(\d+)", text) or [0, 0])[1])
-        names = [getattr(error, name, None) for name in ("filename", "filename2")]
-        of_another = any(names) and not any(".partial" in os.fsdecode(name) for name in names if name is not None)
-        if of_another or not (number or isinstance(error, OSError)):  # HDF5 raises a RuntimeError for a full device
+        if _is_of_another(error) or not (number or isinstance(error, OSError)):
             raise
         if not number:  # NumPy, for example, counts the bytes that were not written
             raise OSError(f"{path}: not written ({text})") from error
-        raise OSError(number, os.strerror(number), str(path)) from error
+        raise OSError(number, os.strerror(number), str(path)) from error  # HDF5's RuntimeError for a full device too
+
+
+def _is_of_another(error: Exception) -> bool:
+    names = [os.fsdecode(name) for key in ("filename", "filename2") if (name := getattr(error, key, None))]
+    return bool(names) and not any(".partial" in name for name in names)
 
 
 def _new(target: pathlib.Path, folder: bool) -> pathlib.Path:
     """Creates the temporary folder, or a temporary file with the permissions of its target."""
+    room = 255 - len(os.fsencode(target.suffix)) - len("..12345678.partial")  # of a file system's 255 bytes
+    stem = os.fsencode(target.stem)[: max(room, 0)].decode(errors="ignore")
     while True:
-        token = f"{_machine()}-{os.getpid()}-{secrets.token_hex(4)}"
-        partial = target.with_name(f".{_stem(target)}.{token}.partial{target.suffix}")
+        partial = target.with_name(f".{stem}.{secrets.token_hex(4)}.partial{target.suffix}")
         with contextlib.suppress(FileExistsError):
             if folder:
                 partial.mkdir()
@@ -218,45 +212,3 @@ def _new(target: pathlib.Path, folder: bool) -> pathlib.Path:
             if mode is not None:
                 partial.chmod(mode)
             return partial
-
-
-def _sweep(target: pathlib.Path) -> None:
-    """Removes temporary files of a target that killed processes of this machine left."""
-    name = re.compile(
-        rf"\.{re.escape(_stem(target))}\.{_machine()}-(\d+)-[0-9a-f]{{8}}\.partial{re.escape(target.suffix)}"
-    )
-    with contextlib.suppress(OSError):
-        for entry in os.scandir(target.parent):
-            match = name.fullmatch(entry.name)
-            if match and not _is_alive(int(match[1])):
-                _remove(pathlib.Path(entry.path))
-
-
-def _stem(target: pathlib.Path) -> str:
-    """Shortens a target's name, so that its temporary names fit into a file system's 255 bytes."""
-    room = 255 - len(os.fsencode(target.suffix)) - len(".-.partial") - 2 * 8 - 12
-    return os.fsencode(target.stem)[: max(room, 0)].decode(errors="ignore")
-
-
-def _is_alive(process: int) -> bool:
-    if os.name != "posix":
-        return True  # a signal would end it there
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    except OSError:
-        return True
-    return True
-
-
-def _machine() -> str:
-    """Names this machine in eight digits: process numbers of other machines mean nothing here."""
-    return f"{zlib.crc32(socket.gethostname().encode()):08x}"
-
-
-def _remove(partial: pathlib.Path) -> None:
-    if partial.is_dir() and not partial.is_symlink():
-        shutil.rmtree(partial, ignore_errors=True)
-    else:
-        partial.unlink(missing_ok=True)

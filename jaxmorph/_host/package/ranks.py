@@ -75,16 +75,14 @@ class Agreement:
         """Returns common values (k, d) of ids (k,); all processes call it, also without nodes."""
         # The keeper of an id is the process `id % size`. Every process sends ids and values to
         # their keepers, which add new ids and answer with the values that they keep.
-        keeper = ids % self.ranks.size
-        rows = [np.flatnonzero(keeper == rank) for rank in range(self.ranks.size)]
+        rows = [np.flatnonzero(ids % self.ranks.size == rank) for rank in range(self.ranks.size)]
         received = self.ranks.alltoall([(ids[row], values[row]) for row in rows])
         for names, places in received:
             self._keep(names, places)
         answers = self.ranks.alltoall([self.values[np.searchsorted(self.ids, names)] for names, _ in received])
         common = values.copy()
         for row, answer in zip(rows, answers, strict=True):
-            if len(row):
-                common[row] = answer
+            common[row] = answer if len(row) else common[row]
         return common
 
     def _keep(self, ids: np.ndarray, values: np.ndarray) -> None:

@@ -1,10 +1,7 @@
 """Decisions free of round-off, orders of points, and searches for the nearest.
 
+Many lengths of a regular mesh are equal but for the last bit, which depends on the processor.
 Numbers within `SAME` are equal, and the first of equals is taken.
-
-A mesh with flat sides, even spacings or a plane of symmetry has many equal lengths. Computed
-lengths differ in the last bit, and differently on different processors. A plain comparison would
-follow that bit.
 """
 
 from typing import Any
@@ -43,10 +40,7 @@ def spacing(points: np.ndarray) -> np.ndarray:
 
 
 def ranked(values: np.ndarray, slack: float) -> np.ndarray:
-    """Ranks numbers from the least, which has rank 0.
-
-    A number at most `slack` above its predecessor has the predecessor's rank.
-    """
+    """Ranks numbers from 0; one at most `slack` above its predecessor has the same rank."""
     order = np.argsort(values, kind="stable")
     rank = np.zeros(len(values), dtype=np.int64)
     rank[order[1:]] = np.cumsum(np.diff(values[order]) > slack)

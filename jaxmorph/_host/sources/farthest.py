@@ -17,17 +17,16 @@ class FarthestPoints(AbstractSeparated):
     """Chooses `count` points one by one, always the farthest from all chosen points.
 
     The first is the farthest from the middle. The largest distance of a surface point from its
-    nearest source is then at most twice that of the best choice of `count` sources, whatever the
-    density of the mesh. The result depends on the set of points, not on their order. It costs n
-    times `count` operations (Gonzalez, Theoretical Computer Science 38, 1985).
+    nearest source is at most twice that of the best choice of `count` sources. The result depends
+    on the set of points, not on their order. It costs n times `count` operations (Gonzalez,
+    Theoretical Computer Science 38, 1985).
 
     **Arguments:**
 
     - `count`: number of points, at least 1; fewer if `separation` leaves no more.
-    - `separation`: the least distance between two sources, as a share of the diagonal of all
-      points, from 0 to 1. Default 1e-3.
-    - `extremes`: begin with the points on the bounding box, as `KDTree` does: a blunt trailing
-      edge, a wing's tip. Default False.
+    - `separation`: the least distance between two sources, relative to the diagonal of all points.
+      Default 1e-3.
+    - `extremes`: begin with the points on the bounding box, as `KDTree` does. Default False.
 
     **Raises:** `ValueError` for a count below one, and for a separation that is not from 0 to 1.
     """
@@ -51,9 +50,8 @@ class FarthestPoints(AbstractSeparated):
 class Filled(AbstractReduction):
     """Chooses the sources of a k-d tree with `extremes`, then the farthest points from them.
 
-    The tree follows the density of the mesh: it is finer at edges. The farthest points leave no
-    part of a wall without sources. There are 84 sources in 2-D and 400 in 3-D, or more if the tree
-    has more.
+    The tree is finer at edges, as the mesh is. The farthest points leave no part of a wall without
+    sources. There are 84 sources in 2-D and 400 in 3-D, or as many as the tree has.
 
     **Arguments:**
 
@@ -92,7 +90,7 @@ def farthest(
     """Picks ids of `count` points, each the farthest from all chosen points; `first` come first.
 
     It ends early if all points are within `closest` of chosen points. With `reach` (n,), distances
-    are relative to a point's own reach, and it ends when all points are within reach.
+    are relative to it, and it ends when all points are within reach.
     """
     columns = np.ascontiguousarray(points.T)
     distance, work = np.full(len(points), np.inf), np.empty((2, len(points)))
@@ -134,24 +132,20 @@ class Graded(AbstractSeparated):
     """Chooses points so that sources are dense where the other boundary is near.
 
     The distance of every point from a source is at most `share` of its distance from the other
-    boundary. It is made for the fixed boundary. Where the moving boundary is near, the field must
-    vanish within the gap, and few sources would leave it wavy. A far field needs a few dozen
-    sources at most, however fine its mesh.
+    boundary. It is made for the fixed boundary: where the moving boundary is near, the field must
+    vanish within the gap, and a far field needs a few dozen sources.
 
-    The distance is measured to the nearest source of the other boundary. It is at least the
-    distance of that source from its own nearest source: where boundaries touch, the spacing changes
-    gradually. Without another boundary it is the diagonal of all points.
-
-    A fixed wall whose distance is larger than its length, a body for example, may come near later.
-    It gets its sources as if there were no other boundary, at most 512 on all such walls. Walls are
-    found by the faces of the mesh.
+    The distance is measured to the nearest source of the other boundary, and is at least the
+    distance of that source from its own nearest source. Without another boundary it is the diagonal
+    of all points. A fixed wall farther away than it is long, a body for example, gets its sources
+    as if there were no other boundary, at most 512 on all such walls.
 
     **Arguments:**
 
-    - `share`: relative, above 0; 0.25 in 2-D and 0.5 in 3-D by default.
+    - `share`: above 0; 0.25 in 2-D and 0.5 in 3-D by default.
     - `most`: most sources; the most needed sources come first; 512 by default.
-    - `separation`: least distance between sources, relative to the diagonal of all points, from 0
-      to 1; 1e-3 by default.
+    - `separation`: least distance between sources, relative to the diagonal of all points; 1e-3 by
+      default.
 
     **Raises:** `ValueError` for values that are not in these ranges.
     """
@@ -193,49 +187,25 @@ def _room(points: np.ndarray, others: np.ndarray) -> np.ndarray:
 def far_to_near(points: np.ndarray, first: int, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Orders points (n, d) so that each is far from its predecessors, and finds near predecessors.
 
-    Returns ids (n,), and places in their order (n - first, count). A row begins with the point's
-    own place. The nearest earlier places follow; its own place fills up the row. The result depends
-    on the set of points, not on their order.
+    Returns ids (n,), and places in their order (n - first, count): the point's own place, then
+    near earlier places; its own place fills up the row. The result depends on the set of points,
+    not on their order.
     """
     canonical = canonical_order(points)
     order = canonical[farthest(points[canonical], len(points), 0.0)]
     points, n = points[order], len(points)
-    earlier = np.repeat(np.arange(min(first, n), n, dtype=np.int32)[:, None], count, axis=1)
+    place = np.arange(min(first, n), n)[:, None]
+    earlier = np.repeat(place.astype(np.int32), count, axis=1)
     start = first
     while start < n:
-        end = min(n, start + start // 4 + 1)  # one tree for a quarter more points: most it gives are earlier
-        earlier[start - first : end - first, 1:] = _before(points[:end], start, count - 1)
+        end = min(n, start + start // 4 + 1)  # a tree for a quarter more points
+        rows, wanted = slice(start - first, end - first), points[start:end]
+        before = Tree(points[:start]).query(wanted, k=range(1, min(start, count - 1) + 1))
+        beside = Tree(wanted).query(wanted, k=range(1, min(len(wanted), count) + 1))
+        nearest = np.concatenate([before[1], start + beside[1]], axis=1)
+        distance = np.where(nearest < place[rows], np.concatenate([before[0], beside[0]], axis=1), np.inf)
+        closest = np.argsort(distance, axis=1, kind="stable")[:, : count - 1]
+        found, nearest = (np.take_along_axis(table, closest, axis=1) for table in (distance, nearest))
+        earlier[rows, 1 : 1 + closest.shape[1]] = np.where(found < np.inf, nearest, place[rows])
         start = end
     return order, earlier
-
-
-def _before(points: np.ndarray, start: int, count: int) -> np.ndarray:
-    """Finds, for the points from `start` on, `count` near earlier places.
-
-    A point's own place fills up its row. The places are the nearest, unless most neighbours of a
-    point are later ones. Then some places between `start` and the point may be missed.
-    """
-    place = np.arange(start, len(points))[:, None]
-    distance, nearest = _query(points, points[start:], min(len(points), 2 * count + 2))
-    distance = np.where(nearest < place, distance, np.inf)
-    short = np.flatnonzero((distance < np.inf).sum(axis=1) < count)
-    best, chosen = _smallest(distance, nearest, count)
-    if short.size:
-        distances = np.where(nearest[short] >= start, distance[short], np.inf)
-        more, older = _query(points[:start], points[start + short], min(start, count))
-        candidates = np.concatenate([distances, more], axis=1), np.concatenate([nearest[short], older], axis=1)
-        best[short], chosen[short] = _smallest(*candidates, count)
-    return np.where(best < np.inf, chosen, place)
-
-
-def _query(points: np.ndarray, at: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    distance, nearest = Tree(points).query(at, k=count)
-    return np.asarray(distance).reshape(len(at), count), np.asarray(nearest).reshape(len(at), count)
-
-
-def _smallest(distance: np.ndarray, ids: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Selects each row's `count` nearest ids, nearest first; infinite distances fill up a row."""
-    columns = np.argsort(distance, axis=1, kind="stable")[:, :count]
-    missing = ((0, 0), (0, count - columns.shape[1]))
-    best = np.pad(np.take_along_axis(distance, columns, axis=1), missing, constant_values=np.inf)
-    return best, np.pad(np.take_along_axis(ids, columns, axis=1), missing)

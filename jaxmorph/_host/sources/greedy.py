@@ -14,21 +14,20 @@ from .reduction import AbstractSeparated
 class Greedy(AbstractSeparated):
     """Chooses sources one after the other, always where a source is needed most.
 
-    With `motions`, the next source is the point where a thin plate spline through the chosen
-    sources misses the motions by most (Rendall and Allen, Journal of Computational Physics 228,
-    2009). Without motions it chooses as `FarthestPoints` does. It costs the host sources^3
-    operations.
+    The next source is the point where a thin plate spline through the chosen sources misses the
+    `motions` by most (Rendall and Allen, Journal of Computational Physics 228, 2009). Without
+    motions it chooses as `FarthestPoints` does. It costs the host sources^3 operations.
 
     **Arguments:**
 
     - `sources`: number of points, at least 1.
     - `motions`: typical displacements (k, m, d) of the m points, such as modes. Default None.
-    - `tolerance`: it ends early when the largest miss, relative to the largest displacement, is at
-      most this, or at most 1e-9, which is round-off. Default 0.
-    - `group`: number of sources that join in one round, as a share of the chosen sources; with 0,
-      one by one. A source sees sources of its own round by their distance alone. Default 1/8.
-    - `separation`: the least distance between two sources, as a share of the diagonal of all
-      points, from 0 to 1. Default 1e-3.
+    - `tolerance`: the largest miss, relative to the largest displacement, at which it ends early.
+      Default 0, which is 1e-9.
+    - `group`: number of sources that join in one round, relative to the chosen sources; with 0, one
+      by one. Default 1/8.
+    - `separation`: the least distance between two sources, relative to the diagonal of all points.
+      Default 1e-3.
 
     **Raises:** `ValueError` for fewer than one source, and if the points are not as many as the
     motions'.

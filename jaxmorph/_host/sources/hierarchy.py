@@ -20,11 +20,11 @@ WIDTH = 8
 def farthest_first(points: np.ndarray, earlier: np.ndarray, images: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Orders nodes so that the next is always the farthest from its predecessors.
 
-    Also finds nearest predecessors. The `earlier` nodes are predecessors of all nodes. Without
-    earlier nodes, the first node is the farthest from the middle, and the node farthest from it
-    counts as its nearest predecessor. The mirror images of a node, which share its number in
-    `images` (b,), count as its predecessors. So images come in one order. A node that coincides
-    with a predecessor is left out. Left out and earlier nodes are their own nearest predecessors.
+    Also finds nearest predecessors. The `earlier` nodes are predecessors of all nodes, and mirror
+    images of a node, of its number in `images` (b,), are its predecessors. Without earlier nodes,
+    the first node is the farthest from the middle, and the node farthest from it counts as its
+    nearest predecessor. A node that coincides with a predecessor is left out. Left out and earlier
+    nodes are their own nearest predecessors.
     """
     # A batch holds the nodes with the largest distances. Those that do not depend on each other are
     # picked together. Only nodes within the distance of a picked node can come nearer to it.
@@ -138,10 +138,7 @@ def overlaps(
 
 
 def padded(target: np.ndarray, centre: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Lays pairs, sorted by target, into rows (count, k) of centres, with a mask of the pairs.
-
-    k is the largest number of centres of a target.
-    """
+    """Lays pairs, sorted by target, into rows (count, k) of centres, with a mask of the pairs."""
     sizes = np.bincount(target, minlength=count)
     column = np.arange(len(target)) - (np.cumsum(sizes) - sizes)[target]
     rows = np.zeros((count, max(1, sizes.max(initial=0))), dtype=np.int32)
@@ -153,16 +150,15 @@ def padded(target: np.ndarray, centre: np.ndarray, count: int) -> tuple[np.ndarr
 Sweep = tuple[np.ndarray, np.ndarray]
 """The order in which a triangular system is solved: s steps of r rows.
 
-A row adds up to `WIDTH` entries of its owner. The first array (s, r, WIDTH) has positions in the
-list of entries, -1 for padding; the second array (s, r) has the owners.
+A row adds up to `WIDTH` entries of its owner: positions (s, r, WIDTH) in the list of entries, -1
+for padding, and owners (s, r).
 """
 
 
 def sweeps(row: np.ndarray, column: np.ndarray, count: int) -> tuple[Sweep, Sweep]:
     """Orders the equations of a triangular matrix, and of its transpose, for forward substitution.
 
-    The `count` equations have ones on the diagonal and entries below it. Equations of one level are
-    independent; a level needs only earlier levels.
+    The `count` equations have ones on the diagonal. A level needs only earlier levels.
     """
     level = np.zeros(count, dtype=np.int64)
     while True:

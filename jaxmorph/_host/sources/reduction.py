@@ -19,15 +19,12 @@ class AbstractReduction(abc.ABC):
     Your own reduction is a frozen (hashable) dataclass with one method, `__call__`.
 
     A choice is discontinuous in the coordinates: as nodes move, another node becomes a source. In
-    the library's own reductions, round-off decides nothing: lengths within a relative 1e-9 are
-    equal, and the first of equals in the order of coordinates counts.
+    the library's own reductions, lengths within a relative 1e-9 are equal, and the first of equals
+    in the order of coordinates counts.
     """
 
     most_on_far_walls: ClassVar[int] = 0
-    """Most sources on fixed walls whose distance from the moving walls is larger than their length.
-
-    With 0, such walls are reduced like all fixed walls.
-    """
+    """Most sources on fixed walls farther from the moving walls than they are long; 0: no limit."""
 
     @abc.abstractmethod
     def __call__(self, points: np.ndarray) -> np.ndarray: ...
@@ -104,10 +101,9 @@ class AllPoints(AbstractReduction):
 class KDTree(AbstractSeparated):
     """The paper's explicit reduction by a k-d tree (section 2.1), in five steps.
 
-    The box with the most points is split at the median of its longest side; points at one
-    coordinate stay together. A leaf's box bounds its own points. The mesh points closest to the
-    search points of the leaves become sources, without repetition. The result depends on the set of
-    points, not on their order.
+    The box with the most points is split at the median of its longest side. A leaf's box bounds its
+    own points. The mesh points closest to the search points of the leaves become sources. The
+    result depends on the set of points, not on their order.
 
     **Arguments:**
 
@@ -117,14 +113,13 @@ class KDTree(AbstractSeparated):
     - `points_per_leaf`: a box with more points is split. Default None: no limit.
     - `smallest_box`, `largest_box`: lengths in the mesh's units. A box no longer than the first
       stays whole, a box longer than the second is split. Defaults 0 and infinity.
-    - `separation`: the least distance between two sources, as a share of the diagonal of all
-      points, from 0 to 1. Closer sources are dropped: they ruin the condition of the solve and of
-      its derivatives. A fixed source is also dropped beside a moving source, by the smaller of both
-      distances. Default 1e-3.
+    - `separation`: the least distance between two sources, relative to the diagonal of all points.
+      Closer sources ruin the condition of the solve. A fixed source is also dropped beside a moving
+      source, by the smaller of both distances. Default 1e-3.
     - `extremes`: adds points on the bounding box: a blunt trailing edge, a wing's tip. Default
       False.
-    - `crowded`: number of leaves if the other boundary is near: nearer to a point than the longest
-      side of the bounding box. Default None: `leaves`.
+    - `crowded`: number of leaves if the other boundary is nearer to a point than the longest side
+      of the bounding box. Default None: `leaves`.
 
     **Raises:** `ValueError` if no argument ends the splitting, and for values out of range.
     """
@@ -225,10 +220,7 @@ class KDTree(AbstractSeparated):
 
 
 def _halves(points: np.ndarray, members: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray]:
-    """Splits members at the median along an axis.
-
-    Points at one coordinate (an outlet, both sides of a wing) stay together.
-    """
+    """Splits members at the median along an axis; points at one coordinate stay together."""
     members = members[np.argsort(points[members, axis], kind="stable")]
     along = points[members, axis]
     gaps = 1 + np.flatnonzero(np.diff(along) > SAME * (along[-1] - along[0]))

@@ -22,12 +22,8 @@ def crossing_faces(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Finds pairs (k, 2) of faces that meet only after the motion, and where (k, d) they meet.
 
-    **Arguments:**
-
-    - `points`, `moved`: coordinates (b, d) before and after.
-    - `faces`: segments (f, 2) in 2-D, triangles (f, 3) in 3-D, as rows of `points`.
-    - `place`: a number (b,) for every row. Faces that share a number are neighbours, and do not
-      count.
+    `faces` are segments (f, 2) or triangles (f, 3), rows of `points` (b, d), which are `moved`.
+    Faces with a common number of `place` (b,) are neighbours, and do not count.
     """
     is_moving = (points != moved).any(axis=1)[faces].any(axis=1)
     if not is_moving.any():

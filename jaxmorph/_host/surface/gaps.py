@@ -15,9 +15,8 @@ def share_left(
 ) -> np.ndarray:
     """Measures the share (b,) of the gap at every row that a motion leaves; infinite without a gap.
 
-    The gap before is the smaller of two: at the row, and at the corners of the face that is nearest
-    afterwards. So walls that slide along each other keep their gap. Distances up to `touching`
-    count as no gap.
+    The gap before is the smaller of those at the row and at the corners of the face that is nearest
+    afterwards: sliding walls keep their gap. Distances up to `touching` count as no gap.
     """
     first, second = gaps(before, wall, faces)[0], gaps(after, wall, faces)
     narrowest = np.minimum(first, first[second[1]].min(axis=1))
@@ -26,11 +25,10 @@ def share_left(
 
 
 def gaps(points: np.ndarray, wall: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Finds the nearest face (b, d) of another wall for each of `points`, and its distance (b,).
+    """Finds each point's distance (b,) from other walls, else infinite, and the face (b, d) there.
 
-    The distance is infinite without other walls. `wall` (b,) numbers the walls; `faces` are rows of
-    `points`, segments (f, 2) in 2-D and triangles (f, 3) in 3-D. A face between two walls does not
-    count.
+    `wall` (b,) numbers the walls; `faces` are rows of `points`, segments (f, 2) or triangles
+    (f, 3). A face between two walls does not count.
     """
     labels = wall[faces]
     whole = (labels == labels[:, :1]).all(axis=1)
@@ -43,7 +41,7 @@ def gaps(points: np.ndarray, wall: np.ndarray, faces: np.ndarray) -> tuple[np.nd
         if len(others):
             of_others = [(rows, tree) for rows, tree in trees if labels[rows[0]] != label] if len(trees) > 1 else []
             near = _closest(points[here], of_others or [(others, Tree(middles[others]))])
-            distances = np.stack([_distance(points[here], points[faces[column]]) for column in near.T], axis=1)
+            distances = np.stack([_places(points[faces[column]], points[here])[1] for column in near.T], axis=1)
             closest, row = distances.argmin(axis=1), np.arange(len(here))
             distance[here], nearest[here] = distances[row, closest], faces[near[row, closest]]
     return distance, nearest
@@ -66,42 +64,20 @@ def _closest(points: np.ndarray, trees: list[tuple[np.ndarray, Tree]]) -> np.nda
     return near
 
 
-def _distance(x: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Measures distances (k,) of points (k, d) from their segments or triangles (k, d, d)."""
-    count = corners.shape[1]
-    sides = [(corners[:, k], corners[:, (k + 1) % count]) for k in range(count if count > 2 else 1)]
-    nearest = np.min([distance_from_segment(x, *side) for side in sides], axis=0)
-    if count == 2:
-        return nearest
-    first, one, other = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    normal = np.cross(one, other)
-    size = np.maximum(np.einsum("kd,kd->k", normal, normal), 1e-300)
-    arm = x - first
-    u = np.einsum("kd,kd->k", np.cross(arm, other), normal) / size
-    v = np.einsum("kd,kd->k", np.cross(one, arm), normal) / size
-    above = np.abs(np.einsum("kd,kd->k", arm, normal)) / np.sqrt(size)
-    return np.where((u >= 0) & (v >= 0) & (u + v <= 1), above, nearest)
-
-
 def distance_from_segment(x: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """Measures distances (k,) of points (k, d) from segments, one for all or one a point."""
-    along = np.broadcast_to(end - start, x.shape)
-    squared = np.maximum(np.einsum("kd,kd->k", along, along), 1e-300)
-    share = np.clip(np.einsum("kd,kd->k", x - start, along) / squared, 0, 1)
-    return np.linalg.norm(x - start - share[:, None] * along, axis=1)
+    """Measures distances (k,) of points (k, d) from a segment."""
+    return _places(np.broadcast_to(np.stack([start, end]), (len(x), 2, x.shape[1])), x)[1]
 
 
 BLOCK = 1 << 12
 """Points looked for together."""
+
 NEAR = 8
 """Nearest simplices that bound the distance to all others."""
 
 
 def fans(ids: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """Cuts polygons into triangles (t, 3) about their first corners.
-
-    `ids` are the corners of all polygons, one after the other; `counts` how many each one has.
-    """
+    """Cuts polygons, of `counts` corners in `ids`, into triangles (t, 3) about first corners."""
     first = np.cumsum(counts) - counts
     owner = np.repeat(np.arange(len(counts)), counts - 2)
     turn = 1 + np.arange(len(owner)) - np.repeat(np.cumsum(counts - 2) - counts + 2, counts - 2)
@@ -109,10 +85,9 @@ def fans(ids: np.ndarray, counts: np.ndarray) -> np.ndarray:
 
 
 def closest(corners: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Finds the simplex (m,) of `corners` (t, c, d) closest to each of `x` (m, d).
+    """Finds the first simplex (m,) of `corners` (t, c, d) that is closest to each of `x` (m, d).
 
-    Returns its number, the weights (m, c) of its corners at its closest place, and the distance
-    (m,). Of simplices at one distance the first one counts.
+    Returns its number, the weights (m, c) of its corners at its closest place, and the distance.
     """
     # Simplices of one size are looked at together: one ball around a point then holds all of them
     # that can be closest, and a few long ones do not make candidates of all.
@@ -150,10 +125,7 @@ def _candidates(trees: list, corners: np.ndarray, x: np.ndarray) -> tuple[np.nda
 
 
 def _places(corners: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Computes weights (m, c) of corners (m, c, d) at each simplex' place closest to `x` (m, d).
-
-    The second array is the distance (m,) of the place.
-    """
+    """Computes weights (m, c) of corners (m, c, d) at places closest to `x`, and distances."""
     if corners.shape[1] == 2:
         weights = _on_segment(corners[:, 0], corners[:, 1], x)
         return weights, np.linalg.norm(np.einsum("mc,mcd->md", weights, corners) - x, axis=1)

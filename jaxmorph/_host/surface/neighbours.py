@@ -33,11 +33,9 @@ def near_walls(
     """Finds the points near a wall, and the ids (k, count + 1) of the surface nodes near them.
 
     `reach` (b,) is the distance to which a node's wall reaches into the volume. A row holds the
-    `count` nearest nodes of the nearest wall, nearest first; ties go to the first node. Its last
-    entry is the nearest node of another wall within eight times the reach, or the first entry
-    again. A point that is nearer to another wall is left out.
-
-    `once(key, make)` caches results that depend on the surface and its walls alone.
+    `count` nearest nodes of the nearest wall, nearest first, then lowest. Its last entry is the
+    nearest node of another wall within eight times the reach, or the first entry again. A point
+    nearer to another wall is left out. `once(key, make)` caches what depends on the surface alone.
     """
     # A search finds the nearest node of a point within reach. The `count` nearest nodes of the
     # point are then among 2 `count` neighbours of that node on its wall, which are found once a
@@ -90,11 +88,8 @@ def _closest(nodes: np.ndarray, squared: np.ndarray, count: int) -> np.ndarray:
 def _nearest_within(
     surface: np.ndarray, wall: np.ndarray, reach: np.ndarray, points: np.ndarray, once: Once
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Finds the nearest surface node whose reach has the point, and its distance, else infinite.
-
-    Nodes of similar reach are searched together: a bound that is far too large costs ten times as
-    much.
-    """
+    """Finds the nearest surface node whose reach has the point, and its distance, else infinite."""
+    # nodes of similar reach are searched together: too large a bound costs ten times as much
     bounded = []
     for members in searched_together(wall, np.flatnonzero(reach > 0)):
         size = np.frexp(reach[members])[1]
@@ -106,8 +101,8 @@ def _nearest_within(
 def searched_together(wall: np.ndarray, rows: np.ndarray) -> list[np.ndarray]:
     """Divides rows of the surface by their walls, unless there are more than `FEW` walls.
 
-    A search in a plane is fast from any distance. A tree of several planes has boxes that reach
-    from plane to plane: a search from the middle of a cube then takes fifty times longer.
+    A search in a plane is fast from any distance. In a tree of several planes, a search from the
+    middle of a cube takes fifty times longer.
     """
     labels = wall[rows]
     walls = np.unique(labels)
@@ -123,8 +118,7 @@ def _nearest(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Finds the nearest node of several lists within their bounds, and its distance, else infinite.
 
-    With `reach` (b,), a node counts only within its own reach. Of equally near lists the first
-    counts.
+    With `reach` (b,), a node counts only within its own reach. Ties go to the first list.
     """
     trees = [once(("tree", digest(members)), lambda members=members: _tree(surface[members])) for members, _ in bounded]
     distance, nearest = np.full(len(points), np.inf), np.zeros(len(points), dtype=np.int64)
@@ -157,10 +151,9 @@ def _nearest(
 def nearest_boxes_first(
     points: np.ndarray, trees: list[Tree], farthest: np.ndarray, bounds: list[float] | None = None
 ) -> Iterator[tuple[int, np.ndarray]]:
-    """Yields trees, by number, with the rows of points to search in each.
+    """Yields trees, by number, with the rows of points to search in each, up to `bounds`.
 
-    `farthest` (n,) is what a search has to beat; the caller lowers it between two trees. No box
-    beyond the `bounds` of its tree is searched.
+    `farthest` (n,) is what a search has to beat; the caller lowers it between two trees.
     """
     # A tree is searched only for points whose answer so far is farther than the tree's box. The
     # tree with the nearest box comes first: it holds the answer of most points.
@@ -199,11 +192,10 @@ def _around(surface: np.ndarray, wall: np.ndarray, count: int) -> np.ndarray:
 
 
 def nearly_coincident(points: np.ndarray, radius: float, share: float) -> tuple[np.ndarray, np.ndarray]:
-    """Finds close pairs: points with neighbours far nearer than the next neighbour.
+    """Finds points with neighbours far nearer than the next: ids, and nearest ids, closest first.
 
-    Returns ids and nearest ids. Far nearer means below a `share` of the distance of the next
-    neighbour, or of the `radius`. The closest pair comes first. Up to `AROUND` points may be near
-    each other.
+    Far nearer means below a `share` of the distance of the next neighbour, or of the `radius`. Up
+    to `AROUND` points may be near each other.
     """
     if len(points) < 2:
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from ..linear.products import outward
+from ..linear.products import cross, outward
 from ..package.rounding import (
     SAME,
     Tree,
@@ -26,8 +26,8 @@ FacesByType = Mapping[str, np.ndarray] | None
 RINGS, BEYOND = (40, 80), 1.1
 """Radii of rings at which a body's field comes to rest.
 
-They are relative to the distance of the body's ends from its middle. A far field has rings if it is
-`BEYOND` times as far away as the last ring.
+They are relative to the body's radius. A far field has rings if it is `BEYOND` times as far away as
+the last ring.
 """
 
 SIDES = 64
@@ -40,8 +40,7 @@ APART = {2: 0.6, 3: 0.8}
 def edges(points: np.ndarray, moving: int, faces: FacesByType = None) -> np.ndarray:
     """Lists pairs (e, 2) of neighbouring rows among the first `moving` surface rows, each once.
 
-    Pairs are the sides of the `faces`; without faces, neighbours by distance. Pairs that coincide
-    are left out.
+    Pairs are the sides of the `faces`, else neighbours by distance. None coincide.
     """
     pairs = _sides(faces, moving)
     if not len(pairs):
@@ -89,8 +88,8 @@ def thinned(places: np.ndarray, most: int) -> np.ndarray:
 def chords(points: np.ndarray, wall: np.ndarray, faces: FacesByType = None) -> tuple[np.ndarray, np.ndarray]:
     """Finds two distant nodes of every wall (w, 2), and measures its mean chord (w,).
 
-    In 2-D the mean chord is half of the wall's length. In 3-D it is half of the wall's area over
-    the distance of the two nodes: a wing's chord, and about the diameter of a sphere or a fuselage.
+    It is half of the wall's length, in 3-D of its area over the distance of the two nodes: a wing's
+    chord, about the diameter of a sphere.
     """
     count = int(wall.max(initial=-1)) + 1
     size, ends = np.zeros(count), np.zeros((count, 2), dtype=np.int32)
@@ -111,27 +110,18 @@ def thicknesses(points: np.ndarray, wall: np.ndarray, faces: FacesByType, ends: 
 
     It is infinite for a wall that is not closed, and without faces.
     """
-    count = len(ends)
-    area, length, gap = np.zeros(count), np.zeros(count), np.zeros((count, 2))
     lines = (faces or {}).get("line", np.zeros((0, 2), dtype=np.int64))
     start, along = points[lines[:, 0]], points[lines[:, 1]] - points[lines[:, 0]]
-    for total, part in (
-        (area, (start[:, 0] * along[:, 1] - start[:, 1] * along[:, 0]) / 2),
-        (length, np.linalg.norm(along, axis=1)),
-        (gap, along),
-    ):
-        np.add.at(total, wall[lines[:, 0]], part)
-    is_closed = (length > 0) & (np.linalg.norm(gap, axis=1) <= 1e-6 * length)
+    parts = cross(start.T, along.T)[0] / 2, np.linalg.norm(along, axis=1), *along.T
+    area, length, *gap = (np.bincount(wall[lines[:, 0]], part, len(ends)) for part in parts)
+    is_closed = (length > 0) & (np.linalg.norm(gap, axis=0) <= 1e-6 * length)
     span = np.linalg.norm(points[ends[:, 0]] - points[ends[:, 1]], axis=1)
     safe = np.where(is_closed & (span > 0), length * span / 2, 1)
     return np.where(is_closed, np.abs(area) / safe, np.inf)
 
 
 def _shares(points: np.ndarray, faces: FacesByType) -> np.ndarray:
-    """Measures the length (2-D) or area (3-D) of the surface around every node (b,).
-
-    It is exact with faces, and an estimate from the distances of neighbours without faces.
-    """
+    """Measures the length (2-D) or area (3-D) around every node (b,); an estimate without faces."""
     share = np.zeros(len(points))
     for corners in (faces or {}).values():
         for column in corners.T:
@@ -161,8 +151,7 @@ def nearest_held(points: np.ndarray, moving: int, wall: np.ndarray, pairs: np.nd
 def drawn_in(surface: np.ndarray, moving: np.ndarray, fixed: np.ndarray, images: np.ndarray) -> tuple:
     """Finds distant fixed sources, and shares of the way to them where the field comes to rest.
 
-    The way begins at the middle of the moving sources. Few directions, with their mirror images,
-    are enough.
+    The way begins at the middle of the moving sources.
     """
     centre = surface[moving].mean(axis=0)
     rings = np.array(RINGS)[:, None] * np.linalg.norm(surface[moving] - centre, axis=1).max()
@@ -179,8 +168,7 @@ def drawn_in(surface: np.ndarray, moving: np.ndarray, fixed: np.ndarray, images:
 def has_free_sides(surface: np.ndarray, is_free: np.ndarray, points: np.ndarray) -> bool:
     """Checks whether a flat side of the surface's hull holds points that are not on the surface.
 
-    `surface` (b, d) has the images in symmetry planes; `is_free` (n,) marks the `points` (n, d)
-    that are not on the surface.
+    `surface` (b, d) has images in symmetry planes; `is_free` (n,) marks `points` off the surface.
     """
     try:
         hull = ConvexHull(surface)
@@ -202,10 +190,7 @@ def has_free_sides(surface: np.ndarray, is_free: np.ndarray, points: np.ndarray)
 
 
 def has_free_faces(points: np.ndarray, faces: Mapping[str, np.ndarray], is_held: np.ndarray) -> bool:
-    """Checks whether boundary faces have corners that are not held (n,).
-
-    Coincident faces, the sides of a cut, do not count.
-    """
+    """Checks whether boundary faces, but for the sides of a cut, have corners that are not held."""
     free = [corners[~is_held[corners].all(axis=1)] for corners in faces.values()]
     middles = np.concatenate([points[corners].mean(axis=1) for corners in free])
     distance = np.full(len(middles), np.inf)
@@ -275,9 +260,8 @@ def sharp_tips(points: np.ndarray, pairs: np.ndarray) -> Tips:
 def behind_tips(walls: Tips, length: np.ndarray, closest: float, room: np.ndarray) -> np.ndarray:
     """Lists rows (g, 3): a sharp tip of a wall, and a node on either side.
 
-    The middle of the two nodes, mirrored in the tip, lies behind the tip. Its distance is at least
-    `length`, at least one edge, more than `closest`, and less than `room`. Edges (e,) of the walls
-    have `length` and `room`.
+    The middle of the two, mirrored in the tip, lies behind it. Its distance is at least `length`,
+    at least one edge, more than `closest`, and less than `room`, both of edges (e,).
     """
     place, found = walls.points, []
     for tip in walls.tips.tolist():

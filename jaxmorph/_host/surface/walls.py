@@ -33,16 +33,15 @@ def walls(
 ) -> np.ndarray:
     """Numbers the walls; returns each surface node's wall (b,); the first `moving` nodes move.
 
-    Moving and fixed nodes are on different walls, even where they touch. `faces` are rows of
-    `points`, counterclockwise as seen from outside of the mesh. With faces, a wall continues from a
-    face to its neighbours, but not round a corner of less than 135 degrees with the mesh inside. So
-    floor and side of a box are two walls, and both sides of an airfoil are one wall.
+    Moving and fixed nodes are on different walls. `faces` are rows of `points`, counterclockwise as
+    seen from outside of the mesh. With faces, a wall continues from a face to its neighbours, but
+    not round a corner of less than 135 degrees with the mesh inside. Floor and side of a box are
+    two walls, both sides of an airfoil are one.
 
-    Without faces, two nodes are on one wall if a chain of nearest neighbours (2 in 2-D, 8 in 3-D)
-    joins them. In structured 3-D meshes a chain may stay within one section of a wing. So parts
-    that are curves are joined to the parts beside them. Walls that are closer to each other than
-    their own nodes then become one wall. Nodes of symmetry planes, marked by `in_planes` (b,), take
-    the wall of the nearest other node.
+    Without faces, chains of nearest neighbours (2 in 2-D, 8 in 3-D) join nodes. In structured 3-D
+    meshes a chain may stay within one section of a wing, so parts that are curves are joined to the
+    parts beside them. Nodes of symmetry planes, marked by `in_planes` (b,), take the wall of the
+    nearest other node.
     """
     label = np.full(len(points), -1)
     groups = [in_order(np.asarray(group)) for _, group in sorted((faces or {}).items()) if len(group)]
@@ -70,8 +69,7 @@ def in_order(faces: np.ndarray) -> np.ndarray:
 def ordered_rows(points: np.ndarray, moving: int, faces: Mapping[str, np.ndarray] | None) -> np.ndarray:
     """Sorts nodes (b, d) by place, the first `moving` nodes before all others.
 
-    Of nodes in one place, such as those on two sides of a slit, the directions of their `faces`
-    decide.
+    Of nodes in one place, as on two sides of a slit, the directions of their `faces` decide.
     """
     columns = [ranked(column, SAME * float(np.ptp(points, axis=0).max(initial=0))) for column in points.T]
     is_still = np.arange(len(points)) >= moving
@@ -116,10 +114,7 @@ def _by_faces(points: np.ndarray, moving: int, groups: list[np.ndarray]) -> np.n
 
 
 def _beside(groups: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Finds pairs of faces that share an edge (2-D: node), and marks opposite senses along it.
-
-    Faces of a consistent surface have opposite senses. Faces are numbered through all groups.
-    """
+    """Finds pairs of faces that share an edge (2-D: node), and marks opposite senses along it."""
     # Every face lists its edges. Sorted by their nodes, lowest node first, equal edges are
     # neighbours in the list. The sense of an edge is lost by that, so `turned` keeps it.
     edges, owners, start = [], [], 0
@@ -160,9 +155,7 @@ def _by_chains(points: np.ndarray) -> np.ndarray:
 def _next_to_curves(points: np.ndarray, label: np.ndarray, spacing: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Pairs every part that is a curve with the next part of its wall, on both sides.
 
-    A wall is a surface, so that a curve of nodes has a part beside it: beside the plane of a
-    section, or beside a straight line. Most nodes of a sample of the curve must find one part
-    there.
+    Most nodes of a sample of the curve must find one part there.
     """
     tree, pairs = Tree(points), []
     for curve in range(label.max() + 1):
@@ -180,10 +173,7 @@ def _next_to_curves(points: np.ndarray, label: np.ndarray, spacing: np.ndarray) 
 
 
 def _votes(points: np.ndarray, label: np.ndarray, members: np.ndarray, sample: np.ndarray, around: np.ndarray) -> list:
-    """Pairs a curve with the nearest part on both sides, by the vote of its sample.
-
-    `around` lists the nodes to search.
-    """
+    """Pairs a curve with the nearest part on both sides, by the vote of its sample."""
     curve = label[members[0]]
     offsets = points[around] - sample[:, None]
     distance = np.where(label[around] == curve, np.inf, np.linalg.norm(offsets, axis=2))
@@ -201,10 +191,7 @@ def _votes(points: np.ndarray, label: np.ndarray, members: np.ndarray, sample: n
 
 
 def _across(curve: np.ndarray, offsets: np.ndarray, distance: np.ndarray) -> np.ndarray:
-    """Finds the direction across a curve.
-
-    It is the normal of its plane; for a straight curve, it points to the nearest other node.
-    """
+    """Finds the normal of a curve's plane, or the way from a straight curve to the nearest node."""
     size, axes = np.linalg.svd(curve - curve.mean(axis=0), full_matrices=False)[1:]
     if size[1] > 0.01 * size[0]:
         return axes[-1]

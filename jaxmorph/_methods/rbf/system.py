@@ -178,8 +178,7 @@ def _lowered_for_cuda(context, *arguments, structure):
     parameters = getattr(context.module_context, "lowering_parameters", None)
     if getattr(parameters, "for_export", False):
         return _lowered_by_blocks(context, *arguments, structure=structure)
-    # Pallas is experimental, and the kernel reads JAX's own expressions: whatever another version
-    # has changed, loops remain
+    # Pallas is experimental: whatever another version has changed, loops remain
     try:
         return _lowered_in_kernel(context, *arguments, structure=structure)
     except Exception as error:
