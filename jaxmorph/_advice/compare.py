@@ -59,10 +59,8 @@ class Trial:
     @property
     def badness(self) -> tuple[float | int, float]:
         """Key by which trials are sorted: inverted cells, then the ratio; refused ones last."""
-        return (
-            math.inf if self.inverted is None else self.inverted,
-            math.inf if math.isnan(self.ratio) else -self.ratio,
-        )
+        ratio = math.inf if math.isnan(self.ratio) else -self.ratio
+        return (math.inf if self.inverted is None else self.inverted, ratio)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -132,12 +130,10 @@ def compare(
     pairs = []
     for name, make in _makers(boundary, methods).items():
         plan = _plan(boundary, make)
-        if isinstance(plan, Plan):
-            pairs.append((_trial(mesh, plan, motions, name), plan))
-        else:
-            pairs.append((Trial(name, refused=plan), None))
-    pairs.sort(key=lambda pair: pair[0].badness)
-    rows, plans = zip(*pairs, strict=True)
+        is_made = isinstance(plan, Plan)
+        trial = _trial(mesh, plan, motions, name) if is_made else Trial(name, refused=plan)
+        pairs.append((trial, plan if is_made else None))
+    rows, plans = zip(*sorted(pairs, key=lambda pair: pair[0].badness), strict=True)
     if plans[0] is None:
         raise ValueError(f"every method is refused. {rows[0].method}: {rows[0].refused}")
     return Comparison(rows, plans)

@@ -14,7 +14,7 @@ from .._boundary.periodic import Pairing
 from .._boundary.tracks import Track
 from .._host.cells.topology import CORNERS, DIMENSION
 from .._quality import measures
-from .._quality.distortion import Bounds, Target, energy, energy_of_cells, samples, stiffened
+from .._quality.distortion import Bounds, Target, energy, energy_of_cells, samples, stiffened, stretch
 from .._quality.vector import Vector, corners
 from .hessian import blocks
 
@@ -196,10 +196,10 @@ class Distortion(eqx.Module):
         rows, counts = [], [self.targets[kind].counts for kind in self.cells]
         for kind, ids in self.cells.items():
             goal = self.targets[kind]
-            stretch = _stretch(measures.frames(kind, corners(points, ids)), goal)
-            rows.append(([column.components for column in stretch], goal.inverse))
+            columns = stretch(kind, corners(points, ids), goal)
+            rows.append(([tuple(column) for column in columns], goal.inverse))
         joined = jax.tree.map(lambda *parts: jnp.concatenate([part.ravel() for part in parts])[None], *rows)
-        every = blocks(energy, [Vector(column) for column in joined[0]], joined[1], floor)[..., 0, :]
+        every = blocks(energy, list(map(Vector, joined[0])), joined[1], floor)[..., 0, :]
         ends = np.cumsum([count.size for count in counts])[:-1]
         pairs = zip(jnp.split(every, ends, axis=-1), counts, strict=True)
         return [
@@ -225,15 +225,6 @@ def _columns(function: Callable, y: Float[Array, "n d"]) -> Float[Array, "n d d"
         return jax.jvp(function, (y,), (jnp.broadcast_to(axis, y.shape),))[1]
 
     return jax.vmap(column, out_axes=2)(jnp.eye(y.shape[1], dtype=y.dtype))
-
-
-def _stretch(edges: list[Vector], goal: Target) -> list[Vector]:
-    """Computes the columns of T = A W^-1; the columns of A are the edges."""
-    columns = []
-    for b in range(len(edges)):
-        parts = [edge * row[b] for edge, row in zip(edges, goal.inverse, strict=True)]
-        columns.append(sum(parts[1:], start=parts[0]))
-    return columns
 
 
 def _shares(kind: str) -> Float[Array, "s c e"]:

@@ -101,67 +101,48 @@ class Sides:
             )
         return _standard(mesh, highest) if mesh.polyhedra is None else _whole(mesh, mesh.polyhedra.faces)
 
-    @property
+    @functools.cached_property
     def counts(self) -> Int[np.ndarray, " k"]:
         """Number of faces of each cell."""
-        counts = np.zeros(self.total, dtype=np.int64)
-        for group in self.groups:
-            for cells in (group.owner, group.behind[: group.shared]):
-                counts += np.bincount(cells, minlength=self.total)
-        return counts
+        cells = [part for group in self.groups for part in (group.owner, group.behind[: group.shared])]
+        return np.sum([np.bincount(part, minlength=self.total) for part in cells], axis=0)
 
 
 def _standard(mesh: Mesh, highest: int) -> Sides:
     """Pairs the faces of cells of the standard types."""
-    listed: dict[int, list[tuple[list[np.ndarray], np.ndarray]]] = {}
-    first, cell = 0, mesh.cell_ids
+    faces: dict[int, list[list[np.ndarray]]] = {}  # by number of corners: columns of corners, and the owner
+    first = 0
     for kind, ids in mesh.cells.items():
         last = first + len(ids)
         if DIMENSION[kind] == highest:
-            columns, owner = columns_of(np.asarray(ids)), cell[first:last].astype(np.int32)
+            columns, owner = columns_of(np.asarray(ids)), mesh.cell_ids[first:last].astype(np.int32)
             for face in FACES[kind]:
-                listed.setdefault(len(face), []).append(([columns[corner] for corner in face], owner))
+                faces.setdefault(len(face), []).append([*(columns[corner] for corner in face), owner])
         first = last
-    groups = []
-    for parts in listed.values():
-        columns = [np.concatenate(column) for column in zip(*(columns for columns, _ in parts), strict=True)]
-        groups.append(_paired(mesh, columns, np.concatenate([owner for _, owner in parts])))
+    groups = (_paired(mesh, *map(np.concatenate, zip(*parts, strict=True))) for parts in faces.values())
     return Sides(tuple(groups), first)
 
 
-def _paired(mesh: Mesh, columns: list[np.ndarray], owner: Int[np.ndarray, " t"]) -> Group:
-    """Joins two outer faces with equal nodes to one shared face."""
+def _paired(mesh: Mesh, *faces: Int[np.ndarray, " t"]) -> Group:
+    """Joins two outer faces, by column and owner, that run round equal nodes in opposite senses."""
+    *columns, owner = faces
     partner = twins(sorted_columns(columns, len(columns))).astype(np.int32)
     first = np.flatnonzero(partner > np.arange(len(partner), dtype=np.int32)).astype(np.int32)
-    second = partner[first]
     is_same = np.empty(len(first), dtype=bool)
 
     def compare(rows: slice) -> None:
-        pairs = ([column[side[rows]] for column in columns] for side in (first, second))
-        is_same[rows] = _is_reversed(*pairs)
+        a, b = (np.stack([column[side[rows]] for column in columns]) for side in (first, partner[first]))
+        turned = (np.roll(b[::-1], start, axis=0) for start in range(len(b)))
+        is_same[rows] = np.any([(a == other).all(axis=0) for other in turned], axis=0)
 
     by_blocks(compare, len(first))
+    first = first[is_same]
     is_alone = np.ones(len(owner), dtype=bool)
-    is_alone[first[is_same]] = is_alone[second[is_same]] = False
-    rows = np.concatenate([first[is_same], np.flatnonzero(is_alone).astype(np.int32)])
-    corners, beyond = np.stack(list(in_order(lambda column: column[rows], columns))), partner[rows]
-    behind = np.where(beyond < 0, np.int32(-1), owner[beyond])
-    shared = int(is_same.sum())
-    return Group(corners, owner[rows], behind, shared, _to_others(mesh, corners, shared))
-
-
-def _is_reversed(a: list[np.ndarray], b: list[np.ndarray]) -> Bool[np.ndarray, " f"]:
-    """Marks the pairs of faces that run round equal corners in opposite senses.
-
-    `a` and `b` are the faces' corners by column.
-    """
-    is_reversed = np.zeros(len(a[0]), dtype=bool)
-    for start in range(len(b)):
-        same = a[0] == b[start]
-        for step in range(1, len(b)):
-            same &= a[step] == b[start - step]
-        is_reversed |= same
-    return is_reversed
+    is_alone[first] = is_alone[partner[first]] = False
+    rows = np.concatenate([first, np.flatnonzero(is_alone).astype(np.int32)])
+    beyond = partner[rows]
+    corners = np.stack(list(in_order(lambda column: column[rows], columns)))
+    return _group(mesh, corners, owner[rows], np.where(beyond < 0, np.int32(-1), owner[beyond]), len(first))
 
 
 def _whole(mesh: Mesh, faces: Faces) -> Sides:
@@ -172,15 +153,14 @@ def _whole(mesh: Mesh, faces: Faces) -> Sides:
     for size in np.unique(sizes).tolist():
         rows = np.flatnonzero(sizes == size)
         is_inner = neighbour[rows] >= 0
-        rows, shared = np.concatenate([rows[is_inner], rows[~is_inner]]), int(is_inner.sum())
+        rows = np.concatenate([rows[is_inner], rows[~is_inner]])
         corners = np.ascontiguousarray(faces.corners(rows, size).T)
-        groups.append(Group(corners, faces.owner[rows], neighbour[rows], shared, _to_others(mesh, corners, shared)))
-    total = int(max(faces.owner.max(), neighbour.max())) + 1
-    return Sides(tuple(groups), total)
+        groups.append(_group(mesh, corners, faces.owner[rows], neighbour[rows], int(is_inner.sum())))
+    return Sides(tuple(groups), int(max(faces.owner.max(), neighbour.max())) + 1)
 
 
-def _to_others(mesh: Mesh, corners: Int[np.ndarray, "c f"], shared: int) -> Bool[np.ndarray, " f"]:
-    marked = np.zeros(corners.shape[1], dtype=bool)
+def _group(mesh: Mesh, corners: Int[np.ndarray, "c f"], owner: np.ndarray, behind: np.ndarray, shared: int) -> Group:
+    is_between = np.zeros(corners.shape[1], dtype=bool)
     if mesh.between is not None:
-        marked[shared:] = is_among(corners[:, shared:].T, mesh.between)
-    return marked
+        is_between[shared:] = is_among(corners[:, shared:].T, mesh.between)
+    return Group(corners, owner, behind, shared, is_between)

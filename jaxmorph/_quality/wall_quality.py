@@ -11,11 +11,11 @@ from jaxtyping import Array, Float, Int
 from .._host.cells.first_lines import Lines, first_lines
 from .._host.linear.products import cross
 from .._host.package.arguments import between, checked, rows_of
-from .._kernels.compile import compiled
 from .._kernels.module import Module
-from .._kernels.values import Either, as_jax, is_known, largest, namespace, norm, on_host, smallest
+from .._kernels.values import Either, as_jax, is_known, largest, namespace, norm, smallest
 from .._mesh.mesh import Mesh
 from .quality import places
+from .vector import by_place
 
 
 class WallQuality(Module):
@@ -33,24 +33,12 @@ class WallQuality(Module):
     angle: Float[Array, " w"]
     height: Float[Array, " w"]
 
-    @property
-    def mean_angle(self) -> Float[Array, "..."]:
-        return jnp.mean(self.angle, axis=-1)
-
-    @property
-    def max_angle(self) -> Float[Array, "..."]:
-        return largest(self.angle, axis=-1)
-
-    @property
-    def min_height(self) -> Float[Array, "..."]:
-        return smallest(self.height, axis=-1)
-
-    @property
-    def max_height(self) -> Float[Array, "..."]:
-        return largest(self.height, axis=-1)
+    mean_angle = property(lambda self: jnp.mean(self.angle, axis=-1))
+    max_angle = property(lambda self: largest(self.angle, axis=-1))
+    min_height = property(lambda self: smallest(self.height, axis=-1))
+    max_height = property(lambda self: largest(self.height, axis=-1))
 
     def __str__(self) -> str:
-        """Prints both measures in one line, on the host."""
         angle, height = f"{float(self.mean_angle):.3g} (mean), {float(self.max_angle):.3g} (max)", self.height
         return (
             f"{len(self.nodes)} wall nodes: first grid line {angle} degrees off its own angle to the wall; "
@@ -101,19 +89,14 @@ def wall_quality(
     names = (wall,) if isinstance(wall, str) else wall
     has_names = np.ndim(names) == 1 and len(names) > 0 and all(isinstance(name, str) for name in names)
     ids = mesh.patch(*names) if has_names else rows_of("wall", wall, len(mesh.points))
-    cells = {kind: np.asarray(corners) for kind, corners in mesh.cells.items()}
-    lines = first_lines(cells, np.asarray(mesh.points), ids)
+    lines = first_lines(jax.tree.map(np.asarray, mesh.cells), np.asarray(mesh.points), ids)
     with jax.ensure_compile_time_eval():
         reference = jnp.asarray(mesh.points, dtype=current.dtype)
-    if not on_host(lines, reference, current, softness):
-        angle, height = _measured(lines, reference, current, softness)
-        return WallQuality(jnp.asarray(lines.nodes), angle, height)
-    with np.errstate(all="ignore"):
-        angle, height = _angle_and_height(lines, np.asarray(reference), np.asarray(current), softness)
-    return WallQuality(*as_jax((lines.nodes, angle, height)))
+    return WallQuality(*as_jax((lines.nodes, *_measured(lines, reference, current, softness))))
 
 
-def _angle_and_height(
+@by_place
+def _measured(
     lines: Lines, reference: Float[Either, "n d"], points: Float[Either, "n d"], softness: Any
 ) -> tuple[Float[Either, " w"], Float[Either, " w"]]:
     xp = namespace(points)
@@ -126,9 +109,6 @@ def _angle_and_height(
         angle = xp.sqrt(angle**2 + softness**2) - softness
     flat = high == 0
     return angle, xp.where(flat, 1, height / xp.where(flat, 1, high))
-
-
-_measured = compiled(_angle_and_height)
 
 
 def _components(xp: Any, lines: Lines, x: Float[Either, "n d"]) -> tuple[Float[Either, "w d"], Float[Either, " w"]]:

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+from collections.abc import Iterator
 
 import jax
 import numpy as np
@@ -48,8 +49,8 @@ def bounds(
 
     Of a cell with few open parts these are cut further.
     """
-    k = coefficients.shape[1]
-    search = _Search(space, depth, round_off, np.full(k, np.inf), np.full(k, np.inf), np.zeros((_dimension(space), k)))
+    k, d = coefficients.shape[1], sum(m for m, _ in space)
+    search = _Search(space, depth, round_off, np.full(k, np.inf), np.full(k, np.inf), np.zeros((d, k)))
     corners = [np.concatenate([np.zeros((1, m)), np.eye(m)])[:, :, None] for m, _ in space]
     corners = [np.broadcast_to(corner, (*corner.shape[:2], k)) for corner in corners]
     search.look(_Parts(coefficients, np.arange(k), corners), 0)
@@ -57,8 +58,10 @@ def bounds(
     return Bounds(lower, upper, search.at, (np.abs(search.lower) <= round_off) & (np.abs(search.upper) <= round_off))
 
 
-def _dimension(space: Space) -> int:
-    return sum(m for m, _ in space)
+def blocks(rows: Int[np.ndarray, " p"], coefficients: int) -> Iterator[Int[np.ndarray, " q"]]:
+    """Yields rows of so many `coefficients` each, some at a time."""
+    size = max(1, ROOM // coefficients)
+    return (rows[start : start + size] for start in range(0, len(rows), size))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -78,8 +81,7 @@ class _Parts:
         corners = []
         for factor, ((m, _), corner) in enumerate(zip(space, self.corners, strict=True)):
             own = np.einsum("cij,jmp->imcp", bernstein.children(m), corner)
-            shape = [1] * len(space)
-            shape[factor] = counts[factor]
+            shape = [count if k == factor else 1 for k, count in enumerate(counts)]
             every = np.broadcast_to(own.reshape(m + 1, m, *shape, p), (m + 1, m, *counts, p))
             corners.append(every.reshape(m + 1, m, -1))
         return _Parts(bernstein.halved(space, self.coefficients), np.tile(self.cell, np.prod(counts)), corners)
@@ -112,10 +114,10 @@ class _Search:
         if level >= self.depth:
             is_open &= (level < 2 * self.depth) & (np.bincount(cell[is_open], minlength=len(self.lower))[cell] <= FEW)
         np.minimum.at(self.lower, cell[~is_open], least[~is_open])
-        rows, size = np.flatnonzero(is_open), self._size
+        rows = np.flatnonzero(is_open)
         rows = rows[np.argsort(cell[rows], kind="stable")]  # parts of a cell are counted together
-        for start in range(0, len(rows), size):
-            self.look(parts[rows[start : start + size]].halved(self.space), level + 1)
+        for some in blocks(rows, bernstein.count(self.space) * 2 ** len(self.at)):
+            self.look(parts[some].halved(self.space), level + 1)
 
     def _compare(self, parts: _Parts) -> Float[np.ndarray, " p"]:
         """Compares values at corners with the least found; returns the least of each part."""
@@ -126,10 +128,6 @@ class _Search:
         rows = np.flatnonzero((least == self.upper[parts.cell]) & (least < before[parts.cell]))
         self.at[:, parts.cell[rows]] = parts[rows].place(corner[rows])
         return least
-
-    @functools.cached_property
-    def _size(self) -> int:
-        return max(1, ROOM // (bernstein.count(self.space) * 2 ** _dimension(self.space)))
 
 
 def has_least(kind: str, d: int) -> bool:
@@ -155,14 +153,14 @@ def least_jacobian(kind: str, x: list[Float[Either, "nodes k"]]) -> Float[Either
 
 def _places(kind: str, *x: Float[np.ndarray, "nodes k"]) -> Float[np.ndarray, "f k"]:
     """Finds where det J is least, among the factors of the reference cell."""
-    size = max(1, ROOM // bernstein.count(form_of(kind).space))
+    form = form_of(kind)
+
+    def found(*x: np.ndarray) -> np.ndarray:
+        components = [np.asarray(component, float) for component in x]
+        columns = form.columns(components)
+        values = form.determinant(columns)
+        sign = np.where(form.mean(values) < 0, -1.0, 1.0)
+        return form.inside(bounds(form.space, sign * values, form.round_off(components, columns), DEPTH).at)
+
     with np.errstate(all="ignore"):  # coordinates may be NaN
-        return in_blocks(np, functools.partial(_found, kind), *x, size=size).astype(x[0].dtype)
-
-
-def _found(kind: str, *x: Float[np.ndarray, "nodes k"]) -> Float[np.ndarray, "f k"]:
-    form, components = form_of(kind), [np.asarray(component, float) for component in x]
-    columns = form.columns(components)
-    values = form.determinant(columns)
-    sign = np.where(form.mean(values) < 0, -1.0, 1.0)
-    return form.inside(bounds(form.space, sign * values, form.round_off(components, columns), DEPTH).at)
+        return in_blocks(np, found, *x, size=max(1, ROOM // bernstein.count(form.space))).astype(x[0].dtype)
