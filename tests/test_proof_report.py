@@ -87,16 +87,6 @@ def test_margins_do_not_depend_on_place_size_and_direction():
     np.testing.assert_allclose(moved(one.near)[one.is_invalid], other.near[one.is_invalid], atol=1e-8)
 
 
-def test_handedness_is_that_of_the_undeformed_mesh():
-    mesh = bricks(2)
-    cells = np.asarray(mesh.cells["hexahedron"]).copy()
-    cells[::2] = cells[::2][:, [4, 5, 6, 7, 0, 1, 2, 3]]  # every other cell is numbered the other way round
-    mixed_up = jm.Mesh(mesh.points, {"hexahedron": cells})
-    points = shaken(mesh, 0.1)
-    np.testing.assert_allclose(jm.proof(mixed_up, points).margin, jm.proof(mesh, points).margin, rtol=1e-10)
-    assert jm.proof(mixed_up).valid == 8
-
-
 def test_a_collapsed_cell_is_flat_and_a_nan_is_invalid():
     """A hexahedron with one edge collapsed has det J = 0 there: neither proven nor folded."""
     mesh = bricks(1)
@@ -179,24 +169,6 @@ def test_no_sample_of_a_proven_motion_folds():
     assert 0 < report.valid < report.count
 
 
-@pytest.mark.parametrize("make", [bricks, ring])
-@pytest.mark.parametrize("ratio", [0.0, 0.3])
-def test_the_proven_step_is_proven_and_the_largest(make, ratio):
-    mesh = make()
-    wall = mesh.patch("floor" if "floor" in mesh.patches else "wall")
-    others = () if make is bricks else mesh.patch("far")
-    plan = jm.prepare(mesh.points, wall, others, method=jm.InverseDistance())
-    direction = 0.5 * np.random.default_rng(0).normal(size=(len(wall), mesh.points.shape[1]))
-    result = jm.largest_step(plan, 0 * direction, direction, mesh, min_jacobian_ratio=ratio, proven=True)
-    corners = jm.largest_step(plan, 0 * direction, direction, mesh, min_jacobian_ratio=ratio)
-    assert 0 < result.step <= corners.step * (1 + 1e-8)
-    end = jm.deform(plan, result.step * (1 - 1e-9) * direction)
-    report, undeformed = jm.proof(mesh, end, base=mesh.points), jm.proof(mesh, mesh.points)
-    assert report.valid == report.count
-    beyond = jm.proof(mesh, jm.deform(plan, 1.01 * result.step * direction))
-    assert beyond.upper[result.cell] < ratio * undeformed.lower[result.cell]
-
-
 @pytest.mark.slow
 def test_a_line_search_accepts_proven_steps_alone():
     """A brick's corners may move on although it is folded between them: judged by corners alone the way ends later."""
@@ -217,34 +189,6 @@ def test_a_line_search_accepts_proven_steps_alone():
         report = jm.proof(mesh, jm.deform(plan, end * direction), base=mesh.points)
         folded.append(report.count - report.valid)
     assert folded == [1, 0]
-
-
-def test_a_step_from_an_unproven_mesh_is_refused():
-    mesh = bricks(2)
-    plan = jm.prepare(mesh.points, mesh.patch("floor"), method=jm.InverseDistance())
-    folded = mesh.moved(shaken(mesh, 0.4))
-    u = np.zeros((plan.n_moving, 3))
-    with pytest.raises(
-        ValueError, match=r"\d of 8 cells of the undeformed mesh are not proven valid, first cell \d.*proven=False"
-    ):
-        jm.largest_step(plan, u, u, folded, proven=True)
-    with pytest.raises(ValueError, match="cells of the undeformed mesh are not proven valid"):
-        jm.ValidSteps(plan, folded, lambda y: y, proven=True)
-
-
-@pytest.mark.nightly
-def test_improve_says_what_is_proven():
-    mesh = square(4)
-    points = np.array(mesh.points)
-    points[12] += [0.3, 0.3]
-    result = jm.improve(mesh, points)
-    assert int(result.unproven) == 0
-    assert "proven to fold nowhere inside" in str(result)
-    crossed = np.array(mesh.points)
-    crossed[[0, 4]] = crossed[[4, 0]]
-    left = jm.improve(mesh, crossed)
-    assert int(left.unproven) >= int(left.after) > 0
-    assert f"but for {int(left.unproven)}" in str(left)
 
 
 @pytest.mark.parametrize(

@@ -171,7 +171,6 @@ def _makers(boundary: Boundary, methods: Mapping[str, AbstractMethod] | None) ->
 
 
 def _small_enough(make: Any, boundary: Boundary) -> AbstractMethod:
-    """Makes a method; raises `ValueError` where the mesh is too large to try it by default."""
     method, (n, d) = make(), boundary.points.shape
     if method.needs_cells and n > MOST_POINTS[d]:
         raise ValueError(f"skipped: {n} points; a solve on the cells is tried up to {MOST_POINTS[d]}")
@@ -182,7 +181,6 @@ def _small_enough(make: Any, boundary: Boundary) -> AbstractMethod:
 
 
 def _plan(boundary: Boundary, make: Any) -> Plan | str:
-    """Prepares a plan of a method, or returns why it is refused."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of a bad condition: the table shows what comes of it
         try:

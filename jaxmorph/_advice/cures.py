@@ -124,7 +124,6 @@ def advice_on_folds(plan: Plan, mesh: Mesh, u: Float[np.ndarray, "m d"], count: 
 
 
 def _folds_none(plan: Plan, mesh: Mesh, u: np.ndarray, cure: Cure) -> bool:
-    """Moves the mesh with a cure; False also for a cure that is refused."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:

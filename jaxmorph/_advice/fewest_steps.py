@@ -89,23 +89,19 @@ def fewest_steps(
         points = points if improvement is None else improvement.points
         return Steps(count, fraction, points, quality(mesh, points), plans, path, improvement)
 
-    def margin(steps: Steps) -> float:
-        least = float(steps.report.min_jacobian_ratio) - min_jacobian_ratio
-        return least if int(steps.report.inverted) == 0 else min(least, -min_jacobian_ratio)
+    def is_good(steps: Steps) -> bool:
+        return not int(steps.report.inverted) and float(steps.report.min_jacobian_ratio) > min_jacobian_ratio
 
     for count in range(1, max_steps + 1):
         steps = tried(count)
-        if margin(steps) > 0:
+        if is_good(steps):
             return steps
-    if improve and margin(steps := tried(max_steps, mend=True)) > 0:
+    if improve and is_good(steps := tried(max_steps, mend=True)):
         return steps
     best = tried(max_steps, 0.0)
     for mend, width in ((False, 1e-3), (True, 1e-2))[: 1 + improve]:
         low, high = best.fraction, 1.0  # on the host: a motion may be NumPy's
         while high - low > width:
             steps = tried(max_steps, (low + high) / 2, mend)
-            if margin(steps) > 0:
-                best, low = steps, steps.fraction
-            else:
-                high = steps.fraction
+            best, low, high = (steps, steps.fraction, high) if is_good(steps) else (best, low, steps.fraction)
     return best

@@ -65,11 +65,10 @@ def inspect(
     fixed, and the displacement is larger than their distance: a wall slides along a fixed boundary.
     Or both move, and their distance more than doubles. No method moves such a mesh well.
 
-    With the mesh, it measures how much is left of the gaps between walls: the distance of nodes to
-    the faces of other walls. It also finds moved walls that cross another boundary or themselves.
-    Faces that crossed before do not count, nor do faces that share a node or touch in coincident
-    nodes, as at a sharp trailing edge. Faces with a node that is neither moving nor fixed are left
-    out: where they go is not known yet. If one step folds cells, it tries what may help: round
+    With the mesh, it measures how much is left of gaps between walls, and finds moved walls that
+    cross another boundary or themselves. Faces that crossed before do not count, nor do faces that
+    share a node or touch in coincident nodes, as at a sharp trailing edge. Faces with a node that
+    is neither moving nor fixed are left out. If one step folds cells, it tries what may help: round
     walls that slide, 2, 4 and 8 steps, methods on cells.
 
     **Arguments:**

@@ -56,10 +56,9 @@ def largest_step(
     """Finds the largest step along a direction that keeps every Jacobian ratio above a bound.
 
     Corner Jacobians are polynomials in the step, of degree 2 in 2-D and 3 in 3-D, whose first roots
-    are found. A line search shortens its step by it before the flow is solved. With `proven` the
-    Bernstein coefficients of det J take the corners' place, as in `proof`: whole cells keep the
-    bound, at each instant up to the step. `proof` then finds that the points at its end are valid.
-    Corners of cells that are folded on the undeformed mesh end no step.
+    are found. With `proven` the Bernstein coefficients of det J take the corners' place, as in
+    `proof`: whole cells keep the bound, at each instant up to the step. Corners of cells that are
+    folded on the undeformed mesh end no step.
 
     **Arguments:**
 
@@ -126,7 +125,6 @@ class _Corners:
     scale: Float[np.ndarray, " k"]
 
     def jacobians(self, points: Any) -> Any:
-        """Computes the Jacobians (s, k) at corners, by NumPy or JAX."""
         return self.sign[None] * _jacobians(self.kind, points, self.ids)
 
     def polynomials(self, start: np.ndarray, end: np.ndarray) -> Float[np.ndarray, "4 s k"]:
@@ -231,7 +229,6 @@ class DesignedMesh(Module):
         self.bounds = Bounds(mesh, plan.points.dtype, min_jacobian_ratio, proven)
 
     def points(self, design: Any) -> Float[Array, "n d"]:
-        """Moves the mesh; traced."""
         return deform(self.plan, self.displacement(design))
 
     def ratios(self, design: Any) -> Float[Array, " s"]:

@@ -34,7 +34,6 @@ class Ways(eqx.Module):
     normals: Float[Array, "n q d"]
 
     def at(self, start: Float[Array, "n d"]) -> "Ways":
-        """Computes the ways of nodes from other starting places. Traced."""
         n, d = start.shape
         normals = jnp.zeros((n, d - 1, d), start.dtype)
         for track in self.tracks:
@@ -54,7 +53,7 @@ class Ways(eqx.Module):
     ) -> Float[Array, "n d"]:
         """Turns steps into displacements from `start`.
 
-        `change` is zero in value, and carries the derivative of the starting places: a change off a
+        `change` is zero in value, and has the derivative of the starting places: a change off a
         wall, or a difference between partners, remains.
         """
         step = step - jnp.einsum("nab,nb->na", self.off, step, precision="highest")
@@ -81,8 +80,7 @@ SHIFT = 1e-12
 class Distortion(eqx.Module):
     """A mesh's energy by the free nodes' motion y (n, d) from their start, in units of `scale`.
 
-    `ways` lead the nodes of walls and periodic pairs; None without walls and pairs. With `bounds`
-    all samples stay within them.
+    `ways` lead the nodes of walls and periodic pairs. All samples stay within `bounds`.
     """
 
     cells: dict[str, Integer[Array, "_k _c"]]
@@ -188,11 +186,7 @@ class Distortion(eqx.Module):
     def _by_edges(
         self, points: Float[Array, "n d"], energy: Callable, floor: Any
     ) -> list[Float[Array, "d d d d _s _k"]]:
-        """Computes second derivatives by the edges of samples, type after type.
-
-        Samples of all types are computed at once: one program for each type takes longer to
-        compile.
-        """
+        """Computes second derivatives by the edges of samples: of all types in one program."""
         rows, counts = [], [self.targets[kind].counts for kind in self.cells]
         for kind, ids in self.cells.items():
             goal = self.targets[kind]

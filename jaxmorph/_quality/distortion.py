@@ -25,7 +25,7 @@ from .._host.package.arguments import between, checked
 from .._kernels.values import is_known
 from .._mesh.mesh import Mesh
 from . import measures
-from .quality import places, sizes_of, standards_of, volume_of
+from .quality import check_solid, places, sizes_of, standards_of, volume_of
 from .smooth_quality import positive_part
 from .vector import Vector, corners, determinant, dot, total
 
@@ -37,14 +37,8 @@ IDEAL = {
     "quad": ((0, 0), (1, 0), (1, 1), (0, 1)),
     "tetra": ((0, 0, 0), (1, 0, 0), (0.5, _ROOT_3 / 2, 0), (0.5, _THIRD / 2, (2 / 3) ** 0.5)),
     "pyramid": ((0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0.5, 0.5, 0.5**0.5)),
-    "wedge": (
-        *((0, 0, 0), (1, 0, 0), (0.5, _ROOT_3 / 2, 0)),
-        *((0, 0, 1), (1, 0, 1), (0.5, _ROOT_3 / 2, 1)),
-    ),
-    "hexahedron": (
-        *((0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)),
-        *((0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)),
-    ),
+    "wedge": (*((0, 0, 0), (1, 0, 0), (0.5, _ROOT_3 / 2, 0)), *((0, 0, 1), (1, 0, 1), (0.5, _ROOT_3 / 2, 1))),
+    "hexahedron": (*((0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)), *((0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1))),
 }
 """Corners of the ideal cell of each type, edges of length one."""
 
@@ -159,10 +153,9 @@ class Bounds(NamedTuple):
 def stiffened(energy: Float[Array, "*shape"], tau: Float[Array, "*shape"], bounds: Bounds) -> Float[Array, "*shape"]:
     """Computes energy / ((1 - stiffness energy) (1 - least / tau)): infinite at both bounds.
 
-    Without `least` it is the energy of Garanzha et al., In the Quest for Scale-optimal Mappings,
-    ACM Trans. Graph. 43, 2024, f / (1 - t f) with f = energy + 1, but for a constant and a factor;
-    t is stiffness / (1 + stiffness). The second bound keeps the smallest cells, whose distortion
-    may be below that of cells that have lost their shape.
+    Without `least` it is that of Garanzha et al., In the Quest for Scale-optimal Mappings, ACM
+    Trans. Graph. 43, 2024, but for a constant and a factor. The second bound keeps small cells,
+    whose distortion may be below that of cells that have lost their shape.
     """
     first, is_large = 1 - bounds.stiffness * energy, (bounds.least <= 0) | (tau > bounds.least)
     second = jnp.where(bounds.least > 0, 1 - bounds.least / jnp.where(is_large & (tau != 0), tau, 1), 1)
@@ -183,10 +176,7 @@ def energy_of_cells(
 
 
 def node_scales(kinds: dict[str, Any], targets: dict[str, Target], n: int) -> Float[Array, " n"]:
-    """Computes the distance that a node moves to change the energy by about one.
-
-    It is the inverse root of the node's diagonal entry of the Hessian.
-    """
+    """Computes how far nodes move to change the energy by one, by the Hessian's diagonal."""
     stiffness = jnp.zeros(n)
     for kind, ids in kinds.items():
         goal, frames = targets[kind], np.array(FRAMES[kind])
@@ -237,10 +227,8 @@ def distortion(
     **Raises:** `ValueError` for a mesh without cells of its own dimension, and when the shape of
     `points` differs from that of `mesh.points`.
     """
-    d = mesh.points.shape[1]
-    cells = solid(mesh.cells, d)
-    if not cells:
-        raise ValueError(f"the mesh has no cells that fill {d}-D space; their distortion is not defined.")
+    check_solid(mesh, "distortion is not defined for others")
+    cells = solid(mesh.cells, mesh.points.shape[1])
     if is_known(size_weight):
         between("size_weight", size_weight, 0, 1, "[]")
     if is_known(softness):

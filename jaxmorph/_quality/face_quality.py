@@ -106,7 +106,6 @@ def face_quality(mesh: Mesh, points: Float[Any, "n d"] | None = None) -> FaceQua
 
 
 def measured(mesh: Mesh, sides: Sides, points: Float[Any, "n d"] | None) -> FaceQuality:
-    """Measures cells as `face_quality` does, with `sides` found before."""
     points, base = (np.asarray(x, dtype=float) for x in (mesh.points if points is None else points, mesh.points))
     if points.shape != base.shape:
         raise ValueError(f"`points` has shape {points.shape}; this mesh has {base.shape}.")

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Int, Real
 
 from .._host.cells.adjacency import handedness, neighbours
-from .._host.cells.topology import CORNERS, DIMENSION, FACES, SHAPES
+from .._host.cells.topology import CORNERS, DIMENSION, FACES, SHAPES, solid
 from .._host.package.arguments import checked
 from .._kernels.callback import host_call
 from .._kernels.values import Either, array, as_jax, constant, is_known, largest, namespace, smallest
@@ -112,6 +112,14 @@ def places(
     return current if jnp.issubdtype(current.dtype, jnp.floating) else current.astype(float)
 
 
+def check_solid(mesh: Mesh, reason: str) -> None:
+    """Raises `ValueError`, with a `reason`, for a mesh without cells that fill its space."""
+    d = mesh.points.shape[1]
+    if not any(map(len, solid(mesh.cells, d).values())):
+        types = ", ".join(mesh.cells) or "none"
+        raise ValueError(f"the mesh has no cells that fill {d}-D space (cells: {types}): {reason}.")
+
+
 class Links(NamedTuple):
     """Holds ids: the cell behind each face, each cell's sign by numbering, and its part."""
 
@@ -171,7 +179,6 @@ class Standard(NamedTuple):
 
 
 def standards_of(mesh: Mesh, dtype: Any, links: Links | None = None) -> dict[str, Standard]:
-    """Computes the undeformed state of the cells, by type, in precision `dtype`."""
     signs = signs_of(mesh, links)
     if mesh.polyhedra is not None:
         signs = _of_pieces(mesh, signs, mesh.polyhedra.cut)
@@ -292,7 +299,6 @@ def _relative(volume: Either, jacobians: Either, standard: Standard) -> dict[str
 
 
 def _judged_alone(kind: str, x: list[Vector], sign: Int[Either, " k"]) -> dict[str, Either]:
-    """Judges cells without an undeformed mesh, by the sign that they should have."""
     volume, jacobians, noise = sizes_of(kind, x)
     xp, turned = namespace(volume), sign[None] * jacobians
     return {
@@ -341,5 +347,4 @@ def non_orthogonality(
 
 
 def _centre(kind: str, x: list[Vector]) -> tuple[tuple, tuple]:
-    """Computes the first corner, and the centre relative to it."""
     return tuple(x[0]), tuple(measures.centre_of_mass(SHAPES[kind], measures.relative_corners(x)[0]))

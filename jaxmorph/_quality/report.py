@@ -114,7 +114,6 @@ class Report:
         return reduce(np, *(row[self.counted] for row in values)).item()
 
     def _table(self, heading: str, names: tuple[str, ...]) -> str:
-        """Writes the least, mean and largest value of measures, the worst cell and its place."""
         lines = [heading, f"{'':<17}{'min':>10}{'mean':>10}{'max':>10}  {'worst':<8}near"]
         for name in names:
             cell = self.worst(1, by=name)[0]

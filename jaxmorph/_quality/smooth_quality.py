@@ -95,7 +95,6 @@ def _measured(cells: ByType, behind, points, standards: dict[str, Standard], opt
 
 
 def _shapes(options, kind: str, x: list[Vector], standard: Standard) -> tuple[Array, ...]:
-    """Computes skewness, aspect ratio and Jacobian ratio."""
     sharpness, softness = options
     relative, size = measures.relative_corners(x)
     shape = measures.scaled(relative, size)

@@ -40,7 +40,6 @@ class Vector(tuple):
         return Vector(a * factor for a in self)
 
     def at(self, rows: Any) -> "Vector":
-        """Takes some rows of the first axis, or one."""
         return Vector(a[rows] for a in self)
 
 
@@ -71,7 +70,6 @@ def unit(a: Vector) -> Vector:
 
 
 def stack(vectors: Sequence[Vector]) -> Vector:
-    """Stacks vectors as rows of one."""
     return Vector(map(namespace(vectors[0][0]).stack, zip(*vectors, strict=True)))
 
 

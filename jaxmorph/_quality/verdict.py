@@ -146,9 +146,9 @@ class Judged:
         return in_file[self.counted]
 
     def _proven_margin(self) -> np.ndarray:
-        """Finds the least margins of all cells during the motion, below 0 where one is not proven.
+        """Finds the least margins of all cells at all instants, below 0 where one is not proven.
 
-        A step is proven at all of its instants; where it ends if nodes leave straight lines.
+        Where nodes leave straight lines, only the end of each step is looked at.
         """
         starts, ends = (self.mesh.points, *self.steps), (*self.steps, self.points)
         bases = starts if self.is_straight and self.before is not None else [None] * len(starts)
@@ -498,7 +498,6 @@ def _merged(numbers: Sequence[Number]) -> Number:
 
 
 def label(name: str) -> str:
-    """Writes a measure's name."""
     return LABELS.get(name, name.replace("_", " "))
 
 

@@ -61,8 +61,7 @@ def wall_quality(
     node is that of the faces around it, weighted by their area. In 3-D a neighbour on the wall says
     how the wall turns about the normal.
 
-    Traced over `points`: `jit`, `grad` and `vmap` work. The ids are found on the host at each call,
-    from cells and coordinates that may not be traced: close over the mesh.
+    Traced over `points`. The ids are found on the host at each call: close over the mesh.
 
     Of curved cells all nodes of the wall count. The normal is that of the sides' own polynomials at
     the node. The first grid line goes through the whole cell: its angle is that of its tangent at

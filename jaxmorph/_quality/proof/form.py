@@ -67,7 +67,6 @@ class Form:
         )
 
     def moving(self) -> "Form":
-        """Makes the form in space and time."""
         spaces = tuple((TIME, *space) for space in self.spaces)
         matrices = tuple(np.kron(np.eye(2), matrix) for matrix in self.matrices)
         control = np.kron(np.eye(2), self.control)

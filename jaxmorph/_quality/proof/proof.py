@@ -15,7 +15,7 @@ from ..._host.cells.topology import DIMENSION
 from ..._host.package.arguments import between, checked, whole
 from ..._kernels.values import Either, as_jax, constant, is_known, namespace, smallest
 from ..._mesh.mesh import Mesh
-from ..quality import places, signs_of
+from ..quality import check_solid, places, signs_of
 from ..report import Report, place_of
 from ..vector import ByType, by_place, in_blocks, joined
 from . import bernstein
@@ -31,20 +31,21 @@ def _number_of(mask: str) -> Any:
 class Proof(Report):
     """Proves of each of k cells that it folds nowhere inside, or shows where it folds.
 
-    det J is that of the map from the reference cell, in the handedness of the mesh: positive where
-    the cell is not folded. Cells stand one type after another, as in `mesh.cells`.
+    det J is that of the map from the reference cell, positive where the cell is not folded in the
+    handedness of the mesh. Cells stand one type after another, as in `mesh.cells`.
 
     - `lower`, `upper`: the least det J of the cell is between these, round-off included.
     - `size`: mean of det J over the undeformed cell, without sign: its volume over the volume of
       the reference cell.
     - `margin`: `lower` over `size`. It is 1 for an undeformed simplex, parallelogram or
-      parallelepiped.
+      parallelepiped. `min_margin` is the smallest; NaN where a coordinate is.
     - `is_valid`: `lower` is positive, so the cell folds nowhere.
-    - `is_invalid`: `upper` is negative, and so is det J, evaluated at `reference`. Coordinates that
-      are NaN count as well.
+    - `is_invalid`: `upper` is negative, and so is det J, evaluated at `reference`. NaN coordinates
+      count as well.
     - `is_unknown`: neither. `is_flat`: unknown cells whose det J touches zero to round-off, which
       no depth decides.
-    - `valid`, `invalid`, `unknown`: numbers of cells.
+    - `valid`, `invalid`, `unknown`: numbers of cells. `from_start`: the number of cells that are
+      invalid where the motion begins; 0 without a motion.
     - `reference`, `near`: where det J is `upper`, in the reference cell and in space (k, d).
     - `time`: when, from 0 at `base` to 1 at `points`; None without `base`. Bounds then hold for the
       whole motion.
@@ -80,25 +81,13 @@ class Proof(Report):
     centroid = property(lambda self: self.near)
     valid, invalid, unknown = map(_number_of, ("is_valid", "is_invalid", "is_unknown"))
 
-    @property
-    def margin(self) -> Float[np.ndarray, " k"]:
-        """The lower bound over the size of the undeformed cell."""
-        return self.lower / self._unit
-
-    @property
-    def is_unknown(self) -> Bool[np.ndarray, " k"]:
-        """Cells that are neither valid nor invalid."""
-        return self.counted & ~self.is_valid & ~self.is_invalid
+    is_unknown = property(lambda self: self.counted & ~self.is_valid & ~self.is_invalid)
+    margin = property(lambda self: self.lower / self._unit)
+    min_margin = property(lambda self: self.min("margin"))
 
     @property
     def from_start(self) -> int:
-        """Number of cells that are invalid where the motion begins; 0 without a motion."""
         return 0 if self.time is None else int((self.is_invalid & (self.time == 0)).sum())
-
-    @property
-    def min_margin(self) -> float:
-        """The smallest margin; NaN where a coordinate is."""
-        return self.min("margin")
 
     @property
     def _unit(self) -> Float[np.ndarray, " k"]:
@@ -169,10 +158,8 @@ def proof(
     `quality` judges corners, between which a hexahedron or a curved cell may fold. Here det J is
     written in the Bernstein basis, whose least coefficient is a lower bound on it. Where that is
     negative and no corner is, the cell is cut into parts, whose bounds are closer. A bound includes
-    round-off, so that `valid` is a proof for the coordinates as they are.
-
-    The handedness of all cells is that of the undeformed mesh, `mesh.points`, as `quality` finds
-    it, however cells are numbered. A cell that is folded there is invalid until it is unfolded.
+    round-off, so that `valid` is a proof for the coordinates as they are. The handedness of cells
+    is that of the undeformed mesh, as `quality` finds it.
 
     It runs on the host, in double precision. `proven_margin` is traced.
 
@@ -199,20 +186,10 @@ def proof(
         places(mesh, x, name)
     if not is_known(states, mesh.points, tuple(mesh.cells.values())):
         raise ValueError("`proof` speaks on the host and takes no traced points. `proven_margin` is traced.")
-    check_solid(mesh)
+    check_solid(mesh, "det J is defined for these alone")
     ends = tuple(np.asarray(x, float) for x in list(states.values())[::-1])
     with np.errstate(all="ignore"):  # coordinates may be NaN
         return _proven(mesh, ends, depth)
-
-
-def check_solid(mesh: Mesh) -> None:
-    """Raises `ValueError` for a mesh without cells that fill its space: they have no det J."""
-    d = mesh.points.shape[1]
-    if not any(DIMENSION[kind] == d and len(ids) for kind, ids in mesh.cells.items()):
-        types = ", ".join(mesh.cells) or "none"
-        raise ValueError(
-            f"the mesh has no cells that fill {d}-D space (cells: {types}): det J is defined for these alone."
-        )
 
 
 def _proven(mesh: Mesh, ends: tuple[np.ndarray, ...], depth: int) -> Proof:
@@ -291,17 +268,13 @@ def proven_margin(
 ) -> Float[Array, " k"]:
     """Bounds det J of whole cells from below, over its undeformed mean: above 0 no cell folds.
 
-    It is the least Bernstein coefficient, `Proof.margin` but for round-off. A cell that is folded
-    on the undeformed mesh has a negative margin until it is unfolded. Traced: `jit`, `grad` and
-    `vmap` work over `points` and `base`. All cells are cut alike, since what is traced cannot
+    It is the least Bernstein coefficient, `Proof.margin` but for round-off. Traced: `jit`, `grad`
+    and `vmap` work over `points` and `base`. All cells are cut alike, since what is traced cannot
     depend on the sign.
 
     **Arguments:**
 
-    - `mesh`: the mesh with its cells; `mesh.points` is undeformed.
-    - `points`: where the nodes are now (n, d), in the unit of `mesh.points`.
-    - `base`: where they came from (n, d). The bound then holds during the whole straight motion.
-      Default: none.
+    - `mesh`, `points`, `base`: as `proof` takes them.
     - `depth`: how often each cell is cut, default 0. A cut makes 8 parts in 3-D, 4 in 2-D, with
       `base` twice as many.
     - `sharpness`: makes the bound smooth in the points. It is then lower, by log(coefficients) /
@@ -317,7 +290,7 @@ def proven_margin(
     whole("depth", depth, 0)
     if sharpness is not None and is_known(sharpness):
         between("sharpness", sharpness, 0)
-    check_solid(mesh)
+    check_solid(mesh, "det J is defined for these alone")
     with jax.ensure_compile_time_eval():  # else XLA would compute it from constants while it compiles
         sizes = _undeformed(mesh.cells, jnp.asarray(mesh.points, now.dtype), signs_of(mesh))
     ends = (now,) if start is None else (start, now)
@@ -325,7 +298,6 @@ def proven_margin(
 
 
 def _room(xp: Any, form: Form, parts: int = 1) -> int:
-    """Number of cells whose coefficients, of `parts` each, are computed together."""
     return max(1 if xp is np else 64, (ROOM if xp is np else TRACED_ROOM) // (bernstein.count(form.space) * parts))
 
 
