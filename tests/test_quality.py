@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import pyvista
-from meshes import IDEAL, grid
+from meshes import IDEAL, grid, shaken
 from runs import runs
 from scipy.spatial import Delaunay
 from vtkmodules.vtkFiltersVerdict import vtkMeshQuality
@@ -170,7 +170,7 @@ def test_both_reports_answer_alike():
     mesh = cases.bricks("tetra", cells=3)
     faces = np.asarray(mesh.cells["tetra"])[:5, :3]
     mesh = jm.Mesh(mesh.points, {"triangle": faces, **mesh.cells})
-    points = np.asarray(mesh.points) + 0.1 * np.random.default_rng(0).normal(size=np.shape(mesh.points))
+    points = shaken(mesh, 0.1)
     by_faces, by_corners = jm.face_quality(mesh, points), jm.quality(mesh, points)
     inverted = int((np.asarray(by_corners.volume_ratio) <= 0)[by_corners.counted].sum())
     assert 0 < inverted < len(mesh.cells["tetra"])
@@ -202,7 +202,7 @@ def test_both_reports_answer_alike():
 def test_face_quality_prints_a_table():
     """Its numbers are those of the arrays: the extremes, means by volume, the worst cell and its place."""
     mesh = cases.bricks("hexahedron", cells=3)
-    points = np.asarray(mesh.points) + 0.02 * np.random.default_rng(0).normal(size=np.shape(mesh.points))
+    points = shaken(mesh, 0.02)
     measured = jm.face_quality(mesh, points)
     first, _, *rows = str(measured).splitlines()
     assert first == f"{len(measured.volume)} cells: {measured.is_inverted.sum()} inverted"
@@ -277,7 +277,7 @@ def test_mixed_types_in_one_mesh():
 
 def test_ratios_are_relative_to_the_undeformed_mesh():
     mesh = tetrahedra()
-    points = mesh.points + 0.02 * np.random.default_rng(2).normal(size=mesh.points.shape)
+    points = shaken(mesh, 0.02, 2)
     report = jm.quality(mesh, points)
     ratio = volumes(mesh.moved(points)) / volumes(mesh)
     np.testing.assert_allclose(report.volume_ratio, ratio, rtol=1e-10)
@@ -424,7 +424,7 @@ def test_jit_vmap_and_meshes_as_arguments():
 @pytest.mark.parametrize("kind", runs(["quad"], nightly=[kind for kind in KINDS if kind != "quad"]))
 def test_what_the_host_measures_is_what_a_trace_does(kind):
     mesh = scattered(kind)
-    points = mesh.points + 0.05 * np.random.default_rng(2).normal(size=mesh.points.shape)
+    points = shaken(mesh, 0.05, 2)
     for measure in (jm.quality, lambda mesh, points: jm.quality(mesh.moved(points))):
         host, traced = measure(mesh, points), jax.jit(functools.partial(measure, mesh))(points)
         for name in (*MEASURES, "is_inverted", "is_degenerate", "centroid"):
@@ -521,7 +521,7 @@ def test_nan_is_never_fine():
 @pytest.mark.parametrize("kind", ["quad", "hexahedron", "tetra", "wedge"])
 def test_flags_alone_are_those_of_the_report(kind):
     mesh = scattered(kind, count=300)
-    points = mesh.points + np.random.default_rng(4).normal(0, 0.3, mesh.points.shape)
+    points = shaken(mesh, 0.3, 4)
     expected = np.asarray(jm.quality(mesh, points).is_inverted)
     assert 0 < expected.sum() < 300
     np.testing.assert_array_equal(jm.inverted(mesh, points), expected)
