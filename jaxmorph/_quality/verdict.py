@@ -82,6 +82,7 @@ class Judged:
     before: "Judged | None" = None
     steps: tuple[Float[np.ndarray, "n d"], ...] = ()
     is_straight: bool = True
+    part: int | None = None
 
     @functools.cached_property
     def corners(self) -> QualityReport:
@@ -421,20 +422,20 @@ def judge(
         whole("part", part, 0)
     steps = tuple(real_array("steps", step, tuple(mesh.points.shape)) for step in steps)
     if points is None:
-        return _verdict(Judged(mesh, mesh.points), limits, None, part)
+        return _verdict(Judged(mesh, mesh.points, part=part), limits, None)
     points = real_array("points", points, tuple(mesh.points.shape))
     before = judge(mesh, None, limits, part=part) if before is None else before
-    judged = Judged(mesh, points, before.judged or Judged(mesh, mesh.points), steps, is_straight)
-    verdict = _verdict(judged, limits, before, part)
+    judged = Judged(mesh, points, before.judged or Judged(mesh, mesh.points), steps, is_straight, part)
+    verdict = _verdict(judged, limits, before)
     return verdict if part is None else verdict.of_part()
 
 
-def _verdict(judged: Judged, limits: Limits, before: Verdict | None, part: int | None) -> Verdict:
+def _verdict(judged: Judged, limits: Limits, before: Verdict | None) -> Verdict:
     spoilt, worst, by_faces = judged.spoilt, None, judged.by_faces
-    gates = [_gate(judged, name, limit, part) for name, limit in limits.by_name.items()]
+    gates = [_gate(judged, name, limit) for name, limit in limits.by_name.items()]
     if len(spoilt):
         values = getattr(judged.report, "pyramid" if by_faces else "jacobian_ratio")
-        worst = _number(judged, "min", float(values[spoilt[0]]), spoilt[0], part)
+        worst = _number(judged, "min", float(values[spoilt[0]]), spoilt[0])
     return Verdict(
         cells=len(judged.counted),
         inverted=int(judged.inverted[judged.counted].sum()),
@@ -442,44 +443,44 @@ def _verdict(judged: Judged, limits: Limits, before: Verdict | None, part: int |
         rule=judged.report.rule,
         spoilt=len(spoilt),
         worst=worst,
-        rows=_rows(judged, part),
+        rows=_rows(judged),
         gates=tuple(gate for gate, _ in gates),
         before=before,
-        parts=0 if part is None else 1,
+        parts=0 if judged.part is None else 1,
         between=0 if judged.mesh.between is None else len(judged.mesh.between),
         bad=np.unique(np.concatenate([spoilt, *(beyond for _, beyond in gates)])),
         judged=judged,
     )
 
 
-def _gate(judged: Judged, name: str, limit: float, part: int | None) -> tuple[Gate, np.ndarray]:
+def _gate(judged: Judged, name: str, limit: float) -> tuple[Gate, np.ndarray]:
     """Compares a measure with its limit; also returns the ids of the cells beyond."""
     kind, values = name[:3], judged.values(name[4:]).astype(float)
     badness = np.where(np.isnan(values), np.inf, values if kind == "max" else -values)
     rows = np.flatnonzero(badness > (limit if kind == "max" else -limit))
     order = rows[np.argsort(-badness[rows], kind="stable")][:WORST]
-    worst = tuple(_number(judged, kind, float(values[row]), judged.counted[row], part) for row in order)
+    worst = tuple(_number(judged, kind, float(values[row]), judged.counted[row]) for row in order)
     extreme = float(values.max() if kind == "max" else values.min())
-    number = _number(judged, kind, extreme, judged.counted[int(badness.argmax())], part)
+    number = _number(judged, kind, extreme, judged.counted[int(badness.argmax())])
     return Gate(name, limit, number, len(rows), worst), judged.counted[rows]
 
 
-def _rows(judged: Judged, part: int | None) -> dict[tuple[str, str], Number]:
+def _rows(judged: Judged) -> dict[tuple[str, str], Number]:
     report, rows = judged.report, {}
     keys = {measure: key for key, measure in BY_FACES.items()} if judged.by_faces else {}
     last = (("min", "pyramid"), RATIOS[0]) if judged.by_faces else RATIOS
     for kind, name in (*ROWS, ("min", "volume"), *last):
         value, key = float(getattr(report, kind)(name)), (kind, keys.get(name, name))
         if kind != "mean":
-            rows[key] = _number(judged, kind, value, report.worst(1, by=name)[0], part)
-        elif part is None or name != "non_orthogonality":  # checkMesh's mean is over faces, which parts share
+            rows[key] = _number(judged, kind, value, report.worst(1, by=name)[0])
+        elif judged.part is None or name != "non_orthogonality":  # checkMesh's mean is over faces, which parts share
             weight = float(np.abs(np.asarray(report.volume)[judged.counted]).sum())
-            rows[key] = Number(kind, value, part=part, weight=weight)
+            rows[key] = Number(kind, value, part=judged.part, weight=weight)
     return rows
 
 
-def _number(judged: Judged, kind: str, value: float, cell: Any, part: int | None) -> Number:
-    return Number(kind, value, int(cell), tuple(np.asarray(judged.report.centroid)[cell].tolist()), part)
+def _number(judged: Judged, kind: str, value: float, cell: Any) -> Number:
+    return Number(kind, value, int(cell), tuple(np.asarray(judged.report.centroid)[cell].tolist()), judged.part)
 
 
 def _joined(gates: Sequence[Gate]) -> Gate:

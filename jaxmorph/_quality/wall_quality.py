@@ -9,13 +9,12 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from .._host.cells.first_lines import Lines, first_lines
-from .._host.linear.products import cross
 from .._host.package.arguments import between, checked, rows_of
 from .._kernels.module import Module
-from .._kernels.values import Either, as_jax, is_known, largest, namespace, norm, smallest
+from .._kernels.values import Either, as_jax, is_known, largest, namespace, smallest
 from .._mesh.mesh import Mesh
 from .quality import places
-from .vector import by_place
+from .vector import Vector, angle, by_place, cross, dot, norm
 
 
 class WallQuality(Module):
@@ -99,35 +98,31 @@ def _measured(
     lines: Lines, reference: Float[Either, "n d"], points: Float[Either, "n d"], softness: Any
 ) -> tuple[Float[Either, " w"], Float[Either, " w"]]:
     xp = namespace(points)
-    (start, high), (now, height) = (_components(xp, lines, x) for x in (reference, points))
-    cosine = xp.sum(start * now, axis=1)
-    sine = norm(xp.stack(cross(start.T, now.T), axis=1))
-    none = sine**2 + cosine**2 == 0
-    angle = xp.rad2deg(xp.where(none, 0, xp.arctan2(sine, xp.where(none, 1, cosine))))
+    (start, high), (now, height) = (_components(lines, x) for x in (reference, points))
+    degrees = xp.rad2deg(angle(start, now))
     if softness is not None:
-        angle = xp.sqrt(angle**2 + softness**2) - softness
-    flat = high == 0
-    return angle, xp.where(flat, 1, height / xp.where(flat, 1, high))
+        degrees = xp.sqrt(degrees**2 + softness**2) - softness
+    return degrees, xp.where(high == 0, 1, height / xp.where(high == 0, 1, high))
 
 
-def _components(xp: Any, lines: Lines, x: Float[Either, "n d"]) -> tuple[Float[Either, "w d"], Float[Either, " w"]]:
+def _components(lines: Lines, x: Float[Either, "n d"]) -> tuple[Vector, Float[Either, " w"]]:
     """Computes components of first grid lines along the wall's normal and the wall, and heights."""
-    normal = xp.zeros((len(lines.nodes), x.shape[1]), x.dtype)
+    xp = namespace(x)
+    areas = xp.zeros((len(lines.nodes), x.shape[1]), x.dtype)
     for rows, area in lines.areas(x):
         if xp is np:
-            np.add.at(normal, rows[rows < len(normal)], area[rows < len(normal)])
+            np.add.at(areas, rows[rows < len(areas)], area[rows < len(areas)])
         else:
-            normal = normal.at[rows].add(area, mode="drop")
-    normal, line = _unit(normal), lines.directions(x)
-    height = xp.sum(normal * (x[lines.ends] - x[lines.nodes]), axis=1)
-    if x.shape[1] == 2:
-        return xp.stack([xp.sum(normal * line, axis=1), *cross(normal.T, line.T)], axis=1), height
-    beside = x[lines.beside] - x[lines.nodes]
-    tangent = _unit(beside - xp.sum(beside * normal, axis=1)[:, None] * normal)
-    frame = xp.stack([normal, tangent, xp.cross(normal, tangent)], axis=1)
-    return xp.sum(frame * line[:, None], axis=2), height
+            areas = areas.at[rows].add(area, mode="drop")
+    normal, line = _unit(Vector(areas.T)), Vector(lines.directions(x).T)
+    height = dot(normal, Vector((x[lines.ends] - x[lines.nodes]).T))
+    if len(normal) == 2:
+        return Vector([dot(normal, line), *cross(normal, line)]), height
+    beside = Vector((x[lines.beside] - x[lines.nodes]).T)
+    tangent = _unit(beside - normal * dot(beside, normal))
+    return Vector(dot(axis, line) for axis in (normal, tangent, cross(normal, tangent))), height
 
 
-def _unit(a: Float[Either, "w d"]) -> Float[Either, "w d"]:
+def _unit(a: Vector) -> Vector:
     length = norm(a)
-    return a / namespace(length).where(length > 0, length, 1)[:, None]
+    return a * (1 / namespace(length).where(length > 0, length, 1))
