@@ -317,6 +317,11 @@ def drum(shape: str = "cylinder") -> jm.Mesh:
     return jm.Mesh(points, {"hexahedron": blocks(ids)}, {name: np.unique(nodes) for name, nodes in patches.items()})
 
 
+def shaken(mesh: jm.Mesh, size: float, seed: int = 0) -> np.ndarray:
+    """Lists the points of a mesh, displaced at random."""
+    return np.asarray(mesh.points) + size * np.random.default_rng(seed).normal(size=mesh.points.shape)
+
+
 def turn(angle: float, dimension: int) -> np.ndarray:
     """Returns the matrix of a rotation about z."""
     matrix = np.eye(dimension)

@@ -31,7 +31,7 @@ def columns(stack):
 
 
 def together(vectors):
-    return np.stack([np.stack([np.asarray(c)[0] for c in vector.components], axis=1) for vector in vectors], axis=2)
+    return np.stack([np.stack([np.asarray(c)[0] for c in vector], axis=1) for vector in vectors], axis=2)
 
 
 @pytest.mark.parametrize("d", runs([2], nightly=[3]))

@@ -2,6 +2,7 @@
 
 import jax
 import jax.numpy as jnp
+import meshes
 import numpy as np
 import pytest
 from runs import runs
@@ -15,13 +16,7 @@ TYPES = lagrange_types()
 
 
 def ring(n: int = 12, layers: int = 3) -> jm.Mesh:
-    """Quads between circles of radius 1 and 2, straight."""
-    angle, radius = 2 * np.pi * np.arange(n) / n, np.linspace(1, 2, layers + 1)
-    points = np.stack([np.outer(radius, np.cos(angle)), np.outer(radius, np.sin(angle))], axis=-1).reshape(-1, 2)
-    ids = np.arange(n * (layers + 1)).reshape(layers + 1, n)
-    around = np.roll(ids, -1, axis=1)
-    quads = np.stack([ids[:-1], ids[1:], around[1:], around[:-1]], axis=-1).reshape(-1, 4)
-    return jm.Mesh(points, {"quad": quads}, {"wall": ids[0], "far": ids[-1]})
+    return meshes.ring(n, np.linspace(1, 2, layers + 1))
 
 
 def unit(x):
@@ -150,24 +145,31 @@ def test_wall_and_smooth_measures_of_curved_cells():
         jm.face_quality(high)
 
 
-def test_bad_input_is_refused_in_a_sentence():
-    mesh, high = ring(), jm.elevate(ring(), 2)
-    with pytest.raises(ValueError, match="`order` is 5; meshes of order 2, 3 and 4 can be made"):
-        jm.elevate(mesh, 5)
-    with pytest.raises(ValueError, match="cannot be elevated: linear cells are needed"):
-        jm.elevate(high, 3)
-    with pytest.raises(ValueError, match="has linear cells alone, which stay straight"):
-        jm.curve(mesh, unit, "wall", "far")
-    with pytest.raises(ValueError, match=r"24 of 24 nodes of the wall are farther from the surface .*5 away"):
-        jm.curve(high, lambda x: x + np.array([3.0, 4]), "wall", "far")
-    with pytest.raises(ValueError, match="surface"):
-        jm.curve(high, np.zeros((3, 2)), "wall", "far")
-    with pytest.raises(ValueError, match="surface"):
-        jm.curve(high, lambda x: x * np.nan, "wall", "far")
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda mesh, high: jm.elevate(mesh, 5), "`order` is 5; meshes of order 2, 3 and 4 can be made"),
+        (lambda mesh, high: jm.elevate(high, 3), "cannot be elevated: linear cells are needed"),
+        (lambda mesh, high: jm.curve(mesh, unit, "wall", "far"), "has linear cells alone, which stay straight"),
+        (
+            lambda mesh, high: jm.curve(high, lambda x: x + np.array([3.0, 4]), "wall", "far"),
+            r"24 of 24 nodes of the wall are farther from the surface .*5 away",
+        ),
+        (lambda mesh, high: jm.curve(high, np.zeros((3, 2)), "wall", "far"), "surface"),
+        (lambda mesh, high: jm.curve(high, lambda x: x * np.nan, "wall", "far"), "surface"),
+    ],
+)
+def test_bad_input_is_refused_in_a_sentence(call, words):
+    with pytest.raises(ValueError, match=words):
+        call(ring(), jm.elevate(ring(), 2))
+
+
+def test_a_mesh_that_is_folded_before_it_is_curved_is_told():
+    high = jm.elevate(ring(), 2)
     folded = np.array(high.points)
     folded[0] = 1.7 * folded[0]
     with pytest.warns(UserWarning, match=r"of 36 cells are invalid before the wall is curved"):
-        jm.curve(high.moved(folded), unit(folded[high.patch("wall")]) * 1.0, "wall", "far")
+        jm.curve(high.moved(folded), unit(folded[high.patch("wall")]), "wall", "far")
 
 
 @pytest.mark.parametrize(
@@ -215,12 +217,10 @@ def test_every_method_moves_a_p2_cylinder_and_no_cell_folds_on_the_way(name):
     nodes = mesh.patch("wall")
     wall = np.asarray(mesh.points)[nodes]
     angle = np.arctan2(wall[:, 1], wall[:, 0])
-    turn = np.deg2rad(20)
-    rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
     method = entry(name).make(Lengths(wall, np.asarray(mesh.points)[mesh.patch("far")]))
     plan = jm.prepare(mesh, "wall", "far", method=method)
     motions = (
-        wall @ rotation.T - wall,
+        wall @ meshes.turn(np.deg2rad(20), 2).T - wall,
         0 * wall + [0.15, 0.05],
         wall * [0.15, -0.15],
         0.04 * wall * np.cos(4 * angle)[:, None],

@@ -63,6 +63,8 @@ def test_the_step_that_is_proven_proves(kind, bound):
         at = jm.deform(plan, result.step * direction)
         report = jm.proof(turned, at)
         assert report.valid == report.count
+        shorter = jm.deform(plan, result.step * (1 - 1e-9) * direction)
+        assert jm.proof(turned, shorter, base=points).valid == report.count
         if mesh.points.shape[1] == len(mesh.cells[kind][0]) - 1:  # of a simplex the margin is the ratio
             margin = np.asarray(jm.proven_margin(turned, at))
             assert margin.min() >= bound
@@ -83,7 +85,8 @@ def test_cells_that_arrive_folded_end_no_step_and_are_no_proof():
     plan = jm.prepare(points, moving, np.flatnonzero(points[:, 0] == 1), method=jm.RBF())
     u = np.tile([0.01, 0.0], (len(moving), 1))
     assert jm.largest_step(plan, 0 * u, u, mesh) == jm.LargestStep(1.0, -1)
-    with pytest.raises(ValueError, match="of the undeformed mesh are not proven valid"):
+    words = r"\d of \d+ cells of the undeformed mesh are not proven valid, first cell \d+.*proven=False"
+    with pytest.raises(ValueError, match=words):
         jm.largest_step(plan, 0 * u, u, mesh, proven=True)
     with pytest.raises(ValueError, match="of the undeformed mesh are not proven valid"):
         jm.ValidSteps(plan, mesh, lambda y: y, proven=True)

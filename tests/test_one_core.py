@@ -102,9 +102,9 @@ def test_the_largest_step_is_found_without_jax(mesh):
     turned = points.copy()
     turned[0] = 3 * points.mean(axis=0) - 2 * points[0]
     with jax.transfer_guard("disallow_explicit"):
-        share, cell = bounds.share(points, turned)
-    assert 0 < share < 1
-    assert cell >= 0
+        found = bounds.largest_share(points, turned)
+    assert 0 < found.step < 1
+    assert found.cell >= 0
 
 
 @pytest.mark.parametrize("is_jitted", [True, False])

@@ -1,6 +1,7 @@
 """Derivatives of every measure on every type of cell, by every component of the corners: sound, inverted, flat and collapsed."""
 
 import functools
+import itertools
 
 import jax
 import jax.numpy as jnp
@@ -70,10 +71,7 @@ def by_smooth_measures(mesh, points, solid):
     return values | ({"distortion": jm.distortion(mesh, points, softness=1e-2)} if solid else {})
 
 
-@pytest.mark.parametrize(
-    "name",
-    runs(slow=["line"], nightly=[name for name in (*SOLIDS, *SURFACES) if name != "line"]),
-)
+@pytest.mark.parametrize("name", runs(slow=["line"], nightly=[name for name in (*SOLIDS, *SURFACES) if name != "line"]))
 def test_component_by_component(name):
     """Forward, reverse and differences agree on sound and inverted cells; all are finite where there is no derivative.
 
@@ -98,11 +96,11 @@ def test_component_by_component(name):
             scale = max(1.0, np.abs(expected).max())
             for found in jacobians:
                 np.testing.assert_allclose(found[key], expected, rtol=0, atol=1e-8 * scale, err_msg=f"{key}, {state}")
-    for state, points in rough.items():
-        values, jacobians = measured(points), [way(points) for way in ways]
+    for (state, points), dtype in itertools.product(rough.items(), (np.float64, np.float32)):
+        values, jacobians = measured(points.astype(dtype)), [way(points.astype(dtype)) for way in ways]
         for key, value in values.items():
-            assert not np.isnan(value).any(), (key, state)
-            assert all(np.isfinite(found[key]).all() for found in jacobians), (key, state)
+            assert not np.isnan(value).any(), (key, state, dtype)
+            assert all(np.isfinite(found[key]).all() for found in jacobians), (key, state, dtype)
 
 
 def report_of(aspect_ratio, volume):

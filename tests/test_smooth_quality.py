@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from meshes import pair
+from meshes import pair, shaken
 from runs import runs
 
 import jaxmorph as jm
@@ -14,10 +14,6 @@ KINDS = runs(["quad"], nightly=["triangle", "tetra", "pyramid", "wedge", "hexahe
 MEASURES = ("skewness", "aspect_ratio", "non_orthogonality", "jacobian_ratio")
 TERMS = 36
 """The most terms of which any measure takes the largest."""
-
-
-def shaken(mesh, size, seed=0):
-    return mesh.points + size * np.random.default_rng(seed).normal(size=mesh.points.shape)
 
 
 @pytest.mark.parametrize("kind", KINDS)

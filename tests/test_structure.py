@@ -156,7 +156,7 @@ _host.package.arguments
 
 HOMES = """
 Block Bounds Cells Content Elements Encoding Form Grid Group Hierarchy Method Modes Options Parts
-Patch Progress Rows Sensitivity Side Sides Variable _Content _Reader _Search
+Patch Progress Rows Sensitivity Side Sides Variable _Content _Reader
 """
 """Names of classes that several files define: the list may only shrink."""
 

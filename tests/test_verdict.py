@@ -4,7 +4,7 @@ import pickle
 
 import numpy as np
 import pytest
-from meshes import ring, with_folds
+from meshes import ring, shaken, with_folds
 from oracles import corner_areas
 from runs import runs
 
@@ -15,8 +15,7 @@ LIMITS = jm.Limits(max_skewness=0.3, max_aspect_ratio=4.0, min_jacobian_ratio=0.
 
 def noisy(size: float, seed: int = 0):
     """A ring of quads whose nodes are displaced at random, and the mesh."""
-    mesh = ring()
-    return mesh, np.asarray(mesh.points) + size * np.random.default_rng(seed).normal(size=mesh.points.shape)
+    return ring(), shaken(ring(), size, seed)
 
 
 def in_two(mesh, points):

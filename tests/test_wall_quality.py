@@ -104,15 +104,21 @@ def test_derivatives_and_the_smooth_twin():
     np.testing.assert_allclose(several.max_height, [height.max(), 1], rtol=1e-12)
 
 
-def test_bad_walls():
+@pytest.mark.parametrize(
+    ("wall", "rows", "words"),
+    [
+        ("wing", None, "no patch is called 'wing'"),
+        ([0, 2], None, "no cell has a boundary side whose nodes are all among the 2 wall nodes"),
+        ([0, 99], None, r"1 ids in `wall` are not in 0 to [0-9]+, first 99"),
+        ("floor", 3, "`points` has shape"),
+    ],
+)
+def test_bad_walls(wall, rows, words):
     mesh = plate()
-    with pytest.raises(ValueError, match="no patch is called 'wing'"):
-        jm.wall_quality(mesh, "wing")
-    with pytest.raises(ValueError, match="no cell has a boundary side whose nodes are all among the 2 wall nodes"):
-        jm.wall_quality(mesh, [0, 2])
-    with pytest.raises(ValueError, match=r"1 ids in `wall` are not in 0 to [0-9]+, first 99"):
-        jm.wall_quality(mesh, [0, 99])
-    with pytest.raises(ValueError, match="`points` has shape"):
-        jm.wall_quality(mesh, "floor", mesh.points[:3])
-    both = jm.wall_quality(mesh, ["floor", "lid"], mesh.points)
-    assert len(both.nodes) == len(mesh.patch("floor", "lid"))
+    with pytest.raises(ValueError, match=words):
+        jm.wall_quality(mesh, wall, mesh.points[:rows])
+
+
+def test_several_patches_are_one_wall():
+    both = jm.wall_quality(plate(), ["floor", "lid"])
+    assert len(both.nodes) == len(plate().patch("floor", "lid"))

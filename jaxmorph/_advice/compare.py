@@ -59,10 +59,8 @@ class Trial:
     @property
     def badness(self) -> tuple[float | int, float]:
         """Key by which trials are sorted: inverted cells, then the ratio; refused ones last."""
-        return (
-            math.inf if self.inverted is None else self.inverted,
-            math.inf if math.isnan(self.ratio) else -self.ratio,
-        )
+        ratio = math.inf if math.isnan(self.ratio) else -self.ratio
+        return (math.inf if self.inverted is None else self.inverted, ratio)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -132,12 +130,10 @@ def compare(
     pairs = []
     for name, make in _makers(boundary, methods).items():
         plan = _plan(boundary, make)
-        if isinstance(plan, Plan):
-            pairs.append((_trial(mesh, plan, motions, name), plan))
-        else:
-            pairs.append((Trial(name, refused=plan), None))
-    pairs.sort(key=lambda pair: pair[0].badness)
-    rows, plans = zip(*pairs, strict=True)
+        is_made = isinstance(plan, Plan)
+        trial = _trial(mesh, plan, motions, name) if is_made else Trial(name, refused=plan)
+        pairs.append((trial, plan if is_made else None))
+    rows, plans = zip(*sorted(pairs, key=lambda pair: pair[0].badness), strict=True)
     if plans[0] is None:
         raise ValueError(f"every method is refused. {rows[0].method}: {rows[0].refused}")
     return Comparison(rows, plans)
@@ -175,7 +171,6 @@ def _makers(boundary: Boundary, methods: Mapping[str, AbstractMethod] | None) ->
 
 
 def _small_enough(make: Any, boundary: Boundary) -> AbstractMethod:
-    """Makes a method; raises `ValueError` where the mesh is too large to try it by default."""
     method, (n, d) = make(), boundary.points.shape
     if method.needs_cells and n > MOST_POINTS[d]:
         raise ValueError(f"skipped: {n} points; a solve on the cells is tried up to {MOST_POINTS[d]}")
@@ -186,7 +181,6 @@ def _small_enough(make: Any, boundary: Boundary) -> AbstractMethod:
 
 
 def _plan(boundary: Boundary, make: Any) -> Plan | str:
-    """Prepares a plan of a method, or returns why it is refused."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of a bad condition: the table shows what comes of it
         try:

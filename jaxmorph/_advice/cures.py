@@ -23,10 +23,7 @@ STEPS = 2, 4, 8
 """Numbers of steps that are tried."""
 
 ROUND = 1e-3
-"""Largest change of radius, or of place along the axis, of a patch that turns within itself.
-
-It is relative to the radius.
-"""
+"""Largest change of radius, or of place along the axis, over the radius, of a round patch."""
 
 TURNS = 0.1
 """Angle of a motion in radians from which on its path turns, and round patches may slide."""
@@ -43,7 +40,7 @@ class Cure:
     def __str__(self) -> str:
         if self.sliding:
             return f"sliding={[*self.sliding]} in place of `fixed`"
-        return f"{self.steps} steps" if self.steps > 1 else f"{_class_of(self.method)}()"
+        return f"{self.steps} steps" if self.steps > 1 else f"jm.{entry(self.method).path.rsplit('.', 1)[-1]}()"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -101,9 +98,8 @@ def cures(
     if len(points) > MOST_POINTS[dimension]:
         return
     turn = Turn.of(points[moving], in_space(u))
-    held = {name: nodes for name, nodes in mesh.patches.items() if len(nodes) and np.isin(nodes, fixed).all()}
-    names = tuple(name for name, nodes in held.items() if turn.keeps(points[nodes], dimension))
-    if names:
+    held = [(name, nodes) for name, nodes in mesh.patches.items() if len(nodes) and np.isin(nodes, fixed).all()]
+    if names := tuple(name for name, nodes in held if turn.keeps(points[nodes], dimension)):
         yield Cure(sliding=names)
     yield from (Cure(steps=steps) for steps in STEPS)
     yield from (Cure(method=method.name) for method in METHODS if method.is_cure)
@@ -111,54 +107,41 @@ def cures(
 
 def advice_on_folds(plan: Plan, mesh: Mesh, u: Float[np.ndarray, "m d"], count: int) -> str:
     """Says from where on a motion folds `count` cells, and what was tried and helps."""
-    share = ""
+    said, tried = f"one step folds {count} cells", []
     if plan.is_linear:
-        part = largest_step(plan, np.zeros_like(u), u, mesh).step
-        share = f", the first after {100 * part:.3g} % of the motion"
-    tried = []
+        said += f", the first after {100 * largest_step(plan, np.zeros_like(u), u, mesh).step:.3g} % of the motion"
     for cure in cures(mesh, np.asarray(plan.moving), np.asarray(plan.fixed), u):
         if _folds_none(plan, mesh, u, cure):
-            return f"one step folds {count} cells{share}. With {cure} none folds{_how(cure, plan, u)}."
+            how = ""
+            if cure.steps > 1:
+                turn = Turn.of(in_space(np.asarray(plan.moving_points)), in_space(u))
+                turns = ", on a path that turns as the wall does (`shapes.path`)" if turn.rotation.magnitude() else ""
+                how = f": `march(plan, path)`{turns}"
+            return f"{said}. With {cure} none folds{how}."
         tried.append(str(cure))
     last = f"{', '.join(tried)} do not cure it" if tried else "jm.fewest_steps tells how many steps it takes"
-    return f"one step folds {count} cells{share}: {last}."
-
-
-def _how(cure: Cure, plan: Plan, u: np.ndarray) -> str:
-    if cure.steps == 1:
-        return ""
-    turn = Turn.of(in_space(np.asarray(plan.moving_points)), in_space(u))
-    turns = ", on a path that turns as the wall does (`shapes.path`)" if turn.rotation.magnitude() else ""
-    return f": `march(plan, path)`{turns}"
+    return f"{said}: {last}."
 
 
 def _folds_none(plan: Plan, mesh: Mesh, u: np.ndarray, cure: Cure) -> bool:
-    """Moves the mesh with a cure; False also for a cure that is refused."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
-            points = _moved(plan, mesh, u, cure)
+            return not int(quality(mesh, _moved(plan, mesh, u, cure)).inverted)
         except (ValueError, ImportError):  # ImportError: a solver for large 3-D meshes is not installed
             return False
-        return not int(quality(mesh, points).inverted)
 
 
 def _moved(plan: Plan, mesh: Mesh, u: np.ndarray, cure: Cure) -> np.ndarray:
-    moving, fixed = np.asarray(plan.moving), np.asarray(plan.fixed)
+    moving, fixed, points = np.asarray(plan.moving), np.asarray(plan.fixed), np.asarray(mesh.points)
+    if cure.steps > 1:
+        base, motion = in_space(points[moving]), in_space(u)
+        path = Turn.of(base, motion).path(base, motion, cure.steps)
+        return np.asarray(march(plan, np.stack(path)[..., : points.shape[1]])[1])
     if cure.sliding:
-        planes = plan.images.planes
-        others = np.setdiff1d(fixed, mesh.patch(*cure.sliding))
-        return np.asarray(
-            deform(prepare(mesh, moving, others, method=plan.method, symmetry=planes, sliding=cure.sliding), u)
-        )
-    if cure.method:
-        points = np.asarray(mesh.points)
+        others, planes = np.setdiff1d(fixed, mesh.patch(*cure.sliding)), plan.images.planes
+        cured = prepare(mesh, moving, others, method=plan.method, symmetry=planes, sliding=cure.sliding)
+    else:
         method = entry(cure.method).make(Lengths(points[moving], points[fixed]))
-        return np.asarray(deform(plan_of(with_cells(plan.boundary, mesh), method), u))
-    base = in_space(np.asarray(mesh.points)[moving])
-    path = Turn.of(base, in_space(u)).path(base, in_space(u), cure.steps)
-    return np.asarray(march(plan, np.stack(path)[..., : mesh.points.shape[1]])[1])
-
-
-def _class_of(method: str) -> str:
-    return "jm." + entry(method).path.rsplit(".", 1)[-1]
+        cured = plan_of(with_cells(plan.boundary, mesh), method)
+    return np.asarray(deform(cured, u))

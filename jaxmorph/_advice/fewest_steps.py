@@ -51,13 +51,12 @@ def fewest_steps(
 
     A number of steps is good when no cell is inverted and the smallest corner Jacobian stays above
     `min_jacobian_ratio` of its initial value. When even `max_steps` steps are not good, the result
-    holds the largest fraction of the motion that they reach, by bisection to 1/1000, and its
-    `fraction` is below 1.
+    has the largest fraction of the motion that they reach, by bisection to 1/1000.
 
     With `improve`, the mesh that `max_steps` steps tangle is given to `jm.improve`, whose targets
-    are the cells of `mesh`. Nodes slide and repeat there as the plan has them. If that is not good
-    either, the largest fraction is sought beyond the fraction that steps alone reach, to 1/100.
-    Each trial then costs a march and an improvement: seconds for 10,000 cells.
+    are the cells of `mesh`; nodes slide and repeat as the plan has them. If that is not good
+    either, the largest fraction is sought beyond the one of steps alone, to 1/100. Each trial then
+    costs a march and an improvement: seconds for 10,000 cells.
 
     **Arguments:**
 
@@ -90,31 +89,19 @@ def fewest_steps(
         points = points if improvement is None else improvement.points
         return Steps(count, fraction, points, quality(mesh, points), plans, path, improvement)
 
-    def margin(steps: Steps) -> float:
-        least = float(steps.report.min_jacobian_ratio) - min_jacobian_ratio
-        return least if int(steps.report.inverted) == 0 else min(least, -min_jacobian_ratio)
+    def is_good(steps: Steps) -> bool:
+        return not int(steps.report.inverted) and float(steps.report.min_jacobian_ratio) > min_jacobian_ratio
 
     for count in range(1, max_steps + 1):
         steps = tried(count)
-        if margin(steps) > 0:
+        if is_good(steps):
             return steps
-    if improve and margin(steps := tried(max_steps, mend=True)) > 0:
+    if improve and is_good(steps := tried(max_steps, mend=True)):
         return steps
     best = tried(max_steps, 0.0)
     for mend, width in ((False, 1e-3), (True, 1e-2))[: 1 + improve]:
-        best = _farthest(best, lambda fraction, mend=mend: tried(max_steps, fraction, mend), margin, width)
-    return best
-
-
-def _farthest(best: Steps, tried: Callable[[float], Steps], margin: Callable[[Steps], float], width: float) -> Steps:
-    """Bisects for the largest good fraction beyond that of `best`, to `width`."""
-    # a motion may be NumPy's, so the bisection runs on the host instead of in optimistix's traced
-    # loop
-    low, high = best.fraction, 1.0
-    while high - low > width:
-        steps = tried((low + high) / 2)
-        if margin(steps) > 0:
-            best, low = steps, steps.fraction
-        else:
-            high = steps.fraction
+        low, high = best.fraction, 1.0  # on the host: a motion may be NumPy's
+        while high - low > width:
+            steps = tried(max_steps, (low + high) / 2, mend)
+            best, low, high = (steps, steps.fraction, high) if is_good(steps) else (best, low, steps.fraction)
     return best

@@ -36,10 +36,7 @@ TOUCHING = 1e-9
 """Distance of a node from another wall, relative to the surface's extent: no gap there."""
 
 SAME = 1e-9
-"""Distance of nodes that count as one place, relative to the extent of the mesh.
-
-They are the two sides of a cut or of a sharp edge.
-"""
+"""Distance of nodes at one place, relative to the extent: two sides of a cut or of a sharp edge."""
 
 RESTS = 1e-3
 """Share of the largest displacement below which a part of the surface rests."""
@@ -68,11 +65,10 @@ def inspect(
     fixed, and the displacement is larger than their distance: a wall slides along a fixed boundary.
     Or both move, and their distance more than doubles. No method moves such a mesh well.
 
-    With the mesh, it measures how much is left of the gaps between walls: the distance of nodes to
-    the faces of other walls. It also finds moved walls that cross another boundary or themselves.
-    Faces that crossed before do not count, nor do faces that share a node or touch in coincident
-    nodes, as at a sharp trailing edge. Faces with a node that is neither moving nor fixed are left
-    out: where they go is not known yet. If one step folds cells, it tries what may help: round
+    With the mesh, it measures how much is left of gaps between walls, and finds moved walls that
+    cross another boundary or themselves. Faces that crossed before do not count, nor do faces that
+    share a node or touch in coincident nodes, as at a sharp trailing edge. Faces with a node that
+    is neither moving nor fixed are left out. If one step folds cells, it tries what may help: round
     walls that slide, 2, 4 and 8 steps, methods on cells.
 
     **Arguments:**
@@ -105,22 +101,17 @@ def inspected(plan: Plan, u: Any, mesh: Mesh | None, nodes: Any, moved: np.ndarr
         raise ValueError(
             f"`mesh` has points of shape {tuple(mesh.points.shape)}; this plan was made for {tuple(plan.points.shape)}."
         )
-    ids = (
-        np.arange(len(plan.points))
-        if nodes is None
-        else rows_of("nodes", nodes, 2**62 if mesh is None else len(mesh.points))
-    )
-    if len(ids) != len(plan.points):
-        raise ValueError(f"`nodes` has {len(ids)} ids; this plan has {len(plan.points)} points.")
+    count = len(plan.points)
+    ids = np.arange(count) if nodes is None else rows_of("nodes", nodes, 2**62 if mesh is None else len(mesh.points))
+    if len(ids) != count:
+        raise ValueError(f"`nodes` has {len(ids)} ids; this plan has {count} points.")
     surface, vectors = np.asarray(plan.surface_nodes), np.asarray(plan.of_surface(u))
     _check_finite(u, surface[: plan.n_moving])
-    looking = None
-    if mesh is not None:
-        looking = Beside(_of_faces, mesh, ids[surface], vectors.astype(float), plan.n_moving)
-    inspection = _of_plan(plan, u, vectors, moved)
-    inspection = inspection if nodes is None else inspection.renumbered(ids)
-    if mesh is None or looking is None:
-        return inspection
+    if mesh is None:
+        inspection = _of_plan(plan, u, vectors, moved)
+        return inspection if nodes is None else inspection.renumbered(ids)
+    looking = Beside(_of_faces, mesh, ids[surface], vectors.astype(float), plan.n_moving)
+    inspection = _of_plan(plan, u, vectors, moved).renumbered(ids)
     faces, found = looking.result()
     touches, torn = inspection.touches, inspection.contradictions
     if faces is not None and inspection.rests.any():
@@ -152,48 +143,42 @@ def _of_faces(
 
 def _of_plan(plan: Plan, u: Any, vectors: np.ndarray, moved: np.ndarray | None) -> Inspection:
     """Checks all that needs no faces, of displacements `vectors` (o, d) of the surface."""
-    offset = np.linalg.norm(np.asarray(plan.offset(u)), axis=1)
-    points, nodes = np.asarray(plan.points), np.asarray(plan.surface_nodes)
-    displacement = np.asarray(u, dtype=float)
-    is_fixed = np.isin(nodes, plan.fixed)
+    points, nodes, displacement = np.asarray(plan.points), np.asarray(plan.surface_nodes), np.asarray(u, dtype=float)
+    moving, surface, is_fixed = nodes[: plan.n_moving], points[nodes], np.isin(nodes, plan.fixed)
+    offset, size = np.linalg.norm(np.asarray(plan.offset(u)), axis=1), np.linalg.norm(displacement, axis=1)
     tree = Tree(points, leafsize=32, balanced_tree=False, compact_nodes=False)
-    size = np.asarray(tree.query(points[nodes], k=2)[0])[:, 1]
-    worst = int(offset.argmax())
-    pairs = torn_pairs(points[nodes], vectors, is_fixed)
+    spacing = np.asarray(tree.query(surface, k=2)[0])[:, 1]
+    pairs = torn_pairs(surface, vectors, is_fixed)
     torn, rests = nodes[pairs].reshape(-1, 2), np.asarray(is_fixed[pairs].any(axis=1))
-    ratio = float((offset / np.where(size > 0, size, np.inf)).max())
     anywhere, behind = overshoot(plan, displacement, moved)
     changed = np.linalg.norm(vectors[: plan.n_moving] - displacement, axis=1)
-    back = np.flatnonzero(changed > PUT_BACK * np.linalg.norm(displacement, axis=1).max())
-    places = points[nodes] + vectors
-    rows = ended(plan, places)
-    base = points[nodes[: plan.n_moving]]
-    too_few = _missed(plan, nodes[: plan.n_moving], displacement)
+    back = np.flatnonzero(changed > PUT_BACK * size.max())
+    rows, sources = ended(plan, surface + vectors), np.flatnonzero(np.isin(moving, plan.sources))
+    too_few = missed(points[moving], displacement, sources) if points.shape[1] == 3 and len(sources) else 0.0
     return Inspection(
-        offset=float(offset[worst]),
-        offset_node=int(nodes[worst]),
-        offset_ratio=ratio,
+        offset=float(offset.max()),
+        offset_node=int(nodes[offset.argmax()]),
+        offset_ratio=float((offset / np.where(spacing > 0, spacing, np.inf)).max()),
         contradictions=torn,
         near=points[torn[0, 0]] if len(torn) else np.full(points.shape[1], np.nan),
         overshoot=anywhere,
         overshoot_behind=behind,
-        slope=_slope(base, vectors[: plan.n_moving]),
+        slope=_slope(points[moving], vectors[: plan.n_moving]),
         is_fitted=isinstance(getattr(plan.method, "coarse", None), FittedRBF),
         put_back=nodes[back[np.argsort(-changed[back], kind="stable")]],
         put_back_by=float(changed.max()) if len(back) else 0.0,
         ended=nodes[rows],
-        ended_at=places[rows],
-        largest=float(np.linalg.norm(displacement, axis=1).max()),
+        ended_at=(surface + vectors)[rows],
+        largest=float(size.max()),
         reach=plan.reach,
         rests=rests,
         touches=rests,
         missed=too_few,
-        leaves=leaves_enough(base, displacement) if too_few > UNRESOLVED else None,
+        leaves=leaves_enough(points[moving], displacement) if too_few > UNRESOLVED else None,
     )
 
 
 def _check_finite(u: Any, nodes: np.ndarray) -> None:
-    """Raises `ValueError` for displacements of moving `nodes` (m,) that are not finite."""
     finite = np.isfinite(np.asarray(u)).all(axis=1)
     if not finite.all():
         row = int(np.argmin(finite))
@@ -201,14 +186,6 @@ def _check_finite(u: Any, nodes: np.ndarray) -> None:
             f"{(~finite).sum()} of {len(nodes)} displacements are not finite, first that of node {{node}} (row {row}).",
             nodes[~finite],
         )
-
-
-def _missed(plan: Plan, nodes: np.ndarray, displacement: np.ndarray) -> float:
-    """Measures, in 3-D, the part of a displacement of `nodes` (m,) that the sources miss."""
-    rows = np.flatnonzero(np.isin(nodes, plan.sources))
-    return (
-        missed(np.asarray(plan.points)[nodes], displacement, rows) if plan.points.shape[1] == 3 and len(rows) else 0.0
-    )
 
 
 def _slope(points: np.ndarray, u: np.ndarray) -> float:
@@ -232,23 +209,17 @@ def torn_pairs(points: np.ndarray, vectors: np.ndarray, is_fixed: np.ndarray) ->
     difference = np.linalg.norm((vectors[first] - vectors[second]), axis=1)
     after = np.linalg.norm((points + vectors)[first] - (points + vectors)[second], axis=1)
     mixed = is_fixed[first] != is_fixed[second]
-    # nodes that nearly coincide are one place by accident: the two sides of a wake, of an
-    # interface, of a sharp edge
-    scale = 1e-9 * np.ptp(points, axis=0).max()
+    scale = SAME * np.ptp(points, axis=0).max()
     excess = np.where(mixed, difference, after - distance) / (distance + scale)
     torn = np.flatnonzero((excess > 1) & (distance > scale) & (first < second))
     return np.stack([first, second], axis=1)[torn[np.argsort(-excess[torn], kind="stable")]]
 
 
 def share_faces(pairs: np.ndarray, faces: np.ndarray, count: int) -> np.ndarray:
-    """Marks the pairs (k, 2) of `count` rows that lie on one face, or on faces that share a node.
-
-    `faces` are (f, corners).
-    """
+    """Marks pairs (k, 2) of rows on one of `faces` (f, corners), or on two that share a node."""
     corners = np.repeat(np.arange(len(faces)), faces.shape[1])
-    holds = sparse.csr_matrix(
-        (np.ones(faces.size, dtype=np.int64), (faces.ravel(), corners)), shape=(count, len(faces))
-    )
+    entries = np.ones(faces.size, dtype=np.int64), (faces.ravel(), corners)
+    holds = sparse.csr_matrix(entries, shape=(count, len(faces)))
     around = holds @ holds.T  # neighbours of each row, and itself
     return np.asarray(around[pairs[:, 0]].multiply(around[pairs[:, 1]]).sum(axis=1)).ravel() > 0
 
@@ -258,12 +229,11 @@ def crossings(cut: tuple[np.ndarray, np.ndarray], mesh: Mesh, nodes: np.ndarray,
 
     `cut` is what `simplices` returned for the nodes.
     """
-    faces, ids = cut
-    points = np.asarray(mesh.points, dtype=float)
+    (faces, ids), points = cut, np.asarray(mesh.points, dtype=float)
     before = points[nodes]
-    together = _together(before, SAME * np.ptp(points, axis=0).max())
-    after = before + vectors
-    pairs, places = crossing_faces(before, after, faces, together)
+    close = Tree(before).query_pairs(SAME * np.ptp(points, axis=0).max(), output_type="ndarray")
+    place = parts_of(close[:, 0], close[:, 1], len(before))  # nodes that nearly coincide are at one place
+    pairs, places = crossing_faces(before, before + vectors, faces, place)
     single = np.sort(np.unique(np.sort(ids[pairs], axis=1), axis=0, return_index=True)[1])
     pairs, places = pairs[single], places[single]
     first, second = (names_of(mesh, nodes[faces[pairs[:, k]]]) for k in range(2))
@@ -273,33 +243,21 @@ def crossings(cut: tuple[np.ndarray, np.ndarray], mesh: Mesh, nodes: np.ndarray,
 def simplices(mesh: Mesh, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
     """Cuts the boundary faces between `nodes` (o,) into simplices (f, d); None without faces.
 
-    A simplex has rows of `nodes`, seen from outside.
-
-    It also returns the number (f,) of the file's face that each is a part of.
+    A simplex has rows of `nodes`, seen from outside. It also returns the number (f,) of the file's
+    face that each is a part of.
     """
     outer = outer_faces(mesh)
     if outer is None:
         return None
     rows = np.full(len(mesh.points), -1)
     rows[nodes] = np.arange(len(nodes))
-    parts = [(_simplices(rows[corners]), outer.ids[kind]) for kind, corners in outer.corners.items()]
-    faces = np.concatenate([part for part, _ in parts])
-    ids = np.concatenate([np.resize(face, len(part)) for part, face in parts])
+    parts = []
+    for kind, corners in outer.corners.items():
+        triangles = ([0, 1, 2], [0, 2, 3]) if corners.shape[1] == 4 else ([*range(corners.shape[1])],)
+        parts += [(rows[corners[:, triangle]], outer.ids[kind]) for triangle in triangles]
+    faces, ids = (np.concatenate(part) for part in zip(*parts, strict=True))
     known = (faces >= 0).all(axis=1)
     return faces[known], ids[known]
-
-
-def _simplices(corners: np.ndarray) -> np.ndarray:
-    """Cuts quadrilaterals into two triangles: all first triangles, then all second ones."""
-    if corners.shape[1] < 4:
-        return corners
-    return np.concatenate([corners[:, [0, 1, 2]], corners[:, [0, 2, 3]]])
-
-
-def _together(points: np.ndarray, distance: float) -> np.ndarray:
-    """Numbers the places of nodes (b,): nodes that nearly coincide are at one place."""
-    pairs = Tree(points).query_pairs(distance, output_type="ndarray")
-    return parts_of(pairs[:, 0], pairs[:, 1], len(points))
 
 
 def names_of(mesh: Mesh, faces: np.ndarray) -> list[str]:
@@ -315,9 +273,7 @@ def names_of(mesh: Mesh, faces: np.ndarray) -> list[str]:
 def overshoot(
     plan: Plan, u: Float[np.ndarray, "m d"], moved: Float[np.ndarray, "n d"] | None = None
 ) -> tuple[float, float]:
-    """Compares the largest motion off the surface with that of the surface.
-
-    The second number is for nodes behind a part that rests.
+    """Compares the largest motion off the surface with that of the surface; also behind what rests.
 
     A node lies behind a part that rests if three conditions hold. The nearest node of the moving
     surface rests. The part that moves lies on the other side of this node, as the upper side of an
@@ -341,12 +297,11 @@ def overshoot(
     if not inner.size:
         return largest, 0.0
     nearest = np.asarray(Tree(base).query(points[inner])[1])
-    towards = base[active[np.asarray(Tree(base[active]).query(base)[1])]] - base
+    towards = (base[active[np.asarray(Tree(base[active]).query(base)[1])]] - base)[nearest]
     away = points[inner] - base[nearest]
-    towards = towards[nearest]
-    product, lengths = np.sum(away * towards, axis=1), (np.linalg.norm(away, axis=1), np.linalg.norm(towards, axis=1))
-    is_opposite = product < -lengths[0] * lengths[1] / 2
-    behind = (size[nearest] <= RESTS * size.max()) & is_opposite & (lengths[0] < extent)
+    far = np.linalg.norm(away, axis=1)
+    is_opposite = np.sum(away * towards, axis=1) < -far * np.linalg.norm(towards, axis=1) / 2
+    behind = (size[nearest] <= RESTS * size.max()) & is_opposite & (far < extent)
     return largest, float(share[behind].max(initial=0.0))
 
 
@@ -364,8 +319,8 @@ def missed(points: np.ndarray, u: np.ndarray, sources: np.ndarray) -> float:
     system[-1, -1] = 0
     weights = np.linalg.solve(system, np.pad(u[rows], ((0, 1), (0, 0))))
     off = [
-        u[part] - weights[-1] + cdist(points[part], points[rows]) @ weights[:-1]
-        for part in (slice(start, start + ROWS) for start in range(0, len(points), ROWS))
+        u[start : start + ROWS] - weights[-1] + cdist(points[start : start + ROWS], points[rows]) @ weights[:-1]
+        for start in range(0, len(points), ROWS)
     ]
     return float(np.linalg.norm(np.concatenate(off), axis=1).max() / largest)
 

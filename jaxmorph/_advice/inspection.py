@@ -1,7 +1,6 @@
 """The findings of `inspect`, in numbers and in sentences."""
 
 import dataclasses
-import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -36,7 +35,6 @@ class Crossings:
         return len(self.nodes)
 
     def __str__(self) -> str:
-        """Describes the crossings in two sentences: how many, between which patches, and where."""
         if not len(self):
             return ""
         pairs = dict.fromkeys(tuple(sorted(pair)) for pair in self.patches)
@@ -58,44 +56,35 @@ def _between(first: str, second: str) -> str:
 class Inspection:
     """Findings of `inspect`; lengths are in the mesh's units.
 
-    - `offset`: the largest displacement that the correction has to carry (eq. 5; 0 for a method
-      without one).
-    - `offset_node`: the node with that offset.
+    - `offset`, `offset_node`: the largest displacement that the correction has to carry (eq. 5; 0
+      for a method without one), and its node.
     - `offset_ratio`: the largest ratio of a node's offset to the distance of its nearest mesh node.
     - `contradictions`: pairs (k, 2) of neighbouring surface nodes that are torn apart, the worst
-      first.
-    - `near`: where the worst pair lies (d,).
+      first; `near` (d,) is where the worst pair lies, `torn` the patches of its two nodes.
+    - `rests` (k,): whether one node of a pair is fixed while the other node moves. `touches` (k,):
+      whether the boundaries of the two have faces in common there; without a mesh as `rests`.
     - `overshoot`: the largest motion of a node off the surface over the largest motion of the
-      surface.
-    - `overshoot_behind`: the overshoot behind a thin body's part that rests while its other side
-      moves (below an airfoil with a bump on its upper side).
+      surface. `overshoot_behind`: the same behind a thin body's part that rests while its other
+      side moves (below an airfoil with a bump on its upper side).
     - `slope`: how steeply the displacement changes along the wall, per length and without its
       affine part. It is exceeded on 2 % of the edges.
     - `is_fitted`: whether the coarse field is a `FittedRBF`, as in `prepare`'s default.
-    - `crossings`: where moved walls cross another boundary or themselves; None where `inspect` was
-      given no mesh.
-    - `put_back`: moving nodes (k,) that do not go where `u` sends them, the worst first. Their
-      plane, surface or pair changes the motion by more than a hundredth of the largest motion.
-    - `put_back_by`: the largest change.
-    - `ended`: sliding nodes (k,) that come to the end of their surface.
-    - `ended_at`: where `ended` nodes are after the motion (k, d).
-    - `gap_left`: the smallest share of a gap between walls that is left. It is 1 or more if no gap
-      becomes smaller; None without a mesh, and with only one wall.
-    - `gap_node`: the node at the smallest share.
+    - `crossings`: where moved walls cross another boundary or themselves; None without a mesh.
+    - `put_back`: moving nodes (k,) that do not go where `u` sends them, the worst first, by
+      `put_back_by` at most. Their plane, surface or pair changes the motion by more than a
+      hundredth of the largest motion.
+    - `ended`, `ended_at`: sliding nodes (k,) that come to the end of their surface, and where they
+      are after the motion (k, d).
+    - `gap_left`, `gap_node`: the smallest share of a gap between walls that is left, and the node
+      there. It is 1 or more if no gap becomes smaller; None without a mesh, or with one wall.
     - `largest`: the largest displacement of a moving node.
-    - `reach`: how far from the surface a field of compact support reaches, `CompactRBF`; infinity
-      for other methods.
-    - `torn`: the patches of the worst pair's two nodes, "" for no patch; empty without a mesh or a
-      pair.
-    - `rests` (k,): whether one node of a pair is fixed while the other node moves.
+    - `reach`: how far from the surface a field of compact support reaches; infinity for others.
     - `missed`: what an interpolation from the moving sources misses of the displacement in 3-D,
       relative to the largest displacement.
-    - `leaves`: leaves of a `KDTree` whose sources miss less than a third of the displacement. None
-      if the plan's sources do already, or if no number does.
+    - `leaves`: leaves of a `KDTree` whose sources miss less than a third of it. None if the plan's
+      do already, or if no number does.
     - `folds`: how many cells one step folds, from where on, and what was found to help. Empty if
       none folds, and without a mesh.
-    - `touches` (k,): whether the boundaries of a pair's two nodes have faces in common at the pair.
-      Without a mesh: `rests`.
     """
 
     offset: float
@@ -107,20 +96,20 @@ class Inspection:
     overshoot_behind: float
     slope: float
     is_fitted: bool
+    put_back: np.ndarray
+    put_back_by: float
+    ended: np.ndarray
+    ended_at: np.ndarray
+    largest: float
+    reach: float
+    rests: np.ndarray
+    touches: np.ndarray
+    missed: float
+    leaves: int | None
     crossings: Crossings | None = None
-    put_back: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=int))
-    put_back_by: float = 0.0
-    ended: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=int))
-    ended_at: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((0, 3)))
     gap_left: float | None = None
     gap_node: int | None = None
-    largest: float = 0.0
-    reach: float = math.inf
     torn: tuple[str, ...] = ()
-    rests: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=bool))
-    touches: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=bool))
-    missed: float = 0.0
-    leaves: int | None = None
     folds: str = ""
 
     @property
@@ -180,22 +169,16 @@ class Inspection:
 
     def renumbered(self, ids: np.ndarray) -> "Inspection":
         """Renumbers the inspection for a larger mesh, in which node k is node `ids[k]`."""
-        ids = np.asarray(ids)
-        node, pairs = int(ids[self.offset_node]), ids[self.contradictions]
-        renumbered = {"put_back": ids[self.put_back], "ended": ids[self.ended]}
-        return dataclasses.replace(self, offset_node=node, contradictions=pairs, **renumbered)
+        ids, names = np.asarray(ids), ("contradictions", "put_back", "ended")
+        rows = {name: ids[getattr(self, name)] for name in names}
+        return dataclasses.replace(self, offset_node=int(ids[self.offset_node]), **rows)
 
     def __str__(self) -> str:
-        """Lists what no method moves well, then what another method may do better."""
         return "\n".join((*self.warnings, *self.advice)) or "nothing to warn of."
 
 
 def remedies(rests: np.ndarray, touches: np.ndarray) -> str:
-    """Describes what tears each kind of pairs (k,), and what to try.
-
-    Either one node of a pair rests, or both move. The boundary of a resting node touches that of
-    the moving node, or lies across a gap.
-    """
+    """Describes what tears pairs (k,), and what to try: walls touch, a gap, or both nodes move."""
     slides, gap, both = (int(mask.sum()) for mask in (touches, rests & ~touches, ~rests))
     at = "" if slides == len(rests) else f"At {slides} of them a fixed boundary touches the moving one. "
     texts = (

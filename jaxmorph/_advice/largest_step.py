@@ -25,7 +25,7 @@ from .._quality import measures
 from .._quality.proof import bernstein
 from .._quality.proof.form import form_of, nodes_of
 from .._quality.proof.proof import proof
-from .._quality.proof.search import DEPTH, ROOM
+from .._quality.proof.search import DEPTH, blocks
 from .._quality.quality import places, signs_of, standards_of
 from .._quality.vector import corners
 
@@ -56,10 +56,9 @@ def largest_step(
     """Finds the largest step along a direction that keeps every Jacobian ratio above a bound.
 
     Corner Jacobians are polynomials in the step, of degree 2 in 2-D and 3 in 3-D, whose first roots
-    are found. A line search shortens its step by it before the flow is solved. With `proven` the
-    Bernstein coefficients of det J take the corners' place, as in `proof`: whole cells keep the
-    bound, at each instant up to the step. `proof` then finds that the points at its end are valid.
-    Corners of cells that are folded on the undeformed mesh end no step.
+    are found. With `proven` the Bernstein coefficients of det J take the corners' place, as in
+    `proof`: whole cells keep the bound, at each instant up to the step. Corners of cells that are
+    folded on the undeformed mesh end no step.
 
     **Arguments:**
 
@@ -95,12 +94,12 @@ def largest_step(
 
     start, end = at(0.0), at(max_step)
     bounds = Bounds(mesh, plan.points.dtype, min_jacobian_ratio, proven)
-    share, cell = bounds.share(start, end)
-    step, less = share * max_step, float(np.finfo(plan.points.dtype).eps)
+    found = bounds.largest_share(start, end)
+    step, less = found.step * max_step, float(np.finfo(plan.points.dtype).eps)
     # the points at the step have a round-off of their own
-    while step > 0 and (broken := bounds.broken(at(step))) >= 0:
-        step, cell, less = step * max(1 - less, 0.0), broken, 4 * less
-    return LargestStep(step, cell)
+    while step > 0 and proven and (broken := bounds.proven_share(at(step), at(step)).cell) >= 0:
+        step, found, less = step * max(1 - less, 0.0), LargestStep(step, broken), 4 * less
+    return LargestStep(step, found.cell)
 
 
 def _nonlinear(plan: Plan) -> str:
@@ -112,6 +111,34 @@ def _nonlinear(plan: Plan) -> str:
     return f"{type(method).__name__} is not"
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Corners:
+    """Cells of one type, with their signs (k,), and the mask of judged corners (s, k).
+
+    `scale` (k,) are the smallest corner Jacobians of the undeformed cells.
+    """
+
+    kind: str
+    ids: Int[np.ndarray, "k c"]
+    sign: np.ndarray
+    judged: Bool[np.ndarray, "s k"]
+    scale: Float[np.ndarray, " k"]
+
+    def jacobians(self, points: Any) -> Any:
+        return self.sign[None] * _jacobians(self.kind, points, self.ids)
+
+    def polynomials(self, start: np.ndarray, end: np.ndarray) -> Float[np.ndarray, "4 s k"]:
+        """Finds the coefficients of Jacobians over t from 0 to 1, the lowest first."""
+        times = np.arange(4) / 3
+        samples = [self.jacobians(start + t * (end - start)) for t in times]
+        inverse = np.linalg.inv(np.vander(times, increasing=True))
+        return np.tensordot(inverse, np.stack(samples).astype(float), axes=1)
+
+
+def _jacobians(kind: str, points: Any, ids: Any) -> Any:
+    return measures.jacobians(kind, measures.relative_corners(corners(points, ids))[0])[0]
+
+
 class Bounds:
     """Bounds of the Jacobians at a mesh's corners, and with `proven` of det J of whole cells.
 
@@ -119,47 +146,50 @@ class Bounds:
     """
 
     def __init__(self, mesh: Mesh, dtype: Any, min_jacobian_ratio: float, proven: bool = False):
-        self.mesh, self.of_cells = mesh, min_jacobian_ratio * least_undeformed(mesh) if proven else None
-        self.min_jacobian_ratio = min_jacobian_ratio
+        self.mesh, self.min_jacobian_ratio = mesh, min_jacobian_ratio
+        self.of_cells = min_jacobian_ratio * least_undeformed(mesh) if proven else None
         standards, self.signs = jax.tree.map(np.asarray, (standards_of(mesh, dtype), signs_of(mesh)))
         self.parts = []
-        for (kind, ids), standard in zip(mesh.cells.items(), standards, strict=True):
-            ids = np.asarray(ids)
-            rows = slice(len(_corner_jacobians(kind, np.asarray(mesh.points), ids[:1])))
-            judged = (standard.is_judged & ~standard.is_folded)[rows]
-            self.parts.append((kind, ids, standard.sign, judged, standard.jacobian))
+        for kind, ids in jax.tree.map(np.asarray, mesh.cells).items():
+            standard, rows = standards[kind], len(_jacobians(kind, np.asarray(mesh.points), ids[:1]))
+            judged = (standard.is_judged & ~standard.is_folded)[:rows]  # not the least one of a curved cell
+            self.parts.append(_Corners(kind, ids, standard.sign, judged, standard.jacobian))
 
-    def share(self, start: Float[np.ndarray, "n d"], end: Float[np.ndarray, "n d"]) -> tuple[float, int]:
-        """Finds the share of the way, at most 1, that keeps all bounds, and the cell that ends it.
-
-        The cell is -1 where none does.
-        """
-        share, cell = self._of_corners(start, end)
+    def largest_share(self, start: Float[np.ndarray, "n d"], end: Float[np.ndarray, "n d"]) -> LargestStep:
+        """Finds the share of the way, at most 1, that keeps all bounds, and the cell there."""
+        best, first = LargestStep(1.0, -1), 0
+        for part in self.parts:
+            values = part.polynomials(start, end)
+            values[0] -= self.min_jacobian_ratio * part.scale
+            rows, columns = np.nonzero(part.judged)
+            best = _sooner(best, first_roots(values[:, rows, columns]), first + columns)
+            first += len(part.ids)
         if self.of_cells is None:
-            return share, cell
+            return best
         # Never beyond what the corners allow, so that round-off is that of the step itself.
         begin, way = np.asarray(start, float), np.asarray(end, float) - np.asarray(start, float)
-        part, ends_it = proven_share(self.mesh, self.signs, (begin, begin + share * way), self.of_cells)
-        return (share * part, ends_it) if part < 1 else (share, cell)
+        proven = self.proven_share(begin, begin + best.step * way)
+        return LargestStep(best.step * proven.step, proven.cell) if proven.step < 1 else best
 
-    def broken(self, points: Float[np.ndarray, "n d"]) -> int:
-        """Finds a cell that is not proven to keep its bound; -1 if all are, or corners count."""
-        if self.of_cells is None:
-            return -1
-        x = np.asarray(points, float)
-        return proven_share(self.mesh, self.signs, (x, x), self.of_cells)[1]
+    def proven_share(self, start: Float[np.ndarray, "n d"], end: Float[np.ndarray, "n d"]) -> LargestStep:
+        """Finds the share of the straight way on which whole cells keep their bound, at most 1.
 
-    def _of_corners(self, start: np.ndarray, end: np.ndarray) -> tuple[float, int]:
-        best, worst, offset = 1.0, -1, 0
-        for kind, ids, sign, judged, scale in self.parts:
-            values = _polynomials(kind, start, end, ids) * sign
-            values[0] -= self.min_jacobian_ratio * scale
-            rows, columns = np.nonzero(judged)
-            roots = first_roots(values[:, rows, columns])
-            if len(roots) and roots.min() < best:
-                best, worst = float(roots.min()), offset + int(columns[roots.argmin()])
-            offset += len(ids)
-        return best, worst
+        At each instant the least coefficient is a lower bound on det J, so the step ends where the
+        first coefficient falls below. Only cells that would end it are cut.
+        """
+        assert self.of_cells is not None
+        best, first, ends = LargestStep(1.0, -1), 0, (np.asarray(start, float), np.asarray(end, float))
+        for part in self.parts:
+            if DIMENSION[part.kind] == self.mesh.points.shape[1]:
+                form, space = form_of(part.kind, True), form_of(part.kind).space
+                for rows in blocks(np.arange(len(part.ids)), 4 * bernstein.count(space)):
+                    x = nodes_of(part.ids[rows].T, *ends)
+                    columns = form.columns(x)
+                    excess = self.signs[part.kind][rows] * form.determinant(columns) - form.round_off(x, columns)
+                    excess = (excess - self.of_cells[first + rows]).reshape(-1, bernstein.count(space), len(rows))
+                    best = _search(space, excess, first + rows, best)
+            first += len(part.ids)
+        return best
 
     def hold(self, points: Float[Array, "n d"]) -> Bool[Array, ""]:
         """Checks whether every corner is above its bound; traced."""
@@ -167,20 +197,18 @@ class Bounds:
 
     def ratios(self, points: Float[Array, "n d"]) -> Float[Array, " s"]:
         """Computes the Jacobian ratio at each corner; infinite where there is no bound. Traced."""
-        ratios = []
-        for kind, ids, sign, judged, scale in self.parts:
-            jacobians = sign[None] * _corner_jacobians(kind, points, ids)
-            ratios.append(jnp.where(judged, jacobians / np.where(judged, scale, 1), jnp.inf).ravel())
+        ratios = [
+            jnp.where(part.judged, part.jacobians(points) / np.where(part.judged, part.scale, 1), jnp.inf).ravel()
+            for part in self.parts
+        ]
         return jnp.concatenate(ratios)
 
     @property
     def cells(self) -> Int[np.ndarray, " s"]:
         """The cell of each ratio, -1 at corners without a bound."""
-        cells, first = [], 0
-        for _, ids, _, judged, _ in self.parts:
-            cells.append(np.where(judged, first + np.arange(len(ids)), -1).ravel())
-            first += len(ids)
-        return np.concatenate(cells)
+        starts = itertools.accumulate((len(part.ids) for part in self.parts), initial=0)
+        pairs = zip(self.parts, starts, strict=False)
+        return np.concatenate([np.where(p.judged, at + np.arange(len(p.ids)), -1).ravel() for p, at in pairs])
 
 
 class DesignedMesh(Module):
@@ -201,29 +229,11 @@ class DesignedMesh(Module):
         self.bounds = Bounds(mesh, plan.points.dtype, min_jacobian_ratio, proven)
 
     def points(self, design: Any) -> Float[Array, "n d"]:
-        """Moves the mesh; traced."""
         return deform(self.plan, self.displacement(design))
 
     def ratios(self, design: Any) -> Float[Array, " s"]:
         """Computes the Jacobian ratio at each corner, as `Bounds` does; traced."""
         return self.bounds.ratios(self.points(design))
-
-
-def _polynomials(kind: str, start: np.ndarray, end: np.ndarray, ids: np.ndarray) -> np.ndarray:
-    """Finds the coefficients (4, s, k) of corner Jacobians over t from 0 to 1.
-
-    The lowest coefficient comes first. They follow from four values.
-    """
-    places = np.arange(4) / 3
-    samples = [_corner_jacobians(kind, start + t * (end - start), ids) for t in places]
-    inverse = np.linalg.inv(np.vander(places, increasing=True))
-    return np.tensordot(inverse, np.stack(samples).astype(float), axes=1)
-
-
-def _corner_jacobians(kind: str, points: Any, ids: Any) -> Any:
-    """Computes the Jacobians (s, k) at corners of cells of one type, by NumPy or JAX."""
-    relative, _ = measures.relative_corners(corners(points, ids))
-    return measures.jacobians(kind, relative)[0]
 
 
 def least_undeformed(mesh: Mesh) -> Float[np.ndarray, " k"]:
@@ -241,80 +251,25 @@ def least_undeformed(mesh: Mesh) -> Float[np.ndarray, " k"]:
     return undeformed.lower
 
 
-def proven_share(
-    mesh: Mesh, signs: dict[str, np.ndarray], ends: tuple[np.ndarray, np.ndarray], bounds: Float[np.ndarray, " k"]
-) -> tuple[float, int]:
-    """Finds the share of the straight way on which all cells keep their bound, at most 1.
-
-    Also finds the cell that ends it, or -1. `ends` are the points (n, d) at both, `signs` those of
-    `signs_of`. At each instant the least coefficient is a lower bound
-    on det J, so the step ends where the first coefficient falls below. Only cells that would end it
-    are cut.
-    """
-    search, offset = _Search(), 0
-    for kind, ids in mesh.cells.items():
-        if DIMENSION[kind] == mesh.points.shape[1]:
-            bound = bounds[offset : offset + len(ids)]
-            search.through(_Cells(kind, np.asarray(ids).T, signs[kind], ends, bound), offset)
-        offset += len(ids)
-    return search.step, search.cell
+def _search(
+    space: bernstein.Space, excess: Float[np.ndarray, "t n p"], cell: np.ndarray, best: LargestStep, level: int = 0
+) -> LargestStep:
+    """Takes values at corners, which are certain, and cuts the parts that may end the step."""
+    best, least = _sooner(best, _first(excess[:, bernstein.corners(space)]), cell), _first(excess)
+    if level == DEPTH:
+        return _sooner(best, least, cell)
+    t, n, _ = excess.shape
+    for some in blocks(np.flatnonzero(least < best.step), 32 * n):
+        parts = bernstein.halved(space, np.moveaxis(excess[:, :, some], 0, 1).reshape(n, -1))
+        parts = np.moveaxis(parts.reshape(n, -1, t, len(some)), 2, 0).reshape(t, n, -1)
+        best = _search(space, parts, np.tile(cell[some], parts.shape[2] // len(some)), best, level + 1)
+    return best
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class _Cells:
-    """Cells of one type, ids (nodes, k), with sign and bound (k,) of each between two `ends`."""
-
-    kind: str
-    ids: np.ndarray
-    sign: np.ndarray
-    ends: tuple[np.ndarray, np.ndarray]
-    bound: np.ndarray
-
-    @property
-    def space(self) -> bernstein.Space:
-        return form_of(self.kind).space
-
-    def excess(self, cells: Int[np.ndarray, " c"]) -> Float[np.ndarray, "t n c"]:
-        """Computes Bernstein coefficients, in time by space, of det J less the bound."""
-        form, ids = form_of(self.kind, True), self.ids[:, cells]
-        x = [np.concatenate(parts) for parts in zip(*(nodes_of(end, ids) for end in self.ends), strict=True)]
-        columns = form.columns(x)
-        values = self.sign[cells] * form.determinant(columns) - form.round_off(x, columns) - self.bound[cells]
-        return values.reshape(-1, bernstein.count(self.space), len(cells))
-
-
-class _Search:
-    """Holds the largest step so far, which some cell's bound or coefficient ends, and that cell."""
-
-    def __init__(self) -> None:
-        self.step, self.cell = 1.0, -1
-
-    def through(self, cells: _Cells, offset: int) -> None:
-        """Looks at all cells, then into cells that may end the step before any corner does."""
-        size = max(1, ROOM // (4 * bernstein.count(cells.space)))
-        blocks = np.split(np.arange(cells.ids.shape[1]), range(size, cells.ids.shape[1], size))
-        for block in blocks:
-            self._look(cells.space, cells.excess(block), block + offset, 0)
-
-    def _look(self, space: bernstein.Space, excess: np.ndarray, cell: np.ndarray, level: int) -> None:
-        """Takes values at corners, which are certain, and cuts the parts that may end the step."""
-        corners = bernstein.corners(space)
-        self._take(_first(excess[:, corners]), cell)
-        least = _first(excess)
-        if level == DEPTH:
-            self._take(least, cell)
-            return
-        rows, size = np.flatnonzero(least < self.step), max(1, ROOM // (32 * excess.shape[1]))
-        for start in range(0, len(rows), size):
-            some = rows[start : start + size]
-            t, n, _ = excess.shape
-            parts = bernstein.halved(space, np.moveaxis(excess[:, :, some], 0, 1).reshape(n, -1))
-            parts = np.moveaxis(parts.reshape(n, -1, t, len(some)), 2, 0).reshape(t, n, -1)
-            self._look(space, parts, np.tile(cell[some], parts.shape[2] // len(some)), level + 1)
-
-    def _take(self, steps: Float[np.ndarray, " p"], cell: Int[np.ndarray, " p"]) -> None:
-        if len(steps) and steps.min() < self.step:
-            self.step, self.cell = float(steps.min()), int(cell[steps.argmin()])
+def _sooner(best: LargestStep, steps: Float[np.ndarray, " p"], cell: Int[np.ndarray, " p"]) -> LargestStep:
+    if len(steps) and steps.min() < best.step:
+        return LargestStep(float(steps.min()), int(cell[steps.argmin()]))
+    return best
 
 
 def _first(excess: Float[np.ndarray, "t n p"]) -> Float[np.ndarray, " p"]:

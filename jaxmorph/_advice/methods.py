@@ -24,7 +24,6 @@ class Lengths:
 
     @property
     def size(self) -> float:
-        """The extent of the moving nodes."""
         return float((self.moving.max(axis=0) - self.moving.min(axis=0)).max())
 
     @property
@@ -66,7 +65,6 @@ class Entry:
     is_coarse: bool = False
 
     def make(self, wall: Lengths) -> "AbstractMethod":
-        """Makes the method for the lengths of a boundary, and imports its module."""
         method = _constructor(self.path)(*self.numbers(wall), **self.options)
         if self.is_coarse:
             return _constructor("reconstruction.SurfaceReconstruction")(method, _constructor("nearwall.NearWall")())
@@ -113,5 +111,4 @@ METHODS = (
 
 
 def entry(name: str) -> Entry:
-    """Finds the entry of a name that is in the list."""
     return next(entry for entry in METHODS if entry.name == name)

@@ -17,15 +17,11 @@ from .largest_step import DesignedMesh
 
 
 class ValidSteps(Module, optx.AbstractSearch):
-    """Searches along a line by backtracking, within what the mesh allows.
+    """Searches along a line by backtracking; a step that would invert a cell is shortened.
 
-    A step that would invert a cell is shortened.
-
-    Corner Jacobians are polynomials in the step. Their first root, as `largest_step` finds it, is
-    the end of the way, and `share` of the way is tried next. Between its corners a cell may fold:
-    with `proven`, whole cells keep the bound. Other steps end by Armijo's rule. The search suits
-    descents whose change is a multiple of the step, such as `optimistix.NewtonDescent` and
-    `optimistix.SteepestDescent`.
+    The way ends where `largest_step` finds it, and `share` of the way is tried next. Other steps
+    end by Armijo's rule. The search suits descents whose change is a multiple of the step, such as
+    `optimistix.NewtonDescent` and `optimistix.SteepestDescent`.
 
         search = jm.ValidSteps(plan, mesh, lambda design: operator(design))
         solver = equinox.tree_at(lambda solver: solver.search, optimistix.BFGS(1e-6, 1e-6), search)
@@ -93,11 +89,10 @@ class ValidSteps(Module, optx.AbstractSearch):
         self, first_step: Any, y: Any, y_eval: Any, f_info: Any, f_eval_info: Any, state: Any
     ) -> tuple[Any, Any, Any, Any]:
         """Accepts the variables that were tried, or gives a shorter step."""
-        before, after = self.mesh.points(y), self.mesh.points(y_eval)
-        bounds = self.mesh.bounds
+        before, after, bounds = self.mesh.points(y), self.mesh.points(y_eval), self.mesh.bounds
 
         def share(before: Any, after: Any) -> Any:
-            return bounds.share(before, after)[0]
+            return bounds.largest_share(before, after).step
 
         way = host_call(share, jax.ShapeDtypeStruct((), before.dtype), before, after)
         fits = (way >= 1) & bounds.hold(after)

@@ -51,7 +51,6 @@ def constraints_of(boundary: Boundary, mesh: Mesh) -> Constraints:
 def prepared(
     mesh: Mesh, dtype, constraints: Constraints, ideal: bool, size_weight: float
 ) -> tuple[Distortion, Pattern]:
-    """Prepares the energy, and on the host the pattern of its Hessian."""
     n, d = mesh.points.shape
     cells = _cells(mesh)
     tracks, pairings = constraints.tracks, constraints.pairings

@@ -60,8 +60,8 @@ def curve(
         raise ValueError(
             f"{mesh} has linear cells alone, which stay straight: `elevate(mesh, 2)` gives it nodes to curve."
         )
-    is_named = isinstance(moving, str) or (len(moving) and all(isinstance(name, str) for name in moving))
     names = (moving,) if isinstance(moving, str) else moving
+    is_named = len(names) and all(isinstance(name, str) for name in names)
     nodes = mesh.patch(*names) if is_named else node_ids(moving, "moving", len(mesh.points))
     wall = np.asarray(mesh.points)[nodes]
     places = _places(surface, wall)

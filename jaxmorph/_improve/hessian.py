@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._quality.vector import Vector, cross, divide, dot, norm
+from .._quality.vector import Vector, cross, divide, dot, norm, stack, total
 
 Scalar = Float[Array, "s k"]
 Matrix = list[list[Scalar]]
@@ -83,23 +83,21 @@ def rotations(stretch: list[Vector]) -> tuple[list[Vector], list[Scalar], list[V
 def _descending(values: list[Scalar], vectors: list[Vector]) -> list[Vector]:
     """Sorts eigenvectors by falling eigenvalue; turns the last one to be right-handed."""
     order = jnp.argsort(-jnp.stack(values), axis=0)
-    stacked = [jnp.stack(components) for components in zip(*(v.components for v in vectors), strict=True)]
-    picked = [jnp.take_along_axis(component, order, axis=0) for component in stacked]
-    v = [Vector([component[j] for component in picked]) for j in range(len(vectors))]
+    picked = Vector(jnp.take_along_axis(component, order, axis=0) for component in stack(vectors))
+    v = [picked.at(j) for j in range(len(vectors))]
     return [v[0], Vector((-v[0][1], v[0][0]))] if len(v) == 2 else [v[0], v[1], cross(v[0], v[1])]
 
 
 def _image(columns: list[Vector], x: Vector) -> Vector:
-    parts = [column * component for column, component in zip(columns, x.components, strict=True)]
-    return functools.reduce(Vector.__add__, parts)
+    return total(column * component for column, component in zip(columns, x, strict=True))
 
 
 def _unit(a: Vector, otherwise: Vector, noise: Scalar) -> Vector:
     """Computes a vector's direction, or `otherwise` if it is no longer than `noise`."""
     length = norm(a)
     inverse = divide(jnp.ones_like(length), length, 0.0)
-    parts = zip(a.components, otherwise.components, strict=True)
-    return Vector([jnp.where((inverse > 0) & (length > noise), x * inverse, y) for x, y in parts])
+    is_long = (inverse > 0) & (length > noise)
+    return Vector(jnp.where(is_long, x * inverse, y) for x, y in zip(a, otherwise, strict=True))
 
 
 def _across(a: Vector) -> Vector:
@@ -171,7 +169,7 @@ def blocks(
     g = [jnp.stack([sum(row[b] * v[a][b] for b in axes) for row in inverse]) for a in axes]
     # The barrier makes XLA compute these once, not for every pair of edges that uses them.
     once = jax.lax.optimization_barrier
-    g, u, (along, twice, mirrored) = once((g, [column.components for column in u], convex(energy, sigma, floor)))
+    g, u, (along, twice, mirrored) = once((g, [tuple(column) for column in u], convex(energy, sigma, floor)))
     u, along, twice, mirrored = jax.tree.map(lambda entry: entry[None, None], (u, along, twice, mirrored))
     pair = [[g[a][:, None] * g[b][None] for b in axes] for a in axes]
     inner = [[along[a][e] * pair[a][e] + mirrored[a][e] * pair[e][a] for e in axes] for a in axes]

@@ -13,14 +13,13 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int, Real
 from .._boundary.boundary import Boundary
 from .._boundary.names import check_finite
 from .._host.cells.pieces import owners
-from .._host.cells.topology import solid
 from .._host.package.arguments import between, checked, whole
 from .._kernels.module import Module
 from .._kernels.values import is_known
 from .._mesh.mesh import Mesh
 from .._plan.plan import Plan
 from .._quality.proof.proof import proven_margin
-from .._quality.quality import quality
+from .._quality.quality import check_solid, places, quality
 from .._quality.report import QualityReport
 from .constraints import Constraints, constraints_of, prepared
 from .stages import Minimum, Search, judged, softened, stiffened
@@ -110,10 +109,10 @@ def improve(
     """Moves inner nodes to where cells are least distorted, and untangles inverted cells.
 
     The target of a cell is its shape on the undeformed mesh, `mesh.points`, so that boundary layers
-    keep their anisotropy. Cells that are folded there, or have a folded corner, have no shape to
-    keep. Their target is the nearest parallelogram, parallelepiped or the like, else the
-    equilateral cell of the size around. So a mesh that arrives folded is unfolded, too. The energy
-    of a cell is the mean over its corners of
+    keep their anisotropy. The target of a cell that is folded there, or has a folded corner, is the
+    nearest parallelogram, parallelepiped or the like, else the equilateral cell of the size around.
+    So a mesh that arrives folded is unfolded, too. The energy of a cell is the mean over its
+    corners of
 
         (1 - size_weight) |T|^2 / (d chi^(2/d)) + size_weight (1 + det^2 T) / (2 chi) - 1,
 
@@ -128,20 +127,19 @@ def improve(
     or where one inverts more cells or proves fewer. So it is where the ratio gains 0.5 % or less
     and the largest skewness grows.
 
-    Traced in `points`. It is differentiable in both modes with respect to the places of the fixed
-    nodes, by the implicit function theorem at the minimum. Derivatives are as accurate as
-    `residual` is small; a lower `tolerance` makes them better. Derivatives with respect to the
-    places of inner nodes, where the search starts, are zero. Close over `mesh`; do not trace it.
-    Use float64.
+    Traced in `points`, and differentiable in both modes with respect to the places of the fixed
+    nodes, by the implicit function theorem: derivatives are as accurate as `residual` is small.
+    Those with respect to the places of inner nodes, where the search starts, are zero. Close over
+    `mesh`; do not trace it. Use float64.
 
     Nodes of symmetry planes and sliding patches move along them, and keep the distance that
-    `points` has. The two nodes of a periodic pair move alike. Nodes between two walls stay on both
-    walls. Corners, and nodes on the axis of a rotation, do not move. The surface of a patch's own
-    faces is a smooth one through their nodes, curved where the faces turn. On a curved wall a node
-    turns by less than 90 degrees from its start; near 90 degrees, `residual` is infinite.
+    `points` has. The two nodes of a periodic pair move alike. Nodes between two walls stay on both.
+    Corners, and nodes on the axis of a rotation, do not move. The surface of a patch's own faces is
+    a smooth one through their nodes. On a curved wall a node turns by less than 90 degrees from its
+    start; near 90 degrees, `residual` is infinite.
 
     Nothing is promised for a boundary that crosses itself: see `after`, or `str` of the result.
-    Between the corners cells are checked at the end: `unproven` counts cells that may fold there.
+    `unproven` counts cells that may fold between their corners.
 
     Sources: Garanzha et al., Foldover-free maps in 50 lines of code, ACM Trans. Graph. 40, 2021;
     Teran et al., Robust quasistatic finite elements and flesh simulation, SCA 2005; Garanzha et
@@ -169,21 +167,26 @@ def improve(
     `points` and the mesh's differ. Also for a boundary of points alone, and for a `size_weight`
     that is not in 0 to 1.
     """
-    start, options = jnp.asarray(points), Options(ideal, size_weight, worst, tolerance, max_steps, progress)
+    options = Options(ideal, size_weight, worst, tolerance, max_steps, progress)
     with jax.ensure_compile_time_eval():  # not folded into the caller's program
         boundary = mesh if isinstance(mesh, Boundary) else Boundary(mesh, ())
-        if boundary.mesh is None:
-            raise ValueError("this boundary has points alone: make it of the mesh, jm.Boundary(mesh, ...).")
-        _check(boundary.mesh, start, options)
+    if boundary.mesh is None:
+        raise ValueError("this boundary has points alone: make it of the mesh, jm.Boundary(mesh, ...).")
+    check_solid(boundary.mesh, "there is nothing to improve")
+    start = places(boundary.mesh, points)
+    if is_known(start):
+        check_finite(np.asarray(start))
+    if is_known(size_weight):
+        between("size_weight", size_weight, 0, 1, "[]")
+    between("tolerance", tolerance, 0, ends="[)")
+    whole("max_steps", max_steps)
+    with jax.ensure_compile_time_eval():
         constraints = constraints_of(boundary, boundary.mesh)
     return _improved(boundary.mesh, start, constraints, options)
 
 
 def improve_of(plan: Plan, mesh: Mesh, points: Float[Array, "n d"]) -> Improvement:
-    """Improves the deformed mesh of a plan.
-
-    Surface nodes stay, or move along the plan's walls, planes and pairs.
-    """
+    """Improves a plan's deformed mesh; its surface stays, or moves along walls and in pairs."""
     return _improved(mesh, points, constraints_of(plan.boundary, mesh), Options())
 
 
@@ -206,7 +209,6 @@ def _improved(mesh: Mesh, start: Array, constraints: Constraints, options: Optio
 
 
 def _ended(mesh: Mesh, start: Array, plain: Minimum, minimum: Minimum) -> tuple[Improvement, QualityReport]:
-    """Judges a minimum; also returns the report of its quality."""
     distortion = plain.distortion
     energy, slope, improved, fixed = judged(distortion, minimum, start.astype(minimum.y.dtype))
     moved = jnp.where(distortion.free[:, None], improved.astype(start.dtype), start)
@@ -215,8 +217,7 @@ def _ended(mesh: Mesh, start: Array, plain: Minimum, minimum: Minimum) -> tuple[
     before, is_inverted = (_inverted(mesh, *pair) for pair in ((start, quality(mesh, start)), (moved, report)))
     margin = proven_margin(mesh, moved, depth=1)
     with jax.ensure_compile_time_eval():
-        own = proven_margin(mesh, mesh.points, depth=1)
-        owner = owners({kind: np.asarray(ids) for kind, ids in mesh.cells.items()})
+        own, owner = proven_margin(mesh, mesh.points, depth=1), owners(jax.tree.map(np.asarray, mesh.cells))
     lost = jnp.zeros_like(is_inverted)
     for kind, is_fixed in fixed.items():
         lost = lost.at[owner[kind]].max(is_fixed)
@@ -235,18 +236,3 @@ def _inverted(mesh: Mesh, points: Array, report: QualityReport) -> Bool[Array, "
         old = quality(mesh).is_inverted
     now = jnp.where(old, quality(mesh.moved(points)).is_inverted, report.is_inverted)
     return now & report.counted
-
-
-def _check(mesh: Mesh, points, options: Options) -> None:
-    n, d = mesh.points.shape
-    if not solid(mesh.cells, d):
-        types = ", ".join(mesh.cells) or "none"
-        raise ValueError(f"the mesh has no cells that fill {d}-D space (cells: {types}); there is nothing to improve.")
-    if tuple(points.shape) != (n, d):
-        raise ValueError(f"`points` has shape {tuple(points.shape)}; this mesh has {(n, d)}.")
-    if is_known(points):
-        check_finite(np.asarray(points))
-    if is_known(options.size_weight):
-        between("size_weight", options.size_weight, 0, 1, "[]")
-    between("tolerance", options.tolerance, 0, ends="[)")
-    whole("max_steps", options.max_steps)

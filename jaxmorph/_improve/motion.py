@@ -14,7 +14,7 @@ from .._boundary.periodic import Pairing
 from .._boundary.tracks import Track
 from .._host.cells.topology import CORNERS, DIMENSION
 from .._quality import measures
-from .._quality.distortion import Bounds, Target, energy, energy_of_cells, samples, stiffened
+from .._quality.distortion import Bounds, Target, energy, energy_of_cells, samples, stiffened, stretch
 from .._quality.vector import Vector, corners
 from .hessian import blocks
 
@@ -34,7 +34,6 @@ class Ways(eqx.Module):
     normals: Float[Array, "n q d"]
 
     def at(self, start: Float[Array, "n d"]) -> "Ways":
-        """Computes the ways of nodes from other starting places. Traced."""
         n, d = start.shape
         normals = jnp.zeros((n, d - 1, d), start.dtype)
         for track in self.tracks:
@@ -54,7 +53,7 @@ class Ways(eqx.Module):
     ) -> Float[Array, "n d"]:
         """Turns steps into displacements from `start`.
 
-        `change` is zero in value, and carries the derivative of the starting places: a change off a
+        `change` is zero in value, and has the derivative of the starting places: a change off a
         wall, or a difference between partners, remains.
         """
         step = step - jnp.einsum("nab,nb->na", self.off, step, precision="highest")
@@ -81,8 +80,7 @@ SHIFT = 1e-12
 class Distortion(eqx.Module):
     """A mesh's energy by the free nodes' motion y (n, d) from their start, in units of `scale`.
 
-    `ways` lead the nodes of walls and periodic pairs; None without walls and pairs. With `bounds`
-    all samples stay within them.
+    `ways` lead the nodes of walls and periodic pairs. All samples stay within `bounds`.
     """
 
     cells: dict[str, Integer[Array, "_k _c"]]
@@ -188,18 +186,14 @@ class Distortion(eqx.Module):
     def _by_edges(
         self, points: Float[Array, "n d"], energy: Callable, floor: Any
     ) -> list[Float[Array, "d d d d _s _k"]]:
-        """Computes second derivatives by the edges of samples, type after type.
-
-        Samples of all types are computed at once: one program for each type takes longer to
-        compile.
-        """
+        """Computes second derivatives by the edges of samples: of all types in one program."""
         rows, counts = [], [self.targets[kind].counts for kind in self.cells]
         for kind, ids in self.cells.items():
             goal = self.targets[kind]
-            stretch = _stretch(measures.frames(kind, corners(points, ids)), goal)
-            rows.append(([column.components for column in stretch], goal.inverse))
+            columns = stretch(kind, corners(points, ids), goal)
+            rows.append(([tuple(column) for column in columns], goal.inverse))
         joined = jax.tree.map(lambda *parts: jnp.concatenate([part.ravel() for part in parts])[None], *rows)
-        every = blocks(energy, [Vector(column) for column in joined[0]], joined[1], floor)[..., 0, :]
+        every = blocks(energy, list(map(Vector, joined[0])), joined[1], floor)[..., 0, :]
         ends = np.cumsum([count.size for count in counts])[:-1]
         pairs = zip(jnp.split(every, ends, axis=-1), counts, strict=True)
         return [
@@ -225,15 +219,6 @@ def _columns(function: Callable, y: Float[Array, "n d"]) -> Float[Array, "n d d"
         return jax.jvp(function, (y,), (jnp.broadcast_to(axis, y.shape),))[1]
 
     return jax.vmap(column, out_axes=2)(jnp.eye(y.shape[1], dtype=y.dtype))
-
-
-def _stretch(edges: list[Vector], goal: Target) -> list[Vector]:
-    """Computes the columns of T = A W^-1; the columns of A are the edges."""
-    columns = []
-    for b in range(len(edges)):
-        parts = [edge * row[b] for edge, row in zip(edges, goal.inverse, strict=True)]
-        columns.append(sum(parts[1:], start=parts[0]))
-    return columns
 
 
 def _shares(kind: str) -> Float[Array, "s c e"]:

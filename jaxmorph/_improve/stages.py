@@ -43,7 +43,6 @@ class Search(NamedTuple):
     progress: Callable[[float, float], None] | None
 
     def enough(self, last: bool) -> Float[Array, "2"]:
-        """Lists the relative and the absolute tolerance of a stage."""
         loose = jnp.maximum(self.tolerance, 0.3)
         return jnp.stack([1e-3 * self.tolerance, self.tolerance] if last else [loose, loose])
 
@@ -120,13 +119,15 @@ def _climbed(distortion: Distortion, y, base, search: Search):
 
 @compiled
 def _minimise(distortion: Distortion, y, base, search: Search, end: Any):
-    """Runs one stage from y, or returns y if the stage is not wanted."""
     wanted, (relative, absolute) = end
     blocks, _, max_steps, progress = search
 
+    def tell(told: Callable, softness: Any, energy: Any) -> None:
+        told(float(softness), float(energy))  # numbers: work with JAX arrays may wait for the program
+
     def report_step(**report):
         if progress is not None:
-            on_host = functools.partial(_as_numbers, progress)
+            on_host = functools.partial(tell, progress)
             jax.debug.callback(on_host, distortion.softness, report["loss_this_step"][1])
 
     solver = ProjectedNewton(
@@ -148,18 +149,8 @@ def _minimise(distortion: Distortion, y, base, search: Search, end: Any):
     return jax.lax.cond(wanted, minimum, lambda y: (y, jnp.asarray(0)), y)
 
 
-def _as_numbers(progress: Callable[[float, float], None], softness: Any, energy: Any) -> None:
-    progress(float(softness), float(energy))  # numbers: work with JAX arrays may wait for the program
-
-
-@compiled
-def _ways_at(ways: Ways, start: Float[Array, "n d"]) -> Ways:
-    return ways.at(start)
-
-
-@compiled
-def _least(distortion: Distortion, y, base):
-    return distortion.least(y, base)
+_ways_at = compiled(Ways.at)
+_least = compiled(Distortion.least)
 
 
 @compiled
@@ -182,7 +173,6 @@ NEAR = 1.0
 
 
 def _on_host(solver: Callable, pattern: Pattern, blocks, shift, right: Float[Array, "n d"]) -> Float[Array, "n d"]:
-    """Calls a solver of `hessians` on the host, with a Hessian and a right side."""
     structure = jax.ShapeDtypeStruct(right.shape, right.dtype)
     return host_call(solver, structure, *pattern, blocks, shift, right)
 

@@ -20,13 +20,14 @@ from jaxtyping import Array, ArrayLike, Float, Real
 
 from .._host.cells.pieces import linear_cells, owners
 from .._host.cells.topology import DIMENSION, FRAMES, solid
+from .._host.linear.products import cofactors
 from .._host.package.arguments import between, checked
 from .._kernels.values import is_known
 from .._mesh.mesh import Mesh
 from . import measures
-from .quality import places, standards_of
+from .quality import check_solid, places, sizes_of, standards_of, volume_of
 from .smooth_quality import positive_part
-from .vector import Vector, cofactors, corners, determinant, dot
+from .vector import Vector, corners, determinant, dot, total
 
 Scalar = Float[Array, "s k"]
 
@@ -36,14 +37,8 @@ IDEAL = {
     "quad": ((0, 0), (1, 0), (1, 1), (0, 1)),
     "tetra": ((0, 0, 0), (1, 0, 0), (0.5, _ROOT_3 / 2, 0), (0.5, _THIRD / 2, (2 / 3) ** 0.5)),
     "pyramid": ((0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0.5, 0.5, 0.5**0.5)),
-    "wedge": (
-        *((0, 0, 0), (1, 0, 0), (0.5, _ROOT_3 / 2, 0)),
-        *((0, 0, 1), (1, 0, 1), (0.5, _ROOT_3 / 2, 1)),
-    ),
-    "hexahedron": (
-        *((0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)),
-        *((0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)),
-    ),
+    "wedge": (*((0, 0, 0), (1, 0, 0), (0.5, _ROOT_3 / 2, 0)), *((0, 0, 1), (1, 0, 1), (0.5, _ROOT_3 / 2, 1))),
+    "hexahedron": (*((0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)), *((0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1))),
 }
 """Corners of the ideal cell of each type, edges of length one."""
 
@@ -64,11 +59,11 @@ def targets(
     cells: dict[str, Any], points: Float[Array, "n d"], signs: dict[str, Any], ideal: bool
 ) -> dict[str, Target]:
     """Makes the targets of all linear cells, in the handedness `signs` of the undeformed mesh."""
-    volumes = {kind: jnp.abs(_volume(kind, corners(points, ids))) for kind, ids in cells.items()}
-    total, count = jnp.zeros(len(points), points.dtype), jnp.zeros(len(points), points.dtype)
+    volumes = {kind: jnp.abs(volume_of(kind, corners(points, ids))) for kind, ids in cells.items()}
+    sums = jnp.zeros((2, len(points)), points.dtype)
     for kind, ids in cells.items():
-        total, count = total.at[ids].add(volumes[kind][:, None]), count.at[ids].add(1)
-    around = total / jnp.maximum(count, 1)
+        sums = sums.at[0, ids].add(volumes[kind][:, None]).at[1, ids].add(1)
+    around = sums[0] / jnp.maximum(sums[1], 1)
     return {
         kind: target(kind, corners(points, ids), ideal, signs[kind], jnp.mean(around[ids], axis=1))
         for kind, ids in cells.items()
@@ -83,9 +78,9 @@ def target(kind: str, x: list[Vector], ideal: bool, sign: Any = None, around: An
     that of the cells `around`. Where a parallelogram or another affine image of the ideal cell is
     near, that is the target. Without a `sign` each cell has its own handedness.
     """
-    edges, noise, volume = measures.frames(kind, x), _noise(kind, x), _volume(kind, x)
+    edges, (volume, jacobians, noise) = measures.frames(kind, x), sizes_of(kind, x)
     sign = jnp.where(volume < 0 if sign is None else sign < 0, -1.0, 1.0).astype(volume.dtype)
-    content = sign[None] * determinant(edges)
+    content = sign[None] * jacobians
     folded = jnp.any(content < -noise, axis=0)
     size = jnp.where(folded, jnp.abs(volume) if around is None else around, jnp.abs(volume))
     right = _ideal(kind, sign, size)
@@ -94,67 +89,51 @@ def target(kind: str, x: list[Vector], ideal: bool, sign: Any = None, around: An
     else:
         affine = _affine(kind, edges)
         is_near = jnp.min(sign[None] * determinant(affine) / jnp.abs(determinant(right)), axis=0) > NEAR
-        mended = [_where(is_near, a, b) for a, b in zip(affine, right, strict=True)]
-        edges = [_where(folded, new, edge) for new, edge in zip(mended, edges, strict=True)]
+        mended = [Vector(map(functools.partial(jnp.where, is_near), a, b)) for a, b in zip(affine, right, strict=True)]
+        pairs = zip(mended, edges, strict=True)
+        edges = [Vector(map(functools.partial(jnp.where, folded), new, edge)) for new, edge in pairs]
     counts = (content > noise) | folded[None]
-    content = jnp.where(counts, determinant(edges), 1)
-    rows = [row * (1 / content) for row in cofactors(edges)]
-    inverse = tuple(tuple(jnp.where(counts, c, 0) for c in row.components) for row in rows)
-    return Target(inverse, 1 / content, counts.astype(content.dtype))
-
-
-def _volume(kind: str, x: list[Vector]) -> Float[Array, " k"]:
-    return measures.volume(kind, [corner - x[0] for corner in x])
+    inverse = 1 / jnp.where(counts, determinant(edges), 1)
+    rows = tuple(tuple(jnp.where(counts, c * inverse, 0) for c in row) for row in cofactors(edges))
+    return Target(rows, inverse, counts.astype(inverse.dtype))
 
 
 def _ideal(kind: str, sign: Float[Array, " k"], volume: Float[Array, " k"]) -> list[Vector]:
     """Computes frames of ideal cells; left-handed ones are their mirror images."""
-    shape = [Vector([jnp.full_like(volume, c) for c in corner]) for corner in IDEAL[kind]]
+    shape = [Vector(jnp.full_like(volume, c) for c in corner) for corner in IDEAL[kind]]
     size = volume / jnp.abs(measures.volume(kind, shape))
     size = jnp.where(size > 0, size, 1) ** (1 / DIMENSION[kind])
-    return measures.frames(kind, [Vector([c[0] * sign, *c.components[1:]]) * size for c in shape])
+    return measures.frames(kind, [Vector([c[0] * sign, *c[1:]]) * size for c in shape])
 
 
 def _affine(kind: str, edges: list[Vector]) -> list[Vector]:
     """Computes frames of the image of the ideal cell by the mean of the corners' affine maps."""
-    unit = measures.frames(kind, [Vector([np.full(1, float(c)) for c in corner]) for corner in IDEAL[kind]])
-    ideal = np.array([edge.components for edge in unit])[..., 0].transpose(2, 0, 1)  # samples, edges, axes
+    unit = measures.frames(kind, [Vector(np.full(1, float(c)) for c in corner) for corner in IDEAL[kind]])
+    ideal = np.array(unit)[..., 0].transpose(2, 0, 1)  # samples, edges, axes
     share = np.linalg.inv(ideal) / len(ideal)
-    columns = jnp.stack([jnp.stack(edge.components) for edge in edges])
+    columns = jnp.stack([jnp.stack(edge) for edge in edges])
     axes = jnp.einsum("sab,bcsk->ack", share, columns, precision="highest").astype(columns.dtype)
     means = jnp.einsum("sba,ack->bcsk", ideal, axes, precision="highest").astype(columns.dtype)
-    return [Vector(list(edge)) for edge in means]
+    return [Vector(edge) for edge in means]
 
 
-def _where(is_first: Array, a: Vector, b: Vector) -> Vector:
-    return Vector([jnp.where(is_first, c, e) for c, e in zip(a.components, b.components, strict=True)])
-
-
-def _noise(kind: str, x: list[Vector]) -> Scalar:
-    reach = jnp.max(jnp.stack([jnp.abs(component) for corner in x for component in corner.components]), axis=0)
-    return 8 * float(jnp.finfo(x[0][0].dtype).eps) * reach[None] * measures.jacobians(kind, [c - x[0] for c in x])[1]
+def stretch(kind: str, x: list[Vector], goal: Target) -> list[Vector]:
+    """Computes the columns of T = A W^-1 at each sample."""
+    edges = measures.frames(kind, x)
+    return [total(edge * row[b] for edge, row in zip(edges, goal.inverse, strict=True)) for b in range(len(edges))]
 
 
 def samples(kind: str, x: list[Vector], goal: Target) -> tuple[Scalar, Scalar]:
     """Computes |T|^2 / d and det T at each sample."""
-    edges = measures.frames(kind, x)
-    d = len(edges)
-    squared = jnp.zeros_like(goal.determinant)
-    for row in range(d):
-        for column in range(d):
-            entry = edges[0][row] * goal.inverse[0][column]
-            for edge, inverse in zip(edges[1:], goal.inverse[1:], strict=True):
-                entry = entry + edge[row] * inverse[column]
-            squared = squared + entry**2
-    return squared / d, determinant(edges) * goal.determinant
+    columns = stretch(kind, x, goal)
+    squared = functools.reduce(jnp.add, [dot(column, column) for column in columns])
+    return squared / len(columns), determinant(measures.frames(kind, x)) * goal.determinant
 
 
 def energy(
     squared: Float[Array, "*shape"], tau: Float[Array, "*shape"], softness: Any, size: float, dimension: int
 ) -> Float[Array, "*shape"]:
-    """Computes the energy: 0 for the target cell, large where det T is negative.
-
-    It grows without bound as det T falls to zero.
+    """Computes the energy: 0 for the target cell, large where det T is not positive.
 
     It is (1 - size) |T|^2 / (d chi^(2/d)) + size (1 + det T^2) / (2 chi) - 1, with chi(det T) > 0
     the regularised determinant.
@@ -174,10 +153,9 @@ class Bounds(NamedTuple):
 def stiffened(energy: Float[Array, "*shape"], tau: Float[Array, "*shape"], bounds: Bounds) -> Float[Array, "*shape"]:
     """Computes energy / ((1 - stiffness energy) (1 - least / tau)): infinite at both bounds.
 
-    Without `least` it is the energy of Garanzha et al., In the Quest for Scale-optimal Mappings,
-    ACM Trans. Graph. 43, 2024, f / (1 - t f) with f = energy + 1, but for a constant and a factor;
-    t is stiffness / (1 + stiffness). The second bound keeps the smallest cells, whose distortion
-    may be below that of cells that have lost their shape.
+    Without `least` it is that of Garanzha et al., In the Quest for Scale-optimal Mappings, ACM
+    Trans. Graph. 43, 2024, but for a constant and a factor. The second bound keeps small cells,
+    whose distortion may be below that of cells that have lost their shape.
     """
     first, is_large = 1 - bounds.stiffness * energy, (bounds.least <= 0) | (tau > bounds.least)
     second = jnp.where(bounds.least > 0, 1 - bounds.least / jnp.where(is_large & (tau != 0), tau, 1), 1)
@@ -198,15 +176,12 @@ def energy_of_cells(
 
 
 def node_scales(kinds: dict[str, Any], targets: dict[str, Target], n: int) -> Float[Array, " n"]:
-    """Computes the distance that a node moves to change the energy by about one.
-
-    It is the inverse root of the node's diagonal entry of the Hessian.
-    """
+    """Computes how far nodes move to change the energy by one, by the Hessian's diagonal."""
     stiffness = jnp.zeros(n)
     for kind, ids in kinds.items():
         goal, frames = targets[kind], np.array(FRAMES[kind])
-        rows = [Vector([c[: len(frames)] for c in row]) for row in goal.inverse]  # without the centre of a hexahedron
-        whole = functools.reduce(Vector.__add__, rows)
+        rows = [Vector(c[: len(frames)] for c in row) for row in goal.inverse]  # without the centre of a hexahedron
+        whole = total(rows)
         for end, row in enumerate([whole, *rows]):
             stiffness = stiffness.at[ids[:, frames[:, end]].T].add(dot(row, row) / len(frames))
     return jnp.where(stiffness > 0, jnp.where(stiffness > 0, stiffness, 1) ** -0.5, 0)
@@ -216,7 +191,7 @@ def signs_of_pieces(mesh: Mesh) -> dict[str, Any]:
     """Finds the sign of each piece of `linear_cells` by type: that by which its cell is judged."""
     dtype = jax.dtypes.canonicalize_dtype(mesh.points.dtype)
     with jax.ensure_compile_time_eval():
-        signs = jnp.concatenate([standard.sign for standard in standards_of(mesh, dtype)])
+        signs = jnp.concatenate([standard.sign for standard in standards_of(mesh, dtype).values()])
     return {kind: signs[cell] for kind, cell in owners(mesh.cells).items()}
 
 
@@ -231,10 +206,10 @@ def distortion(
 ) -> Float[Array, " k"]:
     """Measures the distortion of each cell that fills the space, the term of `improve`'s sum.
 
-    The distortion is 0 for a cell like its target, and finite on inverted cells. The target of a
-    cell that is folded on the undeformed mesh is one that is not, see `improve`. There it is large,
-    as (1 / softness)^2 in 2-D, with a derivative that turns cells round again. Traced in `points`.
-    A curved cell has the mean of its linear pieces, see `Mesh.linear`.
+    It is 0 for a cell like its target, finite on inverted cells, and traced in `points`. The target
+    of a cell that is folded on the undeformed mesh is one that is not, see `improve`. There it
+    is as large as (1 / softness)^2 in 2-D, with a derivative that turns cells round again. A curved
+    cell has the mean of its linear pieces, see `Mesh.linear`.
 
     **Arguments:**
 
@@ -242,8 +217,8 @@ def distortion(
     - `points`: where the nodes are (n, d). Default: `mesh.points`.
     - `ideal`: False (default) compares with the undeformed cell, True with the equilateral cell.
     - `size_weight`: the weight of size against shape, 0 to 1, default 0.5. At 0 the result is the
-      mean over the corners of 1 / mean ratio - 1. At 1 it is a barrier on the corner Jacobians
-      relative to the target's; between them a blend.
+      mean over the corners of 1 / mean ratio - 1, at 1 a barrier on the corner Jacobians relative
+      to the target's.
     - `softness`: width of the regularisation of det T, without unit, default 1e-3. A larger value
       gives a smoother barrier.
 
@@ -252,18 +227,14 @@ def distortion(
     **Raises:** `ValueError` for a mesh without cells of its own dimension, and when the shape of
     `points` differs from that of `mesh.points`.
     """
-    d = mesh.points.shape[1]
-    cells = solid(mesh.cells, d)
-    if not cells:
-        raise ValueError(f"the mesh has no cells that fill {d}-D space; their distortion is not defined.")
+    check_solid(mesh, "distortion is not defined for others")
+    cells = solid(mesh.cells, mesh.points.shape[1])
     if is_known(size_weight):
         between("size_weight", size_weight, 0, 1, "[]")
     if is_known(softness):
         between("softness", softness, 0)
-    current = places(mesh, points)
-    reference = jnp.asarray(mesh.points, current.dtype)
-    linear = linear_cells(cells, jnp.concatenate)
-    goals = targets(linear, reference, signs_of_pieces(mesh), ideal)
+    current, linear = places(mesh, points), linear_cells(cells, jnp.concatenate)
+    goals = targets(linear, jnp.asarray(mesh.points, current.dtype), signs_of_pieces(mesh), ideal)
     parts = [
         energy_of_cells(kind, corners(current, ids), goals[kind], softness, size_weight) for kind, ids in linear.items()
     ]

@@ -1,8 +1,10 @@
-"""Quality of cells from their faces, as OpenFOAM's checkMesh measures it."""
+"""Quality of cells from their faces, as OpenFOAM's checkMesh measures it.
+
+Vectors are arrays whose first axis runs over their components.
+"""
 
 import dataclasses
 import functools
-from collections.abc import Sequence
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -15,8 +17,7 @@ from .._mesh.mesh import Mesh
 from .report import Report
 from .sides import Block, Group, Sides
 
-Columns = Any
-"""Components of vectors: a sequence of columns, or an array whose first axis runs over them."""
+Vectors = Float[np.ndarray, "_d _f"]
 
 FLOOR = 1e-300
 """Least number by which anything is divided."""
@@ -51,9 +52,7 @@ class FaceQuality(Report):
     - `volume_ratio`: volume over undeformed volume; 1 where that was zero.
 
     `mean_non_orthogonality` is checkMesh's average, one number: the angle whose cosine is the mean
-    of the inner faces' cosines. `min`, `mean`, `max` of a measure, `worst` and `raise_if_inverted`
-    are as in `QualityReport`, over the cells that count. Other means are weighted by volume.
-    `str(measured)` is a table.
+    of the inner faces' cosines. All else is as in `QualityReport`.
     """
 
     rule: ClassVar[str] = "volumes and face pyramids"
@@ -106,66 +105,58 @@ def face_quality(mesh: Mesh, points: Float[Any, "n d"] | None = None) -> FaceQua
     return measured(mesh, Sides.listed(mesh), points)
 
 
-def measured(
-    mesh: Mesh, sides: Sides, points: Float[Any, "n d"] | None, undeformed: FaceQuality | None = None
-) -> FaceQuality:
-    """Measures cells as `face_quality` does, with `sides` and `undeformed` quality found before."""
-    points = np.asarray(mesh.points if points is None else points, dtype=float)
-    if points.shape != tuple(mesh.points.shape):
-        raise ValueError(f"`points` has shape {points.shape}; this mesh has {tuple(mesh.points.shape)}.")
-    is_turned = mesh.polyhedra is None and mesh.between is None
+def measured(mesh: Mesh, sides: Sides, points: Float[Any, "n d"] | None) -> FaceQuality:
+    points, base = (np.asarray(x, dtype=float) for x in (mesh.points if points is None else points, mesh.points))
+    if points.shape != base.shape:
+        raise ValueError(f"`points` has shape {points.shape}; this mesh has {base.shape}.")
     with np.errstate(all="ignore"):  # points may be NaN
-        shape, base = _Shape.measured(sides, points), np.asarray(mesh.points, dtype=float)
-        if np.array_equal(points, base):
-            old = shape.volume.copy()
-        elif undeformed is None or is_turned:
-            old = _Shape.measured(sides, base).volume
-        else:
-            old = undeformed.volume * points.shape[1]
-        if is_turned:
+        shape = _Shape.measured(sides, points)
+        old = shape.volume if np.array_equal(points, base) else _Shape.measured(sides, base).volume
+        if mesh.polyhedra is None and mesh.between is None and (old < 0).any():
             sign = _turns(mesh, old)
+            old = sign * old
             shape.turn(sign)
-            old = old if sign is None else old * sign
         return _of_shape(sides, shape, points, old)
 
 
 @dataclasses.dataclass(eq=False)
 class _Shape:
-    """Faces of groups with centres and area vectors (d, f), middles of cells, d volumes (k,)."""
+    """Faces of groups with centres and area vectors, middles of cells, d volumes (k,)."""
 
-    faces: list[tuple[Group, np.ndarray, np.ndarray]]
-    middle: Float[np.ndarray, "d k"]
+    faces: list[tuple[Group, Vectors, Vectors]]
+    middle: Vectors
     volume: Float[np.ndarray, " k"]
 
     @classmethod
     def measured(cls, sides: Sides, points: Float[np.ndarray, "n d"]) -> "_Shape":
         """Measures by pyramids (triangles in 2-D) from faces to the mean of their centres."""
-        d, columns = points.shape[1], np.ascontiguousarray(points.T)
-        faces, sums = [], np.zeros((d, sides.total))
+        d, columns, faces = points.shape[1], np.ascontiguousarray(points.T), []
+        means, middle, volume = np.zeros((d, sides.total)), np.zeros((d, sides.total)), np.zeros(sides.total)
         for group in sides.groups:
             centre, area = np.empty((2, d, len(group.owner)))
-            for block, _ in group.measured(functools.partial(fill, centre=centre, area=area, points=columns)):
+            for block, found in group.measured(functools.partial(_centre_and_area, columns)):
+                centre[:, block.rows], area[:, block.rows] = found
                 for _, cells in block.views:
-                    for total, component in zip(sums, centre[:, block.rows], strict=True):
-                        np.add.at(total, cells, component)
+                    _add(means, cells, found[0])
             faces.append((group, centre, area))
-        sums /= np.maximum(sides.counts, 1)
-        moments, volumes = np.zeros_like(sums), np.zeros(sides.total)
-        for group, centres, areas in faces:
-            measure = functools.partial(pyramids, centres=centres, areas=areas, means=sums)
-            for block, parts in group.measured(measure):
-                for (_, cells), (volume, first) in zip(block.views, parts, strict=True):
-                    np.add.at(volumes, cells, volume)
-                    for total, component in zip(moments, first, strict=True):
-                        np.add.at(total, cells, component)
-        moments /= np.where(volumes == 0, FLOOR, volumes)
-        return cls(faces, moments, volumes)
+        means /= np.maximum(sides.counts, 1)
+        for group, centre, area in faces:
+            for block, parts in group.measured(functools.partial(_pyramids, centre, area, means)):
+                for (_, cells), (part, moment) in zip(block.views, parts, strict=True):
+                    np.add.at(volume, cells, part)
+                    _add(middle, cells, moment)
+        middle /= np.where(volume == 0, FLOOR, volume)
+        return cls(faces, middle, volume)
 
-    def turn(self, sign: Float[np.ndarray, " k"] | None) -> None:
-        if sign is not None:
-            self.volume *= sign
-            for group, _, area in self.faces:
-                area *= sign[group.owner]
+    def turn(self, sign: Float[np.ndarray, " k"]) -> None:
+        self.volume = self.volume * sign
+        for group, _, area in self.faces:
+            area *= sign[group.owner]
+
+
+def _add(sums: Vectors, cells: np.ndarray, vectors: Vectors) -> None:
+    for total, component in zip(sums, vectors, strict=True):
+        np.add.at(total, cells, component)
 
 
 def _of_shape(
@@ -173,158 +164,106 @@ def _of_shape(
 ) -> FaceQuality:
     """Makes the report of a shape; `old` are the undeformed volumes, times `d`."""
     columns, (d, total) = np.ascontiguousarray(points.T), shape.middle.shape
-    counts, noise = sides.counts, 8 * np.finfo(float).eps * np.abs(points).max()
+    counted, noise = sides.counts > 0, 8 * np.finfo(float).eps * np.abs(points).max()
     is_wrong, cosine, skewness = np.zeros(total, dtype=bool), np.ones(total), np.zeros(total)
     least, heights, seen = np.full(total, np.inf), np.zeros(total), np.zeros((d, total))
     cosines = np.zeros(2)  # their sum and their number
-    for group, centres, areas in shape.faces:
-        measure = functools.partial(of_faces, centres=centres, areas=areas, middle=shape.middle, points=columns)
-        for block, found in group.measured(measure):
-            cosines += len(block.views) * found.cosines
+    for group, centre, area in shape.faces:
+        for block, found in group.measured(functools.partial(_across, centre, area, shape.middle, columns)):
+            inner = found.cosine[block.behind >= 0]
+            cosines += len(block.views) * np.array([inner.sum(), len(inner)])
             for (_, cells), height in zip(block.views, found.heights, strict=True):
                 is_wrong[cells[~(height >= -noise * found.size)]] = True
                 np.minimum.at(least, cells, height)
                 np.add.at(heights, cells, np.abs(height))
                 np.minimum.at(cosine, cells, found.cosine)
                 np.maximum.at(skewness, cells, found.skewness)
-                for column, component in zip(seen, found.area, strict=True):
-                    np.add.at(column, cells, component)
-    counted = counts > 0
-    pyramid = least / np.maximum(heights / np.maximum(counts, 1), FLOOR)
+                _add(seen, cells, np.abs(area[:, block.rows]))
+    pyramid = least / np.maximum(heights / np.maximum(sides.counts, 1), FLOOR)
+    aspect = seen.max(axis=0) / np.maximum(seen.min(axis=0), FLOOR)
+    if d == 3:
+        aspect = np.maximum(aspect, seen.sum(axis=0) / 6 / np.maximum(np.abs(shape.volume) / 3, FLOOR) ** (2 / 3))
+    mean = np.clip(cosines[0] / cosines[1], -1, 1) if cosines[1] else 1.0
     return FaceQuality(
-        shape.volume / d,
-        np.where(counted, pyramid, 1.0),
-        counted & (~(shape.volume > 0) | is_wrong),
-        skewness,
-        np.where(counted, _aspect_ratio(seen, shape.volume), 1.0),
-        np.degrees(np.arccos(cosine)),
-        shape.middle.T.copy(),
-        counted,
-        float(np.degrees(np.arccos(np.clip(cosines[0] / cosines[1], -1, 1)))) if cosines[1] else 0.0,
-        np.where(old == 0, 1.0, shape.volume / np.where(old == 0, 1.0, old)),
+        volume=shape.volume / d,
+        pyramid=np.where(counted, pyramid, 1.0),
+        is_inverted=counted & (~(shape.volume > 0) | is_wrong),
+        skewness=skewness,
+        aspect_ratio=np.where(counted, aspect, 1.0),
+        non_orthogonality=np.degrees(np.arccos(cosine)),
+        centroid=shape.middle.T.copy(),
+        counted=counted,
+        mean_non_orthogonality=float(np.degrees(np.arccos(mean))),
+        volume_ratio=np.where(old == 0, 1.0, shape.volume / np.where(old == 0, 1.0, old)),
     )
 
 
-def _aspect_ratio(seen: Float[np.ndarray, "d k"], volume: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
-    ratio = seen.max(axis=0) / np.maximum(seen.min(axis=0), FLOOR)
-    if len(seen) == 2:
-        return ratio
-    return np.maximum(ratio, seen.sum(axis=0) / 6 / np.maximum(np.abs(volume) / 3, FLOOR) ** (2 / 3))
-
-
-def _turns(mesh: Mesh, volume: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"] | None:
+def _turns(mesh: Mesh, volume: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
     """Finds the sign that makes the undeformed volumes positive.
 
-    It follows from neighbours, and from the volume that they enclose.
-
-    None where all are. A motion that turns a part of the mesh inside out leaves no neighbour to
-    tell so.
+    It follows from neighbours, and from the volume that they enclose. A motion that turns a part of
+    the mesh inside out leaves no neighbour to tell so.
     """
-    if not (volume < 0).any():
-        return None
     turn = np.ones(len(volume))
     cells = {kind: np.asarray(corners) for kind, corners in mesh.cells.items()}
-    sign, part = handedness(cells, *neighbours(cells))
-    sign, part, ids = np.asarray(sign), np.asarray(part), mesh.cell_ids
-    enclosed = np.bincount(part, sign * volume[ids])
-    turn[ids] = sign * np.where(enclosed < 0, -1, 1)[part]
+    sign, part = map(np.asarray, handedness(cells, *neighbours(cells)))
+    enclosed = np.bincount(part, sign * volume[mesh.cell_ids])
+    turn[mesh.cell_ids] = sign * np.where(enclosed < 0, -1, 1)[part]
     return turn
 
 
-def fill(block: Block, centre: Columns, area: Columns, points: Columns) -> None:
-    """Computes the rows of a block: centres and area vectors (d, f) of faces."""
-    x = _corners(points, block)
-    centre[:, block.rows], area[:, block.rows] = _edge(x) if len(points) == 2 else _polygon(x)
+def _centre_and_area(points: Vectors, block: Block) -> tuple[Vectors, Vectors]:
+    """Computes the centres and area vectors of faces; an edge is its own area, turned."""
+    x = points.take(block.corners, axis=1)  # (d, corners, f)
+    if len(points) == 2:
+        along = x[:, 1] - x[:, 0]
+        return (x[:, 0] + x[:, 1]) / 2, np.stack([along[1], -along[0]])
+    middle = x.mean(axis=1)
+    arms = middle[:, None] - x
+    after = np.roll(arms, -1, axis=1)
+    normals = np.stack(cross(arms, after))  # of triangles about the mean of the corners
+    weights = _size(normals)
+    moment = (weights * (arms + after)).sum(axis=1)
+    return middle - moment / (3 * np.maximum(weights.sum(axis=0), FLOOR)), normals.sum(axis=1) / 2
 
 
-def pyramids(block: Block, centres: Columns, areas: Columns, means: Columns) -> list[tuple[Columns, Columns]]:
-    """Computes d volumes (b,) and first moments (d, b) of pyramids, as each view sees the faces."""
+def _pyramids(centres: Vectors, areas: Vectors, means: Vectors, block: Block) -> list[tuple[np.ndarray, Vectors]]:
+    """Computes d volumes (b,) and first moments of pyramids, as each view sees the faces."""
     d, parts = len(means), []
     centre, area = centres[:, block.rows], areas[:, block.rows]
     for sign, cells in block.views:
-        middle = [mean.take(cells) for mean in means]
-        volume = sign * dot(area, [c - m for c, m in zip(centre, middle, strict=True)])
-        share = volume / (d + 1)
-        parts.append((volume, [share * (d * c + m) for c, m in zip(centre, middle, strict=True)]))
+        middle = means.take(cells, axis=1)
+        volume = sign * dot(area, centre - middle)
+        parts.append((volume, volume / (d + 1) * (d * centre + middle)))
     return parts
 
 
-class OfFaces(NamedTuple):
-    """Holds measures of a block of faces, and the heights of cells' middles below them, by view."""
+class _Across(NamedTuple):
+    """Measures of a block of faces, and the heights of cells' middles below them, by view."""
 
     size: np.ndarray
     skewness: np.ndarray
     cosine: np.ndarray
-    cosines: np.ndarray
-    area: np.ndarray
     heights: list[np.ndarray]
 
 
-def of_faces(block: Block, centres: Columns, areas: Columns, middle: Columns, points: Columns) -> OfFaces:
-    centre, area = centres[:, block.rows], areas[:, block.rows]
-    skewness, cosine = _across(block, centre, area, middle, points)
-    inner = cosine[block.behind >= 0]
-    heights = [sign * dot(area, _arm(centre, middle, cells)) for sign, cells in block.views]
-    return OfFaces(_size(area), skewness, cosine, np.array([inner.sum(), len(inner)]), np.abs(area), heights)
-
-
-def _across(
-    block: Block, centre: Columns, area: Columns, middle: Columns, points: Columns
-) -> tuple[Float[np.ndarray, " b"], Float[np.ndarray, " b"]]:
-    owner, behind = block.owner, block.behind
-    arm, size = _arm(centre, middle, owner), _size(area)
-    across = [m.take(behind) - m.take(owner) for m in middle]  # anything where there is no cell behind
+def _across(centres: Vectors, areas: Vectors, middle: Vectors, points: Vectors, block: Block) -> _Across:
+    centre, area, inside = centres[:, block.rows], areas[:, block.rows], block.behind >= 0
+    arm, size = centre - middle.take(block.owner, axis=1), _size(area)
+    across = middle.take(block.behind, axis=1) - middle.take(block.owner, axis=1)  # anything without a cell behind
     cosine = np.clip(dot(area, across) / np.maximum(size * _size(across), FLOOR), -1, 1)
-    inside = True
+    heights = [sign * dot(area, centre - middle.take(cells, axis=1)) for sign, cells in block.views]
     if not block.is_shared:
-        inside = behind >= 0
-        cosine = np.where(inside, cosine, 1)
-        normal = [a / np.maximum(size, FLOOR) for a in area]
-        height = dot(normal, arm)
-        across = [np.where(inside, a, height * n) for a, n in zip(across, normal, strict=True)]
+        cosine, normal = np.where(inside, cosine, 1), area / np.maximum(size, FLOOR)
+        across = np.where(inside, across, dot(normal, arm) * normal)
     along = dot(area, across)
-    share = dot(area, arm) / np.where(along == 0, FLOOR, along)
-    by = [a - share * b for a, b in zip(arm, across, strict=True)]
+    by = arm - dot(area, arm) / np.where(along == 0, FLOOR, along) * across
     miss = _size(by)
-    corners, reach = _corners(points, block), 0.0
-    for k in range(len(block.group.corners)):
-        arms = [x[k] - c for x, c in zip(corners, centre, strict=True)]
-        reach = np.maximum(reach, np.abs(dot(by, arms)))
+    reach = np.abs(dot(by[:, None], points.take(block.corners, axis=1) - centre[:, None])).max(axis=0)
     least = np.where(inside, 0.2, 0.4) * _size(across)
     skewness = miss / np.maximum(np.maximum(reach / np.maximum(miss, FLOOR), least), FLOOR)
-    return np.where(block.group.is_between[block.rows], 0, skewness), cosine
+    return _Across(size, np.where(block.group.is_between[block.rows], 0, skewness), cosine, heights)
 
 
-def _arm(centre: Columns, middle: Columns, cells: np.ndarray) -> Columns:
-    return [c - m.take(cells) for c, m in zip(centre, middle, strict=True)]
-
-
-def _size(vectors: Columns) -> Float[np.ndarray, " b"]:
+def _size(vectors: np.ndarray) -> np.ndarray:
     return np.sqrt(dot(vectors, vectors))
-
-
-def _corners(points: Columns, block: Block) -> list[list[Float[np.ndarray, " b"]]]:
-    """Gathers the coordinates of the faces' corners: by axis, then by corner."""
-    corners = block.corners
-    return [[column.take(ids) for ids in corners] for column in points]
-
-
-def _edge(x: Sequence[Columns]) -> tuple[Columns, Columns]:
-    """Computes the middles of edges, and their area vectors: as long as the edge."""
-    along = [last - first for first, last in x]
-    return [(first + last) / 2 for first, last in x], [along[1], -along[0]]
-
-
-def _polygon(x: Sequence[Columns]) -> tuple[Columns, Columns]:
-    """Computes centres and area vectors, by triangles about the mean of the corners."""
-    count, mean = len(x[0]), [sum(corners) / len(corners) for corners in x]
-    arms = [[m - corners[k] for m, corners in zip(mean, x, strict=True)] for k in range(count)]
-    area, moment, total = [0.0] * 3, [0.0] * 3, FLOOR
-    for k, arm in enumerate(arms):
-        after = arms[(k + 1) % count]
-        normal = cross(arm, after)
-        weight = _size(normal)
-        total = total + weight
-        area = [a + n for a, n in zip(area, normal, strict=True)]
-        moment = [m + weight * (a + b) for m, a, b in zip(moment, arm, after, strict=True)]
-    return [m - first / (3 * total) for m, first in zip(mean, moment, strict=True)], [a / 2 for a in area]

@@ -1,9 +1,9 @@
 """Measures of a cell, from the coordinates of its corners.
 
 Each function takes the cell's type and `x`, the corners of k cells: one vector for each corner,
-numbered as VTK numbers them. Corners are relative to the first one. For the measures without a unit
-they are divided by the cell's size, so that products of lengths stay within float32. The formulas
-read as for one cell.
+numbered as VTK numbers them, relative to the first one. For the measures without a unit they are
+divided by the cell's size, so that products of lengths stay within float32. The formulas read as
+for one cell.
 
 The definitions come from Verdict, the library behind VTK's cell quality (Stimpson et al., The
 Verdict geometric quality library, SAND2007-1751). They are written so that every derivative is
@@ -22,12 +22,9 @@ from jaxtyping import Float, Int
 from .._host.cells.lagrange import PLACES, derivatives_at_nodes, jacobian_samples
 from .._host.cells.topology import CORNERS, DIMENSION, EDGES, FACES, FRAMES, HIGH_ORDER, SHAPES
 from .._kernels.values import Either, constant, largest, namespace, smallest
-from .vector import Scalar, Vector, angle, cross, determinant, divide, dot, mean, norm, stack
+from .vector import Scalar, Vector, angle, cross, determinant, divide, dot, mean, norm, stack, total, unit
 
-Largest = Callable[[Float[Either, "t k"]], Scalar]
-
-
-_PARALLEL = {
+_PARALLEL: dict[str, tuple[tuple[tuple[int, int], ...], ...]] = {
     "quad": (((0, 1), (3, 2)), ((1, 2), (0, 3))),
     "hexahedron": (
         ((0, 1), (3, 2), (4, 5), (7, 6)),
@@ -39,7 +36,11 @@ _PARALLEL = {
 
 def pick(x: Sequence[Vector], table: tuple[tuple[int, ...], ...]) -> list[Vector]:
     """Gathers one vector for each column of corners: every face's first corner, second, ..."""
-    return [stack([x[i] for i in column]) for column in zip(*table, strict=True)]
+    return [stack([x[i] for i in column]) for column in _columns(table)]
+
+
+def _columns(table: tuple[tuple[int, ...], ...]) -> list[tuple[int, ...]]:
+    return list(zip(*table, strict=True))
 
 
 def faces_by_size(kind: str) -> list[tuple[tuple[int, ...], ...]]:
@@ -55,7 +56,7 @@ def _edges(x: Sequence[Vector], kind: str) -> Vector:
 
 def principal_axes(kind: str, x: Sequence[Vector]) -> list[Vector]:
     """Computes vectors between the middles of opposite sides: of quads times 2, of hexahedra 4."""
-    return [functools.reduce(Vector.__add__, [x[end] - x[start] for start, end in pairs]) for pairs in _PARALLEL[kind]]
+    return [total(x[end] - x[start] for start, end in pairs) for pairs in _PARALLEL[kind]]
 
 
 def face_areas(kind: str, x: Sequence[Vector]) -> Vector:
@@ -63,11 +64,10 @@ def face_areas(kind: str, x: Sequence[Vector]) -> Vector:
     if DIMENSION[kind] == 3:
         groups = faces_by_size(kind)
         areas = [area_vector(pick(x, group)) for group in groups]
-        xp = namespace(x[0][0])
-        joined = Vector([xp.concatenate(parts) for parts in zip(*(area.components for area in areas), strict=True)])
+        joined = Vector(map(namespace(x[0][0]).concatenate, zip(*areas, strict=True)))
         faces = [face for group in groups for face in group]
         order = [faces.index(face) for face in FACES[kind]]
-        return joined if order == list(range(len(order))) else joined.rows(order)
+        return joined if order == list(range(len(order))) else stack([joined.at(i) for i in order])
     along = _edges(x, kind)
     if len(x[0]) == 2:
         return Vector((along[1], -along[0]))
@@ -88,23 +88,19 @@ def _area(kind: str, x: Sequence[Vector]) -> Vector:
 def _normal(kind: str, x: Sequence[Vector]) -> Vector:
     """Computes the unit normal of a triangle or quad; +1 in 2-D, where areas have a sign."""
     area = _area(kind, x)
-    return Vector([namespace(area[0]).ones_like(area[0])]) if len(area) == 1 else _unit(area)
-
-
-def _unit(a: Vector) -> Vector:
-    return a * divide(namespace(a[0]).ones_like(a[0]), norm(a), 0.0)
+    return Vector([namespace(area[0]).ones_like(area[0])]) if len(area) == 1 else unit(area)
 
 
 def volume(kind: str, x: Sequence[Vector]) -> Scalar:
     """Computes signed volume, 2-D: signed area; in 3-D a surface's area; a line's length.
 
     Faces of four corners are bilinear: their flux is that of the mean of the corners, and the
-    volume that of the trilinear (isoparametric) cell. Of a cell of high order it is the integral of
-    its Jacobian.
+    volume that of the trilinear cell. Of a cell of high order it is the integral of its Jacobian.
     """
+    xp = namespace(x[0][0])
     if kind in HIGH_ORDER:
         values, weights = jacobians(kind, x)[0], jacobian_samples(kind)[1]
-        return namespace(values).tensordot(weights.astype(values.dtype), values, axes=1)
+        return xp.tensordot(weights.astype(values.dtype), values, axes=1)
     if kind == "line":
         return norm(x[1] - x[0])
     if DIMENSION[kind] == 2:
@@ -113,7 +109,6 @@ def volume(kind: str, x: Sequence[Vector]) -> Scalar:
     if kind == "tetra":
         return jacobians(kind, x)[0][0] / 6
     groups = [pick(x, group) for group in faces_by_size(kind)]
-    xp = namespace(x[0][0])
     fluxes = [xp.sum(dot(area_vector(corners), mean(corners)), axis=0) for corners in groups]
     return functools.reduce(xp.add, fluxes) / 3
 
@@ -126,7 +121,7 @@ def frames(kind: str, x: Sequence[Vector]) -> list[Vector]:
     """
     if kind in HIGH_ORDER:
         return _tangents(jacobian_samples(kind)[0], x)
-    corner, *ends = zip(*FRAMES[kind], strict=True)
+    corner, *ends = _columns(FRAMES[kind])
     edges = [[x[b] - x[a] for a, b in zip(corner, column, strict=True)] for column in ends]
     if kind == "hexahedron":
         edges = [[*rows, axis * 0.25] for rows, axis in zip(edges, principal_axes(kind, x), strict=True)]
@@ -151,20 +146,16 @@ def jacobians(kind: str, x: Sequence[Vector]) -> tuple[Float[Either, "s k"], Flo
 
 def _tangents(derivatives: np.ndarray, x: Sequence[Vector]) -> list[Vector]:
     """Computes the derivatives of the place by each reference coordinate, each (s, k)."""
-    nodes, xp = stack(x).components, namespace(x[0][0])
+    nodes, xp = stack(x), namespace(x[0][0])
     tables = np.moveaxis(derivatives, 2, 0).astype(nodes[0].dtype)
-    return [Vector([xp.matmul(table, component) for component in nodes]) for table in tables]
+    return [Vector(xp.matmul(table, component) for component in nodes) for table in tables]
 
 
 def linear_cells_at_nodes(kind: str, x: Sequence[Vector]) -> tuple[str, list[Vector]]:
     """Computes linear cells of the tangents at high-order nodes: s k cells, node by node."""
     tangents = _tangents(derivatives_at_nodes(kind), x)
-    origin, corners = tangents[0] * 0, []
-    for place in PLACES[SHAPES[kind]]:
-        parts = [tangent for tangent, at in zip(tangents, place, strict=True) if at]
-        corner = functools.reduce(Vector.__add__, parts, origin)
-        corners.append(Vector([component.reshape(-1) for component in corner.components]))
-    return SHAPES[kind], corners
+    places = [[tangents[0] * 0, *itertools.compress(tangents, place)] for place in PLACES[SHAPES[kind]]]
+    return SHAPES[kind], [Vector(component.reshape(-1) for component in total(parts)) for parts in places]
 
 
 def openings(kind: str, x: Sequence[Vector]) -> Float[Either, "s k"]:
@@ -174,15 +165,14 @@ def openings(kind: str, x: Sequence[Vector]) -> Float[Either, "s k"]:
     return product * (kind in HIGH_ORDER or (len(FRAMES[kind]) > 1 and kind != "triangle"))
 
 
-def skewness(kind: str, x: Sequence[Vector], maximum: Largest = largest) -> Scalar:
+def skewness(kind: str, x: Sequence[Vector], maximum: Callable[[Float[Either, "t k"]], Scalar] = largest) -> Scalar:
     """Measures the skewness: 0 for the ideal cell, 1 for a degenerate one.
 
-    It is the `maximum` of several terms, which may be a smooth stand-in. Quad and hexahedron:
-    Verdict's `skew`, the largest |cos| of the angles between the principal axes (Taylor and
-    Flanagan, SAND87-0525). The others: Verdict's `equiangle_skew`, the largest deviation of an
-    angle of a face from the equiangular one, over the largest there can be. For a tetrahedron the
-    angles between faces count too. For a cell of high order it is the largest of the linear cells
-    with its tangents at its nodes.
+    It is the `maximum` of several terms, which may be a smooth stand-in. Quad and hexahedron: the
+    largest |cos| of the angles between the principal axes (Taylor and Flanagan, SAND87-0525). The
+    others: the largest deviation of an angle of a face from the equiangular one, over the largest
+    there can be. For a tetrahedron the angles between faces count too. For a cell of high order it
+    is the largest of the linear cells with its tangents at its nodes.
     """
     if kind in HIGH_ORDER:
         shape, cells = linear_cells_at_nodes(kind, x)
@@ -191,7 +181,7 @@ def skewness(kind: str, x: Sequence[Vector], maximum: Largest = largest) -> Scal
     if kind == "line":
         return xp.zeros_like(x[0][0])
     if kind in _PARALLEL:
-        axes = [_unit(axis) for axis in principal_axes(kind, x)]
+        axes = [unit(axis) for axis in principal_axes(kind, x)]
         cosines = xp.stack([dot(a, b) for a, b in itertools.combinations(axes, 2)])
         return maximum(xp.concatenate([cosines, -cosines]))
     terms = []
@@ -201,7 +191,8 @@ def skewness(kind: str, x: Sequence[Vector], maximum: Largest = largest) -> Scal
         angles = xp.concatenate([angle(side, sides[i - 1] * -1) for i, side in enumerate(sides)])
         terms += _deviations(angles, math.pi * (size - 2) / size)
     if kind == "tetra":
-        first, second = pick(face_areas(kind, x).unstack(), tuple(itertools.combinations(range(4), 2)))
+        areas = face_areas(kind, x)
+        first, second = pick([areas.at(i) for i in range(4)], tuple(itertools.combinations(range(4), 2)))
         terms += _deviations(math.pi - angle(first, second), math.acos(1 / 3))
     return maximum(xp.concatenate(terms))
 
@@ -215,9 +206,8 @@ def aspect_ratio(kind: str, x: Sequence[Vector]) -> Scalar:
 
     Triangle: longest edge / (2 sqrt 3 inradius). Quad: longest edge times perimeter / (4 area).
     Tetrahedron: longest edge / (2 sqrt 6 inradius). Hexahedron: longest over shortest principal
-    axis, Verdict's `max_edge_ratio`. Wedge and pyramid: longest over shortest edge, Verdict's
-    `edge_ratio`. For a cell of high order it is the largest of the linear cells with its tangents
-    at its nodes.
+    axis. Wedge and pyramid: longest over shortest edge. For a cell of high order it is the largest
+    of the linear cells with its tangents at its nodes.
     """
     if kind in HIGH_ORDER:
         shape, cells = linear_cells_at_nodes(kind, x)
@@ -227,11 +217,10 @@ def aspect_ratio(kind: str, x: Sequence[Vector]) -> Scalar:
         return xp.ones_like(x[0][0])
     over, under = aspect_terms(kind, x)
     lengths = norm(over)
-    longest = largest(lengths)
     if under is None:
-        return divide(longest, smallest(lengths), math.inf)
+        return divide(largest(lengths), smallest(lengths), math.inf)
     size, surface = under
-    return divide(longest * surface, xp.abs(size), math.inf)
+    return divide(largest(lengths) * surface, xp.abs(size), math.inf)
 
 
 def aspect_terms(kind: str, x: Sequence[Vector]) -> tuple[Vector, tuple[Scalar, Scalar] | None]:
@@ -252,8 +241,7 @@ def aspect_terms(kind: str, x: Sequence[Vector]) -> tuple[Vector, tuple[Scalar, 
 def non_orthogonality(area: Vector, between: Vector, surface: bool) -> Scalar:
     """Computes the angle (degrees) between a face's area vector and the line between the centres.
 
-    This is OpenFOAM's definition. On a surface in 3-D the sides of an edge are not told apart: 0 to
-    90 degrees.
+    On a surface in 3-D the sides of an edge are not told apart: 0 to 90 degrees.
     """
     degrees = angle(area, between) * (180 / math.pi)
     return namespace(degrees).minimum(degrees, 180 - degrees) if surface else degrees
@@ -271,32 +259,28 @@ def scaled(x: list[Vector], size: Float[Either, " k"]) -> list[Vector]:
 
 
 def reach(x: list[Vector]) -> Float[Either, " k"]:
+    """Finds the largest coordinate, without sign and derivative."""
     xp = namespace(x[0][0])
-    components = [xp.abs(component) for corner in x for component in corner.components]
-    return constant(functools.reduce(xp.maximum, components))
-
-
-Scalar = Float[Either, " k"]
+    return constant(functools.reduce(xp.maximum, [xp.abs(component) for corner in x for component in corner]))
 
 
 def centre_of_mass(kind: str, x: Sequence[Vector]) -> Vector:
-    """Computes a cell's centre of mass by triangles or tetrahedra.
+    """Computes OpenFOAM's cell centre, for faces in a plane.
 
-    They lie between the sides, the means of the sides and the first corner.
-
-    It is OpenFOAM's cell centre, for faces in a plane.
+    It is the centre of mass of triangles or tetrahedra between the sides, the means of the sides
+    and the first corner.
     """
     if kind in ("line", "triangle", "tetra"):
         return mean(x)
     if kind == "quad":
         return _centre_of_quad(x)
     xp, parts, stacked = namespace(x[0][0]), [], stack(x)
-    for group in faces_by_size(kind):
+    zero = xp.zeros_like(x[0][0])
 
-        def face(sums, corners):
-            return tuple(a + b for a, b in zip(sums, _moments(stacked, corners), strict=True)), None
+    def face(sums, corners):
+        return tuple(a + b for a, b in zip(sums, _moments(stacked, corners), strict=True)), None
 
-        zero, faces = xp.zeros_like(x[0][0]), np.array(group)
+    for faces in map(np.array, faces_by_size(kind)):
         if xp is np:
             parts.append(functools.reduce(lambda sums, corners: face(sums, corners)[0], faces, (zero,) * 4))
         else:  # a program of one face is several times shorter to compile
@@ -306,31 +290,21 @@ def centre_of_mass(kind: str, x: Sequence[Vector]) -> Vector:
 
 
 def _moments(x: Vector, corners: Int[Either, " c"]) -> list:
-    """Computes six volumes and 24 first moments of tetrahedra.
-
-    They lie between one face and the first corner.
-    """
-    around = [x.row(corner) for corner in corners]
+    """Computes six volumes and 24 first moments of the tetrahedra between a face and the origin."""
+    around = [x.at(corner) for corner in corners]
     middle = mean(around)
     pairs = [(around[i - 1], corner) for i, corner in enumerate(around)]
     volumes = [dot(cross(a, b), middle) for a, b in pairs]
-    moment = _sum([(a + b + middle) * weight for (a, b), weight in zip(pairs, volumes, strict=True)])
-    return [functools.reduce(namespace(middle[0]).add, volumes), *moment.components]
+    moment = total((a + b + middle) * weight for (a, b), weight in zip(pairs, volumes, strict=True))
+    return [functools.reduce(namespace(middle[0]).add, volumes), *moment]
 
 
 def _centre_of_quad(corners: Sequence[Vector]) -> Vector:
-    """Computes a quad's centre of mass by triangles, with their projected areas.
-
-    They lie between the sides and the mean of the corners.
-    """
+    """Weighs the triangles between the sides and the mean of the corners by projected areas."""
     xp, middle, normal = namespace(corners[0][0]), mean(corners), area_vector(corners)
     spokes = [corner - middle for corner in corners]
     pairs = [(spokes[i - 1], spoke) for i, spoke in enumerate(spokes)]
     weights = [dot(cross(a, b), normal) for a, b in pairs]
-    moment = _sum([(a + b) * weight for (a, b), weight in zip(pairs, weights, strict=True)])
+    moment = total((a + b) * weight for (a, b), weight in zip(pairs, weights, strict=True))
     whole = functools.reduce(xp.add, weights)
     return middle + moment * divide(xp.full_like(whole, 1 / 3), whole, 0.0)
-
-
-def _sum(vectors: list[Vector]) -> Vector:
-    return functools.reduce(Vector.__add__, vectors)

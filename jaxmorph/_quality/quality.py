@@ -1,6 +1,5 @@
 """Quality of the cells of a mesh, relative to the undeformed one."""
 
-import functools
 import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -8,10 +7,10 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Bool, Float, Int, Real, Shaped
+from jaxtyping import Array, ArrayLike, Bool, Float, Int, Real
 
 from .._host.cells.adjacency import handedness, neighbours
-from .._host.cells.topology import CORNERS, DIMENSION, FACES, SHAPES
+from .._host.cells.topology import CORNERS, DIMENSION, FACES, SHAPES, solid
 from .._host.package.arguments import checked
 from .._kernels.callback import host_call
 from .._kernels.values import Either, array, as_jax, constant, is_known, largest, namespace, smallest
@@ -19,7 +18,7 @@ from .._mesh.mesh import Mesh
 from . import measures
 from .proof.search import has_least, least_jacobian
 from .report import QualityReport
-from .vector import Vector, by_place, corners, in_blocks, mean, stack
+from .vector import ByType, Vector, by_place, by_type, joined, mean, stack
 
 FLAT = 1e-4
 """Sine of a corner's angle up to which it is flat; 3-D: Jacobian over its edges' product."""
@@ -37,25 +36,24 @@ def quality(mesh: Mesh, points: Real[ArrayLike, "n d"] | Sequence[Any] | None = 
     coordinates) are turned. The sign is then that of the volume which the connected part of the
     mesh encloses. So a cell on the wrong side of a face that it shares is folded, and cells of
     mixed handedness are fine. `inverted`, `smooth_quality`, `proof`, `proven_margin`, `distortion`,
-    `improve` and `largest_step` take the same sign. A part of a single cell has that cell's own.
+    `improve` and `largest_step` take the same sign.
 
     With `points`, a cell is inverted where its volume, or the Jacobian at one of its corners, has
     not the sign of the undeformed mesh. Curved cells have a lattice of places, and the place where
-    bounds on their Jacobian find it least, instead of corners. So a curved cell that folds anywhere
-    is found. A linear hexahedron that folds between its corners is not: `proof` finds it. A cell
-    that is folded on the undeformed mesh already is inverted until a motion unfolds it, and counts
-    in `from_start`. Not judged are corners that had no sign, or had the wrong one in a cell that
-    was not folded, as in a quad not convex from the start. Without `points` that quad is inverted.
-    A corner has no sign within the round-off of the coordinates. One of a cell that is no simplex
-    has none either where it is flat or collapsed: its Jacobian is 1e-4 of the product of its edges
-    or less. A folded piece of a polyhedron is fine where the polyhedron as a whole is not folded.
+    bounds on their Jacobian find it least, instead of corners: a fold anywhere is found. A linear
+    hexahedron that folds between its corners is not: `proof` finds it. A cell that is folded on the
+    undeformed mesh is inverted until a motion unfolds it, and counts in `from_start`. Not judged
+    are corners that had no sign, or the wrong one in a cell that was not folded, as in a quad not
+    convex from the start. A corner has no sign within the round-off of the coordinates. One of a
+    cell that is no simplex has none either where its Jacobian is 1e-4 of the product of its edges
+    or less: flat or collapsed. A folded piece of a polyhedron is fine where the polyhedron as a
+    whole is not folded.
 
     Without `points`, the mesh is judged by itself. A cell is then inverted where its volume or a
     corner's Jacobian has not the sign of the mesh.
 
-    Neighbours are found on the host from the ids, under `jit` when it traces: 0.2 s for 350,000
-    tetrahedra. For traced cells (a mesh given to `jit` as an argument) the host finds them in each
-    call: close over the mesh instead.
+    Neighbours are found on the host from the ids, under `jit` when it traces. For traced cells (a
+    mesh given to `jit` as an argument) that is in each call: close over the mesh instead.
 
     **Arguments:**
 
@@ -69,14 +67,12 @@ def quality(mesh: Mesh, points: Real[ArrayLike, "n d"] | Sequence[Any] | None = 
     that of `mesh.points`.
     """
     current = places(mesh, points)
-    kinds, cells = tuple(mesh.cells), tuple(mesh.cells.values())
-    # what is known when a caller traces is computed there and then, not folded into the caller's
-    # program
+    # computed when a caller traces, not folded into the caller's program
     with jax.ensure_compile_time_eval():
         links = link(mesh.cells)
         standards = None if points is None else standards_of(mesh, current.dtype, links)
-    columns = as_jax(_columns(kinds, cells, links, current, standards))
-    types = tuple((kind, len(ids)) for kind, ids in zip(kinds, cells, strict=True))
+    types = tuple((kind, len(ids)) for kind, ids in mesh.cells.items())
+    columns = as_jax(_columns(mesh.cells, links, current, standards))
     return QualityReport(**columns, types=types, relative=standards is not None)
 
 
@@ -96,10 +92,10 @@ def inverted(mesh: Mesh, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Bool
 
     **Raises:** `ValueError` as `quality` does.
     """
-    current, kinds, cells = places(mesh, points), tuple(mesh.cells), tuple(mesh.cells.values())
+    current = places(mesh, points)
     with jax.ensure_compile_time_eval():
         standards = standards_of(mesh, current.dtype)
-    return jnp.asarray(_flags(kinds, cells, current, standards))
+    return jnp.asarray(_flags(mesh.cells, current, standards))
 
 
 def places(
@@ -116,6 +112,14 @@ def places(
     return current if jnp.issubdtype(current.dtype, jnp.floating) else current.astype(float)
 
 
+def check_solid(mesh: Mesh, reason: str) -> None:
+    """Raises `ValueError`, with a `reason`, for a mesh without cells that fill its space."""
+    d = mesh.points.shape[1]
+    if not any(map(len, solid(mesh.cells, d).values())):
+        types = ", ".join(mesh.cells) or "none"
+        raise ValueError(f"the mesh has no cells that fill {d}-D space (cells: {types}): {reason}.")
+
+
 class Links(NamedTuple):
     """Holds ids: the cell behind each face, each cell's sign by numbering, and its part."""
 
@@ -124,7 +128,7 @@ class Links(NamedTuple):
     part: Int[Either, " k"]
 
 
-def link(cells: dict[str, Any]) -> Links:
+def link(cells: ByType) -> Links:
     def linked(*corners: np.ndarray) -> list[np.ndarray]:
         known = dict(zip(cells, corners, strict=True))
         found = neighbours(known)
@@ -140,12 +144,23 @@ def link(cells: dict[str, Any]) -> Links:
 
 def signs_of(mesh: Mesh, links: Links | None = None) -> dict[str, Int[Either, " k"]]:
     """Finds the sign that each cell's volume should have, by type; see `quality`."""
-    return _signs(tuple(mesh.cells), tuple(mesh.cells.values()), links or link(mesh.cells), mesh.points)
+    return _signs(mesh.cells, links or link(mesh.cells), mesh.points)
 
 
 @by_place
-def _signs(kinds: tuple[str, ...], cells: tuple[Any, ...], links: Links, points: Float[Either, "n d"]) -> dict:
-    return _enclosed_signs(_volumes(kinds, cells, points), links, points.shape[1])
+def _signs(cells: ByType, links: Links, points: Float[Either, "n d"]) -> ByType:
+    """Takes each cell's sign from the volume of its part of the mesh, fixed by the boundary.
+
+    Cells of less than d dimensions are measured without a sign.
+    """
+    xp, volumes = namespace(points), by_type(volume_of, points, cells)
+    volume = joined(xp, volumes)
+    if xp is np:
+        enclosed = np.bincount(links.part, links.sign * volume, len(volume))
+    else:
+        enclosed = jax.ops.segment_sum(links.sign * volume, links.part, num_segments=len(volume))
+    parts = _split((links.sign * xp.where(enclosed < 0, -1, 1)[links.part]).astype(np.int8), volumes)
+    return {k: part if DIMENSION[k] == points.shape[1] else xp.ones_like(part) for k, part in parts.items()}
 
 
 class Standard(NamedTuple):
@@ -163,37 +178,30 @@ class Standard(NamedTuple):
     is_folded: Bool[Either, " k"]
 
 
-def standards_of(mesh: Mesh, dtype: Any, links: Links | None = None) -> tuple[Standard, ...]:
-    """Computes the undeformed state, one `Standard` a type of cells, in precision `dtype`."""
-    kinds, cells, points = tuple(mesh.cells), tuple(mesh.cells.values()), jnp.asarray(mesh.points, dtype)
+def standards_of(mesh: Mesh, dtype: Any, links: Links | None = None) -> dict[str, Standard]:
     signs = signs_of(mesh, links)
     if mesh.polyhedra is not None:
         signs = _of_pieces(mesh, signs, mesh.polyhedra.cut)
-    return _standards(kinds, cells, points, signs)
+    return _standards(mesh.cells, jnp.asarray(mesh.points, dtype), signs)
 
 
 @by_place
-def _standards(kinds, cells, points, signs) -> tuple[Standard, ...]:
-    pairs = zip(kinds, cells, strict=True)
-    return tuple(
-        in_blocks(namespace(points), functools.partial(_standard, kind, points), ids.T, signs[kind])
-        for kind, ids in pairs
-    )
+def _standards(cells: ByType, points: Float[Either, "n d"], signs: ByType) -> dict[str, Standard]:
+    return by_type(_standard, points, cells, signs)
 
 
-def _of_pieces(mesh: Mesh, signs: dict[str, Any], cut: np.ndarray) -> dict[str, Any]:
+def _of_pieces(mesh: Mesh, signs: ByType, cut: np.ndarray) -> ByType:
     """Takes the signs that pieces have, where the whole polyhedron or polygon is not folded."""
-    volumes = _volumes(tuple(mesh.cells), tuple(mesh.cells.values()), jnp.asarray(mesh.points))
-    volume, sign = (jnp.concatenate([part[kind] for kind in volumes]) for part in (volumes, signs))
-    ids = mesh.cell_ids
+    volumes = by_type(volume_of, jnp.asarray(mesh.points), mesh.cells)
+    (volume, sign), ids = (joined(jnp, part) for part in (volumes, signs)), mesh.cell_ids
     whole = jax.ops.segment_sum(sign * volume, ids, num_segments=int(ids.max()) + 1)[ids]
     is_sound = np.isin(ids, cut) & (whole > 0)
     return _split(jnp.where(is_sound, jnp.where(volume < 0, -1, 1), sign).astype(jnp.int8), volumes)
 
 
-def _standard(kind: str, points: Float[Either, "n d"], ids: Shaped[Either, "c k"], sign: Int[Either, " k"]) -> Standard:
-    xp, (volume, jacobians, noise) = namespace(points), _sizes(kind, corners(points, ids.T))
-    openings = _with_largest(measures.openings(kind, corners(points, ids.T)), len(jacobians))
+def _standard(kind: str, x: list[Vector], sign: Int[Either, " k"]) -> Standard:
+    xp, (volume, jacobians, noise) = namespace(x[0][0]), sizes_of(kind, x)
+    openings = _with_largest(measures.openings(kind, x), len(jacobians))
     flat = math.factorial(DIMENSION[kind]) * xp.abs(volume) <= xp.max(noise, axis=0)
     folded = ~flat & (sign * volume < 0)
     sizes = xp.where(folded, xp.abs(jacobians), sign[None] * jacobians)  # of a folded cell all corners count
@@ -205,62 +213,38 @@ def _standard(kind: str, points: Float[Either, "n d"], ids: Shaped[Either, "c k"
 
 @by_place
 def _columns(
-    kinds: tuple[str, ...],
-    cells: tuple[Any, ...],
-    links: Links,
-    points: Float[Either, "n d"],
-    standards: tuple[Standard, ...] | None,
+    cells: ByType, links: Links, points: Float[Either, "n d"], standards: dict[str, Standard] | None
 ) -> dict[str, Either]:
-    xp = namespace(points)
-    rows = {kind: ids.T for kind, ids in zip(kinds, cells, strict=True)}
     if standards is None:
-        by_kind: dict[str, Any] = _enclosed_signs(_volumes(kinds, cells, points), links, points.shape[1])
-        signs = by_kind
+        signs = _signs(cells, links, points)
+        columns = by_type(_judged_alone, points, cells, signs)
     else:
-        by_kind = dict(zip(kinds, standards, strict=True))
-        signs = {kind: standard.sign for kind, standard in by_kind.items()}
-    columns = [
-        in_blocks(xp, functools.partial(_judged, kind, points), ids, by_kind[kind]) for kind, ids in rows.items()
-    ]
-    joined = jax.tree.map(lambda *parts: xp.concatenate(parts, axis=-1), *columns)
-    joined["centroid"] = joined["centroid"].T
-    return joined | {"non_orthogonality": non_orthogonality(points, rows, signs, links.neighbour)}
+        signs = {kind: standard.sign for kind, standard in standards.items()}
+        columns = by_type(_judged, points, cells, standards)
+    columns = joined(namespace(points), columns) | {
+        "non_orthogonality": non_orthogonality(points, cells, signs, links.neighbour)
+    }
+    return columns | {"centroid": columns["centroid"].T}
 
 
 @by_place
-def _flags(
-    kinds: tuple[str, ...], cells: tuple[Any, ...], points: Float[Either, "n d"], standards: tuple[Standard, ...]
-) -> Bool[Either, " k"]:
-    xp = namespace(points)
+def _flags(cells: ByType, points: Float[Either, "n d"], standards: dict[str, Standard]) -> Bool[Either, " k"]:
+    def is_inverted(kind: str, x: list[Vector], standard: Standard) -> Bool[Either, " k"]:
+        return _relative(*sizes_of(kind, x)[:2], standard)["is_inverted"]
 
-    def judged(kind, ids, standard):
-        return _judge(*_sizes(kind, corners(points, ids.T))[:2], standard)["is_inverted"]
-
-    triples = zip(kinds, cells, standards, strict=True)
-    return xp.concatenate(
-        [in_blocks(xp, functools.partial(judged, kind), ids.T, standard) for kind, ids, standard in triples]
-    )
+    return joined(namespace(points), by_type(is_inverted, points, cells, standards))
 
 
-def _volumes(kinds: tuple[str, ...], cells: tuple[Any, ...], points: Float[Either, "n d"]) -> dict[str, Either]:
-    def volume(kind: str, ids: Shaped[Either, "c k"]) -> Float[Either, " k"]:
-        return measures.volume(kind, measures.relative_corners(corners(points, ids.T))[0])
-
-    pairs = zip(kinds, cells, strict=True)
-    return {kind: in_blocks(namespace(points), functools.partial(volume, kind), ids.T) for kind, ids in pairs}
+def _split(values: Either, like: ByType) -> ByType:
+    ends = np.cumsum([len(part) for part in like.values()])[:-1]
+    return dict(zip(like, namespace(values).split(values, ends), strict=True))
 
 
-def _judged(
-    kind: str, points: Float[Either, "n d"], ids: Shaped[Either, "c k"], standard: "Standard | Either"
-) -> dict[str, Either]:
-    """Measures cells by a standard, or by the sign that each cell should have."""
-    x = corners(points, ids.T)
-    sizes = _sizes(kind, x)
-    judged = _judge(*sizes[:2], standard) if isinstance(standard, Standard) else _judge_alone(*sizes, standard)
-    return judged | _shape(kind, x)
+def volume_of(kind: str, x: list[Vector]) -> Float[Either, " k"]:
+    return measures.volume(kind, measures.relative_corners(x)[0])
 
 
-def _sizes(kind: str, x: list[Vector]) -> tuple[Either, Either, Either]:
+def sizes_of(kind: str, x: list[Vector]) -> tuple[Either, Either, Either]:
     """Computes the volume (k,), the Jacobians (s, k), and the round-off error of each Jacobian.
 
     The last Jacobian of a curved cell is its least one, wherever it is.
@@ -269,7 +253,7 @@ def _sizes(kind: str, x: list[Vector]) -> tuple[Either, Either, Either]:
     relative, _ = measures.relative_corners(x)
     jacobians, spread = measures.jacobians(kind, relative)
     if has_least(kind, len(x[0])):
-        least = least_jacobian(kind, list(stack(relative).components))
+        least = least_jacobian(kind, list(stack(relative)))
         jacobians = namespace(least).concatenate([jacobians, least[None]])
     noise = rounding[None] * constant(_with_largest(spread, len(jacobians)))
     return measures.volume(kind, relative), jacobians, noise
@@ -289,31 +273,15 @@ def _shape(kind: str, x: list[Vector]) -> dict[str, Either]:
     return {
         "skewness": measures.skewness(kind, shape),
         "aspect_ratio": measures.aspect_ratio(kind, shape),
-        "centroid": namespace(size).stack(mean(x).components),
+        "centroid": namespace(size).stack(mean(x)),
     }
 
 
-def _enclosed_signs(volumes: dict[str, Either], links: Links, d: int) -> dict[str, Either]:
-    """Takes each cell's sign from the volume of its part of the mesh, fixed by the boundary.
-
-    Cells of less than d dimensions are measured without a sign.
-    """
-    xp = namespace(next(iter(volumes.values())))
-    volume = xp.concatenate(list(volumes.values()))
-    if xp is np:
-        enclosed = np.bincount(links.part, links.sign * volume, len(volume))
-    else:
-        enclosed = jax.ops.segment_sum(links.sign * volume, links.part, num_segments=len(volume))
-    parts = _split((links.sign * xp.where(enclosed < 0, -1, 1)[links.part]).astype(np.int8), volumes)
-    return {kind: part if DIMENSION[kind] == d else xp.ones_like(part) for kind, part in parts.items()}
+def _judged(kind: str, x: list[Vector], standard: Standard) -> dict[str, Either]:
+    return _relative(*sizes_of(kind, x)[:2], standard) | _shape(kind, x)
 
 
-def _split(values: Either, by_kind: dict[str, Either]) -> dict[str, Either]:
-    ends = np.cumsum([len(part) for part in by_kind.values()])[:-1]
-    return dict(zip(by_kind, namespace(values).split(values, ends), strict=True))
-
-
-def _judge(volume: Either, jacobians: Either, standard: Standard) -> dict[str, Either]:
+def _relative(volume: Either, jacobians: Either, standard: Standard) -> dict[str, Either]:
     """Judges cells relative to the undeformed mesh, by corners with their cell's sign there."""
     xp = namespace(volume)
     volume_ratio = xp.where(standard.is_flat, 1, volume) / standard.volume
@@ -330,8 +298,8 @@ def _judge(volume: Either, jacobians: Either, standard: Standard) -> dict[str, E
     }
 
 
-def _judge_alone(volume: Either, jacobians: Either, noise: Either, sign: Either) -> dict[str, Either]:
-    """Judges cells without an undeformed mesh, by the sign that they should have."""
+def _judged_alone(kind: str, x: list[Vector], sign: Int[Either, " k"]) -> dict[str, Either]:
+    volume, jacobians, noise = sizes_of(kind, x)
     xp, turned = namespace(volume), sign[None] * jacobians
     return {
         "volume": volume,
@@ -341,7 +309,7 @@ def _judge_alone(volume: Either, jacobians: Either, noise: Either, sign: Either)
         "is_inverted": ~xp.all(turned >= -noise, axis=0),
         "is_degenerate": xp.all(xp.abs(turned) <= noise, axis=0),
         "was_inverted": xp.zeros_like(volume, dtype=bool),
-    }
+    } | _shape(kind, x)
 
 
 def largest_inner(degrees: Float[Either, "f k"], is_inner: Bool[Either, "f k"]) -> Float[Either, " k"]:
@@ -349,54 +317,34 @@ def largest_inner(degrees: Float[Either, "f k"], is_inner: Bool[Either, "f k"]) 
 
 
 def non_orthogonality(
-    points: Float[Either, "n d"],
-    cells: dict[str, Shaped[Either, "c k"]],
-    signs: dict[str, Either],
-    neighbour: Either,
-    maximum: Callable = largest_inner,
-) -> Either:
+    points: Float[Either, "n d"], cells: ByType, signs: ByType, neighbour: Either, maximum: Callable = largest_inner
+) -> Float[Either, " k"]:
     """Computes the largest angle over the inner faces of each cell, 0 for a cell without any.
 
     `maximum` may be a smooth stand-in. Centres are kept relative to the first corner of their cell,
     so that their differences do not lose digits.
     """
     xp = namespace(points)
-    cells = {kind: ids[: CORNERS[SHAPES[kind]]] for kind, ids in cells.items()}  # of a curved cell the corners
-    placed = [in_blocks(xp, functools.partial(_centres, kind, points), ids) for kind, ids in cells.items()]
-    origins, centres = (Vector(list(xp.concatenate(parts, axis=1))) for parts in zip(*placed, strict=True))
-    angles, first, used = [], 0, 0
+    cells = {kind: ids[:, : CORNERS[SHAPES[kind]]] for kind, ids in cells.items()}  # of a curved cell the corners
+    origins, centres = map(Vector, joined(xp, by_type(_centre, points, cells)))
+
+    def angles(kind: str, x: list[Vector], sign: Either, behind: Int[Either, "f k"], here: Int[Either, " k"]) -> Either:
+        if not FACES[kind]:
+            return xp.zeros_like(x[0][0])
+        relative, size = measures.relative_corners(x)
+        other, here = xp.where(behind < 0, here, behind), here[None]
+        between = (origins.at(other) - origins.at(here)) + (centres.at(other) - centres.at(here))
+        areas = measures.face_areas(SHAPES[kind], measures.scaled(relative, size)) * sign[None]
+        degrees = measures.non_orthogonality(areas, between * (1 / size)[None], DIMENSION[kind] < len(areas))
+        return maximum(degrees, behind >= 0)
+
+    here, behind, first, used = {}, {}, 0, 0
     for kind, ids in cells.items():
-        k, f = ids.shape[1], len(FACES[kind])
-        if f:
-            behind = neighbour[used : used + f * k].reshape(k, f).T
-            angles_of_block = functools.partial(_angles, kind, points, (origins, centres), maximum)
-            angles.append(in_blocks(xp, angles_of_block, ids, signs[kind], behind, xp.arange(first, first + k)))
-        else:
-            angles.append(xp.zeros(k, points.dtype))
+        k, f = len(ids), len(FACES[kind])
+        here[kind], behind[kind] = xp.arange(first, first + k), neighbour[used : used + f * k].reshape(k, f).T
         first, used = first + k, used + f * k
-    return xp.concatenate(angles)
+    return joined(xp, by_type(angles, points, cells, signs, behind, here))
 
 
-def _centres(kind: str, points: Float[Either, "n d"], ids: Shaped[Either, "c k"]) -> tuple[Either, Either]:
-    """Computes the first corner, and the centre relative to it, (d, k) each."""
-    xp, x = namespace(points), corners(points, ids.T)
-    return xp.stack(x[0].components), xp.stack(
-        measures.centre_of_mass(SHAPES[kind], measures.relative_corners(x)[0]).components
-    )
-
-
-def _angles(
-    kind: str, points: Either, places: tuple[Vector, Vector], maximum: Callable, ids, sign, behind, here
-) -> Either:
-    origins, centres = places
-    relative, size = measures.relative_corners(corners(points, ids.T))
-    other = namespace(points).where(behind < 0, here, behind)
-    here = here[None]
-    between = (_at(origins, other) - _at(origins, here)) + (_at(centres, other) - _at(centres, here))
-    areas = measures.face_areas(SHAPES[kind], measures.scaled(relative, size)) * sign[None]
-    degrees = measures.non_orthogonality(areas, between * (1 / size)[None], DIMENSION[kind] < len(areas))
-    return maximum(degrees, behind >= 0)
-
-
-def _at(a: Vector, ids: Either) -> Vector:
-    return Vector([component[ids] for component in a.components])
+def _centre(kind: str, x: list[Vector]) -> tuple[tuple, tuple]:
+    return tuple(x[0]), tuple(measures.centre_of_mass(SHAPES[kind], measures.relative_corners(x)[0]))

@@ -77,25 +77,20 @@ class Report:
         whole number.
         """
         whole("k", k, 0)
-        if by is None:
-            return self._ranked(getattr(self, self.rank), self.rank, k, self._levels)
-        return self._ranked(self._measure(by), by, k, np.ones(len(self.counted)))
+        ids, has_levels = np.flatnonzero(self.counted), by is None
+        name = self.rank if by is None else by
+        values = np.asarray(getattr(self, name) if has_levels else self._measure(name), dtype=float)[ids]
+        badness = np.where(np.isnan(values), np.inf, -values if name in SMALL_IS_BAD else values)
+        levels = self._levels[ids].astype(int) if has_levels else np.zeros(len(ids), dtype=int)
+        if 0 < k < len(ids):  # only cells that may be among the first k are sorted
+            near = (levels < levels.max()) | (badness >= np.partition(badness, len(ids) - k)[len(ids) - k])
+            ids, badness, levels = ids[near], badness[near], levels[near]
+        return ids[np.lexsort((-badness, levels))][:k]
 
     @property
     def _levels(self) -> np.ndarray:
         """Ranks of cells (k,) that come before all measures, the worst 0."""
         return ~np.asarray(self.is_inverted)
-
-    def _ranked(self, values: Any, by: str, k: int, levels: np.ndarray) -> np.ndarray:
-        badness, ids = (
-            np.asarray(values, dtype=float) * (-1.0 if by in SMALL_IS_BAD else 1.0),
-            np.flatnonzero(self.counted),
-        )
-        badness, levels = np.where(np.isnan(badness), np.inf, badness)[ids], levels[ids].astype(int)
-        if 0 < k < len(ids):  # only cells that may be among the first k are sorted
-            near = (levels < levels.max()) | (badness >= np.partition(badness, len(ids) - k)[len(ids) - k])
-            ids, badness, levels = ids[near], badness[near], levels[near]
-        return ids[np.lexsort((-badness, levels))][:k]
 
     def raise_if_inverted(self) -> None:
         """Raises `ValueError` on the host for inverted cells: how many, and where the first is.
@@ -119,7 +114,6 @@ class Report:
         return reduce(np, *(row[self.counted] for row in values)).item()
 
     def _table(self, heading: str, names: tuple[str, ...]) -> str:
-        """Writes the least, mean and largest value of measures, the worst cell and its place."""
         lines = [heading, f"{'':<17}{'min':>10}{'mean':>10}{'max':>10}  {'worst':<8}near"]
         for name in names:
             cell = self.worst(1, by=name)[0]
@@ -140,42 +134,38 @@ def _number(reduction: str, name: str) -> Any:
 
 
 class QualityReport(Report, Module):
-    """Reports each cell's quality: arrays of one entry a cell, type after type, as `mesh.cells`.
+    """Reports each cell's quality: arrays (k,), one type of cells after another, as `mesh.cells`.
 
-    The cells are k in number. Lengths have the unit of the points, volumes its square or cube.
+    Lengths have the unit of the points, volumes its square or cube.
 
     - `volume`: signed volume (trilinear cells), in 2-D the signed area, also as `area`. For a
       surface in 3-D the area, without sign. Positive for cells numbered as VTK numbers them.
     - `skewness`: 0 ideal, 1 degenerate. Quad and hexahedron: Verdict's `skew`, the largest |cos| of
-      the angle between principal axes. Triangle, tetrahedron, pyramid, wedge: Verdict's
-      `equiangle_skew`.
+      the angle between principal axes. Others: Verdict's `equiangle_skew`.
     - `aspect_ratio`: 1 ideal, inf for a flat cell. Triangle, quad, tetrahedron: Verdict's
       `aspect_ratio`; hexahedron its `max_edge_ratio`; pyramid and wedge longest over shortest edge.
     - `jacobian`: the smallest Jacobian at the corners (and at the centre of a hexahedron),
-      Verdict's `jacobian`. Of a curved cell it is the smallest found anywhere. Its sign is turned
-      for cells that are left-handed on the undeformed mesh: negative where a cell is not convex.
-      For a simplex twice its area or six times its volume; at a pyramid the four corners of the
-      base.
-    - `non_orthogonality`: OpenFOAM's, in degrees: the angle between a face's area vector and the
-      line between the centres of its two cells. A cell has the largest angle of its inner faces, 0
-      without neighbours.
+      Verdict's `jacobian`; of a curved cell the smallest found anywhere. Negative where a cell is
+      not convex: its sign is turned for cells that are left-handed on the undeformed mesh. For a
+      simplex twice its area or six times its volume; at a pyramid the four corners of the base.
+    - `non_orthogonality`: OpenFOAM's, in degrees: the largest angle at an inner face between its
+      area vector and the line between the centres of its two cells; 0 without neighbours.
     - `volume_ratio`: volume over undeformed volume, for a simplex det F of its deformation. 1 where
       that was zero.
     - `jacobian_ratio`: smallest corner Jacobian over its initial value, at the corners that had the
       sign of their cell on the undeformed mesh and were not flat there. 1 where none had.
     - `is_inverted`: either ratio is not positive; NaN coordinates count as inverted. Without
       `points`, see `quality`.
-    - `is_degenerate`: no corner's Jacobian had a sign beyond round-off on the undeformed mesh: the
-      cell is not judged. In float32 the round-off of the coordinates hides the sign of the thinnest
-      cells at a wall.
+    - `is_degenerate`: no corner's Jacobian had a sign beyond round-off on the undeformed mesh, so
+      the cell is not judged. In float32 these may be the thinnest cells at a wall.
     - `centroid`: mean of the corners (k, d): where the cell is.
     - `was_inverted`: the cell's volume had the wrong sign on the undeformed mesh already; False
       without `points`.
+    - `degenerate`, `from_start`: numbers of such cells, and of inverted cells that were so before.
 
     Counts, means and extremes (`inverted`, `mean_skewness`, `max_skewness`, ...) are traced numbers
-    over the cells of the highest dimension alone; boundary elements have entries but do not count.
-    Means are weighted by area or volume, sum(skewness * area) / area. `str(report)`, `worst` and
-    `raise_if_inverted` speak on the host.
+    over the cells of the highest dimension alone; boundary elements do not count. Means are
+    weighted by area or volume. `str(report)`, `worst` and `raise_if_inverted` speak on the host.
     """
 
     rule: ClassVar[str] = "corner Jacobians"
@@ -196,21 +186,13 @@ class QualityReport(Report, Module):
     relative: bool = eqx.field(static=True, default=True)
     was_inverted: Bool[Array, " k"] | None = None
 
-    @property
-    def area(self) -> Float[Array, "*batch k"]:
-        """Area of each cell: `volume`, by the name that it has in 2-D."""
-        return self.volume
+    area = property(lambda self: self.volume)
+    degenerate = property(lambda self: self._over_cells(_sum, self.is_degenerate))
 
     @property
     def from_start(self) -> Int[Array, "..."]:
-        """Number of inverted cells that were folded on the undeformed mesh already."""
         was = jnp.zeros_like(self.is_inverted) if self.was_inverted is None else self.was_inverted
         return self._over_cells(lambda xp, flags, was: xp.sum(flags & was, axis=-1), self.is_inverted, was)
-
-    @property
-    def degenerate(self) -> Int[Array, "..."]:
-        """Number of cells that had no sign from the start and are not judged."""
-        return self._over_cells(_sum, self.is_degenerate)
 
     mean_skewness = _number("mean", "skewness")
     max_skewness = _number("max", "skewness")
@@ -258,7 +240,6 @@ def _weighted_mean(xp: Any, values: Either, volume: Either) -> Either | np.gener
     """Averages by volume; infinite values give infinity, but for cells without volume."""
     weight, infinite = xp.abs(volume), xp.isinf(values)
     total = xp.sum(weight, axis=-1)
-    # a product with an infinite value, or with one that does not count, would have a derivative by
-    # the volume
+    # else a product with a value that does not count would have a derivative by the volume
     mean = xp.sum(xp.where(infinite | (weight == 0), 0, values) * weight, axis=-1) / xp.where(total == 0, 1, total)
     return xp.where(xp.any(infinite & (weight > 0), axis=-1), xp.inf, mean)

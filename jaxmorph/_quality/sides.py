@@ -8,9 +8,9 @@ from typing import TypeVar
 import numpy as np
 from jaxtyping import Bool, Int
 
-from .._host.cells.adjacency import columns_of, is_among, sorted_columns, twins
+from .._host.cells.adjacency import columns_of, is_among, neighbours
 from .._host.cells.topology import DIMENSION, FACES
-from .._host.package.cores import by_blocks, in_order
+from .._host.package.cores import in_order
 from .._mesh.faces import Faces
 from .._mesh.mesh import Mesh
 
@@ -26,9 +26,8 @@ class Group:
 
     - `corners`: node ids (c, f), in the sense in which the owner sees the face from outside.
     - `owner`, `behind`: the cells (f,) beside the face; `behind` is -1 where there is none.
-    - `shared`: the number of faces at the beginning that stand for both cells. All further faces
-      stand for their owner: outer faces, and pairs of faces of which one is not its partner seen
-      from behind.
+    - `shared`: the number of faces at the beginning that stand for both cells. Others stand for
+      their owner: outer faces, and pairs of which one is not its partner seen from behind.
     - `is_between`: marks (f,) faces to other parts of the mesh.
     """
 
@@ -101,86 +100,49 @@ class Sides:
             )
         return _standard(mesh, highest) if mesh.polyhedra is None else _whole(mesh, mesh.polyhedra.faces)
 
-    @property
+    @functools.cached_property
     def counts(self) -> Int[np.ndarray, " k"]:
-        """Number of faces of each cell."""
-        counts = np.zeros(self.total, dtype=np.int64)
-        for group in self.groups:
-            for cells in (group.owner, group.behind[: group.shared]):
-                counts += np.bincount(cells, minlength=self.total)
-        return counts
+        cells = [part for group in self.groups for part in (group.owner, group.behind[: group.shared])]
+        return np.sum([np.bincount(part, minlength=self.total) for part in cells], axis=0)
 
 
 def _standard(mesh: Mesh, highest: int) -> Sides:
-    """Pairs the faces of cells of the standard types."""
-    listed: dict[int, list[tuple[list[np.ndarray], np.ndarray]]] = {}
-    first, cell = 0, mesh.cell_ids
-    for kind, ids in mesh.cells.items():
-        last = first + len(ids)
-        if DIMENSION[kind] == highest:
-            columns, owner = columns_of(np.asarray(ids)), cell[first:last].astype(np.int32)
-            for face in FACES[kind]:
-                listed.setdefault(len(face), []).append(([columns[corner] for corner in face], owner))
-        first = last
+    solids = {kind: np.asarray(ids) for kind, ids in mesh.cells.items() if DIMENSION[kind] == highest}
+    counts = [len(ids) for ids in mesh.cells.values()]
+    numbers = mesh.cell_ids[np.repeat([kind in solids for kind in mesh.cells], counts)].astype(np.int32)
+    (neighbour, flipped), faces, first, used = neighbours(solids), {}, 0, 0
+    for kind, ids in solids.items():
+        columns, own, end = columns_of(ids), np.arange(first, first + len(ids)), used + len(FACES[kind]) * len(ids)
+        beyond, turned = (rows[used:end].reshape(len(ids), -1).T for rows in (neighbour, flipped))
+        for face, behind, is_turned in zip(FACES[kind], beyond, turned, strict=True):
+            is_shared = (behind >= 0) & ~is_turned
+            rows = np.flatnonzero(~is_shared | (own < behind))
+            corners = np.stack([columns[corner][rows] for corner in face])
+            faces.setdefault(len(face), []).append((corners, own[rows], behind[rows], is_shared[rows]))
+        first, used = first + len(ids), end
     groups = []
-    for parts in listed.values():
-        columns = [np.concatenate(column) for column in zip(*(columns for columns, _ in parts), strict=True)]
-        groups.append(_paired(mesh, columns, np.concatenate([owner for _, owner in parts])))
-    return Sides(tuple(groups), first)
-
-
-def _paired(mesh: Mesh, columns: list[np.ndarray], owner: Int[np.ndarray, " t"]) -> Group:
-    """Joins two outer faces with equal nodes to one shared face."""
-    partner = twins(sorted_columns(columns, len(columns))).astype(np.int32)
-    first = np.flatnonzero(partner > np.arange(len(partner), dtype=np.int32)).astype(np.int32)
-    second = partner[first]
-    is_same = np.empty(len(first), dtype=bool)
-
-    def compare(rows: slice) -> None:
-        pairs = ([column[side[rows]] for column in columns] for side in (first, second))
-        is_same[rows] = _is_reversed(*pairs)
-
-    by_blocks(compare, len(first))
-    is_alone = np.ones(len(owner), dtype=bool)
-    is_alone[first[is_same]] = is_alone[second[is_same]] = False
-    rows = np.concatenate([first[is_same], np.flatnonzero(is_alone).astype(np.int32)])
-    corners, beyond = np.stack(list(in_order(lambda column: column[rows], columns))), partner[rows]
-    behind = np.where(beyond < 0, np.int32(-1), owner[beyond])
-    shared = int(is_same.sum())
-    return Group(corners, owner[rows], behind, shared, _to_others(mesh, corners, shared))
-
-
-def _is_reversed(a: list[np.ndarray], b: list[np.ndarray]) -> Bool[np.ndarray, " f"]:
-    """Marks the pairs of faces that run round equal corners in opposite senses.
-
-    `a` and `b` are the faces' corners by column.
-    """
-    is_reversed = np.zeros(len(a[0]), dtype=bool)
-    for start in range(len(b)):
-        same = a[0] == b[start]
-        for step in range(1, len(b)):
-            same &= a[step] == b[start - step]
-        is_reversed |= same
-    return is_reversed
+    for parts in faces.values():
+        corners, owner, behind, is_shared = (np.concatenate(rows, axis=-1) for rows in zip(*parts, strict=True))
+        groups.append(_group(mesh, corners, numbers[owner], np.where(behind < 0, -1, numbers[behind]), is_shared))
+    return Sides(tuple(groups), sum(counts))
 
 
 def _whole(mesh: Mesh, faces: Faces) -> Sides:
-    """Takes the faces of a file that lists them."""
     sizes, groups = faces.sizes, []
     neighbour = np.full(len(faces.owner), -1, faces.neighbour.dtype)
     neighbour[: len(faces.neighbour)] = faces.neighbour
     for size in np.unique(sizes).tolist():
         rows = np.flatnonzero(sizes == size)
-        is_inner = neighbour[rows] >= 0
-        rows, shared = np.concatenate([rows[is_inner], rows[~is_inner]]), int(is_inner.sum())
-        corners = np.ascontiguousarray(faces.corners(rows, size).T)
-        groups.append(Group(corners, faces.owner[rows], neighbour[rows], shared, _to_others(mesh, corners, shared)))
-    total = int(max(faces.owner.max(), neighbour.max())) + 1
-    return Sides(tuple(groups), total)
+        corners, behind = faces.corners(rows, size).T, neighbour[rows]
+        groups.append(_group(mesh, corners, faces.owner[rows], behind, behind >= 0))
+    return Sides(tuple(groups), int(max(faces.owner.max(), neighbour.max())) + 1)
 
 
-def _to_others(mesh: Mesh, corners: Int[np.ndarray, "c f"], shared: int) -> Bool[np.ndarray, " f"]:
-    marked = np.zeros(corners.shape[1], dtype=bool)
+def _group(
+    mesh: Mesh, corners: Int[np.ndarray, "c f"], owner: np.ndarray, behind: np.ndarray, is_shared: np.ndarray
+) -> Group:
+    order, shared = np.argsort(~is_shared, kind="stable"), int(is_shared.sum())
+    corners, is_between = np.ascontiguousarray(corners[:, order]), np.zeros(len(order), dtype=bool)
     if mesh.between is not None:
-        marked[shared:] = is_among(corners[:, shared:].T, mesh.between)
-    return marked
+        is_between[shared:] = is_among(corners[:, shared:].T, mesh.between)
+    return Group(corners, owner[order], behind[order], shared, is_between)

@@ -6,7 +6,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, ArrayLike, Bool, Float, Int, Real
+from jaxtyping import Array, ArrayLike, Bool, Float, Real
 
 from .._host.cells.topology import SHAPES
 from .._host.package.arguments import between, checked
@@ -17,7 +17,7 @@ from .._mesh.mesh import Mesh
 from .._methods.base import number
 from . import measures
 from .quality import Standard, link, non_orthogonality, places, standards_of
-from .vector import Vector, corners, dot, in_blocks
+from .vector import ByType, Vector, by_type, dot, joined
 
 
 class SmoothQuality(Module):
@@ -42,15 +42,15 @@ def smooth_quality(
 ) -> SmoothQuality:
     """Measures cells as `quality` does, with smooth twins of the measures that have kinks.
 
-    `volume`, `volume_ratio` and `distortion` have no kinks. Where `quality` takes the largest of m
-    terms of a cell, a soft maximum takes its place (for the smallest a soft minimum). The
-    derivative is then spread over the terms near the largest. The values approach the values of
-    `quality` as `sharpness` grows:
+    `volume`, `volume_ratio` and `distortion` have none. Where `quality` takes the largest of m
+    terms of a cell, a soft maximum takes its place (for the smallest a soft minimum). Its
+    derivative is spread over the terms near the largest. The values approach those of `quality` as
+    `sharpness` grows:
 
     - `skewness` is less by log(m) / `sharpness` at most, m up to 36; a quad has m = 2.
     - `aspect_ratio` is less by a factor of m^(2 / `sharpness`) at most, m up to 12. It is finite on
-      cells that are flat, 2 / `softness`, and where triangles, quads and tetrahedra are inverted.
-      There it is larger still the further they are, so that its derivative turns them round.
+      flat cells, 2 / `softness`, and where triangles, quads and tetrahedra are inverted. There it
+      is larger the further they are, so that its derivative turns them round.
     - `non_orthogonality` is less by 90 (1 + log m) / `sharpness` degrees at most; smooth at 0
       degrees too.
     - `jacobian_ratio` is more by log(m) / `sharpness` at most.
@@ -63,10 +63,10 @@ def smooth_quality(
     - `mesh`: the mesh with its cells; `mesh.points` is undeformed.
     - `points`: where the nodes are now (n, d), in the unit of `mesh.points`. Default:
       `mesh.points`.
-    - `sharpness`: positive, without unit, default 50. Raise it for values closer to `quality`,
-      lower it for smoother ones.
-    - `softness`: positive, without unit, default 1e-6. Choose it far below the inverse of the
-      aspect ratios that matter.
+    - `sharpness`: positive, without unit, default 50. A larger value is closer to `quality`, a
+      smaller one smoother.
+    - `softness`: positive, without unit, default 1e-6, far below the inverse of the aspect ratios
+      that matter.
 
     **Returns:** a `SmoothQuality`.
 
@@ -77,34 +77,26 @@ def smooth_quality(
     for name, value in (("sharpness", sharpness), ("softness", softness)):
         if is_known(value):
             between(name, value, 0)
-    kinds, cells = tuple(mesh.cells), tuple(mesh.cells.values())
     with jax.ensure_compile_time_eval():
         links = link(mesh.cells)
         standards = standards_of(mesh, current.dtype, links)
     options = jnp.asarray(sharpness, current.dtype), jnp.asarray(softness, current.dtype)
-    return _measured(kinds, cells, links.neighbour, current, standards, options)
+    return _measured(mesh.cells, links.neighbour, current, standards, options)
 
 
 @compiled
-def _measured(kinds, cells, behind, points, standards: tuple[Standard, ...], options) -> SmoothQuality:
-    rows = {kind: ids.T for kind, ids in zip(kinds, cells, strict=True)}
-    by_kind = dict(zip(kinds, standards, strict=True))
-    columns = [
-        in_blocks(jnp, functools.partial(_shapes, kind, points, options), ids, by_kind[kind])
-        for kind, ids in rows.items()
-    ]
-    skewness, aspect, jacobian = (jnp.concatenate(parts) for parts in zip(*columns, strict=True))
-    signs = {kind: standard.sign for kind, standard in by_kind.items()}
-    angles = non_orthogonality(points, rows, signs, behind, functools.partial(_largest_angle, sharpness=options[0]))
+def _measured(cells: ByType, behind, points, standards: dict[str, Standard], options) -> SmoothQuality:
+    shapes = functools.partial(_shapes, options)
+    skewness, aspect, jacobian = joined(jnp, by_type(shapes, points, cells, standards))
+    signs = {kind: standard.sign for kind, standard in standards.items()}
+    largest_angle = functools.partial(_largest_angle, sharpness=options[0])
+    angles = non_orthogonality(points, cells, signs, behind, largest_angle)
     return SmoothQuality(skewness, aspect, angles, jacobian)
 
 
-def _shapes(
-    kind: str, points: Float[Array, "n d"], options, ids: Int[Array, "c k"], standard: Standard
-) -> tuple[Array, ...]:
-    """Computes skewness, aspect ratio and Jacobian ratio."""
+def _shapes(options, kind: str, x: list[Vector], standard: Standard) -> tuple[Array, ...]:
     sharpness, softness = options
-    relative, size = measures.relative_corners(corners(points, ids.T))
+    relative, size = measures.relative_corners(x)
     shape = measures.scaled(relative, size)
     skewness = measures.skewness(kind, shape, functools.partial(soft_maximum, sharpness=sharpness, axis=0))
     ratio = _jacobian_ratio(kind, relative, standard, sharpness)
@@ -139,8 +131,7 @@ def _jacobian_ratio(kind: str, relative: list[Vector], standard: Standard, sharp
 
 def _largest_angle(degrees: Float[Array, "f k"], is_inner: Bool[Array, "f k"], sharpness) -> Float[Array, " k"]:
     unit = 90 / sharpness
-    rounded = jnp.sqrt(degrees**2 + unit**2) - unit
-    return jnp.where(jnp.any(is_inner, axis=0), _soft_maximum_where(rounded, is_inner, 1 / unit), 0)
+    return _soft_maximum_where(jnp.sqrt(degrees**2 + unit**2) - unit, is_inner, 1 / unit)
 
 
 def _soft_maximum_where(values: Float[Array, "m k"], counts: Bool[Array, "m k"], sharpness) -> Float[Array, " k"]:
@@ -157,11 +148,9 @@ def soft_maximum(
 ) -> Float[Array, "..."]:
     """Computes a smooth stand-in for the largest value.
 
-    It is log(mean(exp(sharpness values))) / sharpness.
-
-    It is below the largest value by log(count) / sharpness at most. Its derivative is spread over
-    the values near the largest. The mean instead of the sum keeps the soft maximum of equal values
-    equal to them.
+    It is log(mean(exp(sharpness values))) / sharpness, below the largest value by log(count) /
+    sharpness at most, and equal to values that are all equal. Its derivative is spread over the
+    values near the largest.
 
     **Arguments:**
 
@@ -186,10 +175,8 @@ def soft_maximum(
 def positive_part(x: Float[Array, "..."], softness: Any) -> Float[Array, "..."]:
     """Computes a smooth positive part: positive and increasing everywhere.
 
-    It is (x + sqrt(x^2 + softness^2)) / 2, close to x for x far above `softness`.
-
-    It is the regularised determinant of Garanzha et al., Foldover-free maps in 50 lines of code,
-    ACM Trans. Graph. 40, 2021.
+    It is (x + sqrt(x^2 + softness^2)) / 2, the regularised determinant of Garanzha et al.,
+    Foldover-free maps in 50 lines of code, ACM Trans. Graph. 40, 2021.
     """
     root = jnp.sqrt(x**2 + softness**2)
     return jnp.where(x >= 0, (x + root) / 2, softness**2 / (2 * (root + jnp.abs(x))))

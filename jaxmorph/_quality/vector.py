@@ -6,7 +6,7 @@ anew. An axis before it runs over the corners, edges or faces of one cell.
 
 import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import jax
@@ -15,69 +15,48 @@ import numpy as np
 from jaxtyping import Float, Int, Num, Shaped
 
 from .._host.linear import products
+from .._host.linear.products import dot
 from .._kernels.compile import Function, compiled
 from .._kernels.values import Either, namespace, on_host, root
 
 Scalar = Float[Either, "*rows k"]
 
+ByType = dict[str, Any]
+"""Arrays or reports by type of cells, in the order of `mesh.cells`."""
 
-class Vector:
-    """Holds the components of a vector, with the arithmetic it needs; immutable."""
 
-    __slots__ = ("components",)
+class Vector(tuple):
+    """The components of a vector; sums and multiples are those of vectors."""
 
-    def __init__(self, components: Sequence[Scalar]):
-        self.components = tuple(components)
+    __slots__ = ()
 
-    def __getitem__(self, i: int) -> Scalar:
-        return self.components[i]
-
-    def rows(self, ids: Sequence[int]) -> "Vector":
-        xp = namespace(self.components[0])
-        return Vector([xp.stack([component[i] for i in ids]) for component in self.components])
-
-    def row(self, i: int | Int[Either, ""] | np.integer) -> "Vector":
-        return Vector([component[i] for component in self.components])
-
-    def unstack(self) -> "list[Vector]":
-        return [self.row(i) for i in range(self.components[0].shape[0])]
-
-    def __len__(self) -> int:
-        return len(self.components)
-
-    def __add__(self, other: "Vector") -> "Vector":
-        return Vector([a + b for a, b in zip(self.components, other.components, strict=True)])
+    def __add__(self, other: "Vector") -> "Vector":  # pyright: ignore[reportIncompatibleMethodOverride]
+        return Vector(a + b for a, b in zip(self, other, strict=True))
 
     def __sub__(self, other: "Vector") -> "Vector":
-        return Vector([a - b for a, b in zip(self.components, other.components, strict=True)])
+        return Vector(a - b for a, b in zip(self, other, strict=True))
 
-    def __mul__(self, factor: Num[Either, "*rows k"] | float | int) -> "Vector":
-        return Vector([a * factor for a in self.components])
+    def __mul__(self, factor: Num[Either, "*rows k"] | float | int) -> "Vector":  # pyright: ignore[reportIncompatibleMethodOverride]
+        return Vector(a * factor for a in self)
+
+    def at(self, rows: Any) -> "Vector":
+        return Vector(a[rows] for a in self)
 
 
 def corners(points: Float[Either, "n d"], ids: Shaped[Either, "k c"]) -> list[Vector]:
     """Gathers one vector for each corner of k cells."""
     axes = [points[:, axis] for axis in range(points.shape[1])]
-    return [Vector([axis[ids[:, corner]] for axis in axes]) for corner in range(ids.shape[1])]
-
-
-def dot(a: Vector, b: Vector) -> Scalar:
-    return products.dot(a.components, b.components)
+    return [Vector(axis[ids[:, corner]] for axis in axes) for corner in range(ids.shape[1])]
 
 
 def cross(a: Vector, b: Vector) -> Vector:
     """Computes the cross product; in 2-D its one component."""
-    return Vector(products.cross(a.components, b.components))
+    return Vector(products.cross(a, b))
 
 
 def determinant(columns: Sequence[Vector]) -> Scalar:
     """Computes the determinant of a matrix, with three columns as (a x b) . c."""
-    return products.determinant([column.components for column in (*columns[2:], *columns[:2])])
-
-
-def cofactors(columns: Sequence[Vector]) -> list[Vector]:
-    """Computes the rows of the inverse of a matrix, times its determinant."""
-    return [Vector(row) for row in products.cofactors([column.components for column in columns])]
+    return products.determinant([*columns[2:], *columns[:2]])
 
 
 def norm(a: Vector) -> Scalar:
@@ -85,31 +64,32 @@ def norm(a: Vector) -> Scalar:
     return root(dot(a, a))
 
 
+def unit(a: Vector) -> Vector:
+    """Divides by the length; zero where there is none."""
+    return a * divide(namespace(a[0]).ones_like(a[0]), norm(a), 0.0)
+
+
 def stack(vectors: Sequence[Vector]) -> Vector:
-    """Stacks vectors as rows of one."""
-    xp = namespace(vectors[0][0])
-    return Vector([xp.stack(rows) for rows in zip(*(a.components for a in vectors), strict=True)])
+    return Vector(map(namespace(vectors[0][0]).stack, zip(*vectors, strict=True)))
+
+
+def total(vectors: Iterable[Vector]) -> Vector:
+    return functools.reduce(Vector.__add__, vectors)
 
 
 def mean(vectors: Sequence[Vector]) -> Vector:
-    return functools.reduce(Vector.__add__, vectors) * (1 / len(vectors))
+    return total(vectors) * (1 / len(vectors))
 
 
 def divide(a: Scalar, b: Scalar, otherwise: float) -> Scalar:
-    """Divides a by b; `otherwise` where b is so small that the derivative overflows.
-
-    The result has no derivative there.
-    """
+    """Divides a by b; `otherwise`, without a derivative, where b is so small that it overflows."""
     xp = namespace(b)
     none = xp.abs(b) <= float(jnp.finfo(b.dtype).tiny) ** 0.4
     return xp.where(none, otherwise, a / xp.where(none, 1, b))
 
 
 def angle(a: Vector, b: Vector) -> Scalar:
-    """Computes the angle in radians, 0 to pi.
-
-    Where a vector has no length it is 0, without a derivative.
-    """
+    """Computes the angle in radians; 0, without a derivative, for a vector of no length."""
     xp, sine, cosine = namespace(a[0]), norm(cross(a, b)), dot(a, b)
     none = sine**2 + cosine**2 <= float(jnp.finfo(sine.dtype).tiny) ** 0.8
     return xp.where(none, 0, xp.arctan2(sine, xp.where(none, 1, cosine)))
@@ -125,18 +105,22 @@ CACHED = 1 << 13
 def by_place(function: Function) -> Function:
     """Makes a function that runs by NumPy where its arrays are in the host's memory, else compiled.
 
-    Its first argument is static. A program would take longer to compile than NumPy takes for all.
+    Whole numbers among its arguments are static. A program would take longer to compile than NumPy
+    takes for all.
     """
     program = compiled(function)
 
-    @functools.wraps(function)
-    def call(static: Any, *arrays: Any) -> Any:
-        if not on_host(arrays):
-            return program(static, *jax.tree.map(jnp.asarray, arrays))
+    def call(*arguments: Any) -> Any:
+        if not on_host(arguments):
+            return program(*_converted(jnp.asarray, arguments))
         with np.errstate(all="ignore"), jax.ensure_compile_time_eval():  # cells may have no size
-            return function(static, *jax.tree.map(np.asarray, arrays))
+            return function(*_converted(np.asarray, arguments))
 
     return call  # pyright: ignore[reportReturnType]
+
+
+def _converted(convert: Callable, arguments: Any) -> Any:
+    return jax.tree.map(lambda leaf: leaf if isinstance(leaf, int) else convert(leaf), arguments)
 
 
 def in_blocks(xp: Any, function: Callable, *rows: Any, size: int | None = None) -> Any:
@@ -163,3 +147,20 @@ def in_blocks(xp: Any, function: Callable, *rows: Any, size: int | None = None) 
     every = jnp.minimum(jnp.arange(blocks * block), k - 1)  # the last cell fills the last block
     results = jax.lax.map(jax.checkpoint(one), every.reshape(blocks, block))
     return jax.tree.map(lambda x: jnp.moveaxis(x, 0, -2).reshape(*x.shape[1:-1], -1)[..., :k], results)
+
+
+def by_type(function: Callable, points: Float[Either, "n d"], cells: ByType, *others: ByType) -> ByType:
+    """Applies `function(kind, corners, ...)` to blocks of each type's cells, and of `others`."""
+
+    def measured(kind: str, ids: Int[Either, "c k"], *rows: Any) -> Any:
+        return function(kind, corners(points, ids.T), *rows)
+
+    parts = {}
+    for kind, ids in cells.items():
+        function_of_kind, rows = functools.partial(measured, kind), [other[kind] for other in others]
+        parts[kind] = in_blocks(namespace(points), function_of_kind, ids.T, *rows)
+    return parts
+
+
+def joined(xp: Any, parts: ByType) -> Any:
+    return jax.tree.map(lambda *rows: xp.concatenate(rows, axis=-1), *parts.values())

@@ -1,19 +1,26 @@
 """Whether a mesh is good: counts, worst cells and limits, of one mesh or the parts of one."""
 
 import dataclasses
+import functools
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import ArrayLike, Float, Int, Real
+from jaxtyping import ArrayLike, Bool, Float, Int, Real
 
 from .._host.package.arguments import between, check_fields, checked, real_array, shown, whole
 from .._mesh.mesh import Mesh
-from .judged import Judged
-from .report import QualityReport
+from .face_quality import FaceQuality, measured
+from .proof.proof import proof
+from .quality import quality
+from .report import QualityReport, Report
+from .sides import Sides
 
 WORST = 5
 """Cells named for each limit that is exceeded."""
+
+BY_FACES = {"face_skewness": "skewness", "face_aspect_ratio": "aspect_ratio"}
+"""Measures of faces, by their names in limits and tables. The plain names are those of corners."""
 
 LABELS = {"non_orthogonality": "non-orthogonality", "pyramid": "face pyramid"}
 PROVEN = "min_proven_margin"
@@ -63,6 +70,95 @@ class Limits:
         return {name: limit for name, limit in limits.items() if limit is not None}
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class Judged:
+    """A mesh on some points, judged relative to the mesh `before` a motion, through `steps`.
+
+    Cells have the numbers of the file.
+    """
+
+    mesh: Mesh
+    points: Any
+    before: "Judged | None" = None
+    steps: tuple[Float[np.ndarray, "n d"], ...] = ()
+    is_straight: bool = True
+    part: int | None = None
+
+    @functools.cached_property
+    def corners(self) -> QualityReport:
+        return quality(self.mesh, None if self.before is None else self.points)
+
+    @functools.cached_property
+    def faces(self) -> FaceQuality:
+        return measured(self.mesh, self.sides, self.points)
+
+    @functools.cached_property
+    def sides(self) -> Sides:
+        return Sides.listed(self.mesh) if self.before is None else self.before.sides
+
+    @functools.cached_property
+    def by_faces(self) -> bool:
+        return self.mesh.polyhedra is not None or getattr(self.mesh.source, "format", "") == "OpenFOAM"
+
+    @property
+    def report(self) -> Report:
+        return self.faces if self.by_faces else self.corners
+
+    @functools.cached_property
+    def counted(self) -> np.ndarray:
+        """Ids of the cells that count: those of the highest dimension."""
+        return np.flatnonzero(self.report.counted)
+
+    @functools.cached_property
+    def inverted(self) -> Bool[np.ndarray, " k"]:
+        """Mask of inverted cells; old ones are so until they are sound by themselves."""
+        now = np.asarray(self.report.is_inverted)
+        if self.by_faces or not self._old.any():
+            return now
+        return np.where(self._old, np.asarray(quality(self.mesh.moved(self.points)).is_inverted), now)
+
+    @property
+    def _old(self) -> Bool[np.ndarray, " k"]:
+        return np.zeros(len(self.report.is_inverted), dtype=bool) if self.before is None else self.before.inverted
+
+    @property
+    def spoilt(self) -> np.ndarray:
+        """Ids of the cells that the motion has inverted, the worst first."""
+        lost = self.inverted & ~self._old
+        worst = self.report.worst(len(self.counted)) if lost.any() else np.zeros(0, dtype=int)
+        return worst[lost[worst]]
+
+    def values(self, key: str) -> np.ndarray:
+        """Lists a limited measure of the cells that count, in the order of `counted`.
+
+        Raises `ValueError` for a measure of corners where cells are polyhedra.
+        """
+        if key in BY_FACES or key == "non_orthogonality":  # checkMesh's, exact also where faces are warped
+            return getattr(self.faces, BY_FACES.get(key, key))[self.counted]
+        if self.mesh.polyhedra is not None:
+            kind = "polyhedra" if np.shape(self.points)[1] == 3 else "polygons"
+            raise ValueError(
+                f"{len(self.mesh.polyhedra.cut)} of {len(self.counted)} cells are {kind}, of which {key.replace('_', ' ')} "
+                "is not defined. Limits on face skewness, face aspect ratio and non-orthogonality measure them whole."
+            )
+        of_mesh = self._proven_margin() if key == "proven_margin" else np.asarray(getattr(self.corners, key))
+        in_file = np.empty_like(of_mesh)
+        in_file[self.mesh.cell_ids] = of_mesh
+        return in_file[self.counted]
+
+    def _proven_margin(self) -> np.ndarray:
+        """Finds the least margins of all cells at all instants, below 0 where one is not proven.
+
+        Where nodes leave straight lines, only the end of each step is looked at.
+        """
+        starts, ends = (self.mesh.points, *self.steps), (*self.steps, self.points)
+        bases = starts if self.is_straight and self.before is not None else [None] * len(starts)
+        proofs = [proof(self.mesh, end, base=base) for base, end in zip(bases, ends, strict=True)]
+        below = -np.finfo(float).tiny
+        margins = [np.where(step.is_valid, step.margin, np.minimum(step.margin, below)) for step in proofs]
+        return np.min(margins, axis=0)
+
+
 @dataclasses.dataclass(frozen=True)
 class Number:
     """One number of a mesh: an extreme (`max`, `min`) at a cell, or a mean by weight.
@@ -75,7 +171,7 @@ class Number:
     cell: int = -1
     near: tuple[float, ...] = ()
     part: int | None = None
-    weight: float | None = None
+    weight: float = 0.0
 
     @property
     def badness(self) -> float:
@@ -84,12 +180,16 @@ class Number:
 
     @property
     def place(self) -> str:
-        return coordinates(self.near)
+        return "(" + ", ".join(f"{x:.3g}" for x in self.near) + ")"
 
     @property
     def name(self) -> str:
-        """The cell, by its part where the mesh has several."""
-        return f"cell {self.cell}" if self.part is None else f"processor{self.part} cell {self.cell}"
+        """The cell's number, with its part where the mesh has several."""
+        return str(self.cell) if self.part is None else f"processor{self.part} cell {self.cell}"
+
+    @property
+    def full_name(self) -> str:
+        return f"cell {self.cell}" if self.part is None else self.name
 
     @property
     def facts(self) -> dict[str, Any]:
@@ -166,18 +266,17 @@ class Verdict:
         """Joins the verdicts on the parts of a mesh. Raises `ValueError` for anything else."""
         if not isinstance(parts, Sequence) or not parts or not all(isinstance(part, Verdict) for part in parts):
             raise ValueError(f"`parts` must be verdicts on the parts of a mesh, not {shown(parts)}.")
-        first = parts[0]
+        sums: dict[str, Any] = {
+            name: sum(getattr(part, name) for part in parts) for name in ("cells", "inverted", "degenerate", "spoilt")
+        }
         spoilt = [part.worst for part in parts if part.worst is not None]
         before = [part.before for part in parts if part.before is not None]
         return cls(
-            cells=sum(part.cells for part in parts),
-            inverted=sum(part.inverted for part in parts),
-            degenerate=sum(part.degenerate for part in parts),
-            rule=first.rule,
-            spoilt=sum(part.spoilt for part in parts),
-            worst=_worst(spoilt) if spoilt else None,
-            rows={row: _merged([part.rows[row] for part in parts]) for row in first.rows},
-            gates=tuple(_joined([part.gates[k] for part in parts]) for k in range(len(first.gates))),
+            **sums,
+            rule=parts[0].rule,
+            worst=max(spoilt, key=lambda number: number.badness) if spoilt else None,
+            rows={row: _merged([part.rows[row] for part in parts]) for row in parts[0].rows},
+            gates=tuple(map(_joined, zip(*(part.gates for part in parts), strict=True))),
             before=cls.together(before) if before else None,
             parts=len(parts),
             between=sum(part.between for part in parts) // 2,
@@ -189,14 +288,15 @@ class Verdict:
         sentences = []
         if self.worst is not None:
             are = "is" if self.spoilt == 1 else "are"
-            where = f"the worst is {self.worst.name} near {self.worst.place}"
-            sentences.append(f"{self.spoilt} of {count(self.cells, 'cell')} {are} inverted, {where}, by {self.rule}.")
+            where = f"the worst is {self.worst.full_name} near {self.worst.place}"
+            cells = f"{self.cells} {'cell' if self.cells == 1 else 'cells'}"
+            sentences.append(f"{self.spoilt} of {cells} {are} inverted, {where}, by {self.rule}.")
         for k, gate in enumerate(self.gates):
             if gate.beyond:
                 are = "cell is" if gate.beyond == 1 else "cells are"
                 start = 0 if self.before is None else self.before.gates[k].beyond
                 old = f" ({start} before the motion)" if start else ""
-                where = f"the worst is {gate.worst[0].name}"
+                where = f"the worst is {gate.worst[0].full_name}"
                 sentences.append(f"{gate.beyond} of {self.cells} {are} beyond {name_of(gate)}{old}, {where}.")
         return sentences
 
@@ -208,24 +308,26 @@ class Verdict:
         """
         parts = f" in {self.parts} parts" if self.parts else ""
         note = f", {self.degenerate} degenerate from the start" if self.degenerate else ""
-        lines = [f"quality of {self.cells} cells{parts}, inverted by {self.rule}{note}"]
-        if self.before is None:
-            lines.append(f"{'':<23}{'':>12}   worst cell")
-        else:
-            lines.append(f"{'':<23}{'before':>12}{'after':>12}   worst cell after")
-        for (kind, name), number in self.rows.items():
-            is_ratio = (kind, name) in RATIOS
-            if is_ratio if self.before is None else name == "volume":
-                continue
-            start = f"{'-':>12}" if is_ratio or self.before is None else _column(self.before.rows[kind, name].value)
-            start = "" if self.before is None else start
-            where = "" if kind == "mean" else f"   {number.name.removeprefix('cell ')} near {number.place}"
-            lines.append(f"{kind + ' ' + label(name):<23}{start}{_column(number.value)}{where}")
-        if self.before is not None:
-            lines.append(f"{'inverted cells':<23}{self.before.inverted:>12}{self.inverted:>12}")
+        lines = [f"quality of {self.cells} cells{parts}, inverted by {self.rule}{note}", *self._measures()]
         if self.parts:
             lines.append(f"{self.between} faces between parts are not judged: their skewness and non-orthogonality.")
         return "\n\n".join(filter(None, ["\n".join([*lines, *more]), self._limits()]))
+
+    def _measures(self) -> list[str]:
+        """Formats a row for each measure: without ratios, or after a motion without volume."""
+        if self.before is None:
+            lines = [f"{'':<23}{'':>12}   worst cell"]
+            rows = {row: ("", number) for row, number in self.rows.items() if row not in RATIOS}
+        else:
+            lines, old = [f"{'':<23}{'before':>12}{'after':>12}   worst cell after"], self.before.rows
+            starts = {row: f"{'-':>12}" if row in RATIOS else _column(old[row].value) for row in self.rows}
+            rows = {row: (starts[row], number) for row, number in self.rows.items() if row[1] != "volume"}
+        for (kind, name), (start, number) in rows.items():
+            where = "" if kind == "mean" else f"   {number.name} near {number.place}"
+            lines.append(f"{kind + ' ' + label(name):<23}{start}{_column(number.value)}{where}")
+        if self.before is not None:
+            lines.append(f"{'inverted cells':<23}{self.before.inverted:>12}{self.inverted:>12}")
+        return lines
 
     def _limits(self) -> str:
         """Formats a row for each limit, then the worst cells beyond."""
@@ -240,8 +342,14 @@ class Verdict:
             lines.append(f"{gate.label:<23}{gate.limit:>12.5g}{start:>12}{gate.extreme.value:>12.5g}   {share}")
             if gate.beyond:
                 worst.append(f"worst cells by {gate.label}")
-                worst += [f"  {c.name.removeprefix('cell '):<22}{c.value:>12.5g}   near {c.place}" for c in gate.worst]
+                worst += [f"  {cell.name:<22}{cell.value:>12.5g}   near {cell.place}" for cell in gate.worst]
         return "\n".join(lines + worst)
+
+    def _starts(self) -> list[float | None]:
+        """Lists the extremes before the motion; a ratio to the mesh before has none."""
+        if self.before is None:
+            return [None] * len(self.gates)
+        return [None if gate.name == "min_jacobian_ratio" else gate.extreme.value for gate in self.before.gates]
 
     def __str__(self) -> str:
         return "\n\n".join(filter(None, [self.table(), "\n".join(self.faults())]))
@@ -251,8 +359,7 @@ class Verdict:
         """The numbers by name, for output as JSON."""
         facts: dict[str, Any] = {"cells": self.cells, "inverted": self.inverted, "inverted_by": self.rule}
         facts |= {f"{kind}_{name}": number.value for (kind, name), number in self.rows.items()}
-        facts |= {f"worst_{name}": number.facts for (kind, name), number in self.rows.items() if kind != "mean"}
-        return facts
+        return facts | {f"worst_{name}": number.facts for (kind, name), number in self.rows.items() if kind != "mean"}
 
     @property
     def gate_facts(self) -> list[dict[str, Any]]:
@@ -268,12 +375,6 @@ class Verdict:
             }
             for old, gate in zip(self._starts(), self.gates, strict=True)
         ]
-
-    def _starts(self) -> list[float | None]:
-        """Lists the extremes before the motion; a ratio to the mesh before has none."""
-        if self.before is None:
-            return [None] * len(self.gates)
-        return [None if gate.name == "min_jacobian_ratio" else gate.extreme.value for gate in self.before.gates]
 
 
 @checked
@@ -321,25 +422,20 @@ def judge(
         whole("part", part, 0)
     steps = tuple(real_array("steps", step, tuple(mesh.points.shape)) for step in steps)
     if points is None:
-        judged = Judged(mesh, mesh.points)
-    else:
-        points = real_array("points", points, tuple(mesh.points.shape))
-        before = judge(mesh, None, limits, part=part) if before is None else before
-        judged = Judged(mesh, points, before.judged or Judged(mesh, mesh.points), steps, is_straight)
-    verdict = _verdict(judged, limits, before if points is not None else None, part)
-    return verdict if part is None or points is None else verdict.of_part()
+        return _verdict(Judged(mesh, mesh.points, part=part), limits, None)
+    points = real_array("points", points, tuple(mesh.points.shape))
+    before = judge(mesh, None, limits, part=part) if before is None else before
+    judged = Judged(mesh, points, before.judged or Judged(mesh, mesh.points), steps, is_straight, part)
+    verdict = _verdict(judged, limits, before)
+    return verdict if part is None else verdict.of_part()
 
 
-def _verdict(judged: Judged, limits: Limits, before: Verdict | None, part: int | None) -> Verdict:
+def _verdict(judged: Judged, limits: Limits, before: Verdict | None) -> Verdict:
     spoilt, worst, by_faces = judged.spoilt, None, judged.by_faces
-    gates, beyond = [], [spoilt]
-    for name, limit in limits.by_name.items():
-        gate, cells = _gate(judged, name, limit, part)
-        gates.append(gate)
-        beyond.append(cells)
+    gates = [_gate(judged, name, limit) for name, limit in limits.by_name.items()]
     if len(spoilt):
         values = getattr(judged.report, "pyramid" if by_faces else "jacobian_ratio")
-        worst = _number(judged, "min", float(values[spoilt[0]]), spoilt[0], part)
+        worst = _number(judged, "min", float(values[spoilt[0]]), spoilt[0])
     return Verdict(
         cells=len(judged.counted),
         inverted=int(judged.inverted[judged.counted].sum()),
@@ -347,77 +443,63 @@ def _verdict(judged: Judged, limits: Limits, before: Verdict | None, part: int |
         rule=judged.report.rule,
         spoilt=len(spoilt),
         worst=worst,
-        rows=dict(_rows(judged, part)),
-        gates=tuple(gates),
+        rows=_rows(judged),
+        gates=tuple(gate for gate, _ in gates),
         before=before,
-        parts=0 if part is None else 1,
+        parts=0 if judged.part is None else 1,
         between=0 if judged.mesh.between is None else len(judged.mesh.between),
-        bad=np.unique(np.concatenate(beyond)),
+        bad=np.unique(np.concatenate([spoilt, *(beyond for _, beyond in gates)])),
         judged=judged,
     )
 
 
-def _gate(judged: Judged, name: str, limit: float, part: int | None) -> tuple[Gate, np.ndarray]:
+def _gate(judged: Judged, name: str, limit: float) -> tuple[Gate, np.ndarray]:
     """Compares a measure with its limit; also returns the ids of the cells beyond."""
     kind, values = name[:3], judged.values(name[4:]).astype(float)
     badness = np.where(np.isnan(values), np.inf, values if kind == "max" else -values)
     rows = np.flatnonzero(badness > (limit if kind == "max" else -limit))
     order = rows[np.argsort(-badness[rows], kind="stable")][:WORST]
-    worst = tuple(_number(judged, kind, float(values[row]), judged.counted[row], part) for row in order)
+    worst = tuple(_number(judged, kind, float(values[row]), judged.counted[row]) for row in order)
     extreme = float(values.max() if kind == "max" else values.min())
-    number = _number(judged, kind, extreme, judged.counted[int(badness.argmax())], part)
+    number = _number(judged, kind, extreme, judged.counted[int(badness.argmax())])
     return Gate(name, limit, number, len(rows), worst), judged.counted[rows]
 
 
-def _rows(judged: Judged, part: int | None) -> list[tuple[tuple[str, str], Number]]:
-    report, rows = judged.report, []
+def _rows(judged: Judged) -> dict[tuple[str, str], Number]:
+    report, rows = judged.report, {}
+    keys = {measure: key for key, measure in BY_FACES.items()} if judged.by_faces else {}
     last = (("min", "pyramid"), RATIOS[0]) if judged.by_faces else RATIOS
     for kind, name in (*ROWS, ("min", "volume"), *last):
-        value, key = float(getattr(report, kind)(name)), (kind, judged.key(name))
+        value, key = float(getattr(report, kind)(name)), (kind, keys.get(name, name))
         if kind != "mean":
-            rows.append((key, _number(judged, kind, value, report.worst(1, by=name)[0], part)))
-        elif part is None or name != "non_orthogonality":  # checkMesh's mean is over faces, which parts share
+            rows[key] = _number(judged, kind, value, report.worst(1, by=name)[0])
+        elif judged.part is None or name != "non_orthogonality":  # checkMesh's mean is over faces, which parts share
             weight = float(np.abs(np.asarray(report.volume)[judged.counted]).sum())
-            rows.append((key, Number(kind, value, part=part, weight=weight)))
+            rows[key] = Number(kind, value, part=judged.part, weight=weight)
     return rows
 
 
-def _number(judged: Judged, kind: str, value: float, cell: Any, part: int | None) -> Number:
-    return Number(kind, value, int(cell), tuple(np.asarray(judged.report.centroid)[cell].tolist()), part)
+def _number(judged: Judged, kind: str, value: float, cell: Any) -> Number:
+    return Number(kind, value, int(cell), tuple(np.asarray(judged.report.centroid)[cell].tolist()), judged.part)
 
 
 def _joined(gates: Sequence[Gate]) -> Gate:
     cells = sorted((cell for gate in gates for cell in gate.worst), key=lambda cell: cell.badness)
-    extreme, beyond = _worst([gate.extreme for gate in gates]), sum(gate.beyond for gate in gates)
+    extreme, beyond = _merged([gate.extreme for gate in gates]), sum(gate.beyond for gate in gates)
     return Gate(gates[0].name, gates[0].limit, extreme, beyond, tuple(cells[-WORST:][::-1]))
 
 
 def _merged(numbers: Sequence[Number]) -> Number:
     """Takes the worst of all parts, or the mean by their volumes."""
     if numbers[0].kind != "mean":
-        return _worst(numbers)
-    weight = sum(number.weight or 0.0 for number in numbers)
-    total = sum(number.value * (number.weight or 0.0) for number in numbers)
+        return max(numbers, key=lambda number: number.badness)
+    weight = sum(number.weight for number in numbers)
+    total = sum(number.value * number.weight for number in numbers)
     return Number("mean", total / weight if weight else float("nan"), weight=weight)
 
 
-def _worst(numbers: Sequence[Number]) -> Number:
-    return max(numbers, key=lambda number: number.badness)
-
-
 def label(name: str) -> str:
-    """Writes a measure's name."""
     return LABELS.get(name, name.replace("_", " "))
-
-
-def count(number: int, what: str) -> str:
-    """Writes a number with its noun: `1 step`, `2 steps`."""
-    return f"{number} {what}" + ("" if number == 1 else "s")
-
-
-def coordinates(x: Any) -> str:
-    """Writes a place."""
-    return "(" + ", ".join(f"{number:.3g}" for number in np.asarray(x).tolist()) + ")"
 
 
 def _column(value: float) -> str:

@@ -9,13 +9,12 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from .._host.cells.first_lines import Lines, first_lines
-from .._host.linear.products import cross
 from .._host.package.arguments import between, checked, rows_of
-from .._kernels.compile import compiled
 from .._kernels.module import Module
-from .._kernels.values import Either, as_jax, is_known, largest, namespace, norm, on_host, smallest
+from .._kernels.values import Either, as_jax, is_known, largest, namespace, smallest
 from .._mesh.mesh import Mesh
 from .quality import places
+from .vector import Vector, angle, by_place, cross, dot, norm
 
 
 class WallQuality(Module):
@@ -33,24 +32,12 @@ class WallQuality(Module):
     angle: Float[Array, " w"]
     height: Float[Array, " w"]
 
-    @property
-    def mean_angle(self) -> Float[Array, "..."]:
-        return jnp.mean(self.angle, axis=-1)
-
-    @property
-    def max_angle(self) -> Float[Array, "..."]:
-        return largest(self.angle, axis=-1)
-
-    @property
-    def min_height(self) -> Float[Array, "..."]:
-        return smallest(self.height, axis=-1)
-
-    @property
-    def max_height(self) -> Float[Array, "..."]:
-        return largest(self.height, axis=-1)
+    mean_angle = property(lambda self: jnp.mean(self.angle, axis=-1))
+    max_angle = property(lambda self: largest(self.angle, axis=-1))
+    min_height = property(lambda self: smallest(self.height, axis=-1))
+    max_height = property(lambda self: largest(self.height, axis=-1))
 
     def __str__(self) -> str:
-        """Prints both measures in one line, on the host."""
         angle, height = f"{float(self.mean_angle):.3g} (mean), {float(self.max_angle):.3g} (max)", self.height
         return (
             f"{len(self.nodes)} wall nodes: first grid line {angle} degrees off its own angle to the wall; "
@@ -73,8 +60,7 @@ def wall_quality(
     node is that of the faces around it, weighted by their area. In 3-D a neighbour on the wall says
     how the wall turns about the normal.
 
-    Traced over `points`: `jit`, `grad` and `vmap` work. The ids are found on the host at each call,
-    from cells and coordinates that may not be traced: close over the mesh.
+    Traced over `points`. The ids are found on the host at each call: close over the mesh.
 
     Of curved cells all nodes of the wall count. The normal is that of the sides' own polynomials at
     the node. The first grid line goes through the whole cell: its angle is that of its tangent at
@@ -101,54 +87,42 @@ def wall_quality(
     names = (wall,) if isinstance(wall, str) else wall
     has_names = np.ndim(names) == 1 and len(names) > 0 and all(isinstance(name, str) for name in names)
     ids = mesh.patch(*names) if has_names else rows_of("wall", wall, len(mesh.points))
-    cells = {kind: np.asarray(corners) for kind, corners in mesh.cells.items()}
-    lines = first_lines(cells, np.asarray(mesh.points), ids)
+    lines = first_lines(jax.tree.map(np.asarray, mesh.cells), np.asarray(mesh.points), ids)
     with jax.ensure_compile_time_eval():
         reference = jnp.asarray(mesh.points, dtype=current.dtype)
-    if not on_host(lines, reference, current, softness):
-        angle, height = _measured(lines, reference, current, softness)
-        return WallQuality(jnp.asarray(lines.nodes), angle, height)
-    with np.errstate(all="ignore"):
-        angle, height = _angle_and_height(lines, np.asarray(reference), np.asarray(current), softness)
-    return WallQuality(*as_jax((lines.nodes, angle, height)))
+    return WallQuality(*as_jax((lines.nodes, *_measured(lines, reference, current, softness))))
 
 
-def _angle_and_height(
+@by_place
+def _measured(
     lines: Lines, reference: Float[Either, "n d"], points: Float[Either, "n d"], softness: Any
 ) -> tuple[Float[Either, " w"], Float[Either, " w"]]:
     xp = namespace(points)
-    (start, high), (now, height) = (_components(xp, lines, x) for x in (reference, points))
-    cosine = xp.sum(start * now, axis=1)
-    sine = norm(xp.stack(cross(start.T, now.T), axis=1))
-    none = sine**2 + cosine**2 == 0
-    angle = xp.rad2deg(xp.where(none, 0, xp.arctan2(sine, xp.where(none, 1, cosine))))
+    (start, high), (now, height) = (_components(lines, x) for x in (reference, points))
+    degrees = xp.rad2deg(angle(start, now))
     if softness is not None:
-        angle = xp.sqrt(angle**2 + softness**2) - softness
-    flat = high == 0
-    return angle, xp.where(flat, 1, height / xp.where(flat, 1, high))
+        degrees = xp.sqrt(degrees**2 + softness**2) - softness
+    return degrees, xp.where(high == 0, 1, height / xp.where(high == 0, 1, high))
 
 
-_measured = compiled(_angle_and_height)
-
-
-def _components(xp: Any, lines: Lines, x: Float[Either, "n d"]) -> tuple[Float[Either, "w d"], Float[Either, " w"]]:
+def _components(lines: Lines, x: Float[Either, "n d"]) -> tuple[Vector, Float[Either, " w"]]:
     """Computes components of first grid lines along the wall's normal and the wall, and heights."""
-    normal = xp.zeros((len(lines.nodes), x.shape[1]), x.dtype)
+    xp = namespace(x)
+    areas = xp.zeros((len(lines.nodes), x.shape[1]), x.dtype)
     for rows, area in lines.areas(x):
         if xp is np:
-            np.add.at(normal, rows[rows < len(normal)], area[rows < len(normal)])
+            np.add.at(areas, rows[rows < len(areas)], area[rows < len(areas)])
         else:
-            normal = normal.at[rows].add(area, mode="drop")
-    normal, line = _unit(normal), lines.directions(x)
-    height = xp.sum(normal * (x[lines.ends] - x[lines.nodes]), axis=1)
-    if x.shape[1] == 2:
-        return xp.stack([xp.sum(normal * line, axis=1), *cross(normal.T, line.T)], axis=1), height
-    beside = x[lines.beside] - x[lines.nodes]
-    tangent = _unit(beside - xp.sum(beside * normal, axis=1)[:, None] * normal)
-    frame = xp.stack([normal, tangent, xp.cross(normal, tangent)], axis=1)
-    return xp.sum(frame * line[:, None], axis=2), height
+            areas = areas.at[rows].add(area, mode="drop")
+    normal, line = _unit(Vector(areas.T)), Vector(lines.directions(x).T)
+    height = dot(normal, Vector((x[lines.ends] - x[lines.nodes]).T))
+    if len(normal) == 2:
+        return Vector([dot(normal, line), *cross(normal, line)]), height
+    beside = Vector((x[lines.beside] - x[lines.nodes]).T)
+    tangent = _unit(beside - normal * dot(beside, normal))
+    return Vector(dot(axis, line) for axis in (normal, tangent, cross(normal, tangent))), height
 
 
-def _unit(a: Float[Either, "w d"]) -> Float[Either, "w d"]:
+def _unit(a: Vector) -> Vector:
     length = norm(a)
-    return a / namespace(length).where(length > 0, length, 1)[:, None]
+    return a * (1 / namespace(length).where(length > 0, length, 1))

@@ -16,7 +16,6 @@ import math
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from ..._kernels.values import Either, namespace
@@ -32,7 +31,6 @@ def indices(dimension: int, degree: int) -> np.ndarray:
 
 
 def count(space: Space) -> int:
-    """Counts the coefficients of a space."""
     return math.prod(len(indices(*factor)) for factor in space)
 
 
@@ -148,25 +146,20 @@ def multiplied(first: Space, second: Space, a: list[Any], b: list[Any], product:
 
     `product` is bilinear: two lists of components to one list.
     """
-    table = rows_of_products(first, second)
-    size, xp = int(table.max()) + 1, namespace(a[0])
-    if xp is not np:
-        return _multiplied_in_trace(table, size, a, b, product)
-    sums: list[Any] = []
-    for i, rows in enumerate(table):
-        parts = product(a, [component[i][None] for component in b])
-        sums = sums or [np.zeros((size, part.shape[-1]), part.dtype) for part in parts]
-        for total, part in zip(sums, parts, strict=True):
-            total[rows] += part
-    return sums
+    table, xp = rows_of_products(first, second), namespace(a[0])
 
-
-def _multiplied_in_trace(table: np.ndarray, size: int, a: list[Any], b: list[Any], product: Any) -> list[Any]:
     def add(sums, step):
         rows, factor = step
-        parts = product(a, [component[None] for component in factor])
-        return [total.at[rows].add(part, unique_indices=True) for total, part in zip(sums, parts, strict=True)], None
+        parts = zip(sums, product(a, [component[None] for component in factor]), strict=True)
+        if xp is not np:
+            return [total.at[rows].add(part, unique_indices=True) for total, part in parts], None
+        for total, part in parts:
+            total[rows] += part
+        return sums, None
 
-    shapes = jax.eval_shape(lambda: product(a, [component[:1] for component in b]))
-    zeros = [jnp.zeros((size, part.shape[-1]), part.dtype) for part in shapes]
+    one = product(a, [component[:1] for component in b])
+    zeros = [xp.zeros((int(table.max()) + 1, part.shape[-1]), part.dtype) for part in one]
+    if xp is np:
+        steps = zip(table, zip(*b, strict=True), strict=True)
+        return functools.reduce(lambda sums, step: add(sums, step)[0], steps, zeros)
     return jax.lax.scan(add, zeros, (table, b))[0]

@@ -22,7 +22,7 @@ from jaxtyping import Float
 
 from ..._host.cells.lagrange import Lagrange, lagrange_types
 from ..._host.linear import products
-from ..._kernels.values import Either
+from ..._kernels.values import Either, namespace
 from . import bernstein
 from .bernstein import Space
 
@@ -67,7 +67,6 @@ class Form:
         )
 
     def moving(self) -> "Form":
-        """Makes the form in space and time."""
         spaces = tuple((TIME, *space) for space in self.spaces)
         matrices = tuple(np.kron(np.eye(2), matrix) for matrix in self.matrices)
         control = np.kron(np.eye(2), self.control)
@@ -218,9 +217,10 @@ def _divided(space: Space, matrix: np.ndarray) -> tuple[Space, np.ndarray]:
     return lower, matrix[bernstein.rows_of_products(lower, (*((m, 0) for m, _ in others), (1, 1)))[0]]
 
 
-def nodes_of(points: Any, ids: Any) -> list[Any]:
-    """Gathers the nodes of cells relative to the first one: a list of components (nodes, k).
+def nodes_of(ids: Any, *ends: Any) -> list[Any]:
+    """Gathers the nodes of cells (nodes, k) relative to the first one: components (nodes, k).
 
-    `ids` are (nodes, k).
+    The nodes at several `ends` (n, d) of a motion follow each other.
     """
-    return [component[ids] - component[ids[:1]] for component in (points[:, axis] for axis in range(points.shape[1]))]
+    xp, axes = namespace(ends[0]), range(ends[0].shape[1])
+    return [xp.concatenate([end[:, axis][ids] - end[:, axis][ids[:1]] for end in ends]) for axis in axes]

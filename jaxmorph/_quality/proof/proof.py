@@ -15,31 +15,37 @@ from ..._host.cells.topology import DIMENSION
 from ..._host.package.arguments import between, checked, whole
 from ..._kernels.values import Either, as_jax, constant, is_known, namespace, smallest
 from ..._mesh.mesh import Mesh
-from ..quality import places, signs_of
+from ..quality import check_solid, places, signs_of
 from ..report import Report, place_of
-from ..vector import by_place, in_blocks
+from ..vector import ByType, by_place, in_blocks, joined
 from . import bernstein
 from .form import Form, form_of, nodes_of
 from .search import DEPTH, ROOM, bounds
+
+
+def _number_of(mask: str) -> Any:
+    return property(lambda proof: int(getattr(proof, mask).sum()))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Proof(Report):
     """Proves of each of k cells that it folds nowhere inside, or shows where it folds.
 
-    det J is that of the map from the reference cell, in the handedness of the mesh: positive where
-    the cell is not folded. Cells stand one type after another, as in `mesh.cells`.
+    det J is that of the map from the reference cell, positive where the cell is not folded in the
+    handedness of the mesh. Cells stand one type after another, as in `mesh.cells`.
 
     - `lower`, `upper`: the least det J of the cell is between these, round-off included.
     - `size`: mean of det J over the undeformed cell, without sign: its volume over the volume of
       the reference cell.
     - `margin`: `lower` over `size`. It is 1 for an undeformed simplex, parallelogram or
-      parallelepiped.
+      parallelepiped. `min_margin` is the smallest; NaN where a coordinate is.
     - `is_valid`: `lower` is positive, so the cell folds nowhere.
-    - `is_invalid`: `upper` is negative, and so is det J, evaluated at `reference`. Coordinates that
-      are NaN count as well.
+    - `is_invalid`: `upper` is negative, and so is det J, evaluated at `reference`. NaN coordinates
+      count as well.
     - `is_unknown`: neither. `is_flat`: unknown cells whose det J touches zero to round-off, which
       no depth decides.
+    - `valid`, `invalid`, `unknown`: numbers of cells. `from_start`: the number of cells that are
+      invalid where the motion begins; 0 without a motion.
     - `reference`, `near`: where det J is `upper`, in the reference cell and in space (k, d).
     - `time`: when, from 0 at `base` to 1 at `points`; None without `base`. Bounds then hold for the
       whole motion.
@@ -70,57 +76,26 @@ class Proof(Report):
     types: tuple[tuple[str, int], ...]
     depth: int
 
-    @property
-    def is_inverted(self) -> Bool[np.ndarray, " k"]:
-        return self.is_invalid
+    is_inverted = property(lambda self: self.is_invalid)
+    volume = property(lambda self: self.size)
+    centroid = property(lambda self: self.near)
+    valid, invalid, unknown = map(_number_of, ("is_valid", "is_invalid", "is_unknown"))
 
-    @property
-    def volume(self) -> Float[np.ndarray, " k"]:
-        return self.size
-
-    @property
-    def centroid(self) -> Float[np.ndarray, "k d"]:
-        return self.near
-
-    @property
-    def margin(self) -> Float[np.ndarray, " k"]:
-        """The lower bound over the size of the undeformed cell."""
-        return self.lower / np.where(self.size > 0, self.size, 1)
-
-    @property
-    def is_unknown(self) -> Bool[np.ndarray, " k"]:
-        """Cells that are neither valid nor invalid."""
-        return self.counted & ~self.is_valid & ~self.is_invalid
-
-    @property
-    def valid(self) -> int:
-        """Number of valid cells."""
-        return int(self.is_valid.sum())
-
-    @property
-    def invalid(self) -> int:
-        """Number of invalid cells."""
-        return int(self.is_invalid.sum())
-
-    @property
-    def unknown(self) -> int:
-        """Number of cells that are neither."""
-        return int(self.is_unknown.sum())
+    is_unknown = property(lambda self: self.counted & ~self.is_valid & ~self.is_invalid)
+    margin = property(lambda self: self.lower / self._unit)
+    min_margin = property(lambda self: self.min("margin"))
 
     @property
     def from_start(self) -> int:
-        """Number of cells that are invalid where the motion begins; 0 without a motion."""
         return 0 if self.time is None else int((self.is_invalid & (self.time == 0)).sum())
 
     @property
-    def min_margin(self) -> float:
-        """The smallest margin; NaN where a coordinate is."""
-        return self.min("margin")
+    def _unit(self) -> Float[np.ndarray, " k"]:
+        return np.where(self.size > 0, self.size, 1)
 
     @property
     def _least(self) -> Float[np.ndarray, " k"]:
-        """`upper` of invalid cells and `lower` of others, over the size."""
-        return np.where(self.is_invalid, self.upper / np.where(self.size > 0, self.size, 1), self.margin)
+        return np.where(self.is_invalid, self.upper, self.lower) / self._unit
 
     @property
     def _levels(self) -> Int[np.ndarray, " k"]:
@@ -157,10 +132,9 @@ class Proof(Report):
         time = "" if self.time is None else f"{'time':<5}"
         lines.append(f"{'cell':<8}{'type':<10}{'at least':>9}{'at most':>9} {time}{'inside':<15}near")
         for cell in self.worst():
-            size = self.size[cell] if self.size[cell] > 0 else 1
             time = "" if self.time is None else f"{_short(self.time[cell]):<5}"
             inside, near = " ".join(map(_short, self.reference[cell])), re.sub("[(,)]", "", place_of(self, cell))
-            numbers = f"{self.lower[cell] / size:>9.2g}{self.upper[cell] / size:>9.2g}"
+            numbers = f"{self.margin[cell]:>9.2g}{self.upper[cell] / self._unit[cell]:>9.2g}"
             kind = re.sub("^(tri|tet|hex)[a-z]*", r"\1", self.type_of(cell))
             lines.append(f"{self.ids[cell]:<8}{kind:<10}{numbers} {time}{inside:<15}{near}")
         return "\n".join(lines)
@@ -184,10 +158,8 @@ def proof(
     `quality` judges corners, between which a hexahedron or a curved cell may fold. Here det J is
     written in the Bernstein basis, whose least coefficient is a lower bound on it. Where that is
     negative and no corner is, the cell is cut into parts, whose bounds are closer. A bound includes
-    round-off, so that `valid` is a proof for the coordinates as they are.
-
-    The handedness of all cells is that of the undeformed mesh, `mesh.points`, as `quality` finds
-    it, however cells are numbered. A cell that is folded there is invalid until it is unfolded.
+    round-off, so that `valid` is a proof for the coordinates as they are. The handedness of cells
+    is that of the undeformed mesh, as `quality` finds it.
 
     It runs on the host, in double precision. `proven_margin` is traced.
 
@@ -214,82 +186,68 @@ def proof(
         places(mesh, x, name)
     if not is_known(states, mesh.points, tuple(mesh.cells.values())):
         raise ValueError("`proof` speaks on the host and takes no traced points. `proven_margin` is traced.")
-    check_solid(mesh)
-    reference, ends = np.asarray(mesh.points, float), tuple(np.asarray(x, float) for x in list(states.values())[::-1])
+    check_solid(mesh, "det J is defined for these alone")
+    ends = tuple(np.asarray(x, float) for x in list(states.values())[::-1])
     with np.errstate(all="ignore"):  # coordinates may be NaN
-        signs = signs_of(mesh)
-        columns = [_proven(kind, ids, reference, ends, depth, signs[kind]) for kind, ids in mesh.cells.items()]
-    joined = {name: np.concatenate([part[name] for part in columns], axis=-1) for name in columns[0]}
-    types = tuple((kind, len(ids)) for kind, ids in mesh.cells.items())
-    return _report(mesh, joined, types, depth, base is not None)
+        return _proven(mesh, ends, depth)
 
 
-def check_solid(mesh: Mesh) -> None:
-    """Raises `ValueError` for a mesh without cells that fill its space: they have no det J."""
-    d = mesh.points.shape[1]
-    if not any(DIMENSION[kind] == d and len(ids) for kind, ids in mesh.cells.items()):
-        types = ", ".join(mesh.cells) or "none"
-        raise ValueError(
-            f"the mesh has no cells that fill {d}-D space (cells: {types}): det J is defined for these alone."
-        )
-
-
-def _report(mesh: Mesh, joined: dict[str, np.ndarray], types: Any, depth: int, has_time: bool) -> Proof:
-    """Makes the report; pieces of polyhedra that are folded are unknown."""
-    lower, upper, counted = joined["lower"], joined["upper"], joined["counted"] > 0
-    is_invalid = counted & ((joined["value"] < 0) & (upper < 0) | np.isnan(upper))
+def _proven(mesh: Mesh, ends: tuple[np.ndarray, ...], depth: int) -> Proof:
+    """Bounds det J at one end or between two; folded pieces of polyhedra are unknown."""
+    base, signs, has_time = np.asarray(mesh.points, float), signs_of(mesh), len(ends) == 2
+    is_solid = {kind: DIMENSION[kind] == base.shape[1] for kind in mesh.cells}
+    columns = {}
+    for kind, ids in mesh.cells.items():
+        if is_solid[kind]:
+            size, bound = _room(np, form_of(kind, has_time)), functools.partial(_bounded, kind, base, ends, depth)
+            columns[kind] = in_blocks(np, bound, np.asarray(ids).T, np.asarray(signs[kind], float), size=size)
+    for kind, ids in mesh.cells.items():
+        if not is_solid[kind]:
+            like = next(iter(columns.values()))
+            columns[kind] = {name: np.full((*rows.shape[:-1], len(ids)), np.nan) for name, rows in like.items()}
+    found = joined(np, {kind: columns[kind] for kind in mesh.cells})
+    lower, upper = found["lower"], found["upper"]
+    counted = np.repeat(list(is_solid.values()), [len(ids) for ids in mesh.cells.values()])
+    is_invalid = counted & ((found["value"] < 0) & (upper < 0) | np.isnan(upper))
     if mesh.polyhedra is not None:
         is_invalid &= ~np.isin(mesh.cell_ids, mesh.polyhedra.cut)
     is_valid = counted & (lower > 0)
     return Proof(
         lower=lower,
         upper=upper,
-        size=joined["size"],
+        size=found["size"],
         is_valid=is_valid,
         is_invalid=is_invalid,
-        is_flat=counted & (joined["is_flat"] > 0) & ~is_valid & ~is_invalid,
-        reference=joined["reference"].T,
-        near=joined["near"].T,
-        time=joined["time"] if has_time else None,
+        is_flat=counted & (found["is_flat"] > 0) & ~is_valid & ~is_invalid,
+        reference=found["reference"].T,
+        near=found["near"].T,
+        time=found["time"] if has_time else None,
         counted=counted,
         ids=np.asarray(mesh.cell_ids),
-        types=types,
+        types=tuple((kind, len(ids)) for kind, ids in mesh.cells.items()),
         depth=depth,
     )
 
 
-def _proven(kind: str, ids: Any, reference: np.ndarray, ends: tuple, depth: int, sign: Any) -> dict[str, np.ndarray]:
-    """Proves cells of one type; cells of less than d dimensions have NaN."""
-    k, d = len(ids), reference.shape[1]
-    if DIMENSION[kind] != d:
-        rows = {name: np.full(k, np.nan) for name in ("lower", "upper", "size", "value", "is_flat", "time")}
-        return rows | {"counted": np.zeros(k), "reference": np.full((d, k), np.nan), "near": np.full((d, k), np.nan)}
-    size = max(1, ROOM // bernstein.count(form_of(kind, len(ends) == 2).space))
-    prove = functools.partial(_bounded, kind, reference, ends, depth)
-    return in_blocks(np, prove, np.asarray(ids).T, np.asarray(sign, float), size=size)
-
-
 def _mean(form: Form, points: Float[Either, "n d"], ids: Int[Either, "c k"]) -> Float[Either, " k"]:
-    return form.mean(form.coefficients(nodes_of(points, ids)))
+    return form.mean(form.coefficients(nodes_of(ids, points)))
 
 
 def _bounded(
-    kind: str, reference: np.ndarray, ends: tuple, depth: int, ids: Int[np.ndarray, "c k"], sign: Any
+    kind: str, base: np.ndarray, ends: tuple, depth: int, ids: Int[np.ndarray, "c k"], sign: Any
 ) -> dict[str, np.ndarray]:
-    mean, form = _mean(form_of(kind), reference, ids), form_of(kind, len(ends) == 2)
-    x = [np.concatenate(parts) for parts in zip(*(nodes_of(end, ids) for end in ends), strict=True)]
+    form, x = form_of(kind, len(ends) == 2), nodes_of(ids, *ends)
     columns = form.columns(x)
     found = bounds(form.space, sign * form.determinant(columns), form.round_off(x, columns), depth)
     at = form.inside(found.at)
-    nodes = [np.concatenate([end[ids, axis] for end in ends]) for axis in range(reference.shape[1])]
+    nodes = [np.concatenate([end[ids, axis] for end in ends]) for axis in range(base.shape[1])]
     return {
         "lower": found.lower,
         "upper": found.upper,
-        "size": np.abs(mean),
+        "size": np.abs(_mean(form_of(kind), base, ids)),
         "value": sign * form.values(columns, at),
         "is_flat": found.is_flat.astype(float),
         "time": at[0],
-        "counted": np.ones(ids.shape[1]),
         "reference": form.reference(at),
         "near": form.places(nodes, at).T,
     }
@@ -310,17 +268,13 @@ def proven_margin(
 ) -> Float[Array, " k"]:
     """Bounds det J of whole cells from below, over its undeformed mean: above 0 no cell folds.
 
-    It is the least Bernstein coefficient, `Proof.margin` but for round-off. A cell that is folded
-    on the undeformed mesh has a negative margin until it is unfolded. Traced: `jit`, `grad` and
-    `vmap` work over `points` and `base`. All cells are cut alike, since what is traced cannot
+    It is the least Bernstein coefficient, `Proof.margin` but for round-off. Traced: `jit`, `grad`
+    and `vmap` work over `points` and `base`. All cells are cut alike, since what is traced cannot
     depend on the sign.
 
     **Arguments:**
 
-    - `mesh`: the mesh with its cells; `mesh.points` is undeformed.
-    - `points`: where the nodes are now (n, d), in the unit of `mesh.points`.
-    - `base`: where they came from (n, d). The bound then holds during the whole straight motion.
-      Default: none.
+    - `mesh`, `points`, `base`: as `proof` takes them.
     - `depth`: how often each cell is cut, default 0. A cut makes 8 parts in 3-D, 4 in 2-D, with
       `base` twice as many.
     - `sharpness`: makes the bound smooth in the points. It is then lower, by log(coefficients) /
@@ -336,66 +290,50 @@ def proven_margin(
     whole("depth", depth, 0)
     if sharpness is not None and is_known(sharpness):
         between("sharpness", sharpness, 0)
-    check_solid(mesh)
-    kinds, cells = tuple(mesh.cells), tuple(mesh.cells.values())
+    check_solid(mesh, "det J is defined for these alone")
     with jax.ensure_compile_time_eval():  # else XLA would compute it from constants while it compiles
-        sizes = _sizes(kinds, cells, jnp.asarray(mesh.points, now.dtype), tuple(signs_of(mesh).values()))
+        sizes = _undeformed(mesh.cells, jnp.asarray(mesh.points, now.dtype), signs_of(mesh))
     ends = (now,) if start is None else (start, now)
-    return as_jax(_margins((kinds, depth), cells, sizes, ends, sharpness))
+    return as_jax(_margins(mesh.cells, sizes, ends, depth, sharpness))
 
 
 def _room(xp: Any, form: Form, parts: int = 1) -> int:
-    """Number of cells whose coefficients, of `parts` each, are computed together."""
-    return max(64, (ROOM if xp is np else TRACED_ROOM) // (bernstein.count(form.space) * parts))
+    return max(1 if xp is np else 64, (ROOM if xp is np else TRACED_ROOM) // (bernstein.count(form.space) * parts))
 
 
 @by_place
-def _sizes(kinds: tuple[str, ...], cells: tuple[Any, ...], points: Float[Either, "n d"], signs: Any) -> tuple:
+def _undeformed(cells: ByType, points: Float[Either, "n d"], signs: ByType) -> ByType:
     """Computes the mean of det J over each undeformed cell, with the cell's proper sign.
 
     Where that is zero, and of boundary elements, it is that sign.
     """
-    xp, sizes = namespace(points), []
-    for kind, ids, sign in zip(kinds, cells, signs, strict=True):
-        if DIMENSION[kind] != points.shape[1]:
-            sizes.append(xp.ones(len(ids), points.dtype) * sign)
-            continue
-        form = form_of(kind)
-        size = in_blocks(xp, functools.partial(_mean, form, points), ids.T, size=_room(xp, form))
-        sizes.append(abs(xp.where(size == 0, 1, size)) * sign)
-    return tuple(sizes)
+    xp, sizes = namespace(points), {kind: sign.astype(points.dtype) for kind, sign in signs.items()}
+    for kind, ids in cells.items():
+        if DIMENSION[kind] == points.shape[1]:
+            form = form_of(kind)
+            size = in_blocks(xp, functools.partial(_mean, form, points), ids.T, size=_room(xp, form))
+            sizes[kind] *= abs(xp.where(size == 0, 1, size))
+    return sizes
 
 
 @by_place
-def _margins(
-    static: tuple[tuple[str, ...], int],
-    cells: tuple[Any, ...],
-    sizes: tuple[Either, ...],
-    ends: tuple[Either, ...],
-    sharpness: Any,
-) -> Float[Either, " k"]:
-    (kinds, depth), xp, d, margins = static, namespace(ends[0]), ends[0].shape[1], []
-    for kind, ids, own in zip(kinds, cells, sizes, strict=True):
-        if DIMENSION[kind] != d:
-            margins.append(xp.full(len(ids), np.inf, ends[0].dtype))
-            continue
-        form = form_of(kind, len(ends) == 2)
-        size = _room(xp, form, 2 ** (depth * sum(m for m, _ in form.space)))
-        margins.append(in_blocks(xp, functools.partial(_margin, form, ends, depth, sharpness), ids.T, own, size=size))
-    return xp.concatenate(margins)
+def _margins(cells: ByType, sizes: ByType, ends: tuple[Either, ...], depth: int, sharpness: Any) -> Float[Either, " k"]:
+    xp, margins = namespace(ends[0]), {}
+    for kind, ids in cells.items():
+        if DIMENSION[kind] == ends[0].shape[1]:
+            form = form_of(kind, len(ends) == 2)
+            size = _room(xp, form, 2 ** (depth * sum(m for m, _ in form.space)))
+            margin = functools.partial(_margin, form, ends, depth, sharpness)
+            margins[kind] = in_blocks(xp, margin, ids.T, sizes[kind], size=size)
+        else:
+            margins[kind] = xp.full(len(ids), np.inf, ends[0].dtype)
+    return joined(xp, margins)
 
 
 def _margin(
-    form: Form,
-    ends: tuple[Either, ...],
-    depth: int,
-    sharpness: Any,
-    ids: Int[Either, "c k"],
-    size: Float[Either, " k"],
+    form: Form, ends: tuple[Either, ...], depth: int, sharpness: Any, ids: Int[Either, "c k"], size: Float[Either, " k"]
 ) -> Float[Either, " k"]:
-    xp = namespace(ends[0])
-    parts = zip(*(nodes_of(end, ids) for end in ends), strict=True)
-    values = form.coefficients([xp.concatenate(part) for part in parts]) / size[None]
+    xp, values = namespace(ends[0]), form.coefficients(nodes_of(ids, *ends)) / size[None]
     for _ in range(depth):
         values = bernstein.halved(form.space, values)
     values = values.reshape(-1, ids.shape[1])

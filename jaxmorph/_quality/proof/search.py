@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+from collections.abc import Iterator
 
 import jax
 import numpy as np
@@ -48,46 +49,17 @@ def bounds(
 
     Of a cell with few open parts these are cut further.
     """
-    k = coefficients.shape[1]
-    search = _Search(space, depth, round_off, np.full(k, np.inf), np.full(k, np.inf), np.zeros((_dimension(space), k)))
-    corners = [np.concatenate([np.zeros((1, m)), np.eye(m)])[:, :, None] for m, _ in space]
-    corners = [np.broadcast_to(corner, (*corner.shape[:2], k)) for corner in corners]
-    search.look(_Parts(coefficients, np.arange(k), corners), 0)
+    k, d = coefficients.shape[1], sum(m for m, _ in space)
+    search = _Search(space, depth, round_off, np.full(k, np.inf), np.full(k, np.inf), np.zeros((d, k)))
+    search.look(coefficients, np.arange(k), np.zeros((0, k), dtype=int))
     lower, upper = search.lower - round_off, search.upper + round_off
     return Bounds(lower, upper, search.at, (np.abs(search.lower) <= round_off) & (np.abs(search.upper) <= round_off))
 
 
-def _dimension(space: Space) -> int:
-    return sum(m for m, _ in space)
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class _Parts:
-    """Parts of cells: coefficients (n, p), cells, and each factor's corners (m + 1, m, p)."""
-
-    coefficients: Float[np.ndarray, "n p"]
-    cell: Int[np.ndarray, " p"]
-    corners: list[np.ndarray]
-
-    def __getitem__(self, rows: np.ndarray) -> "_Parts":
-        return _Parts(self.coefficients[:, rows], self.cell[rows], [corner[:, :, rows] for corner in self.corners])
-
-    def halved(self, space: Space) -> "_Parts":
-        """Cuts each part into 2^d, in the order of `bernstein.halved`."""
-        counts, p = [2**m for m, _ in space], len(self.cell)
-        corners = []
-        for factor, ((m, _), corner) in enumerate(zip(space, self.corners, strict=True)):
-            own = np.einsum("cij,jmp->imcp", bernstein.children(m), corner)
-            shape = [1] * len(space)
-            shape[factor] = counts[factor]
-            every = np.broadcast_to(own.reshape(m + 1, m, *shape, p), (m + 1, m, *counts, p))
-            corners.append(every.reshape(m + 1, m, -1))
-        return _Parts(bernstein.halved(space, self.coefficients), np.tile(self.cell, np.prod(counts)), corners)
-
-    def place(self, corner: Int[np.ndarray, " p"]) -> Float[np.ndarray, "f p"]:
-        own = np.unravel_index(corner, [len(corners) for corners in self.corners])
-        rows = zip(self.corners, own, strict=True)
-        return np.concatenate([corners[i, :, np.arange(len(corner))].T for corners, i in rows])
+def blocks(rows: Int[np.ndarray, " p"], coefficients: int) -> Iterator[Int[np.ndarray, " q"]]:
+    """Yields rows of so many `coefficients` each, some at a time."""
+    size = max(1, ROOM // coefficients)
+    return (rows[start : start + size] for start in range(0, len(rows), size))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -101,10 +73,13 @@ class _Search:
     upper: np.ndarray
     at: np.ndarray
 
-    def look(self, parts: _Parts, level: int) -> None:
-        """Looks at coefficients of parts, and cuts parts of open sign; negative cells are done."""
-        cell, least = parts.cell, parts.coefficients.min(axis=0)
-        lowest, slack = self._compare(parts), self.round_off[cell]
+    def look(self, coefficients: Float[np.ndarray, "n p"], cell: np.ndarray, path: Int[np.ndarray, "l p"]) -> None:
+        """Looks at parts of cells, and cuts those of open sign; negative cells are done.
+
+        The `path` to a part has the number that it has among its parent's parts, level by level.
+        """
+        least, level, slack = coefficients.min(axis=0), len(path), self.round_off[cell]
+        lowest = self._compare(coefficients, cell, path)
         # where a corner is zero to round-off, closer bounds cannot be positive: only what may be
         # negative is of interest
         is_open = (least < -slack) | ((least <= slack) & (lowest > slack))
@@ -112,28 +87,36 @@ class _Search:
         if level >= self.depth:
             is_open &= (level < 2 * self.depth) & (np.bincount(cell[is_open], minlength=len(self.lower))[cell] <= FEW)
         np.minimum.at(self.lower, cell[~is_open], least[~is_open])
-        rows, size = np.flatnonzero(is_open), self._size
+        rows, parts = np.flatnonzero(is_open), 2 ** len(self.at)
         rows = rows[np.argsort(cell[rows], kind="stable")]  # parts of a cell are counted together
-        for start in range(0, len(rows), size):
-            self.look(parts[rows[start : start + size]].halved(self.space), level + 1)
+        for some in blocks(rows, bernstein.count(self.space) * parts):
+            below = np.vstack([np.tile(path[:, some], parts), np.repeat(np.arange(parts), len(some))])
+            self.look(bernstein.halved(self.space, coefficients[:, some]), np.tile(cell[some], parts), below)
 
-    def _compare(self, parts: _Parts) -> Float[np.ndarray, " p"]:
+    def _compare(self, coefficients: np.ndarray, cell: np.ndarray, path: np.ndarray) -> Float[np.ndarray, " p"]:
         """Compares values at corners with the least found; returns the least of each part."""
-        values = parts.coefficients[bernstein.corners(self.space)]
+        values = coefficients[bernstein.corners(self.space)]
         corner, least = values.argmin(axis=0), values.min(axis=0)
         before = self.upper.copy()
-        np.minimum.at(self.upper, parts.cell, least)
-        rows = np.flatnonzero((least == self.upper[parts.cell]) & (least < before[parts.cell]))
-        self.at[:, parts.cell[rows]] = parts[rows].place(corner[rows])
+        np.minimum.at(self.upper, cell, least)
+        rows = np.flatnonzero((least == self.upper[cell]) & (least < before[cell]))
+        self.at[:, cell[rows]] = _place(self.space, path[:, rows], corner[rows])
         return least
 
-    @functools.cached_property
-    def _size(self) -> int:
-        return max(1, ROOM // (bernstein.count(self.space) * 2 ** _dimension(self.space)))
+
+def _place(space: Space, path: Int[np.ndarray, "l p"], corner: Int[np.ndarray, " p"]) -> Float[np.ndarray, "f p"]:
+    """Computes the places of parts' corners, by barycentric coordinates from the parts outwards."""
+    corners = np.unravel_index(corner, [m + 1 for m, _ in space])
+    paths, found = np.unravel_index(path, [2**m for m, _ in space]), []
+    for (m, _), own, parts in zip(space, corners, paths, strict=True):
+        coordinates = np.eye(m + 1)[own]
+        for part in parts[::-1]:
+            coordinates = np.einsum("pi,pij->pj", coordinates, bernstein.children(m)[part])
+        found.append(coordinates[:, 1:].T)
+    return np.concatenate(found)
 
 
 def has_least(kind: str, d: int) -> bool:
-    """Checks whether cells of a type are curved and fill a space of d dimensions."""
     return kind in HIGH_ORDER and DIMENSION[kind] == d
 
 
@@ -154,15 +137,14 @@ def least_jacobian(kind: str, x: list[Float[Either, "nodes k"]]) -> Float[Either
 
 
 def _places(kind: str, *x: Float[np.ndarray, "nodes k"]) -> Float[np.ndarray, "f k"]:
-    """Finds where det J is least, among the factors of the reference cell."""
-    size = max(1, ROOM // bernstein.count(form_of(kind).space))
+    form = form_of(kind)
+
+    def found(*x: np.ndarray) -> np.ndarray:
+        components = [np.asarray(component, float) for component in x]
+        columns = form.columns(components)
+        values = form.determinant(columns)
+        sign = np.where(form.mean(values) < 0, -1.0, 1.0)
+        return form.inside(bounds(form.space, sign * values, form.round_off(components, columns), DEPTH).at)
+
     with np.errstate(all="ignore"):  # coordinates may be NaN
-        return in_blocks(np, functools.partial(_found, kind), *x, size=size).astype(x[0].dtype)
-
-
-def _found(kind: str, *x: Float[np.ndarray, "nodes k"]) -> Float[np.ndarray, "f k"]:
-    form, components = form_of(kind), [np.asarray(component, float) for component in x]
-    columns = form.columns(components)
-    values = form.determinant(columns)
-    sign = np.where(form.mean(values) < 0, -1.0, 1.0)
-    return form.inside(bounds(form.space, sign * values, form.round_off(components, columns), DEPTH).at)
+        return in_blocks(np, found, *x, size=max(1, ROOM // bernstein.count(form.space))).astype(x[0].dtype)
