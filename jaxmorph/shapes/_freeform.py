@@ -13,11 +13,8 @@ from .._host.package.arguments import between, checked, whole
 from .._host.package.errors import place_of
 from .._kernels.values import is_known, slack
 from ._arguments import Numbers, check_finite, known_positions, positions
-from ._lattice import Blocks, Rows, spans, values
-from ._shape import AbstractLinearShape, Linked, Operator
-
-MANY = 1000
-"""Points from which on `at` sorts them, for a faster operator."""
+from ._lattice import splines, sums
+from ._shape import AbstractLinearShape, Linked, Move
 
 
 class FreeForm(AbstractLinearShape):
@@ -66,8 +63,8 @@ class FreeForm(AbstractLinearShape):
         if is_known(axes) and not abs(np.linalg.det(axes)) > 1e-12 * np.linalg.norm(axes, axis=1).prod():
             raise ValueError("the box is flat: its `axes` lie in one plane or one of them has no length.")
         self.origin, self.axes = origin, axes
-        self.counts, self.degrees = _checked_counts(counts, degree, d)
-        self.continuity = continuity
+        self.counts = _checked_counts(counts, d)
+        self.degrees, self.continuity = _checked_degrees(degree, self.counts), continuity
         if continuity is not None and (continuity < 0 or 2 * (continuity + 1) >= min(self.counts)):
             raise ValueError(
                 f"continuity={continuity} holds {continuity + 1} layers: no control of {self.counts} is free."
@@ -105,37 +102,30 @@ class FreeForm(AbstractLinearShape):
         return FreeForm(low - space, jnp.diag(high - low + 2 * space), counts, degree=degree, continuity=continuity)
 
     def neutral(self) -> Float[Array, "..."]:
-        return jnp.zeros(self._shape)
+        return jnp.zeros((*self.counts, len(self.counts)))
 
     @property
     def free(self) -> Bool[np.ndarray, "..."]:
         """Control points (*counts,) that may move: `continuity` does not hold them."""
         layers = 0 if self.continuity is None else self.continuity + 1
-        free = np.zeros(self.counts, bool)
-        free[tuple(slice(layers, count - layers) for count in self.counts)] = True
-        return free
+        return np.pad(np.ones([count - 2 * layers for count in self.counts], bool), layers)
 
-    def at(self, x: Numbers) -> Operator:
+    def at(self, x: Numbers) -> Move:
         x = positions(x)
+        self.check_dimension(x)
+        t = self.coordinates(x)
+        inside = self.holds(t)[:, None]
+        # what is outside has no weight, and a place where none of its powers is large
+        within = jnp.where(inside, t, 0.5)
+        weights = [splines(*along) for along in zip(within.T, self.counts, self.degrees, strict=True)]
+        weights[0] = jnp.where(inside, weights[0], 0)
+        free = self.free[..., None]
+        return lambda control: sums(weights, jnp.where(free, self._numbers(control, x), 0))
+
+    def check_dimension(self, x: Float[Array, "m d"]) -> None:
+        """Raises `ValueError` for positions in another dimension."""
         if x.shape[1] != len(self.counts):
             raise ValueError(f"`x` has shape {x.shape}; this box is in {len(self.counts)}-D.")
-        t = self.coordinates(x)
-        inside = self.holds(t)
-        # what is outside has no weight, and a place where none of its powers is large
-        within = jnp.where(inside[:, None], t, 0.5)
-        first, weights = [], []
-        for t_along, count, degree in zip(within.T, self.counts, self.degrees, strict=True):
-            first.append(spans(t_along, count, degree))
-            weights.append(values(t_along, first[-1], count, degree))
-        weights[0] = jnp.where(inside[:, None], weights[0], 0)
-        rows = Rows(tuple(weights), tuple(first), self.counts)
-        sorted_rows = Blocks.of(rows) if is_known(x, self) and len(x) >= MANY else rows
-        free = None if self.continuity is None else jnp.asarray(self.free)
-        return Operator(_carried, (sorted_rows, free), self._shape)
-
-    @property
-    def _shape(self) -> tuple[int, ...]:
-        return *self.counts, len(self.counts)
 
     def coordinates(self, x: Float[Array, "m d"]) -> Float[Array, "m d"]:
         """Computes coordinates in the box, each from 0 to 1 inside."""
@@ -175,10 +165,11 @@ class FreeForm(AbstractLinearShape):
         **Raises:** `ValueError` for arrays or controls that are not of this lattice, an edge along
         no axis, and nothing free.
         """
-        free = np.ones(self._shape, bool) if free is None else np.asarray(free)
-        free = np.repeat(free[..., None], len(self.counts), axis=-1) if free.shape == self.counts else free
-        if free.shape != self._shape or free.dtype != bool:
-            raise ValueError(f"`free` has shape {free.shape} of {free.dtype}; expected {self.counts} or {self._shape}.")
+        needed = *self.counts, len(self.counts)
+        free = np.ones(needed, bool) if free is None else np.asarray(free)
+        free = np.repeat(free[..., None], needed[-1], axis=-1) if free.shape == self.counts else free
+        if free.shape != needed or free.dtype != bool:
+            raise ValueError(f"`free` has shape {free.shape} of {free.dtype}; expected {self.counts} or {needed}.")
         _check_groups(groups, self.counts)
         reflected = None if mirror is None else _reflection(np.asarray(self.axes), mirror)
         matrix = _link_matrix(free & self.free[..., None], groups, reflected)
@@ -222,25 +213,24 @@ class FreeForm(AbstractLinearShape):
             )
 
 
-def _carried(weights: Rows | Blocks, free: Array | None, control: Float[Array, "..."]) -> Float[Array, "m d"]:
-    control = control if free is None else jnp.where(free[..., None], control, 0)
-    return weights.sums(control.reshape(-1, control.shape[-1]))
-
-
-def _checked_counts(counts: Any, degree: Any, d: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Returns numbers of control points and degrees, one for each of d directions."""
+def _checked_counts(counts: Sequence[Any], d: int) -> tuple[int, ...]:
     if any(int(count) != count for count in counts):
         raise ValueError(f"`counts` is {tuple(counts)}; expected whole numbers.")
     counts = tuple(int(count) for count in counts)
     if len(counts) != d or min(counts) < 2:
         raise ValueError(f"`counts` is {counts}; a box in {d}-D needs {d} numbers, 2 or more each.")
+    return counts
+
+
+def _checked_degrees(degree: Any, counts: tuple[int, ...]) -> tuple[int, ...]:
+    d = len(counts)
     degrees = (degree,) * d if degree is None or isinstance(degree, int) else tuple(degree)
     if len(degrees) != d:
         raise ValueError(f"`degree` has {len(degrees)} numbers; a box in {d}-D needs one, or {d}.")
     degrees = tuple(count - 1 if p is None else int(p) for p, count in zip(degrees, counts, strict=True))
     if any(not 1 <= p < count for p, count in zip(degrees, counts, strict=True)):
         raise ValueError(f"degrees {degrees} do not fit counts {counts}: each lies from 1 to count - 1.")
-    return counts, degrees
+    return degrees
 
 
 def _link_matrix(

@@ -2,7 +2,7 @@
 
 import abc
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -34,11 +34,15 @@ class AbstractShape(Module):
         """Makes the parameters that move nothing."""
 
 
+Move = Callable[[Any], Float[Array, "m d"]]
+"""Takes parameters to displacements of given positions."""
+
+
 class AbstractLinearShape(AbstractShape):
     """Moves positions by a displacement that is linear in the parameters."""
 
     @abc.abstractmethod
-    def at(self, x: Numbers) -> Callable[[Any], Float[Array, "m d"]]:
+    def at(self, x: Numbers) -> Move:
         """Computes the weights of positions once, to be applied to many parameters.
 
         **Returns:** a function from parameters to displacements (m, d), of which
@@ -50,24 +54,12 @@ class AbstractLinearShape(AbstractShape):
         x = positions(x)
         return x + self.at(x)(parameters)
 
-
-class Operator(Module):
-    """A linear function of parameters with its arrays: `function(*arrays, parameters)`.
-
-    As a closure over the arrays would be, but the arrays are leaves, and programs do not hold them.
-    With `shape`, parameters are one array of this shape, which takes the dtype of the first array.
-    """
-
-    function: Callable[..., Any] = eqx.field(static=True)
-    arrays: tuple[PyTree, ...]
-    shape: tuple[int, ...] | None = eqx.field(static=True, default=None)
-
-    def __call__(self, parameters: PyTree) -> Float[Array, "m d"]:
-        if self.shape is not None:
-            parameters = jnp.asarray(parameters, jax.tree.leaves(self.arrays)[0].dtype)
-            if parameters.shape != self.shape:
-                raise ValueError(f"parameters have shape {parameters.shape}; this shape needs {self.shape}.")
-        return self.function(*self.arrays, parameters)
+    def _numbers(self, parameters: Any, like: Array) -> Float[Array, "..."]:
+        """Turns parameters that are one array into the dtype of positions."""
+        needed, parameters = self.neutral().shape, jnp.asarray(parameters, like.dtype)
+        if parameters.shape != needed:
+            raise ValueError(f"parameters have shape {parameters.shape}; this shape needs {needed}.")
+        return parameters
 
 
 class Function(AbstractShape):
@@ -135,15 +127,14 @@ class Chain(AbstractShape):
 class OnRows(AbstractShape):
     """Moves some rows of the positions by a shape, such as one patch of a wall.
 
-    Unlike `Part`, it takes shapes that are not linear, and the shape meets its own rows alone.
+    Unlike `Part`, it takes any shape, which meets its own rows alone.
 
     **Arguments:**
 
     - `shape`: any shape.
     - `rows`: (k,) different row numbers, 0 or more.
 
-    **Raises:** `ValueError` for rows that are no different row numbers, and rows beyond the
-    positions.
+    **Raises:** `ValueError` for rows that are equal, negative, or beyond the positions.
     """
 
     shape: AbstractShape
@@ -195,14 +186,10 @@ class Linked(AbstractLinearShape):
     def neutral(self) -> Float[Array, " q"]:
         return jnp.zeros(self.matrix.shape[1], self.matrix.dtype)
 
-    def at(self, x: Numbers) -> Operator:
+    def at(self, x: Numbers) -> Move:
         x = positions(x)
-        arrays = self.matrix.astype(x.dtype), self.shape.at(x), self.shape.neutral()
-        return Operator(_linked, arrays, self.matrix.shape[1:])
-
-
-def _linked(matrix: Array, operator: Callable, like: PyTree, parameters: Array) -> Float[Array, "m d"]:
-    return operator(ravel_pytree(like)[1](matrix @ parameters))
+        move, unravel = self.shape.at(x), ravel_pytree(self.shape.neutral())[1]
+        return lambda parameters: move(unravel(self.matrix.astype(x.dtype) @ self._numbers(parameters, x)))
 
 
 class Together(AbstractLinearShape):
@@ -224,16 +211,15 @@ class Together(AbstractLinearShape):
     def neutral(self) -> tuple[PyTree, ...]:
         return tuple(shape.neutral() for shape in self.shapes)
 
-    def at(self, x: Numbers) -> Operator:
-        return Operator(_summed, tuple(shape.at(x) for shape in self.shapes))
+    def at(self, x: Numbers) -> Move:
+        moves = [shape.at(x) for shape in self.shapes]
 
+        def added(parameters: Sequence[Any]) -> Float[Array, "m d"]:
+            if len(parameters) != len(moves):
+                raise ValueError(f"{len(parameters)} sets of parameters for {len(moves)} shapes.")
+            return functools.reduce(jnp.add, [move(own) for move, own in zip(moves, parameters, strict=True)])
 
-def _summed(*operators_and_parameters: Any) -> Float[Array, "m d"]:
-    *operators, parameters = operators_and_parameters
-    if len(parameters) != len(operators):
-        raise ValueError(f"{len(parameters)} sets of parameters for {len(operators)} shapes.")
-    first, *others = (operator(values) for operator, values in zip(operators, parameters, strict=True))
-    return functools.reduce(jnp.add, others, first)
+        return added
 
 
 class Part(AbstractLinearShape):
@@ -260,12 +246,9 @@ class Part(AbstractLinearShape):
     def neutral(self) -> PyTree:
         return self.shape.neutral()
 
-    def at(self, x: Numbers) -> Operator:
+    def at(self, x: Numbers) -> Move:
         x = positions(x)
         if self.kept.shape != x.shape[:1]:
             raise ValueError(f"`kept` has {len(self.kept)} rows for {len(x)} positions.")
-        return Operator(_masked, (self.kept, self.shape.at(x)))
-
-
-def _masked(mask: Array, operator: Callable, parameters: PyTree) -> Float[Array, "m d"]:
-    return jnp.where(mask[:, None], operator(parameters), 0)
+        move = self.shape.at(x)
+        return lambda parameters: jnp.where(self.kept[:, None], move(parameters), 0)

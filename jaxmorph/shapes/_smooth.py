@@ -20,7 +20,7 @@ from jaxmorph import Mesh
 from .._host.package.arguments import between, checked, rows_of
 from .._kernels.callback import host_call
 from ._arguments import Numbers, known_positions, positions
-from ._shape import AbstractLinearShape, Operator
+from ._shape import AbstractLinearShape, Move
 from ._walls import faces_of, wall_faces
 
 
@@ -91,11 +91,10 @@ class Smoother(AbstractLinearShape):
     def neutral(self) -> Float[Array, "m d"]:
         return jnp.zeros((len(self.masses), self.dimension))
 
-    def at(self, x: Numbers) -> Operator:
-        """Checks the number of positions (m, d); the operator is that of the given wall."""
+    def at(self, x: Numbers) -> Move:
         if positions(x).shape != self.neutral().shape:
             raise ValueError(f"`x` has shape {positions(x).shape}; this wall has {self.neutral().shape}.")
-        return Operator(Smoother.apply, (self,))
+        return self.apply
 
     def apply(self, u: Numbers) -> Float[Array, "m d"]:
         """Filters displacements (m, d)."""
