@@ -11,6 +11,7 @@ from jaxmorph._host.package.arguments import shown
 from jaxmorph._host.package.ranks import Agreement as Agreement
 from jaxmorph._host.package.ranks import together as together
 from jaxmorph._host.package.rounding import rows_in as rows_in
+from jaxmorph._host.package.rounding import spacing as spacing
 from jaxmorph._host.surface.gaps import closest as closest
 from jaxmorph._host.surface.gaps import fans as fans
 from jaxmorph._kernels.compile import float64_mode as float64_mode

@@ -20,9 +20,8 @@ from ._shape import AbstractLinearShape, Linked, Move
 class FreeForm(AbstractLinearShape):
     """A box of control points that carry the points inside; points outside stay.
 
-    With the highest degree the weights are Bernstein polynomials (Sederberg and Parry, Free-form
-    deformation of solid geometric models, SIGGRAPH 1986). The parameters are the displacements
-    (*counts, d) of the control points.
+    With the highest degree the weights are Bernstein polynomials (Sederberg and Parry, SIGGRAPH
+    1986). The parameters are the displacements (*counts, d) of the control points.
 
     **Arguments:**
 
@@ -31,9 +30,8 @@ class FreeForm(AbstractLinearShape):
     - `counts`: numbers of control points along each edge, 2 or more.
     - `degree`: of the B-splines, one number or a number for each direction; None is the highest,
       `counts - 1`.
-    - `continuity`: k holds the k + 1 outer layers of control points. What stands across the border
-      then joins with k continuous derivatives. None holds none, and a wall across the border tears
-      where the border moves.
+    - `continuity`: k holds the k + 1 outer layers of control points, so that a wall across the
+      border has k continuous derivatives. None holds none: the wall tears where the border moves.
 
     **Raises:** `ValueError` for wrong shapes, edges in one plane, counts below 2, degrees outside
     of 1 to `counts - 1`, and a continuity that leaves no control point free.
@@ -80,14 +78,9 @@ class FreeForm(AbstractLinearShape):
         degree: int | Sequence[int | None] | None = None,
         continuity: int | None = None,
     ) -> "FreeForm":
-        """Makes the box along the axes that holds all points.
+        """Makes the box along the axes around points (m, d).
 
-        **Arguments:**
-
-        - `points`: positions (m, d) to be inside.
-        - `counts`, `degree`, `continuity`: as for the class.
-        - `margin`: room on each side, relative to the longest edge of the points' box. Default
-          0.05.
+        `margin` is the room on each side, relative to the longest edge of the points' box.
 
         **Raises:** `ValueError` as the class does, and for points in one plane without a margin.
         """
@@ -106,7 +99,7 @@ class FreeForm(AbstractLinearShape):
 
     @property
     def free(self) -> Bool[np.ndarray, "..."]:
-        """Control points (*counts,) that may move: `continuity` does not hold them."""
+        """True for control points that `continuity` leaves free, (*counts,)."""
         layers = 0 if self.continuity is None else self.continuity + 1
         return np.pad(np.ones([count - 2 * layers for count in self.counts], bool), layers)
 
@@ -156,8 +149,7 @@ class FreeForm(AbstractLinearShape):
 
         **Arguments:**
 
-        - `free`: which controls may move, (*counts,), or which of their coordinates, (*counts, d);
-          all by default.
+        - `free`: True for free controls (*counts,), or coordinates (*counts, d); all by default.
         - `groups`: lists of controls (i, j[, k]) that move alike.
         - `mirror`: direction of the lattice whose two halves move as mirror images; its edge must
           be along an axis.
@@ -190,14 +182,9 @@ class FreeForm(AbstractLinearShape):
 
     @checked
     def raise_if_torn(self, x: Numbers, control: Numbers) -> None:
-        """Raises `ValueError` where the border of the box passes nodes outside: it tears a wall.
+        """Raises `ValueError` where the border passes nodes (m, d) outside: it tears a wall.
 
-        These nodes are nearer to the border than it moves there.
-
-        **Arguments:**
-
-        - `x`: positions (m, d) of the wall.
-        - `control`: displacements (*counts, d) of the control points.
+        These nodes are nearer to the border than it moves there by `control` (*counts, d).
         """
         x = known_positions(x)
         t = np.asarray(self.coordinates(jnp.asarray(x)))
@@ -238,10 +225,7 @@ def _link_matrix(
 ) -> Float[np.ndarray, "p q"]:
     """Builds the matrix from free parameters to the displacements of all controls, flattened.
 
-    - `free` (*counts, d): True for components that may move.
-    - `groups`: lists of controls that move alike.
-    - `mirror`: the direction of the lattice that is reflected, and the signs (d,) of the
-      reflection.
+    `mirror` is the reflected direction of the lattice, with the signs (d,) of the reflection.
     """
     ids, count = np.arange(free.size).reshape(free.shape), free.size
     pairs = [(ids[:0], ids[:0], ids[:0])]
@@ -269,7 +253,6 @@ def _check_groups(groups: Sequence[Sequence[tuple[int, ...]]], counts: tuple[int
 
 
 def _reflection(axes: Float[np.ndarray, "d d"], mirror: int) -> tuple[int, np.ndarray]:
-    """Returns the mirrored direction of a lattice, and the signs (d,) of its reflection."""
     if whole("mirror", mirror, 0) >= len(axes):
         raise ValueError(f"`mirror` is {mirror}; the lattice has directions 0 to {len(axes) - 1}.")
     edge = np.abs(axes[mirror])

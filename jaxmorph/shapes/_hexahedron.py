@@ -96,10 +96,7 @@ class Hexahedron(AbstractLinearShape):
 
     @checked
     def coordinates(self, x: Numbers) -> Float[Array, "m d"]:
-        """Computes coordinates in the box, from 0 to 1 inside, 2 far outside. Traced.
-
-        **Raises:** `ValueError` for positions in another dimension.
-        """
+        """Computes coordinates in the box, from 0 to 1 inside, 2 far outside. Traced."""
         x = positions(x)
         self.box.check_dimension(x)
         return _places(x, self.corners.astype(x.dtype))

@@ -1,7 +1,4 @@
-"""Motions of all positions: rotation, translation, scaling; twist and bend along a line or an axis.
-
-Each adds an increment that is exactly zero at the neutral parameter: x comes back bit for bit.
-"""
+"""Motions of all positions; at the neutral parameter x comes back bit for bit."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -39,12 +36,7 @@ def rotate(x: Numbers, angle: Number | Numbers, about: Numbers, axis: Numbers | 
 
 @checked
 def translate(x: Numbers, by: Numbers) -> Float[Array, "m d"]:
-    """Translates positions.
-
-    **Arguments:**
-
-    - `x`: positions (m, d).
-    - `by`: vector (d,), in the units of `x`; 0 is neutral.
+    """Translates positions (m, d) by a vector (d,), in their units; 0 is neutral.
 
     **Raises:** `ValueError` for wrong shapes.
     """
@@ -54,13 +46,9 @@ def translate(x: Numbers, by: Numbers) -> Float[Array, "m d"]:
 
 @checked
 def scale(x: Numbers, factors: Numbers | Number, about: Numbers) -> Float[Array, "m d"]:
-    """Scales positions about a point.
+    """Scales positions (m, d) about a point (d,) that stays.
 
-    **Arguments:**
-
-    - `x`: positions (m, d).
-    - `factors`: one number, or one for each coordinate (d,); 1 is neutral.
-    - `about`: a point (d,) that stays.
+    `factors` is one number, or one for each coordinate (d,); 1 is neutral.
 
     **Raises:** `ValueError` for wrong shapes.
     """
@@ -155,10 +143,8 @@ class ReferenceAxis(AbstractShape):
 
     The parameters are a dict with any of these, one value for each station (k,):
 
-    - `twist`: radians about the direction of the span at the axis, in the sense of `rotate`; 0 is
-      neutral.
-    - `chord`: factor of a section's size around the axis; 1 is neutral. A taper is a chord that
-      falls from root to tip.
+    - `twist`: radians about the direction of the span, in the sense of `rotate`; 0 is neutral.
+    - `chord`: factor of a section's size around the axis; 1 is neutral. A taper falls to the tip.
     - `sweep`, `dihedral`, `span`: lengths by which a station moves along the chord, across chord
       and span, and along the span.
 

@@ -19,11 +19,7 @@ from ._arguments import Numbers, check_finite, positions
 
 
 class AbstractShape(Module):
-    """Moves positions by parameters: `shape(x, parameters)`.
-
-    A plain function of `(x, parameters)` serves as well. A class adds `neutral()`, the parameters
-    that move nothing.
-    """
+    """Moves positions by parameters: `shape(x, parameters)`; a plain function serves as well."""
 
     @abc.abstractmethod
     def __call__(self, x: Numbers, parameters: PyTree) -> Float[Array, "m d"]:
@@ -63,14 +59,9 @@ class AbstractLinearShape(AbstractShape):
 
 
 class Function(AbstractShape):
-    """Makes a shape of a function of positions and parameters.
+    """Makes a shape of a function of positions (m, d) and parameters, which are neutral at `rest`.
 
-        pitch = shapes.Function(lambda x, angle: shapes.rotate(x, angle, [0.25, 0.0]), 0.0)
-
-    **Arguments:**
-
-    - `function`: takes positions (m, d) and parameters, returns positions (m, d).
-    - `rest`: the parameters that move nothing.
+    pitch = shapes.Function(lambda x, angle: shapes.rotate(x, angle, [0.25, 0.0]), 0.0)
     """
 
     function: Callable[[Any, Any], Any]
@@ -87,16 +78,12 @@ class Function(AbstractShape):
 
 
 class Chain(AbstractShape):
-    """Applies shapes in sequence; the parameters are a dict by the shapes' names.
+    """Applies shapes in sequence, in the order of a dict by their names.
 
-    A shape whose name is not in the dict is not applied.
+    So are the parameters, and a shape whose name is not among them is not applied.
 
         wing = shapes.Chain({"box": box, "pitch": pitch})
         u = shapes.displacement(wing, plan, {"pitch": 0.1})
-
-    **Arguments:**
-
-    - `shapes`: shapes by name, in the order in which they are applied.
 
     **Raises:** `ValueError` for no shapes, and for parameters of unknown names.
     """
@@ -114,7 +101,6 @@ class Chain(AbstractShape):
         return {name: shape.neutral() for name, shape in zip(self.names, self.shapes, strict=True)}
 
     def __call__(self, x: Numbers, parameters: Mapping[str, Any]) -> Float[Array, "m d"]:
-        """Moves positions (m, d) by a dict of parameters."""
         x, unknown = positions(x), [name for name in parameters if name not in self.names]
         if unknown:
             raise ValueError(f"no shape is called {', '.join(unknown)}; this chain has {', '.join(self.names)}.")
@@ -193,9 +179,7 @@ class Linked(AbstractLinearShape):
 
 
 class Together(AbstractLinearShape):
-    """Several linear shapes added, such as two boxes side by side.
-
-    The parameters are a tuple, one entry for each shape.
+    """Several linear shapes added, such as two boxes side by side; the parameters are a tuple.
 
     A box that another box is to carry is nested instead: `outer(inner(x, q), p)`, or a `Chain`.
     """
@@ -223,12 +207,7 @@ class Together(AbstractLinearShape):
 
 
 class Part(AbstractLinearShape):
-    """A linear shape on some of the positions, such as the upper side of an airfoil.
-
-    **Arguments:**
-
-    - `shape`: a linear shape.
-    - `kept`: (m,) True where it acts.
+    """A linear shape that acts where `kept` (m,) is True, such as the upper side of an airfoil.
 
     **Raises:** `ValueError` for a mask of another length than the positions.
     """

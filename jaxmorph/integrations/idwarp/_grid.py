@@ -16,17 +16,14 @@ from .._pieces import check_comm, numbers_of, together
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Grid:
-    """Holds what this process has of a grid in 3-D.
-
-    The coordinates of all processes, one after the other, are the file's.
+    """This process' part of a grid in 3-D; those of all processes in turn are the file's list.
 
     - `points` (n, 3), `nodes` (n,): coordinates, and ids in the whole mesh.
-    - `rows` (k,): the row of `points` of each node that the file lists, as far as it is this
-      process'. Blocks repeat nodes.
-    - `mesh`: the whole mesh in the first process and None in others; or the part of a decomposed
-      case that this process has.
-    - `outside`: the mesh of the first process by whose patches the surface is prepared; None in
-      others.
+    - `rows` (k,): the row of `points` of each node in this process' part of the list, where blocks
+      repeat nodes.
+    - `mesh`: the whole mesh in the first process and None in others; or this process' part of a
+      decomposed case.
+    - `outside`: the mesh in the first process by whose patches the surface is prepared.
     - `case`: the decomposed case.
     """
 
@@ -106,9 +103,9 @@ class Grid:
 class SolverOrder:
     """Takes coordinates from the list of all processes to the solver's list of each, and back.
 
-    - `count`: the numbers that this process has of the list of all.
-    - `sent`: places of the numbers that go to each process, in that process' order.
-    - `places`: where the numbers that come from each process stand in this process' solver.
+    - `count`: numbers of the list in this process.
+    - `sent`: their places, for each process in that process' order.
+    - `places`: the places in this process' solver of the numbers from each process.
     """
 
     comm: Any
@@ -183,9 +180,13 @@ def surface_blocks(comm: Any, path: str) -> tuple[np.ndarray, np.ndarray]:
 def faces(points: Any, conn: Any, sizes: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     points = numbers_of("pts", points)
     points = points if points.size else points.reshape(-1, 3)
-    corners, counts = _whole("conn", conn), _whole("faceSizes", sizes)
+    corners, counts = (numbers_of(name, each).ravel() for name, each in (("conn", conn), ("faceSizes", sizes)))
     if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
         raise ValueError(f"`pts` has shape {points.shape}; expected finite coordinates (k, 3).")
+    for name, array in (("conn", corners), ("faceSizes", counts)):  # which may come as floats
+        if not (array == np.floor(array)).all():
+            raise ValueError(f"`{name}` must be whole numbers.")
+    corners, counts = corners.astype(np.int64), counts.astype(np.int64)
     if (counts < 3).any() or counts.sum() != len(corners):
         raise ValueError(
             f"`faceSizes` adds up to {counts.sum()}, and `conn` has {len(corners)} corners; a face has 3 or more."
@@ -195,14 +196,6 @@ def faces(points: Any, conn: Any, sizes: Any) -> tuple[np.ndarray, np.ndarray, n
             f"`conn` goes from {corners.min()} to {corners.max()}; `pts` has points 0 to {len(points) - 1}."
         )
     return points, corners, counts
-
-
-def _whole(name: str, values: Any) -> np.ndarray:
-    """Returns whole numbers, which may come as floats, in one row."""
-    array = numbers_of(name, values)
-    if not (array == np.floor(array)).all():
-        raise ValueError(f"`{name}` must be whole numbers.")
-    return array.astype(np.int64).ravel()
 
 
 def reals(name: str, values: Any, shape: tuple[int, ...]) -> np.ndarray:

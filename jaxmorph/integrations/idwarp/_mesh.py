@@ -48,10 +48,7 @@ def checked(options: Any) -> dict[str, Any]:
     """Completes options by IDWarp's defaults, and adds a list of those that were given."""
     if not isinstance(options, Mapping) or not all(isinstance(name, str) for name in options):
         raise ValueError(f"`options` must be a dictionary of options by name, such as gridFile, not {options!r}.")
-    values = {name_of(name): value for name, value in options.items()}
-    for name, value in values.items():
-        if value is not None:
-            _check(name, value)
+    values = {name_of(name): _checked(name_of(name), value) for name, value in options.items()}
     values["fileType"] = KINDS.get((values.get("fileType") or "CGNS").lower())
     if values.get("gridFile") is None or values["fileType"] is None:
         raise ValueError(f"`gridFile` must be the name of a grid, and `fileType` one of {', '.join(KINDS.values())}.")
@@ -65,13 +62,11 @@ def name_of(name: str) -> str:
     return known[name.lower()]
 
 
-def _is_of(value: Any, kinds: tuple[type, ...]) -> bool:
-    return isinstance(value, kinds) and (bool in kinds or not isinstance(value, bool))
-
-
-def _check(name: str, value: Any) -> None:
+def _checked(name: str, value: Any) -> Any:
+    if value is None:
+        return None
     kinds = OPTIONS[name][0]
-    if not _is_of(value, kinds):
+    if not isinstance(value, kinds) or type(value) in {bool} - {*kinds}:
         raise ValueError(f"`{name}` is {value!r}; expected {' or '.join(kind.__name__ for kind in kinds)}.")
     if name in ("specifiedSurfaces", "symmetrySurfaces") and not all(isinstance(entry, str) for entry in value):
         raise ValueError(f"`{name}` is {value!r}; expected names of patches.")
@@ -81,9 +76,8 @@ def _check(name: str, value: Any) -> None:
         except (TypeError, ValueError):
             shape = ()
         if shape[1:] != (2, 3):
-            raise ValueError(
-                f"`{name}` is {value!r}; expected a point and a normal for each: [[[0, 0, 0], [0, 1, 0]]]."
-            )
+            raise ValueError(f"`{name}` is {value!r}; expected points and normals: [[[0, 0, 0], [0, 1, 0]]].")
+    return value
 
 
 def warn_of(options: Mapping[str, Any]) -> None:

@@ -81,11 +81,10 @@ class MultiUSMesh:
     def setSurfaceDefinition(
         self, pts: Any, conn: Any = None, faceSizes: Any = None, cgnsBlockIDs: Any = None, distTol: float = 1e-6
     ) -> None:
-        """Defines the surface as `USMesh` does.
+        """Defines the surface as `USMesh` does; IDWarp's `distTol` changes nothing here.
 
         - `cgnsBlockIDs`: the zone of each face, counted from 0. Faces of grids that stay do not
           move.
-        - `distTol`: IDWarp's; nothing here depends on it.
         """
         points, corners, sizes = together(self.comm, lambda: faces(pts, conn, faceSizes))
         zones = together(self.comm, lambda: self._zones_of_faces(cgnsBlockIDs, sizes.shape))
@@ -98,15 +97,15 @@ class MultiUSMesh:
 
     def getSurfaceCoordinates(self) -> Inexact[np.ndarray, "k 3"]:
         """Returns the surface's points that this process has, as they were set last."""
-        for rows, mesh in zip(self._defined(), self.meshes, strict=True):
+        for rows, mesh in self._parts():
             self._coordinates[rows] = mesh.getSurfaceCoordinates()
         return self._coordinates.copy()
 
     def setSurfaceCoordinates(self, pts: Any) -> None:
         """Sets the surface's points, as `getSurfaceCoordinates` orders them; `warpMesh` moves."""
-        self._defined()
+        parts = self._parts()
         points = together(self.comm, lambda: numbers("pts", pts, self._coordinates.shape, self._number))
-        for rows, mesh in zip(self._defined(), self.meshes, strict=True):
+        for rows, mesh in parts:
             mesh.setSurfaceCoordinates(points[rows])
 
     def warpMesh(self) -> None:
@@ -141,16 +140,16 @@ class MultiUSMesh:
     def getdXs(self) -> Float[np.ndarray, "k 3"]:
         """Returns the derivative by the surface's points that `warpDeriv` computed."""
         total = np.zeros(self._coordinates.shape)
-        for rows, mesh in zip(self._defined(), self.meshes, strict=True):
+        for rows, mesh in self._parts():
             total[rows] += mesh.getdXs()
         return total
 
     def warpDerivFwd(self, dXs: Any) -> Float[np.ndarray, " c"]:
         """Pushes a change of the surface's points (k, 3) forward to the solver's coordinates."""
-        self._defined()
+        parts = self._parts()
         tangent = together(self.comm, lambda: reals("dXs", dXs, self._coordinates.shape))
         change = np.zeros(self._solver().size)
-        for rows, chosen, mesh in zip(self._defined(), self._chosen, self.meshes, strict=True):
+        for (rows, mesh), chosen in zip(parts, self._chosen, strict=True):
             change[chosen] = mesh.warpDerivFwd(tangent[rows])
         return change
 
@@ -184,10 +183,11 @@ class MultiUSMesh:
             raise ValueError("the solver's order is not known: call setExternalMeshIndices.")
         return self._order
 
-    def _defined(self) -> list[np.ndarray]:
+    def _parts(self) -> list[tuple[np.ndarray, USMesh]]:
+        """Returns each grid with the rows of its points among those of the surface."""
         if self._rows is None:
             raise ValueError("the surface is not known: call setSurfaceDefinition.")
-        return self._rows
+        return list(zip(self._rows, self.meshes, strict=True))
 
 
 class MultiUSMesh_C(MultiUSMesh):
@@ -209,13 +209,12 @@ def _read(path: str, options: Any) -> tuple[jm.Mesh, tuple[list[str], np.ndarray
         zones = open_zones(pathlib.Path(path), file)[0]
         grids = [zone.name.rpartition(".")[0] or zone.name for zone in zones]
         counts = np.array([zone.count for zone in zones])
-    names = list(dict.fromkeys(name for name in grids if name in options))
-    missing = [name for name in options if name not in grids]
-    if missing or not names:
-        raise ValueError(
-            f"`optionsDict`: {path} has no grid {', '.join(missing)}; it has {', '.join(dict.fromkeys(grids))}."
-        )
-    return mesh, (names, counts, np.array([names.index(name) if name in names else -1 for name in grids]))
+    numbers = {name: k for k, name in enumerate(name for name in dict.fromkeys(grids) if name in options)}
+    missing = [name for name in options if name not in numbers]
+    if missing or not numbers:
+        known = ", ".join(dict.fromkeys(grids))
+        raise ValueError(f"`optionsDict`: {path} has no grid {', '.join(missing)}; it has {known}.")
+    return mesh, (list(numbers), counts, np.array([numbers.get(name, -1) for name in grids]))
 
 
 def _part(mesh: jm.Mesh, is_own: np.ndarray) -> jm.Mesh:

@@ -22,6 +22,9 @@ from ._options import KINDS, Options, Variable, checked_variables, read_options
 LARGE = 0.5
 """Motion of a wall over its own length that is taken for a mistake."""
 
+RIGID = {"TRANSLATION", "ROTATION", "SCALE"}
+"""Kinds that may move a wall far."""
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Config:
@@ -119,29 +122,25 @@ def read_config(path: str | os.PathLike[str], *, definition: bool = False) -> Co
     """
     options = read_options(pathlib.Path(path))
     listed, markers = checked_variables(options, definition)
-    mesh = io.read(options.mesh_file)
+    mesh, sorts = io.read(options.mesh_file), {variable.sort for variable in listed}
     is_setting = any(variable.kind == "FFD_SETTING" for variable in listed)
-    sorts = {variable.sort for variable in listed}
-    if "mesh" in sorts:
-        moving = tuple(mesh.patches)
-    else:
-        moving = _present(options, mesh, "DV_MARKER", markers, is_setting or not sorts <= {"nothing", "flow"})
+    is_whole, is_moving = "mesh" in sorts, is_setting or not sorts <= {"nothing", "flow"}
+    moving = tuple(mesh.patches) if is_whole else _present(options, mesh, "DV_MARKER", markers, is_moving)
     planes, inner = (_present(options, mesh, name, options.words(name)) for name in ("MARKER_SYM", "MARKER_INTERNAL"))
     try:
         boxes = boxes_of(options, mesh, moving, is_setting)
         parts = wall_parts(options, listed, mesh, moving) + box_parts(options, listed, mesh, moving, boxes)
     except ValueError as error:
         raise ValueError(f"{options.path}: {str(error).removeprefix(f'{options.path}: ')}") from None
-    shape = _shape(options, listed, parts, _free_coordinates(mesh, moving, () if "mesh" in sorts else planes))
-    symmetry = tuple(name for name in planes if name not in moving)
-    loose = {*moving, *symmetry, *inner}
+    shape = _shape(options, listed, parts, _free_coordinates(mesh, moving, () if is_whole else planes))
+    loose = {*moving, *planes, *inner}
     config = Config(
         mesh,
         options.output,
         shape,
         _values(options, shape, definition),
         moving,
-        symmetry,
+        symmetry=tuple(name for name in planes if name not in moving),
         fixed=tuple(name for name in mesh.patches if name not in loose),
         steps=options.whole("DEFORM_NONLINEAR_ITER"),
         boxes=boxes,
@@ -167,9 +166,8 @@ def _present(
         except ValueError:
             absent.append(marker)
     if is_needed and not present:
-        raise options.error(
-            name, f"names no marker of the mesh, so nothing would move; it has {', '.join(mesh.patches)}"
-        )
+        there = ", ".join(mesh.patches)
+        raise options.error(name, f"names no marker of the mesh, so nothing would move; it has {there}")
     if absent:
         warn(f"{options.path}: {name}= the mesh has no marker {', '.join(absent)}; left out.")
     return tuple(dict.fromkeys(present))
@@ -183,10 +181,9 @@ def _warn_of_results(config: Config, listed: Sequence[Variable]) -> None:
     if left_out := options.left_out():
         warn(f"{options.path}: not honoured here, though SU2's result depends on it: {', '.join(left_out)}.")
     relaxed = options.relaxation
-    rigid = ("TRANSLATION", "ROTATION", "SCALE") if relaxed == 1 else ()  # they may go far
-    suspect = [variable for variable in listed if variable.sort in ("wall", "box") and variable.kind not in rigid]
-    if config.share > LARGE and suspect:
-        cause = f"OPT_RELAX_FACTOR= {relaxed:g} multiplies DV_VALUE, as in SU2" if relaxed != 1 else "check DV_VALUE"
+    cause = "check DV_VALUE" if relaxed == 1 else f"OPT_RELAX_FACTOR= {relaxed:g} multiplies DV_VALUE, as in SU2"
+    kinds = {variable.kind for variable in listed if variable.sort in ("wall", "box")}
+    if config.share > LARGE and kinds - (RIGID if relaxed == 1 else set()):
         warn(f"{options.path}: the wall moves by {config.share:.3g} times its own length: {cause}.")
 
 
@@ -204,21 +201,15 @@ def _values(options: Options, shape: DesignVariables, definition: bool) -> Float
 def _shape(
     options: Options, listed: Sequence[Variable], parts: Sequence[AbstractPart], free: np.ndarray
 ) -> DesignVariables:
-    # SU2 relaxes amplitudes, not the vectors of control points without a direction, nor camber
-    scales = [
-        variable.scale * (options.relaxation if variable.size == 1 and variable.kind != "HICKS_HENNE_CAMBER" else 1)
-        for variable in listed
-    ]
-    rest = [
-        1 / scale if variable.kind.startswith("SCALE") else 0.0 for variable, scale in zip(listed, scales, strict=True)
-    ]
-    names = [
-        f"{variable.kind}[{k}]" + (f"[{part}]" if variable.size > 1 else "")
-        for k, variable in enumerate(listed)
-        for part in range(variable.size)
-    ]
-    sizes = [variable.size for variable in listed]
-    factors, neutral = (jnp.asarray(np.repeat(values, sizes)) for values in (scales, rest))
+    names, scales, rest = [], [], []
+    for k, own in enumerate(listed):
+        # SU2 relaxes amplitudes, not the vectors of control points without a direction, nor camber
+        is_relaxed = own.size == 1 and own.kind != "HICKS_HENNE_CAMBER"
+        scale = own.scale * (options.relaxation if is_relaxed else 1)
+        names += [f"{own.kind}[{k}]" + (f"[{part}]" if own.size > 1 else "") for part in range(own.size)]
+        scales += [scale] * own.size
+        rest += [1 / scale if own.kind.startswith("SCALE") else 0.0] * own.size
+    factors, neutral = (jnp.asarray(np.array(values, float)) for values in (scales, rest))
     return DesignVariables(tuple(names), tuple(parts), factors, neutral, jnp.asarray(free))
 
 

@@ -80,20 +80,19 @@ def read_sensitivity(config: Config, path: str | os.PathLike[str] | None = None)
 def _file(options: Options, is_normal: bool) -> pathlib.Path:
     """Finds the file of sensitivities that the config file names."""
     objective = options.text("OBJECTIVE_FUNCTION", "DRAG")
-    names = [name.strip("() ") for name in objective.split(",")]
-    kind = "combo" if len(names) > 1 else EXTENSIONS.get(names[0], "*")
-    tried = []
-    for option, default in {"SURFACE_ADJ_FILENAME": "surface_adjoint"}.items() if is_normal else FILES.items():
-        name = pathlib.Path(options.text(option, default))
+    kind = "combo" if "," in objective else EXTENSIONS.get(objective.strip("() "), "*")
+    defaults = {"SURFACE_ADJ_FILENAME": "surface_adjoint"} if is_normal else FILES
+    names = {option: pathlib.Path(options.text(option, default)) for option, default in defaults.items()}
+    for name in names.values():
         stem = name.with_suffix("") if name.suffix in (".dat", ".csv") else name
         endings = dict.fromkeys([name.suffix if stem != name else ".dat", ".csv", ".dat"])
         for pattern in (f"{stem}_{kind}", str(stem)):
             found = [file for ending in endings for file in sorted(options.path.parent.glob(pattern + ending))]
             if len(found) == 1 or (found and "*" not in pattern):
                 return found[0]
-        tried.append(f"{option}= {name}")
+    tried = ", ".join(f"{option}= {name}" for option, name in names.items())
     raise ValueError(
-        f"{options.path}: no file of sensitivities is there ({', '.join(tried)}), with _{kind} or without: give --sensitivity."
+        f"{options.path}: no file of sensitivities is there ({tried}), with _{kind} or without: give --sensitivity."
     )
 
 
@@ -101,18 +100,19 @@ def _by_normals(config: Config, file: pathlib.Path) -> Float[np.ndarray, "m d"] 
     """Reads derivatives along the wall's normals, which point into the flow; None without them."""
     with file.open("rb") as stream:
         names = [name.strip(b"\"' \r\n\t").decode(errors="replace").lower() for name in stream.readline().split(b",")]
-    column = next((names.index(name) for name in NORMAL if name in names), None)
-    if column is None:
+    columns = [names.index(name) for name in NORMAL if name in names]
+    if not columns:
         return None
     try:
-        rows = np.loadtxt(file, delimiter=",", skiprows=1, usecols=(0, column), ndmin=2).tolist()
+        rows = np.loadtxt(file, delimiter=",", skiprows=1, usecols=(0, columns[0]), ndmin=2)
     except ValueError as error:
         raise ValueError(f"{file}: {error}") from None
-    nodes, slopes = config.mesh.patch(*config.moving), {int(node): slope for node, slope in rows}
+    if not np.isfinite(rows).all():
+        raise ValueError(f"{file}: values that are not finite.")
+    nodes, slopes = config.mesh.patch(*config.moving), dict(rows.tolist())
     missing = [node for node in nodes.tolist() if node not in slopes]
-    if missing or not np.isfinite(rows).all():
-        fault = f"{len(missing)} of {len(nodes)} nodes of DV_MARKER are missing, first {missing[0]}" if missing else ""
-        raise ValueError(f"{file}: {fault or 'values that are not finite'}.")
+    if missing:
+        raise ValueError(f"{file}: {len(missing)} of {len(nodes)} nodes of DV_MARKER are missing, first {missing[0]}.")
     normals = shapes.wall_normals(config.mesh, *config.moving)
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     values = np.array([slopes[node] for node in nodes.tolist()])
