@@ -4,12 +4,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from cases import body
 from runs import runs
 from scipy.interpolate import BSpline
 from scipy.special import comb
 
-import jaxmorph as jm
 from jaxmorph import io, shapes
 from jaxmorph.shapes._lattice import SLAB
 
@@ -122,31 +120,30 @@ def test_continuity_joins_the_border(k):
     assert np.abs(across(1e-13)).max() > 0.1
 
 
+WRONG = ([[(0, 1, 2)]], [[(0, 0.5)]], [[(0, 5)]], [[1, 2, 3]], [["abc"]])
+"""Groups of no control points of a lattice."""
+
+
+def unit(*counts, **options):
+    return shapes.FreeForm([0, 0], np.eye(2), counts, **options)
+
+
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: shapes.FreeForm([0, 0], np.eye(2), (4, 4), degree=4), "count - 1"),
-        (lambda: shapes.FreeForm([0, 0], np.eye(2), (4, 4), continuity=1), "no control"),
+        (lambda: unit(4, 4, degree=4), "count - 1"),
+        (lambda: unit(4, 4, continuity=1), "no control"),
         (lambda: shapes.FreeForm.around(np.zeros((5, 2)), (2, 2)), "flat"),
         (lambda: shapes.FreeForm.around(np.zeros((0, 2)), (2, 2)), "no rows"),
-        (
-            lambda: shapes.FreeForm.around([[0, 0], [np.nan, 1]], (2, 2)),
-            "1 of 2 rows of `points` are not finite, first row 1",
-        ),
-        (
-            lambda: shapes.FreeForm([0, 0], np.eye(2), (4, 4)).raise_if_outside([[0, 1], [0, 2]]),
-            "1 of 2 .* row 1 at \\(0, 2",
-        ),
-        (
-            lambda: shapes.fit(shapes.FreeForm([0, 0], np.eye(2), (2, 2)), cloud(2) + 9, cloud(2)),
-            "none of 8 parameters",
-        ),
-        (
-            lambda: shapes.fit(shapes.FreeForm([0, 0], np.eye(2), (2, 2)), [[0, 0]], [[0, 1]]).raise_if_singular(),
-            "6 of 8",
-        ),
-        (lambda: shapes.FreeForm([0, 0], np.eye(2), (4, 4))(cloud(3), np.zeros((4, 4, 2))), "in 2-D"),
-        (lambda: shapes.FreeForm([0, 0], np.eye(2), (4, 4))(cloud(2), np.zeros((4, 4, 3))), "this shape needs"),
+        (lambda: shapes.FreeForm.around([[0, 0], [np.nan, 1]], (2, 2)), "1 of 2 rows of `points` .* first row 1"),
+        (lambda: unit(4, 4).raise_if_outside([[0, 1], [0, 2]]), r"1 of 2 .* row 1 at \(0, 2"),
+        (lambda: shapes.fit(unit(2, 2), cloud(2) + 9, cloud(2)), "none of 8 parameters"),
+        (lambda: shapes.fit(unit(2, 2), [[0, 0]], [[0, 1]]).raise_if_singular(), "6 of 8"),
+        (lambda: unit(4, 4)(cloud(3), np.zeros((4, 4, 2))), "in 2-D"),
+        (lambda: unit(4, 4)(cloud(2), np.zeros((4, 4, 3))), "this shape needs"),
+        (lambda: shapes.FreeForm([0, 0], [[1, 1], [0, 1]], (3, 3)).linked(mirror=0), "along no axis"),
+        (lambda: unit(3, 3).linked(free=np.zeros((3, 3), bool)), "left free"),
+        *((lambda groups=groups: unit(3, 3).linked(groups=groups), "groups") for groups in WRONG),
     ],
 )
 def test_bad_input_is_refused(call, message):
@@ -188,23 +185,3 @@ def test_many_points_are_summed_in_slabs(name):
     np.testing.assert_allclose(several[1], operator(other), atol=1e-13)
     squares = jax.jvp(jax.grad(lambda c: jnp.sum(operator(c) ** 2)), (control,), (other,))[1]
     np.testing.assert_allclose(squares, 2 * jax.linear_transpose(operator, control)(operator(other))[0], atol=1e-11)
-
-
-@pytest.mark.parametrize("d", [2, pytest.param(3, marks=pytest.mark.slow)])
-def test_points_by_control_points_forward_and_reverse(d):
-    """d(points)/d(control) through `deform`, component by component; the map is linear, so differences are exact."""
-    mesh = body(d)
-    plan = jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=jm.DelaunayGraph())
-    box = shapes.FreeForm.around(mesh.points[mesh.moving], (3, 2, 2)[:d], margin=0.1)
-
-    @jax.jit
-    def moved(control):
-        return jm.deform(plan, shapes.displacement(box, plan, control))
-
-    zero = box.neutral()
-    forward = np.asarray(jax.jit(jax.jacfwd(moved))(zero)).reshape(*mesh.points.shape, -1)
-    exact = [moved(0.1 * e.reshape(zero.shape)) - moved(-0.1 * e.reshape(zero.shape)) for e in np.eye(zero.size)]
-    np.testing.assert_allclose(forward, np.stack(exact, axis=-1) / 0.2, atol=1e-12)
-    cotangent = np.random.default_rng(0).normal(size=mesh.points.shape)
-    back = jax.jit(jax.grad(lambda control: jnp.vdot(moved(control), cotangent)))(zero)
-    np.testing.assert_allclose(back.ravel(), np.einsum("nd,ndk->k", cotangent, forward), atol=1e-11)

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int, Real
 
 from .._host.package.arguments import as_array, shown
+from .._host.package.arguments import rows_of as listed_rows
 from .._kernels.module import Module
 from .._kernels.values import array, is_known
 
@@ -23,6 +24,14 @@ def positions(x: Numbers, name: str = "x") -> Float[Array, "m d"]:
     if places.ndim != 2 or places.shape[1] not in (2, 3):
         raise ValueError(f"`{name}` has shape {places.shape}; positions have shape (m, 2) or (m, 3).")
     return places if jnp.issubdtype(places.dtype, jnp.floating) else places.astype(jnp.result_type(float))
+
+
+def positions_in(x: Numbers, counts: tuple[int, ...]) -> Float[Array, "m d"]:
+    """Turns positions into an array (m, d) for a box of control points with d counts."""
+    places = positions(x)
+    if places.shape[1] != len(counts):
+        raise ValueError(f"`x` has shape {places.shape}; this box is in {len(counts)}-D.")
+    return places
 
 
 def cast(module: M, x: Float[Array, "m d"]) -> M:
@@ -56,12 +65,7 @@ def check_parameters(parameters: Any) -> None:
 def rows_of(name: str, ids: Any, count: int) -> Int[np.ndarray, "..."]:
     """Turns ids into row numbers of `count` positions, in an array of any shape."""
     ids = as_array(name, ids)
-    if ids.dtype.kind not in "iu":
-        raise ValueError(f"`{name}` is an array of {ids.dtype}; expected row numbers.")
-    bad = ids[(ids < 0) | (ids >= count)]
-    if bad.size:
-        raise ValueError(f"{bad.size} ids of `{name}` are no row of {count} positions, first {bad[0]}.")
-    return ids
+    return listed_rows(name, ids.ravel(), count).reshape(ids.shape)
 
 
 def number(name: str, value: Any, like: Array) -> Float[Array, ""]:

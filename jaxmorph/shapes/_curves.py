@@ -162,9 +162,7 @@ class BSplineCurve(AbstractLinearShape):
 class Modes(AbstractLinearShape):
     """Given displacement fields, such as mode shapes; the parameters (k,) are amplitudes.
 
-    **Arguments:**
-
-    - `fields`: (k, m, d).
+    `fields` are (k, m, d).
 
     **Raises:** `ValueError` for fields of another shape than the positions.
     """
@@ -257,7 +255,6 @@ def _away(s, t, height, airfoil: Float[Array, " 3"]) -> Float[Array, "..."]:
 
 
 def _rate(s, *position) -> Float[Array, "..."]:
-    """Computes the derivative of `_away` by s."""
     return jax.jvp(lambda s: _away(s, *position), (s,), (jnp.ones_like(s),))[1]
 
 

@@ -42,12 +42,7 @@ def path(shape: AnyShape, x: Numbers, parameters: PyTree, steps: int) -> Float[A
 
     A rotation in steps is a path of rotated positions. Traced in positions and parameters.
 
-    **Arguments:**
-
-    - `shape`: a shape with `neutral()`, the parameters where the path begins.
-    - `x`: positions (m, d).
-    - `parameters`: the parameters at the end.
-    - `steps`: 1 or more.
+    The path of positions (m, d) begins at `shape.neutral()` and ends at `parameters`.
 
     **Raises:** `ValueError` for a plain function in several steps, and as `displacement` does.
     """

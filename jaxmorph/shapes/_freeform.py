@@ -12,7 +12,7 @@ from .._host.cells.adjacency import parts_of
 from .._host.package.arguments import between, checked, whole
 from .._host.package.errors import place_of
 from .._kernels.values import is_known, slack
-from ._arguments import Numbers, check_finite, known_positions, positions
+from ._arguments import Numbers, check_finite, known_positions, positions, positions_in
 from ._lattice import splines, sums
 from ._shape import AbstractLinearShape, Linked, Move
 
@@ -104,8 +104,7 @@ class FreeForm(AbstractLinearShape):
         return np.pad(np.ones([count - 2 * layers for count in self.counts], bool), layers)
 
     def at(self, x: Numbers) -> Move:
-        x = positions(x)
-        self.check_dimension(x)
+        x = positions_in(x, self.counts)
         t = self.coordinates(x)
         inside = self.holds(t)[:, None]
         # what is outside has no weight, and a place where none of its powers is large
@@ -114,11 +113,6 @@ class FreeForm(AbstractLinearShape):
         weights[0] = jnp.where(inside, weights[0], 0)
         free = self.free[..., None]
         return lambda control: sums(weights, jnp.where(free, self._numbers(control, x), 0))
-
-    def check_dimension(self, x: Float[Array, "m d"]) -> None:
-        """Raises `ValueError` for positions in another dimension."""
-        if x.shape[1] != len(self.counts):
-            raise ValueError(f"`x` has shape {x.shape}; this box is in {len(self.counts)}-D.")
 
     def coordinates(self, x: Float[Array, "m d"]) -> Float[Array, "m d"]:
         """Computes coordinates in the box, each from 0 to 1 inside."""

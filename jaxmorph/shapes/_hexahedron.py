@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float
 
 from .._host.package.arguments import checked
 from .._kernels.values import is_known
-from ._arguments import Numbers, check_finite, positions
+from ._arguments import Numbers, check_finite, positions_in
 from ._freeform import FreeForm
 from ._shape import AbstractLinearShape, Move
 
@@ -97,8 +97,7 @@ class Hexahedron(AbstractLinearShape):
     @checked
     def coordinates(self, x: Numbers) -> Float[Array, "m d"]:
         """Computes coordinates in the box, from 0 to 1 inside, 2 far outside. Traced."""
-        x = positions(x)
-        self.box.check_dimension(x)
+        x = positions_in(x, self.counts)
         return _places(x, self.corners.astype(x.dtype))
 
     def lattice(self, control: Numbers | None = None) -> Float[Array, "..."]:

@@ -69,12 +69,10 @@ def twist(x: Numbers, angle: Number, about: Numbers, axis: Numbers, length: Numb
 
     - `x`: positions (m, 3).
     - `angle`: radians at the end of the length; 0 is neutral.
-    - `about`: the point (3,) on the axis where the twist begins.
-    - `axis`: direction (3,) in which it grows.
+    - `about`, `axis`: the point (3,) where the twist begins, and its direction (3,).
     - `length`: distance over which it grows, above 0.
 
-    **Raises:** `ValueError` for positions in 2-D, for wrong shapes, and for an axis or a length
-    that is 0.
+    **Raises:** `ValueError` for positions in 2-D, wrong shapes, and an axis or a length that is 0.
     """
     x = positions(x)
     if x.shape[1] == 2:
@@ -97,10 +95,8 @@ def bend(
     **Arguments:**
 
     - `x`: positions (m, d).
-    - `angle`: radians by which the tangent turns at the end, in the sense of `rotate`; 0 is
-      neutral.
-    - `about`: the point (d,) where the line begins.
-    - `along`: direction (d,) of the line.
+    - `angle`: radians by which the tangent turns at the end, as `rotate` turns; 0 is neutral.
+    - `about`, `along`: the point (d,) where the line begins, and its direction (d,).
     - `length`: length of the arc, above 0.
     - `axis`: direction (3,) about which the line turns, at right angles to it; only in 3-D.
 

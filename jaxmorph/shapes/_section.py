@@ -32,10 +32,8 @@ CORNER, SHARP = np.cos(np.deg2rad([45, 135]))
 class Chord(Module):
     """The chord of an airfoil, from nose to tail, and the direction across it.
 
-    **Arguments:**
-
-    - `nose`, `tail`: points (d,), (0, 0) and (1, 0) by default.
-    - `up`: direction (d,) across the chord; the chord turned to the left by default, needed in 3-D.
+    `nose` and `tail` are points (d,), `up` a direction (d,): the chord turned to the left by
+    default, needed in 3-D.
 
     **Raises:** `ValueError` for a chord without length, and for no `up` in 3-D.
     """

@@ -115,12 +115,7 @@ class OnRows(AbstractShape):
 
     Unlike `Part`, it takes any shape, which meets its own rows alone.
 
-    **Arguments:**
-
-    - `shape`: any shape.
-    - `rows`: (k,) different row numbers, 0 or more.
-
-    **Raises:** `ValueError` for rows that are equal, negative, or beyond the positions.
+    **Raises:** `ValueError` for rows (k,) that are equal, negative, or beyond the positions.
     """
 
     shape: AbstractShape
@@ -144,14 +139,10 @@ class OnRows(AbstractShape):
 
 
 class Linked(AbstractLinearShape):
-    """A shape whose parameters are a linear map of fewer parameters.
+    """A shape whose parameters are a linear map of fewer parameters, such as a basis of your own.
 
-    It freezes, links and mirrors parameters, or takes a basis of your own.
-
-    **Arguments:**
-
-    - `shape`: a linear shape with p parameters, flattened as `jax.flatten_util.ravel_pytree` does.
-    - `matrix`: (p, q); the shape's parameters are `matrix @ parameters`.
+    The `matrix` is (p, q): the p parameters of `shape`, flattened as
+    `jax.flatten_util.ravel_pytree` does, are `matrix @ parameters`.
 
     **Raises:** `ValueError` for a matrix of another height.
     """

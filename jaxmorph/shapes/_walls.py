@@ -1,4 +1,4 @@
-"""Walls of a mesh and their measures for constraints: ids from the host, floats in the trace.
+"""Walls of a mesh and their measures for constraints.
 
 A wall in 2-D is a loop: ids (k,) of its nodes in order, counter-clockwise, without repeating the
 first. A wall in 3-D is a set of triangles (k, 3) or quads (k, 4), outward from what they enclose.
@@ -23,8 +23,7 @@ from ._arguments import Numbers, cast, check_finite, known_positions, positions,
 def wall_loop(mesh: Mesh, patch: str) -> Int[np.ndarray, " k"]:
     """Finds the nodes (k,) of a closed wall, a patch of a mesh in 2-D, in order, counter-clockwise.
 
-    **Raises:** `ValueError` for a patch that is not one closed loop, with a node where it ends or
-    branches.
+    **Raises:** `ValueError` for a patch that is not one closed loop.
     """
     segments = wall_faces(mesh, patch).get("line", np.zeros((0, 2), int))
     ends, degree = np.unique(segments, return_counts=True)
@@ -131,11 +130,9 @@ def volume(x: Numbers, faces: Any, plane: Numbers | None = None) -> Float[Array,
 
     - `x`: positions (n, 3).
     - `faces`: ids (k, 3) or (k, 4), one array or a list of them.
-    - `plane`: a point (3,) of the plane that closes an open wall, such as a symmetry plane; None
-      for a closed wall.
+    - `plane`: a point (3,) of the plane that closes an open wall, such as a symmetry plane.
 
-    **Raises:** `ValueError` for an open wall without a plane, and for a border that is not in one
-    plane with the point.
+    **Raises:** `ValueError` for an open wall without a plane, or with a border beside it.
     """
     x = positions(x)
     if x.shape[1] != 3:
@@ -240,7 +237,6 @@ def _loop_in(x: Numbers, loop: Any) -> tuple[Float[Array, "n 2"], Int[np.ndarray
 
 
 def _check_closed(x: Float[Array, "n 3"], triangles: Int[np.ndarray, "k 3"], plane: Float[Array, " 3"] | None) -> None:
-    """Raises `ValueError` for edges of only one triangle, unless a plane closes them."""
     edges = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
     unique, count = np.unique(edges, axis=0, return_counts=True)
     border = unique[count == 1]
@@ -275,12 +271,8 @@ class Stations(Module):
     def on(x: Numbers, faces: Any, points: Numbers, direction: Numbers) -> "Stations":
         """Finds the first and the last face that each line meets.
 
-        **Arguments:**
-
-        - `x`: positions (n, d) of the wall.
-        - `faces`: segments (k, 2) in 2-D; triangles or quads in 3-D, one array or several.
-        - `points`: (s, d) a point on each line.
-        - `direction`: (d,) of all lines, or (s, d).
+        The wall has positions `x` (n, d) and faces: segments (k, 2) in 2-D, triangles or quads in
+        3-D, one array or several. The lines have points (s, d) and a direction (d,), or (s, d).
 
         **Raises:** `ValueError` with the number of lines that meet fewer than two faces.
         """

@@ -11,7 +11,7 @@ import jaxmorph as jm
 from jaxmorph import io
 
 from .. import mpi
-from .._pieces import check_comm, numbers_of, together
+from .._pieces import check_comm, finite_array, together
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -178,15 +178,8 @@ def surface_blocks(comm: Any, path: str) -> tuple[np.ndarray, np.ndarray]:
 
 
 def faces(points: Any, conn: Any, sizes: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    points = numbers_of("pts", points)
-    points = points if points.size else points.reshape(-1, 3)
-    corners, counts = (numbers_of(name, each).ravel() for name, each in (("conn", conn), ("faceSizes", sizes)))
-    if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
-        raise ValueError(f"`pts` has shape {points.shape}; expected finite coordinates (k, 3).")
-    for name, array in (("conn", corners), ("faceSizes", counts)):  # which may come as floats
-        if not (array == np.floor(array)).all():
-            raise ValueError(f"`{name}` must be whole numbers.")
-    corners, counts = corners.astype(np.int64), counts.astype(np.int64)
+    points = reals("pts", points if np.size(points) else np.zeros((0, 3)), (None, 3))
+    corners, counts = _whole("conn", conn), _whole("faceSizes", sizes)
     if (counts < 3).any() or counts.sum() != len(corners):
         raise ValueError(
             f"`faceSizes` adds up to {counts.sum()}, and `conn` has {len(corners)} corners; a face has 3 or more."
@@ -198,11 +191,16 @@ def faces(points: Any, conn: Any, sizes: Any) -> tuple[np.ndarray, np.ndarray, n
     return points, corners, counts
 
 
-def reals(name: str, values: Any, shape: tuple[int, ...]) -> np.ndarray:
-    array = numbers_of(name, values, shape)
-    if not np.isfinite(array).all():
-        raise ValueError(f"`{name}` has numbers that are not finite.")
-    return array
+def _whole(name: str, values: Any) -> np.ndarray:
+    """Returns whole numbers, which may come as floats, in one row."""
+    array = reals(name, np.ravel(values), (None,))
+    if not (array == np.floor(array)).all():
+        raise ValueError(f"`{name}` must be whole numbers.")
+    return array.astype(np.int64)
+
+
+def reals(name: str, values: Any, shape: tuple[int | None, ...]) -> np.ndarray:
+    return finite_array(name, values, shape).astype(float)
 
 
 def numbers(name: str, values: Any, shape: tuple[int, ...], kind: type) -> np.ndarray:

@@ -207,14 +207,14 @@ def _read(path: str, options: Any) -> tuple[jm.Mesh, tuple[list[str], np.ndarray
     mesh = io.read(path)
     with opened(pathlib.Path(path)) as file:
         zones = open_zones(pathlib.Path(path), file)[0]
-        grids = [zone.name.rpartition(".")[0] or zone.name for zone in zones]
-        counts = np.array([zone.count for zone in zones])
+        sizes = [(zone.name.rsplit(".", 1)[0], zone.count) for zone in zones]
+    grids, counts = zip(*sizes, strict=True)
     numbers = {name: k for k, name in enumerate(name for name in dict.fromkeys(grids) if name in options)}
     missing = [name for name in options if name not in numbers]
     if missing or not numbers:
         known = ", ".join(dict.fromkeys(grids))
         raise ValueError(f"`optionsDict`: {path} has no grid {', '.join(missing)}; it has {known}.")
-    return mesh, (list(numbers), counts, np.array([numbers.get(name, -1) for name in grids]))
+    return mesh, (list(numbers), np.array(counts), np.array([numbers.get(name, -1) for name in grids]))
 
 
 def _part(mesh: jm.Mesh, is_own: np.ndarray) -> jm.Mesh:

@@ -90,13 +90,18 @@ def patches_by_kind(mesh: jm.Mesh, options: Mapping[str, Any]) -> dict[str, tupl
         if options[option] is not None:
             kinds[kind] = _named(mesh, options[option], option)
     if options["symmetryPlanes"] is not None:
-        on = np.zeros(len(mesh.points), bool)
-        for plane in _planes(mesh, options):
-            on |= plane.holds(np.asarray(mesh.points, dtype=float))
-        kinds["symmetry"] = [name for name, nodes in mesh.patches.items() if on[np.asarray(nodes)].all()]
-    walls = kinds.pop("wall")
-    own = {kind: tuple(name for name in names if name not in walls) for kind, names in kinds.items() if kind}
-    return own | {"wall": tuple(walls)}
+        kinds["symmetry"] = _in_planes(mesh, _planes(mesh, options))
+    walls, _ = kinds.pop("wall"), kinds.pop("")
+    return {kind: tuple(name for name in names if name not in walls) for kind, names in kinds.items()} | {
+        "wall": tuple(walls)
+    }
+
+
+def _in_planes(mesh: jm.Mesh, planes: Sequence[jm.Plane]) -> list[str]:
+    on = np.zeros(len(mesh.points), bool)
+    for plane in planes:
+        on |= plane.holds(np.asarray(mesh.points, dtype=float))
+    return [name for name, nodes in mesh.patches.items() if on[np.asarray(nodes)].all()]
 
 
 def _kind_of(mesh: jm.Mesh, name: str) -> str:

@@ -9,7 +9,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import scipy.interpolate
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from jaxmorph import Mesh, boundary_faces, io, shapes
 
@@ -181,18 +181,28 @@ def _definition(options: Options, d: int) -> list[tuple[str, shapes.Hexahedron]]
     degrees, groups = options.groups("FFD_DEGREE"), options.groups("FFD_DEFINITION")
     if len(degrees) != len(groups):
         raise options.error("FFD_DEGREE", f"{len(degrees)} groups of degrees for {len(groups)} boxes")
-    made = []
-    for (name, *words), words_of_degrees in zip(groups, degrees, strict=True):
-        if len(words) != 24:
-            found = f"24 numbers for box {name}, eight corners, expected; found {len(words)}"
-            raise options.error("FFD_DEFINITION", found)
-        corners = np.reshape([options.number("FFD_DEFINITION", word) for word in words], (8, 3))[: 2**d, :d]
-        counts = [options.whole("FFD_DEGREE", word) + 1 for word in words_of_degrees[:d]]
-        if len(counts) < d or math.prod(counts) > MOST:
-            found = " x ".join(map(str, counts))
-            raise options.error("FFD_DEGREE", f"{d} degrees of at most {MOST} control points expected, found {found}")
-        made.append((name, shapes.Hexahedron(corners, counts, degree=degree)))
-    return made
+    return [
+        (
+            name,
+            shapes.Hexahedron(_corners(options, name, words)[: 2**d, :d], _counts(options, own[:d], d), degree=degree),
+        )
+        for (name, *words), own in zip(groups, degrees, strict=True)
+    ]
+
+
+def _corners(options: Options, name: str, words: list[str]) -> Float[np.ndarray, "8 3"]:
+    if len(words) != 24:
+        found = f"24 numbers for box {name}, eight corners, expected; found {len(words)}"
+        raise options.error("FFD_DEFINITION", found)
+    return np.reshape([options.number("FFD_DEFINITION", word) for word in words], (8, 3))
+
+
+def _counts(options: Options, degrees: list[str], d: int) -> list[int]:
+    counts = [options.whole("FFD_DEGREE", word) + 1 for word in degrees]
+    if len(counts) < d or math.prod(counts) > MOST:
+        found = " x ".join(map(str, counts))
+        raise options.error("FFD_DEGREE", f"{d} degrees of at most {MOST} control points expected, found {found}")
+    return counts
 
 
 def _surface(shape: shapes.Hexahedron, mesh: Mesh, moving: Sequence[str]) -> dict:
@@ -233,28 +243,35 @@ def box_parts(
 
     Raises `ValueError` for a box or control points that are not there.
     """
-    known, members = [box.name for box in boxes], {box.name: [] for box in boxes}
+    _check_boxes(listed, boxes)
+    nodes, parts = mesh.patch(*moving), []
+    taken = np.zeros(len(nodes), bool)
+    for box in reversed(boxes):  # of a node in two boxes SU2 has the last one move it
+        places = _places_of(box, nodes, moving)
+        places[taken] = OUTSIDE
+        taken |= (places != OUTSIDE).any(axis=1)
+        if own := tuple(variable for variable in listed if variable.box == box.name):
+            fixed, length = _fixed_planes(options, box.control, mesh, moving), options.number("REF_LENGTH")
+            rows, move = tuple(row for variable in own for row in variable.rows), box.shape.box.at(jnp.asarray(places))
+            parts.append(BoxPart(rows, own, fixed, length, jnp.asarray(box.control), move))
+    return parts[::-1]
+
+
+def _places_of(box: io.Box, nodes: Int[np.ndarray, " m"], moving: Sequence[str]) -> Float[np.ndarray, "m d"]:
+    places = np.full((len(nodes), len(box.shape.counts)), OUTSIDE)
+    for ids, inside in (box.surface[name] for name in moving if name in box.surface):
+        moves = np.isin(ids, nodes)
+        places[np.searchsorted(nodes, ids[moves])] = inside[moves]
+    return places
+
+
+def _check_boxes(listed: Sequence[Variable], boxes: Sequence[io.Box]) -> None:
+    known = {box.name: box for box in boxes}
     for variable in (variable for variable in listed if variable.box):
         if variable.box not in known:
             there = ", ".join(known) or "none: run with DV_KIND= FFD_SETTING, or give FFD_DEFINITION"
             raise ValueError(f"there is no box {variable.box} in the mesh file; it has {there}.")
-        members[variable.box].append(variable)
-    nodes, length = mesh.patch(*moving), options.number("REF_LENGTH")
-    parts, taken = [], np.zeros(len(nodes), bool)
-    for box in reversed(boxes):  # of a node in two boxes SU2 has the last one move it
-        places = np.full((len(nodes), len(box.shape.counts)), OUTSIDE)
-        for ids, inside in (box.surface[name] for name in moving if name in box.surface):
-            moves = np.isin(ids, nodes)
-            places[np.searchsorted(nodes, ids[moves])] = inside[moves]
-        places[taken] = OUTSIDE
-        taken |= (places != OUTSIDE).any(axis=1)
-        if own := members[box.name]:
-            for variable in own:
-                _check(variable, box)
-            rows = tuple(row for variable in own for row in variable.rows)
-            fixed, move = _fixed_planes(options, box.control, mesh, moving), box.shape.box.at(jnp.asarray(places))
-            parts.append(BoxPart(rows, tuple(own), fixed, length, jnp.asarray(box.control), move))
-    return parts[::-1]
+        _check(variable, known[variable.box])
 
 
 def _check(variable: Variable, box: io.Box) -> None:

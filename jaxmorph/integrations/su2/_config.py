@@ -4,7 +4,7 @@ import dataclasses
 import functools
 import os
 import pathlib
-from collections.abc import Sequence
+from collections.abc import Collection, Iterable, Sequence
 
 import jax
 import jax.numpy as jnp
@@ -122,8 +122,8 @@ def read_config(path: str | os.PathLike[str], *, definition: bool = False) -> Co
     """
     options = read_options(pathlib.Path(path))
     listed, markers = checked_variables(options, definition)
-    mesh, sorts = io.read(options.mesh_file), {variable.sort for variable in listed}
-    is_setting = any(variable.kind == "FFD_SETTING" for variable in listed)
+    mesh, kinds = io.read(options.mesh_file), {variable.kind for variable in listed}
+    sorts, is_setting = {KINDS[kind].sort for kind in kinds}, "FFD_SETTING" in kinds
     is_whole, is_moving = "mesh" in sorts, is_setting or not sorts <= {"nothing", "flow"}
     moving = tuple(mesh.patches) if is_whole else _present(options, mesh, "DV_MARKER", markers, is_moving)
     planes, inner = (_present(options, mesh, name, options.words(name)) for name in ("MARKER_SYM", "MARKER_INTERNAL"))
@@ -133,21 +133,24 @@ def read_config(path: str | os.PathLike[str], *, definition: bool = False) -> Co
     except ValueError as error:
         raise ValueError(f"{options.path}: {str(error).removeprefix(f'{options.path}: ')}") from None
     shape = _shape(options, listed, parts, _free_coordinates(mesh, moving, () if is_whole else planes))
-    loose = {*moving, *planes, *inner}
     config = Config(
         mesh,
         options.output,
         shape,
         _values(options, shape, definition),
         moving,
-        symmetry=tuple(name for name in planes if name not in moving),
-        fixed=tuple(name for name in mesh.patches if name not in loose),
+        symmetry=_without(planes, moving),
+        fixed=_without(mesh.patches, (*moving, *planes, *inner)),
         steps=options.whole("DEFORM_NONLINEAR_ITER"),
         boxes=boxes,
         options=options,
     )
     _warn_of_results(config, listed)
     return config
+
+
+def _without(names: Iterable[str], others: Collection[str]) -> tuple[str, ...]:
+    return tuple(name for name in names if name not in others)
 
 
 def _sort(name: str) -> str:
@@ -176,14 +179,15 @@ def _present(
 def _warn_of_results(config: Config, listed: Sequence[Variable]) -> None:
     """Warns of what SU2 would do otherwise, and of a wall that moves suspiciously far."""
     options = config.options
-    for kind in dict.fromkeys(variable.kind for variable in listed if variable.sort == "flow"):
+    kinds = dict.fromkeys(variable.kind for variable in listed)
+    for kind in filter(lambda kind: KINDS[kind].sort == "flow", kinds):
         warn(f"{kind} is left alone: it is the flow solver's, no wall moves by it.")
     if left_out := options.left_out():
         warn(f"{options.path}: not honoured here, though SU2's result depends on it: {', '.join(left_out)}.")
     relaxed = options.relaxation
     cause = "check DV_VALUE" if relaxed == 1 else f"OPT_RELAX_FACTOR= {relaxed:g} multiplies DV_VALUE, as in SU2"
-    kinds = {variable.kind for variable in listed if variable.sort in ("wall", "box")}
-    if config.share > LARGE and kinds - (RIGID if relaxed == 1 else set()):
+    suspect = {kind for kind in kinds if KINDS[kind].sort in ("wall", "box")} - (RIGID if relaxed == 1 else set())
+    if config.share > LARGE and suspect:
         warn(f"{options.path}: the wall moves by {config.share:.3g} times its own length: {cause}.")
 
 

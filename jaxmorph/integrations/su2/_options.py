@@ -306,14 +306,19 @@ def _check_kinds(options: Options, name: str, kinds: list[str]) -> None:
 
 def _check_alone(options: Options, listed: Sequence[Variable]) -> None:
     """Raises `ValueError` for kinds that stand alone in SU2, and boxes beside other kinds."""
-    alone = [variable.kind for variable in listed if variable.sort in ("constant", "mesh")]
-    if alone and len(listed) > 1:
-        raise ValueError(f"{options.path}: {alone[0]} is taken alone; found {len(listed)} design variables.")
-    kinds = {variable.kind for variable in listed if variable.sort != "flow"}
-    for sort in ({kind for kind in kinds if kind.startswith("FFD_")}, kinds & {"HICKS_HENNE_CAMBER"}):
-        if sort and sort != kinds:
-            both = f"{', '.join(sorted(sort))} beside {', '.join(sorted(kinds - sort))}"
-            raise ValueError(f"{options.path}: {both}: SU2 moves by one sort.")
+    for variable in listed:
+        if variable.sort in ("constant", "mesh") and len(listed) > 1:
+            raise ValueError(f"{options.path}: {variable.kind} is taken alone; found {len(listed)} design variables.")
+    kinds = sorted({variable.kind for variable in listed if variable.sort != "flow"})
+    for start in ("FFD_", "HICKS_HENNE_CAMBER"):
+        _check_sort(options, kinds, start)
+
+
+def _check_sort(options: Options, kinds: list[str], start: str) -> None:
+    own = [kind for kind in kinds if kind.startswith(start)]
+    others = [kind for kind in kinds if kind not in own]
+    if own and others:
+        raise ValueError(f"{options.path}: {', '.join(own)} beside {', '.join(others)}: SU2 moves by one sort.")
 
 
 def _fault(kind: str, numbers: tuple[float, ...]) -> str | None:
