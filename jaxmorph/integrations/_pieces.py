@@ -9,6 +9,7 @@ import jaxmorph as jm
 from jaxmorph._host.cells.topology import CORNERS, solid
 from jaxmorph._host.package.arguments import finite_array as finite_array
 from jaxmorph._host.package.arguments import real_array as real_array
+from jaxmorph._host.package.arguments import rows_of as rows_of
 from jaxmorph._host.package.arguments import shown
 from jaxmorph._host.package.ranks import Agreement as Agreement
 from jaxmorph._host.package.ranks import together as together

@@ -11,7 +11,7 @@ import jaxmorph as jm
 from jaxmorph import io
 
 from .. import mpi
-from .._pieces import check_comm, finite_array, together
+from .._pieces import check_comm, finite_array, rows_of, together
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -135,18 +135,7 @@ def solver_order(comm: Any, count: int, indices: Any) -> SolverOrder:
     """Finds who has what. `indices` (k,) count the numbers of all processes from 0."""
     firsts = np.cumsum([0, *comm.allgather(count)])
 
-    def checked() -> np.ndarray:
-        wanted = np.asarray(indices)
-        if wanted.ndim != 1 or wanted.dtype.kind not in "iuf" or (wanted != np.floor(wanted)).any():
-            raise ValueError(f"indices are whole numbers (k,), not {wanted.dtype} of shape {wanted.shape}.")
-        if wanted.size and (wanted.min() < 0 or wanted.max() >= firsts[-1]):
-            raise ValueError(
-                f"indices go from {wanted.min()} to {wanted.max()}; the grid has coordinates 0 to {firsts[-1] - 1}, three "
-                "for each node."
-            )
-        return wanted.astype(np.int64)
-
-    wanted = together(comm, checked)
+    wanted = together(comm, lambda: rows_of("indices", whole_numbers("indices", indices), int(firsts[-1])))
     keeper = np.searchsorted(firsts, wanted, side="right") - 1
     places = [np.flatnonzero(keeper == rank) for rank in range(comm.size)]
     sent = comm.alltoall([wanted[rows] - firsts[rank] for rank, rows in enumerate(places)])
@@ -179,19 +168,15 @@ def surface_blocks(comm: Any, path: str) -> tuple[np.ndarray, np.ndarray]:
 
 def faces(points: Any, conn: Any, sizes: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     points = reals("pts", points if np.size(points) else np.zeros((0, 3)), (None, 3))
-    corners, counts = _whole("conn", conn), _whole("faceSizes", sizes)
+    corners, counts = whole_numbers("conn", conn), whole_numbers("faceSizes", sizes)
     if (counts < 3).any() or counts.sum() != len(corners):
         raise ValueError(
             f"`faceSizes` adds up to {counts.sum()}, and `conn` has {len(corners)} corners; a face has 3 or more."
         )
-    if corners.size and (corners.min() < 0 or corners.max() >= len(points)):
-        raise ValueError(
-            f"`conn` goes from {corners.min()} to {corners.max()}; `pts` has points 0 to {len(points) - 1}."
-        )
-    return points, corners, counts
+    return points, rows_of("conn", corners, len(points)), counts
 
 
-def _whole(name: str, values: Any) -> np.ndarray:
+def whole_numbers(name: str, values: Any) -> np.ndarray:
     """Returns whole numbers, which may come as floats, in one row."""
     array = reals(name, np.ravel(values), (None,))
     if not (array == np.floor(array)).all():

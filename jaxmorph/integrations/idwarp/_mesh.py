@@ -234,10 +234,9 @@ class USMesh:
         return self._dXs.copy()
 
     def warpDerivFwd(self, dXs: Any, solverVec: bool = True) -> Float[np.ndarray, " c"]:
-        """Pushes a change of the surface's points (k, 3) forward to the mesh's coordinates.
+        """Moves the mesh, and pushes a change of the surface's points (k, 3) forward to it.
 
-        It moves the mesh too, as IDWarp does. The result is in the order of `getSolverGrid`, or of
-        `getCommonGrid` where `solverVec` is False.
+        The result is in the order of `getSolverGrid`, or of `getCommonGrid` without `solverVec`.
         """
         tangent = self._rows("dXs", np.reshape(np.asarray(dXs, float), (-1, 3)))
         self.warpMesh()
@@ -255,13 +254,9 @@ class USMesh:
     ) -> float:
         """Compares `warpDeriv` with central differences, and prints a line for each coordinate.
 
-        **Arguments:**
-
-        - `dXv`, `solverVec`: as `warpDeriv` takes them. Default: random numbers.
-        - `dofStart`, `dofEnd`: the first coordinate, and the coordinate after the last, counted
-          over the points of all processes.
-        - `h`: the step, in the mesh's unit.
-        - `randomSeed`: of the random numbers.
+        `dXv` and `solverVec` are as `warpDeriv` takes them, `dXv` random by default. Coordinates
+        from `dofStart` to before `dofEnd` count over the points of all processes. The step `h` has
+        the mesh's unit.
 
         **Returns:** the largest difference, relative to the largest derivative.
         """
@@ -294,10 +289,9 @@ class USMesh:
         return self._options[name_of(name)]
 
     def setOption(self, name: str, value: Any) -> None:
-        """Sets an option; it holds for the surface that is defined next.
+        """Sets an option, which holds for the surface that is defined next.
 
-        It raises `ValueError` where the surface is there, or the grid is read, and the option
-        belongs to it.
+        It raises `ValueError` for options of a grid, and of a surface that is there.
         """
         name = name_of(name)
         if name in FILE or (name not in WITHOUT and self._surface is not None):

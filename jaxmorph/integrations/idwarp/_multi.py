@@ -12,7 +12,7 @@ import jaxmorph as jm
 from jaxmorph import io
 from jaxmorph.io.cgns.file import open_zones, opened
 
-from .._pieces import together
+from .._pieces import rows_of, together
 from ._grid import Grid, SolverOrder, communicator, faces, numbers, reals, solver_order
 from ._mesh import USMesh, USMesh_C
 
@@ -27,9 +27,9 @@ class MultiUSMesh:
     **Arguments:**
 
     - `CGNSFile`: the file.
-    - `optionsDict`: options of `USMesh` by the name of a grid; `gridFile` in them is not looked at.
+    - `optionsDict`: options of `USMesh` by the name of a grid, but `gridFile`.
     - `comm`, `debug`: as `USMesh` takes them.
-    - `dtype`: IDWarp's, "d"; `MultiUSMesh_C` is for complex steps.
+    - `dtype`: "d"; `MultiUSMesh_C` is for complex steps.
 
     **Raises:** `ValueError`, in every process, for names of no grid, and as `USMesh` does.
     """
@@ -66,7 +66,7 @@ class MultiUSMesh:
     def setExternalMeshIndices(self, ind: Any) -> None:
         """Sets the file's coordinates that this process' solver has, three a node, from 0."""
         self._order = solver_order(self.comm, 3 * len(self._whole.rows), ind)
-        indices, self._chosen = np.asarray(ind, dtype=np.int64), []
+        indices, self._chosen = np.asarray(ind, dtype=np.int64).ravel(), []
         first = np.cumsum(self._counts) - self._counts
         zone = np.searchsorted(first, indices // 3, side="right") - 1
         for k, mesh in enumerate(self.meshes):
@@ -126,10 +126,7 @@ class MultiUSMesh:
         return grids, self.comm.allreduce(sum(map(len, grids)))
 
     def warpDeriv(self, dXv: Any, solverVec: bool = True) -> Float[np.ndarray, "k 3"]:
-        """Pulls the derivative by the solver's coordinates back to the surface's points (k, 3).
-
-        It raises `ValueError` for `solverVec=False`: the file's order is that of each grid alone.
-        """
+        """Pulls the derivative by the solver's coordinates back to the surface's points (k, 3)."""
         if not solverVec:
             raise ValueError("`solverVec` must be True here; `meshes` have an order of their own each.")
         values = together(self.comm, lambda: reals("dXv", dXv, (self._solver().size,)))
@@ -154,10 +151,7 @@ class MultiUSMesh:
         return change
 
     def writeGrid(self, baseName: str | None = None) -> None:
-        """Writes one `baseName`.cgns with all grids as they moved; IDWarp writes several.
-
-        The default name is IDWarpMulti.
-        """
+        """Writes all grids as they moved to `baseName`.cgns, IDWarpMulti.cgns by default."""
         shares = [self.comm.gather(np.real(mesh.getCommonGrid()).reshape(-1, 3)) for mesh in self.meshes]
 
         def write() -> None:
@@ -172,11 +166,7 @@ class MultiUSMesh:
 
     def _zones_of_faces(self, zones: Any, shape: tuple[int, ...]) -> np.ndarray:
         found = reals("cgnsBlockIDs", np.ravel(zones), shape).astype(int)
-        if found.size and (found.min() < 0 or found.max() >= len(self._grid)):
-            raise ValueError(
-                f"`cgnsBlockIDs` go from {found.min()} to {found.max()}; there are {len(self._grid)} zones."
-            )
-        return found
+        return rows_of("cgnsBlockIDs", found, len(self._grid))
 
     def _solver(self) -> SolverOrder:
         if self._order is None:
