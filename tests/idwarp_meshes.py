@@ -1,5 +1,6 @@
 """Grid files for the tests of IDWarp's calls: the unit cube on a floor, structured, unstructured, and as a case of OpenFOAM."""
 
+import functools
 import pathlib
 
 import cgns
@@ -102,10 +103,8 @@ def write_unstructured(path, names=None):
         zone = cgns.zone(cgns.base(file, 3, 3), "zone", list(points.T), cells=len(cells))
         cgns.elements(zone, "hexahedra", 17, cells + 1, 1, len(cells))
         for side in SIDES:
-            nodes = on(points, side) + 1
-            cgns.condition(
-                zone, side, nodes[:, None], family=(names or {}).get(side, side), location="Vertex", what="PointList"
-            )
+            nodes, family = on(points, side)[:, None] + 1, (names or {}).get(side, side)
+            cgns.condition(zone, side, nodes, family=family, location="Vertex", what="PointList")
     return points
 
 
@@ -125,12 +124,9 @@ def write_openfoam(folder, parts=False):
     grid = cube()
     points = grid.reshape(-1, 3, order="F")
     cells = [[[int(cell[k]) for k in face] for face in FACES] for cell in corners(grid.shape[:3])]
+    is_on = lambda nodes, axis, place: bool((points[nodes, axis] == place).all())  # noqa: E731
     tests = [
-        (
-            name,
-            TYPES.get(name, "patch"),
-            lambda nodes, axis=axis, place=place: bool((points[nodes, axis] == place).all()),
-        )
+        (name, TYPES.get(name, "patch"), functools.partial(is_on, axis=axis, place=place))
         for name, (axis, place) in SIDES.items()
     ]
     foam.write_case(folder, points, cells, tests)

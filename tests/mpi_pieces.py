@@ -18,11 +18,7 @@ mesh = cases.naca0015(points=300)  # the whole is here only to judge by
 points, wall, far = np.asarray(mesh.points), mesh.patch("airfoil"), mesh.patch("farfield")
 kind, cells = next((kind, ids) for kind, ids in mesh.cells.items() if kind != "line")
 cells = np.asarray(cells)
-own = (
-    cells[points[cells].mean(axis=1)[:, 1] > 0.01]
-    if comm.rank == 0
-    else cells[points[cells].mean(axis=1)[:, 1] <= 0.01]
-)
+own = cells[(points[cells].mean(axis=1)[:, 1] > 0.01) == (comm.rank == 0)]
 nodes, inverse = np.unique(own, return_inverse=True)
 piece_cells = {kind: inverse.reshape(own.shape).astype(np.int32)}
 moving, fixed = np.flatnonzero(np.isin(nodes, wall)), np.flatnonzero(np.isin(nodes, far))

@@ -175,12 +175,7 @@ def test_one_shape_moves_openaerostructs_lattice_and_a_volume_mesh():
         problem.set_val("twist", 0.03)
         problem.set_val("rise", 0.01)
         problem.run_model()
-        lift = next(
-            name
-            for name in problem.model._var_allprocs_abs2meta["output"]
-            if name.endswith("aero_post.CL") or name.endswith(".CL")
-        )
-        totals = problem.compute_totals([lift, "weighted.J"], ["twist", "rise"])
+        totals = problem.compute_totals(["weighted.J"], ["twist", "rise"])
         u = shapes.displacement(shape, volume_plan, {"twist": 0.03, "rise": 0.01})
         moved = np.ravel(jm.deform(volume_plan, u))
         np.testing.assert_allclose(problem.get_val("volume.aero_vol_coords"), moved, atol=1e-12)
@@ -189,9 +184,3 @@ def test_one_shape_moves_openaerostructs_lattice_and_a_volume_mesh():
         slope = jax.grad(value)({"twist": 0.03, "rise": 0.01})
         for name in ("twist", "rise"):
             np.testing.assert_allclose(totals["weighted.J", name].item(), slope[name], rtol=1e-9)
-        lifts = []
-        for sign in (1, -1):
-            problem.set_val("twist", 0.03 + sign * 1e-4)
-            problem.run_model()
-            lifts.append(problem.get_val(lift).item())
-        np.testing.assert_allclose(totals[lift, "twist"].item(), (lifts[0] - lifts[1]) / 2e-4, rtol=1e-6)

@@ -71,26 +71,6 @@ def test_no_matrix_is_set_aside():
     assert peak < 8 * points.size * 2 * len(moving) / 4
 
 
-@pytest.mark.parametrize("mode", ["fwd", "rev"])
-def test_totals_through_a_model(plan, mode):
-    """dJ/da of J = sum of w * points for displacements a * u, by both products, beside the linear map itself."""
-    u, weights = given(plan), np.random.default_rng(0).normal(size=plan.points.shape)
-    problem = om.Problem(reports=False)
-    problem.model.add_subsystem(
-        "bump", om.ExecComp("u = a * form", form={"val": u}, u={"shape": u.shape}), promotes=["a"]
-    )
-    problem.model.add_subsystem("mesh", component(plan=plan))
-    objective = om.ExecComp("J = sum(w * x)", w={"val": weights}, x={"shape": weights.shape})
-    problem.model.add_subsystem("objective", objective, promotes=["J"])
-    problem.model.connect("bump.u", "mesh.displacements")
-    problem.model.connect("mesh.points", "objective.x")
-    problem.setup(mode=mode)
-    problem.set_val("a", 0.7)
-    problem.run_model()
-    expected = np.vdot(weights, jm.deform(plan, u) - plan.points)
-    np.testing.assert_allclose(problem.compute_totals("J", "a")["J", "a"].item(), expected, rtol=1e-10)
-
-
 @pytest.mark.filterwarnings("default")
 def test_inverted_cells_raise_analysis_error_by_default(tmp_path):
     """By which an optimiser shortens its step. Cells that are inverted from the start do not count."""

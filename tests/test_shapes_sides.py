@@ -44,7 +44,7 @@ SECTIONS = {
     "9306 blunt": naca(0.09, 0.3, 0.06),
     "6412 coarse": naca(0.06, 0.4, 0.12, count=15),
 }
-NOSE = shapes.Chord()
+NOSE, CHORD = shapes.Chord(), shapes.Chord([0, 0, 0], [1, 0, 0], [0, 0, 1])
 
 
 def noisy(x, seed):
@@ -104,12 +104,11 @@ def test_a_wing_is_told_apart_by_its_faces():
     x = cusped()
     points, quads = extruded(x[around(x)])
     rows = np.tile(is_upper(x)[around(x)], 3)
-    chord = shapes.Chord([0, 0, 0], [1, 0, 0], [0, 0, 1])
-    upper = shapes.upper_side(points, chord, wall=quads)
-    np.testing.assert_array_equal(shapes.upper_side(points, chord, wall=quads[:, ::-1]), upper)
+    upper = shapes.upper_side(points, CHORD, wall=quads)
+    np.testing.assert_array_equal(shapes.upper_side(points, CHORD, wall=quads[:, ::-1]), upper)
     edge = (points[:, 0] == 0) | (points[:, 0] == 1)
     np.testing.assert_array_equal(upper[~edge], rows[~edge])
-    np.testing.assert_array_equal(shapes.upper_side(noisy(points, 0), chord, wall=quads), upper)
+    np.testing.assert_array_equal(shapes.upper_side(noisy(points, 0), CHORD, wall=quads), upper)
 
 
 @pytest.mark.slow
@@ -133,8 +132,9 @@ def test_a_tilted_chord_of_a_section_without_a_node_at_its_nose():
     [
         (lambda: shapes.upper_side(cusped(), wall=[0, 1]), "three different nodes"),
         (lambda: shapes.upper_side(cusped(), wall=[0, 1, 2, 0]), "three different nodes"),
-        (lambda: shapes.upper_side(cusped(), wall=[0, 1, 500]), "no row of 128 positions"),
+        (lambda: shapes.upper_side(cusped(), wall=[0, 1, 500]), "not in 0 to 127"),
         (lambda: shapes.upper_side(np.linspace([0, 0], [1, 0.5], 9)), "two sides"),
+        (lambda: shapes.upper_side(extruded(cusped())[0], CHORD), "`wall` is missing"),
         (lambda: shapes.fit_cst(cusped(), 3, wall=np.arange(100)), "100 of 128 points"),
     ],
 )

@@ -72,7 +72,7 @@ def test_length_zero_changes_nothing_and_constants_stay():
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda p, s: shapes.Smoother(p, s + 1, 1.0), "ids of `faces` are no row of 40"),
+        (lambda p, s: shapes.Smoother(p, s + 1, 1.0), "ids in `faces` are not in 0 to 39"),
         (lambda p, s: shapes.Smoother(p, s[:-2], 1.0), "1 nodes are in no face, first row 39"),
         (lambda p, s: shapes.Smoother(p[np.append(0, np.arange(39))], s, 1.0), "1 faces have no size"),
         (lambda p, s: shapes.Smoother(p, np.ones((4, 3), int), 1.0), "have"),

@@ -146,7 +146,7 @@ _host.package.files _quality.report
 """,
     "shapes": """
 _advice.largest_step _host.cells.adjacency _host.package.arguments _host.package.errors
-_host.package.files _kernels.callback _kernels.linear _kernels.module _kernels.values
+_host.package.files _kernels.callback _kernels.module _kernels.values
 """,
     "cases": """
 _host.package.arguments
@@ -156,7 +156,7 @@ _host.package.arguments
 
 HOMES = """
 Block Bounds Cells Content Elements Encoding Form Grid Group Hierarchy Method Modes Options Parts
-Patch Progress Rows Sensitivity Side Sides Variable _Content _Reader
+Patch Progress Sensitivity Side Sides Variable _Content _Reader
 """
 """Names of classes that several files define: the list may only shrink."""
 

@@ -126,11 +126,9 @@ def test_files_are_called_by_the_objective(mesh, folder, objective, there, taken
     case = opened(folder, objective=objective)
     if taken:
         assert su2.read_sensitivity(case).path == folder / taken
-    else:
-        with pytest.raises(
-            ValueError, match=r"no file of sensitivities is there \(SOLUTION_ADJ_FILENAME= solution_adj"
-        ):
-            su2.read_sensitivity(case)
+        return
+    with pytest.raises(ValueError, match=r"no file of sensitivities is there \(SOLUTION_ADJ_FILENAME= solution_adj"):
+        su2.read_sensitivity(case)
 
 
 def test_the_continuous_adjoint_is_a_derivative_along_the_normals(mesh, folder):

@@ -7,10 +7,14 @@ import numpy as np
 
 import jaxmorph as jm
 from jaxmorph._host.cells.topology import CORNERS, solid
+from jaxmorph._host.package.arguments import finite_array as finite_array
+from jaxmorph._host.package.arguments import real_array as real_array
+from jaxmorph._host.package.arguments import rows_of as rows_of
 from jaxmorph._host.package.arguments import shown
 from jaxmorph._host.package.ranks import Agreement as Agreement
 from jaxmorph._host.package.ranks import together as together
 from jaxmorph._host.package.rounding import rows_in as rows_in
+from jaxmorph._host.package.rounding import spacing as spacing
 from jaxmorph._host.surface.gaps import closest as closest
 from jaxmorph._host.surface.gaps import fans as fans
 from jaxmorph._kernels.compile import float64_mode as float64_mode
@@ -20,19 +24,6 @@ def check_comm(comm: Any) -> None:
     """Raises `ValueError` for anything that is no communicator of mpi4py."""
     if not hasattr(comm, "allgather"):
         raise ValueError(f"`comm` must be a communicator of mpi4py, MPI.COMM_WORLD for example, not {shown(comm)}.")
-
-
-def numbers_of(name: str, values: Any, shape: tuple[int, ...] | None = None) -> np.ndarray:
-    """Returns real numbers. Raises `ValueError` for anything else, and for another shape."""
-    try:
-        if np.iscomplexobj(values):
-            raise TypeError
-        array = np.asarray(values, dtype=float)
-    except (TypeError, ValueError):
-        raise ValueError(f"`{name}` must be real numbers, not {shown(values)}.") from None
-    if shape is not None and array.shape != shape:
-        raise ValueError(f"`{name}` has shape {array.shape}; this process has {shape}.")
-    return array
 
 
 def faces_of(comm: Any, mesh: jm.Mesh | None, nodes: np.ndarray, is_shared: np.ndarray) -> dict[str, np.ndarray] | None:

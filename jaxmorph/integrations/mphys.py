@@ -26,15 +26,13 @@ class ShapeBuilder(Builder):
     """Builds MPhys's geometry of a shape: wall coordinates in, moved ones out, by design variables.
 
     `get_mesh_coordinate_subsystem` is the component. Its input `x_aero0_geometry_input` takes the
-    coordinates (3 m,) of any solver, its output is `x_aero0_geometry_output`. A shape moves any
-    positions: one builder serves solvers with different walls.
+    coordinates (3 m,) of any solver, its output is `x_aero0_geometry_output`. One builder serves
+    solvers with different walls.
 
     **Arguments:**
 
     - `shape`: a shape of `jaxmorph.shapes` in 3-D, or a function of positions and parameters.
-    - `parameters`: values at the start; only a plain function needs them. Default: neutral values.
-
-    Inputs are named as `ShapeDisplacement` names them.
+    - `parameters`: as `ShapeDisplacement` takes them and names their inputs.
     """
 
     def __init__(self, shape: Any, parameters: PyTree = None):
@@ -97,9 +95,7 @@ class VolumeBuilder(Builder):
 class Geometry(TracedComponent):
     """Moves a wall's coordinates (3 m,) by a shape; `ShapeBuilder` makes it."""
 
-    def initialize(self) -> None:
-        self.options.declare("shape", types=object, recordable=False, desc="positions and parameters to positions")
-        self.options.declare("parameters", recordable=False, desc="parameters at the start")
+    option_names = ("shape", "parameters")
 
     def setup(self) -> None:
         tags = ["mphys_coordinates"]

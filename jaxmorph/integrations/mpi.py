@@ -16,7 +16,7 @@ from jaxtyping import ArrayLike, Bool, Float, Int, Real
 
 import jaxmorph as jm
 
-from ._pieces import Agreement, check_comm, faces_of, numbers_of, owned, rows_in, surface_of, together
+from ._pieces import Agreement, check_comm, faces_of, owned, real_array, rows_in, surface_of, together
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,13 +43,10 @@ class Piece:
     is_shared: Bool[np.ndarray, " n"]
 
     def deform(self, u: Real[ArrayLike, "k d"]) -> Float[np.ndarray, "n d"]:
-        """Moves the piece: row i of `u` (k, d) displaces point `moving[i]`.
+        """Moves the piece's points (n, d): row i of `u` (k, d) displaces point `moving[i]`.
 
-        Returns the piece's points (n, d). Nodes that processes share come from the one that owns
-        them: they are equal bit for bit.
-
-        Raises `ValueError`, in every process, for a `u` of another shape, and where processes
-        displace a node that they share differently.
+        Nodes that processes share are equal bit for bit. Raises `ValueError`, in every process, for
+        a `u` of another shape, and where processes displace a shared node differently.
         """
         u = self.gathered(u)
         moved = np.array(together(self.comm, lambda: jm.deform(self.plan, u)))
@@ -58,15 +55,15 @@ class Piece:
         return moved
 
     def pullback(self, u: Real[ArrayLike, "k d"], cotangent: Real[ArrayLike, "n d"]) -> Float[np.ndarray, "k d"]:
-        """Pulls dJ/d(points) of the whole mesh back to this piece's moving nodes (k, d).
+        """Pulls dJ/d(points) of the whole mesh, `cotangent` (n, d), back to moving nodes (k, d).
 
-        `cotangent` (n, d) is the derivative by each node as a whole: processes that share a node
-        give equal derivatives, which count once. It raises `ValueError` as `deform` does.
+        Processes that share a node give equal derivatives, which count once. It raises `ValueError`
+        as `deform` does.
         """
         u = self.gathered(u)
 
         def of_piece() -> np.ndarray:
-            values = numbers_of("cotangent", cotangent, self.plan.points.shape)
+            values = real_array("cotangent", cotangent, self.plan.points.shape)
             return np.array(jm.pullback(self.plan, u, np.where(self.is_owner[:, None], values, 0)))
 
         total = together(self.comm, of_piece)
@@ -74,18 +71,14 @@ class Piece:
         return total[self.rows]
 
     def pushforward(self, u: Real[ArrayLike, "k d"], tangent: Real[ArrayLike, "k d"]) -> Float[np.ndarray, "n d"]:
-        """Pushes `tangent` (k, d), a change of `u` (k, d), forward to this piece's points (n, d).
-
-        It is the derivative of `deform` in one direction. It raises `ValueError` as `deform` does.
-        """
+        """Pushes a change of `u` (k, d) forward to points (n, d); errors as of `deform`."""
         u, tangent = self.gathered(u), self.gathered(tangent, "tangent")
         return np.array(together(self.comm, lambda: jm.velocity(self.plan, u, tangent)))
 
     def gathered(self, u: Real[ArrayLike, "k d"], name: str = "u") -> Float[np.ndarray, "m d"]:
-        """Gathers all moving nodes' displacements from all processes; errors call them `name`."""
-
+        """Gathers the displacements of all moving nodes; errors call them `name`."""
         shape, dtype = (len(self.moving), self.plan.points.shape[1]), self.plan.points.dtype
-        own = together(self.comm, lambda: numbers_of(name, u, shape).astype(dtype))
+        own = together(self.comm, lambda: real_array(name, u, shape).astype(dtype))
         shares = self.comm.allgather((self.rows, own))
         whole = np.full((self.plan.n_moving, shape[1]), np.nan, dtype)
         for rows, values in shares:
@@ -100,9 +93,8 @@ class Piece:
     ) -> jm.Verdict:
         """Judges all pieces, each cell of which is in one: the same `Verdict` in every process.
 
-        `mesh`, `points` and `limits` are as `jaxmorph.judge` takes them, of this piece. Faces
-        between two pieces are not judged. It raises `ValueError`, in every process, as
-        `jaxmorph.judge` does.
+        Arguments and errors are as of `jaxmorph.judge`, of this piece. Faces between two pieces are
+        not judged.
         """
         verdict = together(self.comm, lambda: jm.judge(mesh, points, limits, part=self.comm.rank))
         return jm.Verdict.together(self.comm.allgather(verdict))
@@ -121,13 +113,10 @@ def prepare(
 ) -> Piece:
     """Prepares the piece of a mesh that this process has; every process calls it together.
 
-    The moving and fixed nodes of all pieces are gathered, and nodes on parallel symmetry planes.
-    The first process prepares them, and all attach their points to equal bits: nodes that pieces
-    share move alike.
-
-    Pieces with cells, as a `Mesh`, give the boundary's faces, which a single cell of all pieces
-    has. The piece then moves as with a plan of `jaxmorph.prepare(mesh, ...)`, to round-off, however
-    many processes there are. Without cells it moves as with a plan of points alone.
+    The first process prepares the moving and fixed nodes of all pieces, and all attach their points
+    to equal bits. A piece with cells, as a `Mesh`, moves as with a plan of
+    `jaxmorph.prepare(mesh, ...)`, to round-off, however many processes there are. Without cells it
+    moves as with a plan of points alone.
 
     **Arguments:**
 
@@ -140,13 +129,12 @@ def prepare(
       there are none.
     - `method`, `symmetry`: as `jaxmorph.prepare` takes them, alike in every process.
     - `is_open`: whether the mesh has a side that is neither moving, fixed nor a symmetry plane.
-      Default False. Faces show it: pieces with cells need it only to say that such sides are meant,
-      and not to be warned of.
+      Default False. With cells, which show it, True only keeps the warning away.
 
     **Returns:** a `Piece`.
 
-    **Raises:** `ValueError`, in every process, for what `jaxmorph.prepare` refuses. Also for a node
-    that two processes have at different places.
+    **Raises:** `ValueError`, in every process, for what `jaxmorph.prepare` refuses, and for a node
+    at different places in two processes.
     """
     check_comm(comm)
     mesh = points if isinstance(points, jm.Mesh) else None

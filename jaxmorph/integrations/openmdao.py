@@ -28,12 +28,36 @@ Traced = Callable[[Values], Any]
 """A pytree that computes one array from arrays by name."""
 
 
+OPTIONS: dict[str, dict[str, Any]] = {
+    "plan": {"types": jm.Plan, "recordable": False, "desc": "what jaxmorph.prepare returned"},
+    "mesh": {
+        "types": jm.Mesh,
+        "default": None,
+        "allow_none": True,
+        "recordable": False,
+        "desc": "whose cells are judged",
+    },
+    "raise_if_inverted": {"types": bool, "default": True, "desc": "AnalysisError on inverted cells"},
+    "flat": {"types": bool, "default": False, "desc": "variables of one dimension"},
+    "units": {"types": str, "default": None, "allow_none": True, "desc": "of both variables, or the output"},
+    "shape": {"types": object, "recordable": False, "desc": "positions and parameters to positions"},
+    "parameters": {"default": None, "recordable": False, "desc": "parameters at the start"},
+    "positions": {"types": bool, "default": False, "desc": "positions instead of displacements"},
+}
+
+
 class TracedComponent(om.ExplicitComponent):
     """Computes one output of inputs by a traced function; forward and reverse products are JAX's.
 
-    A subclass adds inputs and one output in `setup`, and returns the function from `traced`: a
-    pytree, so that it is compiled once.
+    A subclass names its options, adds inputs and one output in `setup`, and returns the function
+    from `traced`: a pytree, so that it is compiled once.
     """
+
+    option_names: tuple[str, ...] = ()
+
+    def initialize(self) -> None:
+        for name in self.option_names:
+            self.options.declare(name, **OPTIONS[name])
 
     def traced(self) -> Traced:
         raise NotImplementedError
@@ -65,12 +89,7 @@ class TracedComponent(om.ExplicitComponent):
 class MovedMesh(TracedComponent):
     """Moves a mesh by the option `plan`; judges its cells where the option `mesh` has them."""
 
-    def initialize(self) -> None:
-        self.options.declare("plan", types=jm.Plan, recordable=False, desc="what jaxmorph.prepare returned")
-        self.options.declare(
-            "mesh", types=jm.Mesh, default=None, allow_none=True, recordable=False, desc="whose cells are judged"
-        )
-        self.options.declare("raise_if_inverted", types=bool, default=True, desc="AnalysisError on inverted cells")
+    option_names = ("plan", "mesh", "raise_if_inverted")
 
     def setup(self) -> None:
         plan, mesh = self.options["plan"], self.options["mesh"]
@@ -105,20 +124,17 @@ class MeshDeformation(MovedMesh):
     """Wraps `jaxmorph.deform` as an explicit component, whose derivatives are products.
 
     The input `displacements` (m, d) is zero at first; its row i moves node `plan.moving[i]`. The
-    output `points` (n, d) are all nodes in the mesh's own order. In reverse mode it takes
-    sensitivities of all points to sensitivities of the moving nodes, as `jaxmorph.pullback` does.
-    OpenMDAO works in float64, so make the plan with JAX's x64 mode on.
+    output `points` (n, d) are all nodes in the mesh's own order. OpenMDAO works in float64, so make
+    the plan with JAX's x64 mode on.
 
     **Arguments:** (options)
 
     - `plan`: what `jaxmorph.prepare` returned.
-    - `mesh`: the mesh that the plan is of, whose cells are judged. Default None: no cells are seen,
-      which is warned of.
+    - `mesh`: the plan's mesh, whose cells are judged. Default None: no cells are seen, which is
+      warned of.
     - `raise_if_inverted`: whether inverted cells raise `openmdao.api.AnalysisError`, by which
-      optimisers shorten a step. Cells are judged relative to `mesh`: cells that were inverted from
-      the start do not count. Default True.
-    - `flat`: True flattens both variables to (m d,) and (n d,), as the solvers of MPhys have them.
-      Default False.
+      optimisers shorten a step. Cells that are inverted in `mesh` do not count. Default True.
+    - `flat`: True flattens both variables to (m d,) and (n d,). Default False.
     - `units`: of both variables, such as "m". Default None: none.
 
         problem = om.Problem()
@@ -129,10 +145,7 @@ class MeshDeformation(MovedMesh):
         points = problem.get_val("points")
     """
 
-    def initialize(self) -> None:
-        super().initialize()
-        self.options.declare("flat", types=bool, default=False, desc="variables of one dimension")
-        self.options.declare("units", types=str, default=None, allow_none=True, desc="of displacements and points")
+    option_names = (*MovedMesh.option_names, "flat", "units")
 
     def setup(self) -> None:
         super().setup()
@@ -168,13 +181,7 @@ class ShapeDisplacement(TracedComponent):
     - `flat`, `units`: of the output, as `MeshDeformation` has them.
     """
 
-    def initialize(self) -> None:
-        self.options.declare("shape", types=object, recordable=False, desc="positions and parameters to positions")
-        self.options.declare("plan", types=jm.Plan, recordable=False, desc="what jaxmorph.prepare returned")
-        self.options.declare("parameters", default=None, recordable=False, desc="parameters at the start")
-        self.options.declare("positions", types=bool, default=False, desc="positions instead of displacements")
-        self.options.declare("flat", types=bool, default=False, desc="an output of one dimension")
-        self.options.declare("units", types=str, default=None, allow_none=True, desc="of the output")
+    option_names = ("shape", "plan", "parameters", "positions", "flat", "units")
 
     def setup(self) -> None:
         flat, units = self.options["flat"], self.options["units"]
@@ -189,11 +196,7 @@ class ShapeDisplacement(TracedComponent):
 
 
 def first_parameters(shape: Any, parameters: PyTree) -> PyTree:
-    """Returns the given parameters, or neutral ones for None.
-
-    **Raises:** `ValueError` for what is no function, for a plain function and None, and for what
-    the shape does not take.
-    """
+    """Returns the given parameters, or neutral ones for None."""
     if isinstance(shape, type) or not callable(shape):
         raise ValueError(f"`shape` must be a shape or a function of positions and parameters, not {shown(shape)}.")
     if parameters is None and not hasattr(shape, "neutral"):
@@ -211,7 +214,6 @@ def add_parameters(component: Any, parameters: PyTree, **options: Any) -> dict[s
 
 
 def from_inputs(parameters: PyTree, values: dict[str, Any]) -> PyTree:
-    """Collects parameters from inputs: arrays by name to the structure of `parameters`."""
     leaves = [jnp.reshape(values[name], np.shape(leaf)) for name, leaf in _inputs(parameters)]
     return jax.tree.unflatten(jax.tree.structure(parameters), leaves)
 

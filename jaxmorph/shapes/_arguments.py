@@ -1,7 +1,7 @@
 """Checks what comes in: shapes always, values where they are known."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -9,8 +9,11 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int, Real
 
 from .._host.package.arguments import as_array, shown
+from .._host.package.arguments import rows_of as listed_rows
+from .._kernels.module import Module
 from .._kernels.values import array, is_known
 
+M = TypeVar("M", bound=Module)
 Number = Real[ArrayLike, ""]
 Numbers = Real[ArrayLike, "..."] | Sequence[Any]
 
@@ -21,6 +24,19 @@ def positions(x: Numbers, name: str = "x") -> Float[Array, "m d"]:
     if places.ndim != 2 or places.shape[1] not in (2, 3):
         raise ValueError(f"`{name}` has shape {places.shape}; positions have shape (m, 2) or (m, 3).")
     return places if jnp.issubdtype(places.dtype, jnp.floating) else places.astype(jnp.result_type(float))
+
+
+def positions_in(x: Numbers, counts: tuple[int, ...]) -> Float[Array, "m d"]:
+    """Turns positions into an array (m, d) for a box of control points with d counts."""
+    places = positions(x)
+    if places.shape[1] != len(counts):
+        raise ValueError(f"`x` has shape {places.shape}; this box is in {len(counts)}-D.")
+    return places
+
+
+def cast(module: M, x: Float[Array, "m d"]) -> M:
+    """Casts the floats of a module to the dtype of positions."""
+    return jax.tree.map(lambda leaf: leaf.astype(x.dtype) if jnp.issubdtype(leaf.dtype, jnp.inexact) else leaf, module)
 
 
 def known_positions(x: Numbers, name: str = "x") -> Float[np.ndarray, "m d"]:
@@ -49,12 +65,7 @@ def check_parameters(parameters: Any) -> None:
 def rows_of(name: str, ids: Any, count: int) -> Int[np.ndarray, "..."]:
     """Turns ids into row numbers of `count` positions, in an array of any shape."""
     ids = as_array(name, ids)
-    if ids.dtype.kind not in "iu":
-        raise ValueError(f"`{name}` is an array of {ids.dtype}; expected row numbers.")
-    bad = ids[(ids < 0) | (ids >= count)]
-    if bad.size:
-        raise ValueError(f"{bad.size} ids of `{name}` are no row of {count} positions, first {bad[0]}.")
-    return ids
+    return listed_rows(name, ids.ravel(), count).reshape(ids.shape)
 
 
 def number(name: str, value: Any, like: Array) -> Float[Array, ""]:
@@ -86,7 +97,6 @@ def direction(name: str, values: Any, like: Array) -> Float[Array, " d"]:
 
 
 def positive(name: str, value: Any, like: Array) -> Float[Array, ""]:
-    """Turns a length above 0 into an array."""
     value = number(name, value, like)
     if is_known(value) and not value > 0:
         raise ValueError(f"`{name}` is {value}; it must be above 0.")
@@ -94,7 +104,6 @@ def positive(name: str, value: Any, like: Array) -> Float[Array, ""]:
 
 
 def axis_for(values: Any, like: Array) -> Float[Array, " 3"] | None:
-    """Turns an axis of rotation into a vector of length 1; 2-D has none."""
     if like.shape[1] == 3 and values is None:
         raise ValueError("`axis` is missing: a rotation in 3-D needs (3,) numbers.")
     if like.shape[1] == 2 and values is not None:

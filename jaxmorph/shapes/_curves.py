@@ -8,20 +8,18 @@ from jaxtyping import Array, Float
 
 from .._host.package.arguments import between, checked
 from .._kernels.values import clipped, slack
-from ._arguments import Numbers, check_finite, known_positions, positions
-from ._lattice import bernstein, spans, values
+from ._arguments import Numbers, cast, check_finite, known_positions, positions
+from ._lattice import bernstein, splines
 from ._section import Chord
-from ._shape import AbstractLinearShape, AbstractShape, Operator
+from ._shape import AbstractLinearShape, AbstractShape, Move
 
 
 class HicksHenne(AbstractLinearShape):
     """Bumps on an airfoil's side (Hicks and Henne, 1978).
 
-    A bump is sin(pi t^(ln 0.5 / ln c))^w, of height 1 at t = c.
-
-    t runs along the chord from 0 to 1; positions before and behind it stay. The parameters (k,) are
-    the heights, in the units of the positions, across the chord. `Part` restricts the bumps to one
-    side.
+    A bump is sin(pi t^(ln 0.5 / ln c))^w, of height 1 at t = c. t runs along the chord from 0 to 1;
+    positions before and behind it stay. The parameters (k,) are the heights, in the units of the
+    positions, across the chord. `Part` restricts the bumps to one side.
 
     **Arguments:**
 
@@ -46,32 +44,31 @@ class HicksHenne(AbstractLinearShape):
         if np.shape(widths) not in ((), known.shape) or not (np.asarray(widths) > 0).all():
             raise ValueError(f"`widths` must be one number above 0, or {len(known)} of them.")
         bumps = np.column_stack([known, np.broadcast_to(np.asarray(widths, float), known.shape)])
-        if len(np.unique(bumps, axis=0)) < len(bumps):
-            raise ValueError(f"{len(bumps) - len(np.unique(bumps, axis=0))} of {len(bumps)} bumps stand twice.")
-        self.centres, self.widths = jnp.asarray(known), jnp.broadcast_to(jnp.asarray(widths, float), known.shape)
+        if twice := len(bumps) - len(np.unique(bumps, axis=0)):
+            raise ValueError(f"{twice} of {len(bumps)} bumps stand twice.")
+        self.centres, self.widths = (jnp.asarray(column) for column in bumps.T)
         self.chord = Chord() if chord is None else chord
 
     def neutral(self) -> Float[Array, " k"]:
         return jnp.zeros(len(self.centres))
 
-    def at(self, x: Numbers) -> Operator:
+    def at(self, x: Numbers) -> Move:
         x = positions(x)
-        t, _ = self.chord.coordinates(x)
-        centres, widths = self.centres.astype(x.dtype)[None, :], self.widths.astype(x.dtype)[None, :]
+        own = cast(self, x)
+        t = own.chord.coordinates(x)[0][:, None]
         inside = (t > 0) & (t < 1)
-        power = jnp.where(inside, t, 0.5)[:, None] ** (jnp.log(0.5) / jnp.log(centres)).astype(x.dtype)
-        bumps = jnp.where(inside[:, None], jnp.sin(jnp.pi * power) ** widths, 0)
-        return Operator(_across, (bumps, self.chord.up.astype(x.dtype)), self.centres.shape)
+        power = jnp.where(inside, t, 0.5) ** (jnp.log(0.5) / jnp.log(own.centres)).astype(x.dtype)[None, :]
+        bumps = jnp.where(inside, jnp.sin(jnp.pi * power) ** own.widths[None, :], 0)
+        return lambda heights: (bumps @ self._numbers(heights, x))[:, None] * own.chord.up[None, :]
 
 
 class CST(AbstractLinearShape):
     """Class and shape functions of one side of an airfoil (Kulfan, 2008).
 
-    They are t^a (1 - t)^b times Bernstein polynomials.
-
-    The parameters are `order + 2` numbers in chords: the weights of the polynomials, and the
-    ordinate of a blunt trailing edge. The displacement is what they add across the chord. `Part`
-    restricts it to one side; `fit_cst` finds the weights of an airfoil.
+    They are t^a (1 - t)^b times Bernstein polynomials. The parameters are `order + 2` numbers in
+    chords: the weights of the polynomials, and the ordinate of a blunt trailing edge. The
+    displacement is what they add across the chord. `Part` restricts it to one side; `fit_cst` finds
+    the weights of an airfoil.
 
     **Arguments:**
 
@@ -93,22 +90,18 @@ class CST(AbstractLinearShape):
     def neutral(self) -> Float[Array, " k"]:
         return jnp.zeros(self.order + 2)
 
-    def at(self, x: Numbers) -> Operator:
+    def at(self, x: Numbers) -> Move:
         x = positions(x)
-        t, _ = self.chord.coordinates(x)
+        chord = cast(self.chord, x)
+        t, _ = chord.coordinates(x)
         beyond = slack(t.dtype)
         inside = (t >= -beyond) & (t <= 1 + beyond)
         within = jnp.where(inside, t, 0.5)
         a, b = self.exponents
         class_function = jnp.where(inside, _power(within, a) * _power(1 - within, b), 0)
         functions = class_function[:, None] * bernstein(within, self.order)
-        weights = jnp.concatenate([functions, clipped(t, 0, 1)[:, None]], axis=1)
-        arrays = weights * self.chord.length.astype(x.dtype), self.chord.up.astype(x.dtype)
-        return Operator(_across, arrays, (self.order + 2,))
-
-
-def _across(weights: Float[Array, "m k"], up: Float[Array, " d"], heights: Float[Array, " k"]) -> Float[Array, "m d"]:
-    return (weights @ heights)[:, None] * up[None, :]
+        weights = chord.length * jnp.concatenate([functions, clipped(t, 0, 1)[:, None]], axis=1)
+        return lambda numbers: (weights @ self._numbers(numbers, x))[:, None] * chord.up[None, :]
 
 
 def _power(distance: Float[Array, " m"], exponent: float) -> Float[Array, " m"]:
@@ -158,24 +151,18 @@ class BSplineCurve(AbstractLinearShape):
     def neutral(self) -> Float[Array, "k d"]:
         return jnp.zeros((self.count, self.dimension))
 
-    def at(self, x: Numbers) -> Operator:
+    def at(self, x: Numbers) -> Move:
         x = positions(x)
         if (*self.shares.shape, self.dimension) != x.shape:
             raise ValueError(f"this curve has {len(self.shares)} nodes in {self.dimension}-D; `x` has shape {x.shape}.")
-        t = self.shares.astype(x.dtype)
-        first = spans(t, self.count, self.degree)
-        columns = first[:, None] + jnp.arange(self.degree + 1)[None, :]
-        weights = jnp.zeros((len(x), self.count), x.dtype)
-        weights = weights.at[jnp.arange(len(x))[:, None], columns].add(values(t, first, self.count, self.degree))
-        return Operator(jnp.matmul, (weights,), (self.count, self.dimension))
+        weights = splines(self.shares.astype(x.dtype), self.count, self.degree)
+        return lambda control: weights @ self._numbers(control, x)
 
 
 class Modes(AbstractLinearShape):
     """Given displacement fields, such as mode shapes; the parameters (k,) are amplitudes.
 
-    **Arguments:**
-
-    - `fields`: (k, m, d).
+    `fields` are (k, m, d).
 
     **Raises:** `ValueError` for fields of another shape than the positions.
     """
@@ -192,16 +179,11 @@ class Modes(AbstractLinearShape):
     def neutral(self) -> Float[Array, " k"]:
         return jnp.zeros(len(self.fields))
 
-    def at(self, x: Numbers) -> Operator:
-        """Checks that the fields belong to positions (m, d)."""
+    def at(self, x: Numbers) -> Move:
         x = positions(x)
         if self.fields.shape[1:] != x.shape:
             raise ValueError(f"`x` has shape {x.shape}; the modes have {self.fields.shape[1:]}.")
-        return Operator(_combined, (self.fields.astype(x.dtype),), self.fields.shape[:1])
-
-
-def _combined(fields: Float[Array, "k m d"], amplitudes: Float[Array, " k"]) -> Float[Array, "m d"]:
-    return jnp.tensordot(amplitudes, fields, axes=1)
+        return lambda amplitudes: jnp.tensordot(self._numbers(amplitudes, x), self.fields.astype(x.dtype), 1)
 
 
 LAST = (0.1015, 0.1036)
@@ -243,24 +225,22 @@ class NACA4(AbstractShape):
         return self.original
 
     def __call__(self, x: Numbers, parameters: Numbers) -> Float[Array, "m d"]:
-        """Moves positions (m, d) from the given airfoil to the airfoil of the parameters (3,)."""
         x = positions(x)
-        parameters, original = jnp.asarray(parameters, x.dtype), self.original.astype(x.dtype)
+        own, parameters = cast(self, x), jnp.asarray(parameters, x.dtype)
         if parameters.shape != (3,):
             raise ValueError(f"parameters have shape {parameters.shape}; expected camber, place, thickness.")
-        t, height = self.chord.coordinates(x)
-        height = height / self.chord.length.astype(x.dtype)
+        chord, original = own.chord, own.original
+        t, height = chord.coordinates(x)
+        height = height / chord.length
         s = _station(t, height, original)
-        t0, y0 = _from_mean_line(s, _offset(s, t, height, original), original)
-        t1, y1 = _from_mean_line(s, _offset(s, t, height, original) * (parameters[2] / original[2]), parameters)
-        chord, up = (self.chord.tail - self.chord.nose).astype(x.dtype), self.chord.up.astype(x.dtype)
-        across = up * self.chord.length.astype(x.dtype)
-        return x + (t1 - t0)[:, None] * chord[None, :] + (y1 - y0)[:, None] * across[None, :]
+        offset = _offset(s, t, height, original)
+        t0, y0 = _from_mean_line(s, offset, original)
+        t1, y1 = _from_mean_line(s, offset * (parameters[2] / original[2]), parameters)
+        along, across = chord.tail - chord.nose, chord.up * chord.length
+        return x + (t1 - t0)[:, None] * along[None, :] + (y1 - y0)[:, None] * across[None, :]
 
 
-def _mean_line(
-    s: Float[Array, "*shape"], airfoil: Float[Array, " 3"]
-) -> tuple[Float[Array, "*shape"], Float[Array, "*shape"]]:
+def _mean_line(s, airfoil: Float[Array, " 3"]) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
     """Computes ordinate and slope of the mean line at each place."""
     camber, place = airfoil[0], airfoil[1]
     width = jnp.where(s < place, place, 1 - place)
@@ -274,9 +254,8 @@ def _away(s, t, height, airfoil: Float[Array, " 3"]) -> Float[Array, "..."]:
     return s - t + (ordinate - height) * slope
 
 
-def _rate(s, t, height, airfoil: Float[Array, " 3"]) -> Float[Array, "..."]:
-    """Computes the derivative of `_away` by s."""
-    return jax.jvp(lambda s: _away(s, t, height, airfoil), (s,), (jnp.ones_like(s),))[1]
+def _rate(s, *position) -> Float[Array, "..."]:
+    return jax.jvp(lambda s: _away(s, *position), (s,), (jnp.ones_like(s),))[1]
 
 
 @jax.custom_jvp
@@ -286,23 +265,22 @@ def _station(t: Float[Array, " m"], height: Float[Array, " m"], airfoil: Float[A
 
     Of several feet it is the one at which the airfoil is as thick as the position is far.
     """
-    t, height = t[None], height[None]
-    near, far = _intervals(height, airfoil)
-    sign = jnp.sign(_away(near, t, height, airfoil))
+    position = t[None], height[None], airfoil
+    near, far = _intervals(height[None], airfoil)
+    sign = jnp.sign(_away(near, *position))
 
     def halved(_, ends):
         middle = ends.mean(axis=0)
-        same = jnp.sign(_away(middle, t, height, airfoil)) == sign
+        same = jnp.sign(_away(middle, *position)) == sign
         return jnp.stack([jnp.where(same, middle, ends[0]), jnp.where(same, ends[1], middle)])
 
     s = jax.lax.fori_loop(0, HALVINGS, halved, jnp.stack([near, far])).mean(axis=0)
     for _ in range(2):
-        rate = _rate(s, t, height, airfoil)
-        s = s - _away(s, t, height, airfoil) / jnp.where(jnp.abs(rate) > 0.1, rate, jnp.inf)
-    part = jnp.clip(s, 0, 1)
-    half = [_half_thickness(part, airfoil[2], last) for last in LAST]
-    offset = jnp.abs(_offset(s, t, height, airfoil))
-    miss = jnp.minimum(*(jnp.abs(offset - thickness) for thickness in half)) + jnp.abs(_away(s, t, height, airfoil))
+        rate = _rate(s, *position)
+        s = s - _away(s, *position) / jnp.where(jnp.abs(rate) > 0.1, rate, jnp.inf)
+    offset = jnp.abs(_offset(s, *position))
+    half = (_half_thickness(jnp.clip(s, 0, 1), airfoil[2], last) for last in LAST)
+    miss = jnp.minimum(*(jnp.abs(offset - thickness) for thickness in half)) + jnp.abs(_away(s, *position))
     first = jnp.argmax(miss <= miss.min(axis=0, keepdims=True) + slack(s.dtype), axis=0)
     return jnp.take_along_axis(s, first[None], axis=0)[0]
 
@@ -317,9 +295,7 @@ def _station_jvp(primals, tangents):
     return s, -moved / jnp.where(jnp.abs(rate) > slack(s.dtype), rate, 1)
 
 
-def _intervals(
-    height: Float[Array, "1 m"], airfoil: Float[Array, " 3"]
-) -> tuple[Float[Array, "4 m"], Float[Array, "4 m"]]:
+def _intervals(height: Float[Array, "1 m"], airfoil: Float[Array, " 3"]) -> Float[Array, "2 4 m"]:
     """Computes the ends of intervals in which a position has at most one foot.
 
     Let v = s - place, and b = -camber / width^2 on each of the two parabolas. There a foot is a
@@ -327,14 +303,14 @@ def _intervals(
     extremum, and beyond it.
     """
     camber, place = airfoil[0], airfoil[1]
-    near, far = [], []
+    ends = []
     for width, sign in ((place, -1), (1 - place, 1)):
         bend = -camber / width**2
         square = -(1 + 2 * bend * (camber - height)) / jnp.where(bend == 0, 1, 6 * bend**2)
         extremum = jnp.minimum(jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), 0), REACH)
-        near += [jnp.broadcast_to(place, height.shape), place + sign * extremum]
-        far += [place + sign * extremum, jnp.broadcast_to(place + sign * REACH, height.shape)]
-    return jnp.concatenate(near), jnp.concatenate(far)
+        crest, last = (jnp.broadcast_to(end, height.shape) for end in (place, place + sign * REACH))
+        ends += [(crest, place + sign * extremum), (place + sign * extremum, last)]
+    return jnp.stack([jnp.concatenate(side) for side in zip(*ends, strict=True)])
 
 
 def _half_thickness(s, thickness, last: float) -> Float[Array, "..."]:

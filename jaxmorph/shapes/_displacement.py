@@ -25,8 +25,7 @@ def displacement(shape: AnyShape, plan: Plan, parameters: PyTree) -> Float[Array
 
     **Arguments:**
 
-    - `shape`: a function of positions and parameters that returns positions, or a shape of
-      `jaxmorph.shapes`.
+    - `shape`: a shape, or a function of positions and parameters that returns positions.
     - `plan`: from `prepare`.
     - `parameters`: what the shape takes; traced, for derivatives.
 
@@ -43,19 +42,12 @@ def path(shape: AnyShape, x: Numbers, parameters: PyTree, steps: int) -> Float[A
 
     A rotation in steps is a path of rotated positions. Traced in positions and parameters.
 
-    **Arguments:**
+    The path of positions (m, d) begins at `shape.neutral()` and ends at `parameters`.
 
-    - `shape`: a shape with `neutral()`, the parameters where the path begins.
-    - `x`: positions (m, d).
-    - `parameters`: the parameters at the end.
-    - `steps`: 1 or more.
-
-    **Raises:** `ValueError` for no steps, for a plain function in several steps, and as
-    `displacement` does.
+    **Raises:** `ValueError` for a plain function in several steps, and as `displacement` does.
     """
     x = positions(x)
     whole("steps", steps)
-    check_parameters(parameters)
     if steps == 1:
         return moves(shape, x, parameters)[None]
     start = neutral(shape)
@@ -74,23 +66,20 @@ def pullback(shape: AnyShape, plan: Plan | Sequence[Plan], parameters: PyTree, c
 
     **Arguments:**
 
-    - `shape`: a shape, or a function of positions and parameters.
+    - `shape`, `parameters`: what moved the mesh, as `displacement` takes them.
     - `plan`: from `prepare`; or the plans that `march` returned for `path(shape, x, parameters,
       len(plans))`.
-    - `parameters`: the parameters that moved the mesh.
     - `cotangent`: dJ/d(points) (n, d) at the moved mesh.
 
     **Raises:** `ValueError` for another number of nodes, and as `path` does.
     """
-    check_parameters(parameters)
     plans = (plan,) if isinstance(plan, Plan) else tuple(plan)
     if not plans or np.shape(cotangent) != plans[0].points.shape:
         expected = plans[0].points.shape if plans else "plans of a march"
         raise ValueError(f"`cotangent` has shape {np.shape(cotangent)}; expected {expected}.")
-    x, dtype = plans[0].points[plans[0].moving], plans[0].points.dtype
-    parameters = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), parameters)
-    total, transpose = jax.vjp(lambda parameters: path(shape, x, parameters, len(plans)), parameters)
-    cotangent = jnp.asarray(cotangent, dtype)
+    x = plans[0].points[plans[0].moving]
+    total, transpose = jax.vjp(lambda values: path(shape, x, values, len(plans)), _floats(parameters, x))
+    cotangent = jnp.asarray(cotangent, x.dtype)
     if len(plans) == 1:
         return transpose(jm.pullback(plans[0], total[0], cotangent)[None])[0]
     return transpose(jax.vjp(lambda total: jm.replay(plans, total), total)[1](cotangent)[0])[0]
@@ -100,24 +89,26 @@ def pullback(shape: AnyShape, plan: Plan | Sequence[Plan], parameters: PyTree, c
 def project(shape: AnyShape, x: Numbers, parameters: PyTree, gradient: Numbers) -> PyTree:
     """Takes dJ/d(positions) of a wall to dJ/d(parameters) of its shape, without a mesh.
 
-    It is for sensitivities that are the wall's own, as `jm.pullback` or a solver's surface file
-    gives them.
+    `jm.pullback` or a solver's surface file gives such sensitivities.
 
     **Arguments:**
 
-    - `shape`: a shape, or a function of positions and parameters.
+    - `shape`, `parameters`: what moved the wall, as `displacement` takes them.
     - `x`: undeformed positions (m, d) of the wall.
-    - `parameters`: the parameters that moved the wall.
     - `gradient`: dJ/d(positions) (m, d) of the moved wall.
 
     **Raises:** `ValueError` for another number of rows, and as `displacement` does.
     """
     x = positions(x)
-    check_parameters(parameters)
     if np.shape(gradient) != x.shape:
         raise ValueError(f"`gradient` has shape {np.shape(gradient)}; the wall has positions {x.shape}.")
-    parameters = jax.tree.map(lambda leaf: jnp.asarray(leaf, x.dtype), parameters)
-    return jax.vjp(lambda parameters: moves(shape, x, parameters), parameters)[1](jnp.asarray(gradient, x.dtype))[0]
+    transpose = jax.vjp(lambda values: moves(shape, x, values), _floats(parameters, x))[1]
+    return transpose(jnp.asarray(gradient, x.dtype))[0]
+
+
+def _floats(parameters: PyTree, x: Float[Array, "m d"]) -> PyTree:
+    check_parameters(parameters)
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf, x.dtype), parameters)
 
 
 def neutral(shape: AnyShape) -> PyTree:
@@ -128,10 +119,7 @@ def neutral(shape: AnyShape) -> PyTree:
 
 
 def moves(shape: AnyShape, x: Float[Array, "m d"], parameters: PyTree) -> Float[Array, "m d"]:
-    """Computes the displacement of positions.
-
-    Raises `ValueError` where the shape returns another number of positions.
-    """
+    """Computes the displacement of positions, as `displacement` does."""
     check_parameters(parameters)
     if isinstance(shape, AbstractLinearShape):
         if parameters is None:
@@ -149,13 +137,9 @@ LISTED = 12
 
 @checked
 def names(parameters: PyTree) -> list[str]:
-    """Names each number of parameters, in the order of `jax.flatten_util.ravel_pytree`.
+    """Names each number of a shape's parameters, in the order of `jax.flatten_util.ravel_pytree`.
 
     Keys are joined by dots, places in an array follow in brackets: `wing.twist`, `wing.box[2,1,0]`.
-
-    **Arguments:**
-
-    - `parameters`: what a shape takes.
     """
     check_parameters(parameters)
     return [name for stem, leaf in _leaves(parameters) for name in _of_numbers(stem, np.shape(leaf))]
@@ -194,7 +178,6 @@ def varied(parameters: PyTree, changes: Mapping[str, Any]) -> PyTree:
 
 
 def _match(name: str, places: Iterable[str], arrays: Mapping[str, tuple[int, ...]]) -> str:
-    """Finds the only design variable of a name, or with a name that ends with it."""
     matches = _called(name, places)
     if len(matches) == 1:
         return matches[0]

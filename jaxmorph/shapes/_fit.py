@@ -20,7 +20,7 @@ from ._shape import AbstractLinearShape, Part, Together
 
 
 class Fit(Module):
-    """Result of a fit: parameters, distances left, rank.
+    """Result of `fit`.
 
     - `parameters`: as the shape takes them.
     - `residual`: (m,) distance of each position from its target.
@@ -36,8 +36,7 @@ class Fit(Module):
 
     def raise_if_singular(self) -> None:
         """Raises `ValueError` where parameters, or combinations of them, have no effect."""
-        idle = self.count - int(self.rank)
-        if idle:
+        if idle := self.count - int(self.rank):
             raise ValueError(
                 f"the fit is singular: {idle} of {self.count} parameters have no effect of their own on these {len(self.residual)} "
                 f"points. Try fewer parameters, or more points."
@@ -55,8 +54,7 @@ def fit(
 ) -> Fit:
     """Finds the parameters with which a shape moves points closest to targets (least squares).
 
-    A linear shape takes one solve, by singular values; any other is fitted by Levenberg and
-    Marquardt's method.
+    A linear shape takes one solve, by singular values, any other Levenberg and Marquardt's method.
 
     **Arguments:**
 
@@ -66,8 +64,8 @@ def fit(
     - `start`: parameters to begin with; `shape.neutral()` by default.
     - `max_steps`: of the iteration.
 
-    **Raises:** `ValueError` for different shapes, values that are not finite, no `start` for a
-    function, and parameters of which none moves a point.
+    **Raises:** `ValueError` for different shapes, no `start` for a function, and parameters of
+    which none moves a point.
     """
     whole("max_steps", max_steps)
     points, targets = positions(points, "points"), positions(targets, "targets")
@@ -111,9 +109,8 @@ def fit_cst(
 
     - `points`: (m, 2) nodes of the airfoil, in any order.
     - `order`, `exponents`: of `CST`.
-    - `chord`: from the tail to the node farthest from it by default. A nose between two nodes shows
-      in the residual there.
-    - `wall`: rows of all points in the order of the wall, by which `upper_side` finds the sides.
+    - `chord`: `Chord.along` by default. A nose between two nodes shows in the residual there.
+    - `wall`: as `upper_side` takes it; it names all points.
 
     **Returns:** the shape, whose parameters are (upper, lower), and the `Fit`, whose parameters
     describe this airfoil. Changes to them move the airfoil: `shape(points, (d_upper, d_lower))`.

@@ -12,20 +12,16 @@ from .._host.cells.adjacency import parts_of
 from .._host.package.arguments import between, checked, whole
 from .._host.package.errors import place_of
 from .._kernels.values import is_known, slack
-from ._arguments import Numbers, check_finite, known_positions, positions
-from ._lattice import Blocks, Rows, spans, values
-from ._shape import AbstractLinearShape, Linked, Operator
-
-MANY = 1000
-"""Points from which on `at` sorts them, for a faster operator."""
+from ._arguments import Numbers, check_finite, known_positions, positions, positions_in
+from ._lattice import splines, sums
+from ._shape import AbstractLinearShape, Linked, Move
 
 
 class FreeForm(AbstractLinearShape):
     """A box of control points that carry the points inside; points outside stay.
 
-    With the highest degree the weights are Bernstein polynomials (Sederberg and Parry, Free-form
-    deformation of solid geometric models, SIGGRAPH 1986). The parameters are the displacements
-    (*counts, d) of the control points.
+    With the highest degree the weights are Bernstein polynomials (Sederberg and Parry, SIGGRAPH
+    1986). The parameters are the displacements (*counts, d) of the control points.
 
     **Arguments:**
 
@@ -34,9 +30,8 @@ class FreeForm(AbstractLinearShape):
     - `counts`: numbers of control points along each edge, 2 or more.
     - `degree`: of the B-splines, one number or a number for each direction; None is the highest,
       `counts - 1`.
-    - `continuity`: k holds the k + 1 outer layers of control points. What stands across the border
-      then joins with k continuous derivatives. None holds none, and a wall across the border tears
-      where the border moves.
+    - `continuity`: k holds the k + 1 outer layers of control points, so that a wall across the
+      border has k continuous derivatives. None holds none: the wall tears where the border moves.
 
     **Raises:** `ValueError` for wrong shapes, edges in one plane, counts below 2, degrees outside
     of 1 to `counts - 1`, and a continuity that leaves no control point free.
@@ -66,8 +61,8 @@ class FreeForm(AbstractLinearShape):
         if is_known(axes) and not abs(np.linalg.det(axes)) > 1e-12 * np.linalg.norm(axes, axis=1).prod():
             raise ValueError("the box is flat: its `axes` lie in one plane or one of them has no length.")
         self.origin, self.axes = origin, axes
-        self.counts, self.degrees = _checked_counts(counts, degree, d)
-        self.continuity = continuity
+        self.counts = _checked_counts(counts, d)
+        self.degrees, self.continuity = _checked_degrees(degree, self.counts), continuity
         if continuity is not None and (continuity < 0 or 2 * (continuity + 1) >= min(self.counts)):
             raise ValueError(
                 f"continuity={continuity} holds {continuity + 1} layers: no control of {self.counts} is free."
@@ -83,14 +78,9 @@ class FreeForm(AbstractLinearShape):
         degree: int | Sequence[int | None] | None = None,
         continuity: int | None = None,
     ) -> "FreeForm":
-        """Makes the box along the axes that holds all points.
+        """Makes the box along the axes around points (m, d).
 
-        **Arguments:**
-
-        - `points`: positions (m, d) to be inside.
-        - `counts`, `degree`, `continuity`: as for the class.
-        - `margin`: room on each side, relative to the longest edge of the points' box. Default
-          0.05.
+        `margin` is the room on each side, relative to the longest edge of the points' box.
 
         **Raises:** `ValueError` as the class does, and for points in one plane without a margin.
         """
@@ -105,37 +95,24 @@ class FreeForm(AbstractLinearShape):
         return FreeForm(low - space, jnp.diag(high - low + 2 * space), counts, degree=degree, continuity=continuity)
 
     def neutral(self) -> Float[Array, "..."]:
-        return jnp.zeros(self._shape)
+        return jnp.zeros((*self.counts, len(self.counts)))
 
     @property
     def free(self) -> Bool[np.ndarray, "..."]:
-        """Control points (*counts,) that may move: `continuity` does not hold them."""
+        """True for control points that `continuity` leaves free, (*counts,)."""
         layers = 0 if self.continuity is None else self.continuity + 1
-        free = np.zeros(self.counts, bool)
-        free[tuple(slice(layers, count - layers) for count in self.counts)] = True
-        return free
+        return np.pad(np.ones([count - 2 * layers for count in self.counts], bool), layers)
 
-    def at(self, x: Numbers) -> Operator:
-        x = positions(x)
-        if x.shape[1] != len(self.counts):
-            raise ValueError(f"`x` has shape {x.shape}; this box is in {len(self.counts)}-D.")
+    def at(self, x: Numbers) -> Move:
+        x = positions_in(x, self.counts)
         t = self.coordinates(x)
-        inside = self.holds(t)
+        inside = self.holds(t)[:, None]
         # what is outside has no weight, and a place where none of its powers is large
-        within = jnp.where(inside[:, None], t, 0.5)
-        first, weights = [], []
-        for t_along, count, degree in zip(within.T, self.counts, self.degrees, strict=True):
-            first.append(spans(t_along, count, degree))
-            weights.append(values(t_along, first[-1], count, degree))
-        weights[0] = jnp.where(inside[:, None], weights[0], 0)
-        rows = Rows(tuple(weights), tuple(first), self.counts)
-        sorted_rows = Blocks.of(rows) if is_known(x, self) and len(x) >= MANY else rows
-        free = None if self.continuity is None else jnp.asarray(self.free)
-        return Operator(_carried, (sorted_rows, free), self._shape)
-
-    @property
-    def _shape(self) -> tuple[int, ...]:
-        return *self.counts, len(self.counts)
+        within = jnp.where(inside, t, 0.5)
+        weights = [splines(*along) for along in zip(within.T, self.counts, self.degrees, strict=True)]
+        weights[0] = jnp.where(inside, weights[0], 0)
+        free = self.free[..., None]
+        return lambda control: sums(weights, jnp.where(free, self._numbers(control, x), 0))
 
     def coordinates(self, x: Float[Array, "m d"]) -> Float[Array, "m d"]:
         """Computes coordinates in the box, each from 0 to 1 inside."""
@@ -166,8 +143,7 @@ class FreeForm(AbstractLinearShape):
 
         **Arguments:**
 
-        - `free`: which controls may move, (*counts,), or which of their coordinates, (*counts, d);
-          all by default.
+        - `free`: True for free controls (*counts,), or coordinates (*counts, d); all by default.
         - `groups`: lists of controls (i, j[, k]) that move alike.
         - `mirror`: direction of the lattice whose two halves move as mirror images; its edge must
           be along an axis.
@@ -175,10 +151,11 @@ class FreeForm(AbstractLinearShape):
         **Raises:** `ValueError` for arrays or controls that are not of this lattice, an edge along
         no axis, and nothing free.
         """
-        free = np.ones(self._shape, bool) if free is None else np.asarray(free)
-        free = np.repeat(free[..., None], len(self.counts), axis=-1) if free.shape == self.counts else free
-        if free.shape != self._shape or free.dtype != bool:
-            raise ValueError(f"`free` has shape {free.shape} of {free.dtype}; expected {self.counts} or {self._shape}.")
+        needed = *self.counts, len(self.counts)
+        free = np.ones(needed, bool) if free is None else np.asarray(free)
+        free = np.repeat(free[..., None], needed[-1], axis=-1) if free.shape == self.counts else free
+        if free.shape != needed or free.dtype != bool:
+            raise ValueError(f"`free` has shape {free.shape} of {free.dtype}; expected {self.counts} or {needed}.")
         _check_groups(groups, self.counts)
         reflected = None if mirror is None else _reflection(np.asarray(self.axes), mirror)
         matrix = _link_matrix(free & self.free[..., None], groups, reflected)
@@ -199,14 +176,9 @@ class FreeForm(AbstractLinearShape):
 
     @checked
     def raise_if_torn(self, x: Numbers, control: Numbers) -> None:
-        """Raises `ValueError` where the border of the box passes nodes outside: it tears a wall.
+        """Raises `ValueError` where the border passes nodes (m, d) outside: it tears a wall.
 
-        These nodes are nearer to the border than it moves there.
-
-        **Arguments:**
-
-        - `x`: positions (m, d) of the wall.
-        - `control`: displacements (*counts, d) of the control points.
+        These nodes are nearer to the border than it moves there by `control` (*counts, d).
         """
         x = known_positions(x)
         t = np.asarray(self.coordinates(jnp.asarray(x)))
@@ -222,25 +194,24 @@ class FreeForm(AbstractLinearShape):
             )
 
 
-def _carried(weights: Rows | Blocks, free: Array | None, control: Float[Array, "..."]) -> Float[Array, "m d"]:
-    control = control if free is None else jnp.where(free[..., None], control, 0)
-    return weights.sums(control.reshape(-1, control.shape[-1]))
-
-
-def _checked_counts(counts: Any, degree: Any, d: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Returns numbers of control points and degrees, one for each of d directions."""
+def _checked_counts(counts: Sequence[Any], d: int) -> tuple[int, ...]:
     if any(int(count) != count for count in counts):
         raise ValueError(f"`counts` is {tuple(counts)}; expected whole numbers.")
     counts = tuple(int(count) for count in counts)
     if len(counts) != d or min(counts) < 2:
         raise ValueError(f"`counts` is {counts}; a box in {d}-D needs {d} numbers, 2 or more each.")
+    return counts
+
+
+def _checked_degrees(degree: Any, counts: tuple[int, ...]) -> tuple[int, ...]:
+    d = len(counts)
     degrees = (degree,) * d if degree is None or isinstance(degree, int) else tuple(degree)
     if len(degrees) != d:
         raise ValueError(f"`degree` has {len(degrees)} numbers; a box in {d}-D needs one, or {d}.")
     degrees = tuple(count - 1 if p is None else int(p) for p, count in zip(degrees, counts, strict=True))
     if any(not 1 <= p < count for p, count in zip(degrees, counts, strict=True)):
         raise ValueError(f"degrees {degrees} do not fit counts {counts}: each lies from 1 to count - 1.")
-    return counts, degrees
+    return degrees
 
 
 def _link_matrix(
@@ -248,10 +219,7 @@ def _link_matrix(
 ) -> Float[np.ndarray, "p q"]:
     """Builds the matrix from free parameters to the displacements of all controls, flattened.
 
-    - `free` (*counts, d): True for components that may move.
-    - `groups`: lists of controls that move alike.
-    - `mirror`: the direction of the lattice that is reflected, and the signs (d,) of the
-      reflection.
+    `mirror` is the reflected direction of the lattice, with the signs (d,) of the reflection.
     """
     ids, count = np.arange(free.size).reshape(free.shape), free.size
     pairs = [(ids[:0], ids[:0], ids[:0])]
@@ -279,7 +247,6 @@ def _check_groups(groups: Sequence[Sequence[tuple[int, ...]]], counts: tuple[int
 
 
 def _reflection(axes: Float[np.ndarray, "d d"], mirror: int) -> tuple[int, np.ndarray]:
-    """Returns the mirrored direction of a lattice, and the signs (d,) of its reflection."""
     if whole("mirror", mirror, 0) >= len(axes):
         raise ValueError(f"`mirror` is {mirror}; the lattice has directions 0 to {len(axes) - 1}.")
     edge = np.abs(axes[mirror])

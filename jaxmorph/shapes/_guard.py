@@ -24,8 +24,7 @@ class QualityRows:
     """The smallest Jacobian ratios at corners of a moved mesh, with their derivatives.
 
     - `values` (k,): the ratios less the bound, ascending. A negative value breaks the bound.
-    - `matrix` (k, p): derivatives of the values by the design variables. To first order a step `s`
-      gives `values + matrix @ s`.
+    - `matrix` (k, p): derivatives by the design variables. A step `s` gives `values + matrix @ s`.
     - `cells` (k,): the cells, in the order of `quality`.
     """
 
@@ -35,20 +34,18 @@ class QualityRows:
 
 
 class LastDesign:
-    """The last design that an objective saw; mutable, so a guard compares it by identity."""
+    """Mutable, so that a guard compares it by identity."""
 
     value: Float[np.ndarray, " p"] | None = None
 
 
 class MeshGuard(Module):
-    """A constraint that keeps the mesh valid, for any optimiser.
-
-    It is a soft smallest Jacobian ratio less a bound, and must not be negative.
+    """A constraint that keeps the mesh valid: a soft smallest Jacobian ratio less a bound.
 
     The soft ratio is -log(sum(exp(-sharpness ratio))) / sharpness over all corners of cells, and
-    centres of hexahedra. It is never more than the smallest ratio, so a design that it allows has
-    no cell below the bound. It is less by log(count) / sharpness at most, where all ratios are
-    equal. It is twice differentiable, along any motion of a plan.
+    centres of hexahedra. It is below the smallest ratio, by log(count) / sharpness at most, so a
+    design with a constraint of 0 or more has no cell below the bound. It is twice differentiable,
+    along any motion of a plan.
 
         guard = shapes.MeshGuard(plan, mesh, lambda p: shapes.displacement(bumps, plan, p))
         options = {"jac": True, "method": "SLSQP", "constraints": guard.constraint()}
@@ -61,8 +58,8 @@ class MeshGuard(Module):
     - `displacement`: takes the design variables (p,) and returns `u` (m, d); traced.
     - `min_jacobian_ratio`: bound on `QualityReport.jacobian_ratio`, from 0 to 1. Default 0.1; cells
       invert at 0.
-    - `sharpness`: positive, without unit, default 100. A larger value comes closer to the smallest
-      ratio, and bends more.
+    - `sharpness`: positive, default 100. A larger value comes closer to the smallest ratio, and
+      bends more.
 
     **Raises:** `ValueError` for numbers out of their range, and for a mesh that is not the plan's.
     """
@@ -94,7 +91,7 @@ class MeshGuard(Module):
 
     @checked
     def value(self, design: Numbers) -> float:
-        """Computes the constraint at design variables (p,), for optimisers that call NumPy."""
+        """Computes the constraint at design variables (p,), for NumPy."""
         return float(eqx.filter_jit(self)(_flat(design)))
 
     @checked
@@ -104,22 +101,16 @@ class MeshGuard(Module):
 
     @checked
     def gradient(self, design: Numbers) -> Float[np.ndarray, " p"]:
-        """Computes the derivative by each design variable (p,), for optimisers that call NumPy."""
+        """Computes the derivative by each design variable (p,), for NumPy."""
         return np.asarray(eqx.filter_jit(eqx.filter_grad(self))(_flat(design)), float)
 
     @checked
     def quality_rows(self, design: Numbers, count: int) -> QualityRows:
-        """Finds the corners that bind: the smallest ratios and the matrix of their derivatives.
+        """Finds the `count` smallest ratios at design variables (p,), and their derivatives.
 
-        A gradient that would lower them is projected off their rows; a linear program steps so that
-        none breaks the bound.
+        A linear program steps by them so that no corner breaks the bound.
 
-        **Arguments:**
-
-        - `design`: (p,).
-        - `count`: rows, at most as many as the cells have Jacobians.
-
-        **Raises:** `ValueError` for more rows than Jacobians.
+        **Raises:** `ValueError` for more rows than the cells have Jacobians.
         """
         values, chosen, matrix = eqx.filter_jit(self._rows)(_flat(design), self._checked_count(count))
         cells = self.mesh.bounds.cells[np.asarray(chosen)]
@@ -152,11 +143,10 @@ class MeshGuard(Module):
         return {"type": "ineq", "fun": lambda design: at(design).values, "jac": lambda design: at(design).matrix}
 
     def guarded(self, objective: Callable[[Any], Any]) -> Callable[[Any], Any]:
-        """Makes an objective that is infinite where a cell is below the bound.
+        """Makes an objective that is infinite, without a flow, where a cell is below the bound.
 
-        It runs no flow there, and line searches step back.
-
-        The objective takes design variables (p,), and returns its value and its derivative (p,).
+        Line searches step back there. The objective takes design variables (p,), and returns its
+        value and its derivative (p,).
         """
 
         def guard(design: Any) -> tuple[float, Any]:
@@ -171,8 +161,8 @@ class MeshGuard(Module):
     def callback(self, function: Callable[[Any], Any]) -> Callable[..., Any]:
         """Makes the `callback` of `scipy.optimize.minimize`, for a history of valid designs.
 
-        SLSQP gives its callback the first trial of each line search, which may invert cells. This
-        one calls the function with the last design (p,) that `guarded` let through.
+        It calls the function with the last design (p,) that `guarded` let through. SLSQP gives the
+        first trial of each line search, which may invert cells.
         """
         return lambda *_: None if self.last.value is None else function(self.last.value)
 

@@ -9,9 +9,9 @@ from jaxtyping import Array, Bool, Float
 
 from .._host.package.arguments import checked
 from .._kernels.values import is_known
-from ._arguments import Numbers, check_finite, positions
+from ._arguments import Numbers, check_finite, positions_in
 from ._freeform import FreeForm
-from ._shape import AbstractLinearShape, Operator
+from ._shape import AbstractLinearShape, Move
 
 STEPS = 30
 """Steps of Newton's method; a place in a box that is no parallelepiped takes about six."""
@@ -27,12 +27,9 @@ ORDER = {2: SQUARE, 3: np.array([(*corner, k) for k in (0, 1) for corner in SQUA
 class Hexahedron(AbstractLinearShape):
     """A box of control points between corners that may stand anywhere: a bent `FreeForm`.
 
-    In 2-D it is a quadrilateral.
-
-    A place in the box is that of a multilinear map of the unit cube. Positions inside move by the
-    controls' displacements weighted with B-splines of their coordinates in the cube, positions
-    outside stay. The parameters are the displacements (*counts, d). A box whose edges are parallel
-    gives what `FreeForm` gives.
+    In 2-D it is a quadrilateral. Coordinates in the box are those of a multilinear map of the unit
+    cube. Positions inside move by the controls' displacements, weighted with B-splines of these
+    coordinates; positions outside stay. The parameters are the displacements (*counts, d).
 
     **Arguments:**
 
@@ -78,7 +75,7 @@ class Hexahedron(AbstractLinearShape):
 
     @property
     def continuity(self) -> int | None:
-        """Number of derivatives that hold the outer layers of control points, as in `FreeForm`."""
+        """As for `FreeForm`."""
         return self.box.continuity
 
     @property
@@ -94,19 +91,13 @@ class Hexahedron(AbstractLinearShape):
     def neutral(self) -> Float[Array, "..."]:
         return self.box.neutral()
 
-    def at(self, x: Numbers) -> Operator:
-        """Finds the places of positions (m, d) in the box and computes their weights once."""
+    def at(self, x: Numbers) -> Move:
         return self.box.at(self.coordinates(x))
 
     @checked
     def coordinates(self, x: Numbers) -> Float[Array, "m d"]:
-        """Computes coordinates in the box, from 0 to 1 inside, 2 far outside. Traced.
-
-        **Raises:** `ValueError` for positions in another dimension.
-        """
-        x = positions(x)
-        if x.shape[1] != len(self.counts):
-            raise ValueError(f"`x` has shape {x.shape}; this box is in {len(self.counts)}-D.")
+        """Computes coordinates in the box, from 0 to 1 inside, 2 far outside. Traced."""
+        x = positions_in(x, self.counts)
         return _places(x, self.corners.astype(x.dtype))
 
     def lattice(self, control: Numbers | None = None) -> Float[Array, "..."]:

@@ -24,14 +24,11 @@ class History:
         measures = {"jacobian_ratio": guard.smallest(design)}
         history.add(design, drag, constraints={"lift": lift}, measures=measures)
 
-    A file that is there is read first, so that a run that was ended goes on from its last
-    iteration. A last line that is cut off is left out. `plot.convergence(history)` draws it.
+    An existing file is read first, less a last line that is cut off: the run goes on from its last
+    iteration. `plot.convergence(history)` draws it.
 
-    **Arguments:**
-
-    - `path`: the file; its folder must exist.
-
-    **Raises:** `ValueError` for a file that holds anything else, with its line.
+    **Raises:** `ValueError` for a file that holds anything else, with its line, and a folder that
+    is not there.
     """
 
     @checked
@@ -48,10 +45,13 @@ class History:
                 row: Any = json.loads(line)
             except (ValueError, RecursionError):
                 row = None
-            good = isinstance(row, dict) and set(row) == set(FIELDS) and isinstance(row["design"], list)
-            if not good or (self.rows and len(row["design"]) != len(self.rows[0]["design"])):
+            if not self._is_like(row):
                 raise ValueError(f"{self.path}, line {number}: no iteration of one optimisation; found {line[:60]!r}.")
             self.rows.append(row)
+
+    def _is_like(self, row: Any) -> bool:
+        good = isinstance(row, dict) and set(row) == set(FIELDS) and isinstance(row["design"], list)
+        return good and (not self.rows or len(row["design"]) == len(self.rows[0]["design"]))
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -95,11 +95,8 @@ class History:
     ) -> None:
         """Adds an iteration, and writes it to the disk.
 
-        **Arguments:**
-
-        - `design`: design variables (p,).
-        - `value`: the objective; what is not finite is kept as none.
-        - `constraints`, `measures`: numbers or lists of numbers by name.
+        It has design variables (p,), the objective, and numbers or lists of numbers by name. What
+        is not finite is kept as none.
 
         **Raises:** `ValueError` for another number of design variables, and for what is no number.
         """

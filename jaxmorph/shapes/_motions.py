@@ -1,7 +1,4 @@
-"""Motions of all positions: rotation, translation, scaling; twist and bend along a line or an axis.
-
-Each adds an increment that is exactly zero at the neutral parameter: x comes back bit for bit.
-"""
+"""Motions of all positions; at the neutral parameter x comes back bit for bit."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -13,7 +10,7 @@ from jaxtyping import Array, Float
 
 from .._host.package.arguments import checked, finite_array
 from .._kernels.values import clipped, is_known
-from ._arguments import Number, Numbers, axis_for, direction, number, positions, positive, vector
+from ._arguments import Number, Numbers, axis_for, cast, direction, number, positions, positive, vector
 from ._shape import AbstractShape
 
 
@@ -39,12 +36,7 @@ def rotate(x: Numbers, angle: Number | Numbers, about: Numbers, axis: Numbers | 
 
 @checked
 def translate(x: Numbers, by: Numbers) -> Float[Array, "m d"]:
-    """Translates positions.
-
-    **Arguments:**
-
-    - `x`: positions (m, d).
-    - `by`: vector (d,), in the units of `x`; 0 is neutral.
+    """Translates positions (m, d) by a vector (d,), in their units; 0 is neutral.
 
     **Raises:** `ValueError` for wrong shapes.
     """
@@ -54,13 +46,9 @@ def translate(x: Numbers, by: Numbers) -> Float[Array, "m d"]:
 
 @checked
 def scale(x: Numbers, factors: Numbers | Number, about: Numbers) -> Float[Array, "m d"]:
-    """Scales positions about a point.
+    """Scales positions (m, d) about a point (d,) that stays.
 
-    **Arguments:**
-
-    - `x`: positions (m, d).
-    - `factors`: one number, or one for each coordinate (d,); 1 is neutral.
-    - `about`: a point (d,) that stays.
+    `factors` is one number, or one for each coordinate (d,); 1 is neutral.
 
     **Raises:** `ValueError` for wrong shapes.
     """
@@ -81,12 +69,10 @@ def twist(x: Numbers, angle: Number, about: Numbers, axis: Numbers, length: Numb
 
     - `x`: positions (m, 3).
     - `angle`: radians at the end of the length; 0 is neutral.
-    - `about`: the point (3,) on the axis where the twist begins.
-    - `axis`: direction (3,) in which it grows.
+    - `about`, `axis`: the point (3,) where the twist begins, and its direction (3,).
     - `length`: distance over which it grows, above 0.
 
-    **Raises:** `ValueError` for positions in 2-D, for wrong shapes, and for an axis or a length
-    that is 0.
+    **Raises:** `ValueError` for positions in 2-D, wrong shapes, and an axis or a length that is 0.
     """
     x = positions(x)
     if x.shape[1] == 2:
@@ -109,10 +95,8 @@ def bend(
     **Arguments:**
 
     - `x`: positions (m, d).
-    - `angle`: radians by which the tangent turns at the end, in the sense of `rotate`; 0 is
-      neutral.
-    - `about`: the point (d,) where the line begins.
-    - `along`: direction (d,) of the line.
+    - `angle`: radians by which the tangent turns at the end, as `rotate` turns; 0 is neutral.
+    - `about`, `along`: the point (d,) where the line begins, and its direction (d,).
     - `length`: length of the arc, above 0.
     - `axis`: direction (3,) about which the line turns, at right angles to it; only in 3-D.
 
@@ -136,9 +120,7 @@ def bend(
     return x + forward[:, None] * along[None, :] + upward[:, None] * up[None, :]
 
 
-def _turn(
-    arm: Float[Array, "m d"], angle: Float[Array, ""] | Float[Array, "m 1"], axis: Float[Array, " 3"] | None
-) -> Float[Array, "m d"]:
+def _turn(arm: Float[Array, "m d"], angle: Array, axis: Float[Array, " 3"] | None) -> Float[Array, "m d"]:
     """Computes what a rotation adds to arms from its centre (Rodrigues' formula)."""
     versine = 2 * jnp.sin(angle / 2) ** 2
     if axis is None:
@@ -157,15 +139,12 @@ class ReferenceAxis(AbstractShape):
 
     The parameters are a dict with any of these, one value for each station (k,):
 
-    - `twist`: radians about the direction of the span at the axis, in the sense of `rotate`; 0 is
-      neutral.
-    - `chord`: factor of a section's size around the axis; 1 is neutral. A taper is a chord that
-      falls from root to tip.
+    - `twist`: radians about the direction of the span, in the sense of `rotate`; 0 is neutral.
+    - `chord`: factor of a section's size around the axis; 1 is neutral. A taper falls to the tip.
     - `sweep`, `dihedral`, `span`: lengths by which a station moves along the chord, across chord
       and span, and along the span.
 
-    Between stations the values are interpolated. Before the first and behind the last station they
-    are constant.
+    Values are interpolated between stations, and constant before the first and behind the last.
 
     **Arguments:**
 
@@ -212,7 +191,6 @@ class ReferenceAxis(AbstractShape):
         return {name: jnp.full(len(self.points), value) for name, value in NEUTRAL.items()}
 
     def __call__(self, x: Numbers, parameters: Mapping[str, Any]) -> Float[Array, "m 3"]:
-        """Moves positions (m, 3) by a dict of values at the stations."""
         x, needed = positions(x), self.points.shape[:1]
         shapes = {name: np.shape(values) for name, values in parameters.items() if np.shape(values) != needed}
         if x.shape[1] != 3 or shapes or not set(parameters) <= set(NEUTRAL):
@@ -220,46 +198,36 @@ class ReferenceAxis(AbstractShape):
                 f"`x` has shape {x.shape}, parameters {', '.join(parameters)} of shapes {shapes or needed}: expected (m, 3), and "
                 f"{needed} for any of {', '.join(NEUTRAL)}."
             )
-        chord, span = self.chordwise.astype(x.dtype), self.spanwise.astype(x.dtype)
-        weights = self.weights(x)
-        changes = {name: jnp.asarray(values, x.dtype) - NEUTRAL[name] for name, values in parameters.items()}
-        change = {name: (weights @ values)[:, None] for name, values in changes.items()}
-        arm = x - weights @ self.points.astype(x.dtype)
-        arm = arm - (arm @ span)[:, None] * span[None, :]
-        added = change["chord"] * arm if "chord" in change else jnp.zeros_like(x)
-        if "twist" in change:
-            added = added + _turn(arm + added, change["twist"], span)
-        for name, way in (("sweep", chord), ("dihedral", jnp.cross(chord, span)), ("span", span)):
-            if name in change:
-                added = added + change[name] * way[None, :]
-        return x + added
+        own, weights, given = cast(self, x), self.weights(x), self.neutral() | dict(parameters)
+        twist, chord, sweep, dihedral, span = (
+            (weights @ (jnp.asarray(given[name], x.dtype) - rest))[:, None] for name, rest in NEUTRAL.items()
+        )
+        chordwise, spanwise = own.chordwise[None, :], own.spanwise[None, :]
+        arm = x - weights @ own.points
+        arm = arm - (arm @ own.spanwise)[:, None] * spanwise
+        added = chord * arm
+        added = added + _turn(arm + added, twist, own.spanwise)
+        return x + (added + sweep * chordwise + dihedral * jnp.cross(chordwise, spanwise) + span * spanwise)
 
     def weights(self, x: Float[Array, "m 3"]) -> Float[Array, "m k"]:
         """Computes the weight of each station at each position, by its place along the span."""
         stations = (self.points @ self.spanwise).astype(x.dtype)
         y = clipped(x @ self.spanwise.astype(x.dtype), stations[0], stations[-1])
-        steps = jnp.diff(stations)
+        steps, identity = jnp.diff(stations), jnp.eye(len(stations), dtype=x.dtype)
         left = jnp.clip(jnp.searchsorted(stations, y, side="right") - 1, 0, len(steps) - 1)
-        share, size = (y - stations[left]) / steps[left], steps[left]
-        identity = jnp.eye(len(stations), dtype=x.dtype)
-        weights = (1 - share)[:, None] * identity[left] + share[:, None] * identity[left + 1]
+        share, size = ((y - stations[left]) / steps[left])[:, None], steps[left, None]
+        weights = (1 - share) * identity[left] + share * identity[left + 1]
         if not self.cubic or len(stations) < 3:
             return weights
         curvature = _second_derivatives(steps)
         begin, end = ((1 - share) ** 3 - (1 - share)) * size**2 / 6, (share**3 - share) * size**2 / 6
-        return weights + begin[:, None] * curvature[left] + end[:, None] * curvature[left + 1]
+        return weights + begin * curvature[left] + end * curvature[left + 1]
 
 
 def _second_derivatives(steps: Float[Array, " j"]) -> Float[Array, "k k"]:
     """Computes the matrix from values at stations to second derivatives of a natural spline."""
     before, after = steps[:-1], steps[1:]
-
-    def rows(left: Array, middle: Array, right: Array, end: float) -> Float[Array, "k k"]:
-        lower, upper = jnp.pad(left, (0, 1)), jnp.pad(right, (1, 0))
-        return jnp.diag(lower, -1) + jnp.diag(jnp.pad(middle, 1, constant_values=end)) + jnp.diag(upper, 1)
-
-    system, right = (
-        rows(before, 2 * (before + after), after, 1),
-        rows(6 / before, -6 / before - 6 / after, 6 / after, 0),
-    )
-    return jnp.linalg.solve(system, right)
+    slopes = jnp.diff(jnp.eye(len(steps) + 1, dtype=steps.dtype), axis=0) / steps[:, None]
+    middle = jnp.pad(2 * (before + after), 1, constant_values=1)
+    beside = jnp.diag(jnp.pad(before, (0, 1)), -1) + jnp.diag(jnp.pad(after, (1, 0)), 1)
+    return jnp.linalg.solve(jnp.diag(middle) + beside, jnp.pad(6 * jnp.diff(slopes, axis=0), ((1, 1), (0, 0))))

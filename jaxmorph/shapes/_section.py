@@ -13,9 +13,6 @@ from .._kernels.module import Module
 from ._arguments import Numbers, known_positions, rows_of
 from ._walls import simplices_of
 
-WINDOW = 14
-"""Nodes around a node that decide on which side of an airfoil it is."""
-
 SAME = 1e-9
 """Distance in chords within which two nodes stand at one place."""
 
@@ -35,10 +32,8 @@ CORNER, SHARP = np.cos(np.deg2rad([45, 135]))
 class Chord(Module):
     """The chord of an airfoil, from nose to tail, and the direction across it.
 
-    **Arguments:**
-
-    - `nose`, `tail`: points (d,), (0, 0) and (1, 0) by default.
-    - `up`: direction (d,) across the chord; the chord turned to the left by default, needed in 3-D.
+    `nose` and `tail` are points (d,), `up` a direction (d,): the chord turned to the left by
+    default, needed in 3-D.
 
     **Raises:** `ValueError` for a chord without length, and for no `up` in 3-D.
     """
@@ -78,12 +73,10 @@ class Chord(Module):
     @staticmethod
     @checked
     def along(points: Numbers) -> "Chord":
-        """Finds the chord of an airfoil in 2-D.
+        """Finds the chord of an airfoil in 2-D from its nodes (m, 2).
 
-        The tail has the largest x, the nose is the node farthest from the tail.
-
-        Nodes of a blunt tail, which share the largest x, give their mean. Nodes that are
-        equally far from the tail do so too. `points` are positions (m, 2).
+        The tail has the largest x, the nose is the node farthest from the tail. Several such nodes,
+        as those of a blunt tail, give their mean.
         """
         known = known_positions(points, "points")
         last = known[:, 0].max()
@@ -98,54 +91,62 @@ def upper_side(points: Numbers, chord: Chord | None = None, *, wall: Any = None)
 
     The wall is cut at nose and tail. A single node there is on the upper side. A blunt tail has a
     corner on either side. In 2-D without `wall`, the shortest way around through all nodes, along
-    the chord and back, counts as the wall. In 3-D without it, a node is compared with the parabola
-    closest to its neighbours along the chord, which thin edges may mislead.
+    the chord and back, counts as the wall.
 
     **Arguments:**
 
     - `points`: positions (m, d) of the airfoil's nodes, or of a mesh where `wall` names the
       airfoil's nodes.
     - `chord`: the airfoil's. Default `Chord.along` of its nodes.
-    - `wall`: ids of its nodes in order, as `wall_loop` finds them; its faces in 3-D, as
-      `jaxmorph.boundary_faces` finds them.
+    - `wall`: ids of its nodes in order, as `wall_loop` finds them. Its faces in 3-D, where they are
+      needed, as `jaxmorph.boundary_faces` finds them.
 
     **Returns:** booleans (m,), False for nodes that are not the airfoil's.
 
     **Raises:** `ValueError` where all nodes would be on one side, and for a wall whose ids are no
-    rows of the points.
+    rows of the points, or that is missing in 3-D.
     """
     x = known_positions(points, "points").astype(float)
-    ids = np.arange(len(x))
-    if wall is not None:
-        ids = simplices_of(wall, x.shape) if x.shape[1] == 3 else rows_of("wall", wall, len(x))
+    ids = _ids_of(wall, x.shape)
     rows = np.unique(ids)
-    if x.shape[1] == 2 and wall is not None and (ids.ndim != 1 or not 3 <= len(ids) == len(rows)):
-        raise ValueError(
-            f"`wall` has shape {ids.shape}; a wall in 2-D is a loop (k,) of three different nodes or more."
-        )
     chord = Chord.along(x[rows]) if chord is None else chord
     t, height = (np.asarray(values, float) for values in chord.coordinates(jnp.asarray(x)))
     places = np.column_stack([t, height / float(chord.length)])
     upper = np.zeros(len(x), bool)
     if ids.ndim == 2:
         upper[rows] = _by_faces(x, ids, np.asarray(chord.up, float))[rows]
-    elif wall is not None:
-        upper[ids] = _by_loop(places[ids])
     else:
-        upper = _by_tour(places) if x.shape[1] == 2 else _by_neighbours(places)
+        upper[ids] = _by_tour(places) if wall is None else _by_loop(places[ids])
     if upper[rows].all() or not upper.any():
         raise ValueError(f"{len(rows)} nodes do not show the two sides of an airfoil around its chord.")
     return upper
 
 
+def _ids_of(wall: Any, shape: tuple[int, ...]) -> Int[np.ndarray, "..."]:
+    """Returns a wall's nodes: a loop (k,) in 2-D, triangles (k, 3) in 3-D."""
+    if shape[1] == 3:
+        if wall is None:
+            raise ValueError(
+                "`wall` is missing: in 3-D the faces tell the sides, as `jaxmorph.boundary_faces` finds them."
+            )
+        return simplices_of(wall, shape)
+    if wall is None:
+        return np.arange(shape[0])
+    ids = rows_of("wall", wall, shape[0])
+    if ids.ndim != 1 or not 3 <= len(ids) == len(np.unique(ids)):
+        raise ValueError(
+            f"`wall` has shape {ids.shape}; a wall in 2-D is a loop (k,) of three different nodes or more."
+        )
+    return ids
+
+
 def _by_faces(
     x: Float[np.ndarray, "m 3"], triangles: Int[np.ndarray, "k 3"], up: Float[np.ndarray, " 3"]
 ) -> Bool[np.ndarray, " m"]:
-    """Marks the nodes whose faces look upwards.
+    """Marks the nodes whose faces look upwards; a tie is upper.
 
-    The normals of a node's faces are summed with the faces' angles at the node. A tie is upper.
-
-    Inward faces enclose a negative volume. The faces of a mesh's cells around the body are inward.
+    The normals of a node's faces are summed with the faces' angles at the node. Inward faces, as
+    those of a mesh's cells around the body, enclose a negative volume.
     """
     corners = x[triangles] - x[np.unique(triangles)].mean(axis=0)
     ahead, back = np.roll(corners, -1, axis=1) - corners, np.roll(corners, 1, axis=1) - corners
@@ -158,35 +159,16 @@ def _by_faces(
     return normals @ up >= -SAME * np.linalg.norm(normals, axis=1)
 
 
-def _by_neighbours(places: Float[np.ndarray, "m 2"]) -> Bool[np.ndarray, " m"]:
-    """Marks the nodes on or above the parabola closest to their neighbours along the chord."""
-    t, height = places.T
-    # in the angle along the chord, nodes are spread evenly where they crowd at nose and tail
-    angle = np.arccos(np.clip(1 - 2 * t, -1, 1))
-    order = np.argsort(angle, kind="stable")
-    window = min(WINDOW, len(order))
-    first = np.clip(np.arange(len(order)) - window // 2, 0, len(order) - window)
-    near = order[first[:, None] + np.arange(window)]
-    away = angle[near] - angle[order][:, None]
-    powers = np.stack([np.ones_like(away), away, away**2], axis=-1)
-    line = np.empty(len(order))
-    line[order] = np.einsum("mij,mj->mi", np.linalg.pinv(powers), height[near])[:, 0]
-    return height >= line - SAME
-
-
 def _by_loop(places: Float[np.ndarray, "k 2"]) -> Bool[np.ndarray, " k"]:
-    """Marks the nodes on the upper side of a loop.
+    """Marks the nodes on the upper side of a loop in either sense; a line has none.
 
-    A single node at the nose or the tail is on the upper side. Of several nodes there, as on a
-    blunt tail, each side has one half. A line has no upper side.
-
-    - `places`: along the chord from 0 to 1 and across it, in chords; in the order of the loop, in
-      either sense.
+    Of several nodes at the nose or the tail each side has one half. `places` are along the chord
+    from 0 to 1 and across it, in chords.
     """
     x, y = places.T
     area = (x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2
     if abs(area) < SAME:
-        return np.zeros(len(places), bool)  # a line has no sides
+        return np.zeros(len(places), bool)
     if area < 0:
         return _by_loop(places[::-1])[::-1]
     # neighbours at one place are one corner of the loop; it begins at the end of its longest edge
@@ -206,12 +188,7 @@ def _by_loop(places: Float[np.ndarray, "k 2"]) -> Bool[np.ndarray, " k"]:
 
 
 def _by_tour(places: Float[np.ndarray, "m 2"]) -> Bool[np.ndarray, " m"]:
-    """Marks the nodes on the upper side, by the shortest way around the airfoil.
-
-    Nodes at one place are on one side.
-
-    - `places`: along the chord from 0 to 1 and across it, in chords.
-    """
+    """Marks the nodes on the upper side by the shortest way around; those at one place alike."""
     near = KDTree(places).query_pairs(SAME, output_type="ndarray")
     spot = parts_of(near[:, 0], near[:, 1], len(places))
     different = places[np.unique(spot, return_index=True)[1]]
@@ -223,10 +200,7 @@ def _by_tour(places: Float[np.ndarray, "m 2"]) -> Bool[np.ndarray, " m"]:
 
 
 def _cut(corners: Float[np.ndarray, "k 2"], place: float) -> tuple[int, int]:
-    """Finds where the loop is nearest to a place on the chord.
-
-    It returns the corners from the first to before the last; none within an edge.
-    """
+    """Finds the corners, first to before last, nearest to a place on the chord; none in an edge."""
     edges, arms = np.roll(corners, -1, axis=0) - corners, np.array([[place, 0.0]]) - corners
     share = np.clip(np.sum(arms * edges, axis=1) / np.sum(edges**2, axis=1), 0, 1)
     nearest = int(np.linalg.norm(arms - share[:, None] * edges, axis=1).argmin())
@@ -257,10 +231,7 @@ def _blunt(corners: Float[np.ndarray, "k 2"], first: int, last: int) -> tuple[in
 
 
 def _tour(places: Float[np.ndarray, "m 2"]) -> Int[np.ndarray, " m"]:
-    """Finds the shortest tour of all places, along the chord and back (bitonic).
-
-    - `places`: different places, along the chord and across it, in chords.
-    """
+    """Finds the shortest tour of different places, along the chord and back (bitonic)."""
     along = np.argsort(places[:, 0], kind="stable")
     column = np.cumsum(np.diff(places[along, 0], prepend=-np.inf) > SAME)
     order = along[np.lexsort((places[along, 1], column))]

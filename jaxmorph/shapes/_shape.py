@@ -2,7 +2,7 @@
 
 import abc
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -19,11 +19,7 @@ from ._arguments import Numbers, check_finite, positions
 
 
 class AbstractShape(Module):
-    """Moves positions by parameters: `shape(x, parameters)`.
-
-    A plain function of `(x, parameters)` serves as well. A class adds `neutral()`, the parameters
-    that move nothing.
-    """
+    """Moves positions by parameters: `shape(x, parameters)`; a plain function serves as well."""
 
     @abc.abstractmethod
     def __call__(self, x: Numbers, parameters: PyTree) -> Float[Array, "m d"]:
@@ -34,11 +30,15 @@ class AbstractShape(Module):
         """Makes the parameters that move nothing."""
 
 
+Move = Callable[[Any], Float[Array, "m d"]]
+"""Takes parameters to displacements of given positions."""
+
+
 class AbstractLinearShape(AbstractShape):
     """Moves positions by a displacement that is linear in the parameters."""
 
     @abc.abstractmethod
-    def at(self, x: Numbers) -> Callable[[Any], Float[Array, "m d"]]:
+    def at(self, x: Numbers) -> Move:
         """Computes the weights of positions once, to be applied to many parameters.
 
         **Returns:** a function from parameters to displacements (m, d), of which
@@ -50,35 +50,18 @@ class AbstractLinearShape(AbstractShape):
         x = positions(x)
         return x + self.at(x)(parameters)
 
-
-class Operator(Module):
-    """A linear function of parameters with its arrays: `function(*arrays, parameters)`.
-
-    As a closure over the arrays would be, but the arrays are leaves, and programs do not hold them.
-    With `shape`, parameters are one array of this shape, which takes the dtype of the first array.
-    """
-
-    function: Callable[..., Any] = eqx.field(static=True)
-    arrays: tuple[PyTree, ...]
-    shape: tuple[int, ...] | None = eqx.field(static=True, default=None)
-
-    def __call__(self, parameters: PyTree) -> Float[Array, "m d"]:
-        if self.shape is not None:
-            parameters = jnp.asarray(parameters, jax.tree.leaves(self.arrays)[0].dtype)
-            if parameters.shape != self.shape:
-                raise ValueError(f"parameters have shape {parameters.shape}; this shape needs {self.shape}.")
-        return self.function(*self.arrays, parameters)
+    def _numbers(self, parameters: Any, like: Array) -> Float[Array, "..."]:
+        """Turns parameters that are one array into the dtype of positions."""
+        needed, parameters = self.neutral().shape, jnp.asarray(parameters, like.dtype)
+        if parameters.shape != needed:
+            raise ValueError(f"parameters have shape {parameters.shape}; this shape needs {needed}.")
+        return parameters
 
 
 class Function(AbstractShape):
-    """Makes a shape of a function of positions and parameters.
+    """Makes a shape of a function of positions (m, d) and parameters, which are neutral at `rest`.
 
-        pitch = shapes.Function(lambda x, angle: shapes.rotate(x, angle, [0.25, 0.0]), 0.0)
-
-    **Arguments:**
-
-    - `function`: takes positions (m, d) and parameters, returns positions (m, d).
-    - `rest`: the parameters that move nothing.
+    pitch = shapes.Function(lambda x, angle: shapes.rotate(x, angle, [0.25, 0.0]), 0.0)
     """
 
     function: Callable[[Any, Any], Any]
@@ -95,16 +78,12 @@ class Function(AbstractShape):
 
 
 class Chain(AbstractShape):
-    """Applies shapes in sequence; the parameters are a dict by the shapes' names.
+    """Applies shapes in sequence, in the order of a dict by their names.
 
-    A shape whose name is not in the dict is not applied.
+    So are the parameters, and a shape whose name is not among them is not applied.
 
         wing = shapes.Chain({"box": box, "pitch": pitch})
         u = shapes.displacement(wing, plan, {"pitch": 0.1})
-
-    **Arguments:**
-
-    - `shapes`: shapes by name, in the order in which they are applied.
 
     **Raises:** `ValueError` for no shapes, and for parameters of unknown names.
     """
@@ -122,7 +101,6 @@ class Chain(AbstractShape):
         return {name: shape.neutral() for name, shape in zip(self.names, self.shapes, strict=True)}
 
     def __call__(self, x: Numbers, parameters: Mapping[str, Any]) -> Float[Array, "m d"]:
-        """Moves positions (m, d) by a dict of parameters."""
         x, unknown = positions(x), [name for name in parameters if name not in self.names]
         if unknown:
             raise ValueError(f"no shape is called {', '.join(unknown)}; this chain has {', '.join(self.names)}.")
@@ -135,15 +113,9 @@ class Chain(AbstractShape):
 class OnRows(AbstractShape):
     """Moves some rows of the positions by a shape, such as one patch of a wall.
 
-    Unlike `Part`, it takes shapes that are not linear, and the shape meets its own rows alone.
+    Unlike `Part`, it takes any shape, which meets its own rows alone.
 
-    **Arguments:**
-
-    - `shape`: any shape.
-    - `rows`: (k,) different row numbers, 0 or more.
-
-    **Raises:** `ValueError` for rows that are no different row numbers, and rows beyond the
-    positions.
+    **Raises:** `ValueError` for rows (k,) that are equal, negative, or beyond the positions.
     """
 
     shape: AbstractShape
@@ -167,14 +139,10 @@ class OnRows(AbstractShape):
 
 
 class Linked(AbstractLinearShape):
-    """A shape whose parameters are a linear map of fewer parameters.
+    """A shape whose parameters are a linear map of fewer parameters, such as a basis of your own.
 
-    It freezes, links and mirrors parameters, or takes a basis of your own.
-
-    **Arguments:**
-
-    - `shape`: a linear shape with p parameters, flattened as `jax.flatten_util.ravel_pytree` does.
-    - `matrix`: (p, q); the shape's parameters are `matrix @ parameters`.
+    The `matrix` is (p, q): the p parameters of `shape`, flattened as
+    `jax.flatten_util.ravel_pytree` does, are `matrix @ parameters`.
 
     **Raises:** `ValueError` for a matrix of another height.
     """
@@ -195,20 +163,14 @@ class Linked(AbstractLinearShape):
     def neutral(self) -> Float[Array, " q"]:
         return jnp.zeros(self.matrix.shape[1], self.matrix.dtype)
 
-    def at(self, x: Numbers) -> Operator:
+    def at(self, x: Numbers) -> Move:
         x = positions(x)
-        arrays = self.matrix.astype(x.dtype), self.shape.at(x), self.shape.neutral()
-        return Operator(_linked, arrays, self.matrix.shape[1:])
-
-
-def _linked(matrix: Array, operator: Callable, like: PyTree, parameters: Array) -> Float[Array, "m d"]:
-    return operator(ravel_pytree(like)[1](matrix @ parameters))
+        move, unravel = self.shape.at(x), ravel_pytree(self.shape.neutral())[1]
+        return lambda parameters: move(unravel(self.matrix.astype(x.dtype) @ self._numbers(parameters, x)))
 
 
 class Together(AbstractLinearShape):
-    """Several linear shapes added, such as two boxes side by side.
-
-    The parameters are a tuple, one entry for each shape.
+    """Several linear shapes added, such as two boxes side by side; the parameters are a tuple.
 
     A box that another box is to carry is nested instead: `outer(inner(x, q), p)`, or a `Chain`.
     """
@@ -224,25 +186,19 @@ class Together(AbstractLinearShape):
     def neutral(self) -> tuple[PyTree, ...]:
         return tuple(shape.neutral() for shape in self.shapes)
 
-    def at(self, x: Numbers) -> Operator:
-        return Operator(_summed, tuple(shape.at(x) for shape in self.shapes))
+    def at(self, x: Numbers) -> Move:
+        moves = [shape.at(x) for shape in self.shapes]
 
+        def added(parameters: Sequence[Any]) -> Float[Array, "m d"]:
+            if len(parameters) != len(moves):
+                raise ValueError(f"{len(parameters)} sets of parameters for {len(moves)} shapes.")
+            return functools.reduce(jnp.add, [move(own) for move, own in zip(moves, parameters, strict=True)])
 
-def _summed(*operators_and_parameters: Any) -> Float[Array, "m d"]:
-    *operators, parameters = operators_and_parameters
-    if len(parameters) != len(operators):
-        raise ValueError(f"{len(parameters)} sets of parameters for {len(operators)} shapes.")
-    first, *others = (operator(values) for operator, values in zip(operators, parameters, strict=True))
-    return functools.reduce(jnp.add, others, first)
+        return added
 
 
 class Part(AbstractLinearShape):
-    """A linear shape on some of the positions, such as the upper side of an airfoil.
-
-    **Arguments:**
-
-    - `shape`: a linear shape.
-    - `kept`: (m,) True where it acts.
+    """A linear shape that acts where `kept` (m,) is True, such as the upper side of an airfoil.
 
     **Raises:** `ValueError` for a mask of another length than the positions.
     """
@@ -260,12 +216,9 @@ class Part(AbstractLinearShape):
     def neutral(self) -> PyTree:
         return self.shape.neutral()
 
-    def at(self, x: Numbers) -> Operator:
+    def at(self, x: Numbers) -> Move:
         x = positions(x)
         if self.kept.shape != x.shape[:1]:
             raise ValueError(f"`kept` has {len(self.kept)} rows for {len(x)} positions.")
-        return Operator(_masked, (self.kept, self.shape.at(x)))
-
-
-def _masked(mask: Array, operator: Callable, parameters: PyTree) -> Float[Array, "m d"]:
-    return jnp.where(mask[:, None], operator(parameters), 0)
+        move = self.shape.at(x)
+        return lambda parameters: jnp.where(self.kept[:, None], move(parameters), 0)

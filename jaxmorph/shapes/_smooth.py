@@ -1,8 +1,4 @@
-"""Smoothing along a wall: Sobolev gradients, vertex morphing.
-
-The solve stays on the host, with a factor that is made once. It is symmetric, and so is its
-transpose.
-"""
+"""Smoothing along a wall: Sobolev gradients, vertex morphing."""
 
 from collections.abc import Callable
 from typing import Any
@@ -20,18 +16,16 @@ from jaxmorph import Mesh
 from .._host.package.arguments import between, checked, rows_of
 from .._kernels.callback import host_call
 from ._arguments import Numbers, known_positions, positions
-from ._shape import AbstractLinearShape, Operator
+from ._shape import AbstractLinearShape, Move
 from ._walls import faces_of, wall_faces
 
 
 class Smoother(AbstractLinearShape):
     """Smooths along a wall: waves much shorter than `length` vanish.
 
-    It solves (I + length^2 L) v = u, where L is the wall's Laplace-Beltrami operator.
-
-    With linear elements and lumped masses M, v = (M + length^2 K)^-1 M u. `smoother.apply(u)`
-    filters displacements; its transpose, `smoother.sensitivities(gradient)`, filters sensitivities.
-    As a shape its parameters are (m, d): vertex morphing.
+    It solves (I + length^2 L) v = u, where L is the wall's Laplace-Beltrami operator: with linear
+    elements and lumped masses M, v = (M + length^2 K)^-1 M u. As a shape its parameters are (m, d):
+    vertex morphing.
 
     **Arguments:**
 
@@ -76,11 +70,7 @@ class Smoother(AbstractLinearShape):
     def on(mesh: Mesh, patch: str, length: float, *, held: Any = ()) -> "Smoother":
         """Makes the smoother of a mesh's patch; row i is node `mesh.patch(patch)[i]`.
 
-        **Arguments:**
-
-        - `mesh`: a `Mesh` with cells.
-        - `patch`: the name of the wall's patch.
-        - `length`, `held`: as the class takes them.
+        `length` and `held` are as the class takes them.
 
         **Raises:** `ValueError` as the class does, and for a patch without faces.
         """
@@ -91,11 +81,10 @@ class Smoother(AbstractLinearShape):
     def neutral(self) -> Float[Array, "m d"]:
         return jnp.zeros((len(self.masses), self.dimension))
 
-    def at(self, x: Numbers) -> Operator:
-        """Checks the number of positions (m, d); the operator is that of the given wall."""
+    def at(self, x: Numbers) -> Move:
         if positions(x).shape != self.neutral().shape:
             raise ValueError(f"`x` has shape {positions(x).shape}; this wall has {self.neutral().shape}.")
-        return Operator(Smoother.apply, (self,))
+        return self.apply
 
     def apply(self, u: Numbers) -> Float[Array, "m d"]:
         """Filters displacements (m, d)."""
@@ -137,21 +126,24 @@ def _elements(points: np.ndarray, pieces: list[tuple[np.ndarray, float]]) -> tup
     m = len(points)
     masses, stiffness = np.zeros(m), sparse.csr_matrix((m, m))
     for ids, weight in pieces:
-        corners = points[ids]
-        k = ids.shape[1]
-        if k == 2:
-            size = np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)
-            local = np.array([[1, -1], [-1, 1]])[None] / np.where(size > 0, size, 1)[:, None, None]
-        else:
-            sides = np.roll(corners, -1, axis=1) - np.roll(corners, -2, axis=1)  # opposite each corner
-            size = 0.5 * np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
-            local = np.einsum("kia,kja->kij", sides, sides) / (4 * np.where(size > 0, size, 1))[:, None, None]
+        size, local = _stiffness(points[ids])
         if (size <= 0).any():
             raise ValueError(
                 f"{(size <= 0).sum()} faces have no size, first with nodes {ids[int(np.argmin(size))].tolist()}."
             )
-        np.add.at(masses, ids, weight * np.broadcast_to(size[:, None] / k, ids.shape))
-        rows, columns = np.broadcast_to(ids[:, :, None], local.shape), np.broadcast_to(ids[:, None, :], local.shape)
-        places = rows.ravel(), columns.ravel()
+        np.add.at(masses, ids, weight * np.broadcast_to(size[:, None] / ids.shape[1], ids.shape))
+        places = [np.broadcast_to(rows, local.shape).ravel() for rows in (ids[:, :, None], ids[:, None, :])]
         stiffness = stiffness + sparse.coo_matrix((weight * local.ravel(), places), (m, m)).tocsr()
     return masses, stiffness
+
+
+def _stiffness(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Computes sizes (k,) and stiffnesses (k, c, c) of segments or triangles (k, c, d)."""
+    if corners.shape[1] == 2:
+        size = np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)
+        local, scale = np.array([[1, -1], [-1, 1]])[None], np.where(size > 0, size, 1)
+    else:
+        sides = np.roll(corners, -1, axis=1) - np.roll(corners, -2, axis=1)  # opposite each corner
+        size = 0.5 * np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
+        local, scale = np.einsum("kia,kja->kij", sides, sides), 4 * np.where(size > 0, size, 1)
+    return size, local / scale[:, None, None]

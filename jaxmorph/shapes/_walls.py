@@ -1,4 +1,4 @@
-"""Walls of a mesh and their measures for constraints: ids from the host, floats in the trace.
+"""Walls of a mesh and their measures for constraints.
 
 A wall in 2-D is a loop: ids (k,) of its nodes in order, counter-clockwise, without repeating the
 first. A wall in 3-D is a set of triangles (k, 3) or quads (k, 4), outward from what they enclose.
@@ -16,15 +16,14 @@ from jaxmorph import Mesh, boundary_faces
 from .._host.package.arguments import as_array, checked
 from .._kernels.module import Module
 from .._kernels.values import is_known, slack
-from ._arguments import Numbers, check_finite, known_positions, positions, rows_of, vector
+from ._arguments import Numbers, cast, check_finite, known_positions, positions, rows_of, vector
 
 
 @checked
 def wall_loop(mesh: Mesh, patch: str) -> Int[np.ndarray, " k"]:
     """Finds the nodes (k,) of a closed wall, a patch of a mesh in 2-D, in order, counter-clockwise.
 
-    **Raises:** `ValueError` for a patch that is not one closed loop, with a node where it ends or
-    branches.
+    **Raises:** `ValueError` for a patch that is not one closed loop.
     """
     segments = wall_faces(mesh, patch).get("line", np.zeros((0, 2), int))
     ends, degree = np.unique(segments, return_counts=True)
@@ -49,9 +48,8 @@ def wall_loop(mesh: Mesh, patch: str) -> Int[np.ndarray, " k"]:
 def wall_normals(mesh: Mesh, *patches: str) -> Float[np.ndarray, "m d"]:
     """Sums the areas of a wall's faces at its nodes: vectors from the body into the mesh.
 
-    A face gives each of its corners an equal share of its area. In 2-D a node has half the edges
-    beside it: its vector is at right angles to the line between its two neighbours. Solvers decide
-    by it which side of an airfoil a node is on.
+    A face gives each of its corners an equal share of its area. Solvers decide by the sum which
+    side of an airfoil a node is on.
 
     **Returns:** vectors (m, d), in the order of `mesh.patch(*patches)`; 0 for a node of no face.
 
@@ -79,13 +77,17 @@ def _areas(corners: Float[np.ndarray, "f c d"]) -> Float[np.ndarray, "f d"]:
     return np.cross(corners[:, 2] - corners[:, 0], corners[:, -1] - corners[:, 1]) / 2
 
 
+WIDTHS = {2: (2,), 3: (3, 4)}
+"""Corners of a wall's faces, by the dimension of its positions."""
+
+
 def faces_of(faces: Any, shape: tuple[int, ...]) -> list[Int[np.ndarray, "k c"]]:
     """Checks faces, one array or several, of a wall whose positions have a shape (n, d)."""
     is_list = isinstance(faces, list | tuple) and np.ndim(faces[0]) == 2
-    arrays, widths = [rows_of("faces", ids, shape[0]) for ids in (faces if is_list else [faces])], {2: (2,), 3: (3, 4)}
+    arrays, widths = [rows_of("faces", ids, shape[0]) for ids in (faces if is_list else [faces])], WIDTHS[shape[1]]
     for ids in arrays:
-        if ids.ndim != 2 or ids.shape[1] not in widths[shape[1]] or not ids.size:
-            expected = " or ".join(f"(k, {width})" for width in widths[shape[1]])
+        if ids.ndim != 2 or ids.shape[1] not in widths or not ids.size:
+            expected = " or ".join(f"(k, {width})" for width in widths)
             raise ValueError(f"`faces` has shape {ids.shape}; walls in {shape[1]}-D have {expected}.")
     return arrays
 
@@ -101,10 +103,7 @@ def simplices_of(faces: Any, shape: tuple[int, ...]) -> Int[np.ndarray, "k d"]:
 def area(x: Numbers, loop: Any) -> Float[Array, ""]:
     """Computes the area within a loop (2-D), positive where the loop runs counter-clockwise.
 
-    **Arguments:**
-
-    - `x`: positions (n, 2).
-    - `loop`: ids (k,) of the loop's nodes in order, as `wall_loop` returns them.
+    `x` are positions (n, 2), `loop` the ids (k,) that `wall_loop` returns.
 
     **Raises:** `ValueError` for other shapes.
     """
@@ -131,11 +130,9 @@ def volume(x: Numbers, faces: Any, plane: Numbers | None = None) -> Float[Array,
 
     - `x`: positions (n, 3).
     - `faces`: ids (k, 3) or (k, 4), one array or a list of them.
-    - `plane`: a point (3,) of the plane that closes an open wall, such as a symmetry plane; None
-      for a closed wall.
+    - `plane`: a point (3,) of the plane that closes an open wall, such as a symmetry plane.
 
-    **Raises:** `ValueError` for an open wall without a plane, and for a border that is not in one
-    plane with the point.
+    **Raises:** `ValueError` for an open wall without a plane, or with a border beside it.
     """
     x = positions(x)
     if x.shape[1] != 3:
@@ -149,12 +146,9 @@ def volume(x: Numbers, faces: Any, plane: Numbers | None = None) -> Float[Array,
 
 @checked
 def chord(x: Numbers, nose: Any, tail: Any) -> Float[Array, ""]:
-    """Computes the distance from nose to tail of an airfoil.
+    """Computes the distance from nose to tail, nodes of an airfoil in positions (n, d).
 
-    **Arguments:**
-
-    - `x`: positions (n, d).
-    - `nose`, `tail`: a node, or several whose mean counts, as for a blunt tail.
+    Of several nodes, as of a blunt tail, the mean counts.
 
     **Raises:** `ValueError` for nodes that are no rows of `x`.
     """
@@ -167,8 +161,7 @@ def chord(x: Numbers, nose: Any, tail: Any) -> Float[Array, ""]:
 def curvature(x: Numbers, loop: Any) -> Float[Array, " k"]:
     """Computes the curvature at each node of a loop (2-D), positive where convex.
 
-    It is that of the circle through the node and its neighbours. Arguments and errors are those of
-    `area`.
+    It is that of the circle through the node and its neighbours; arguments and errors as `area`.
     """
     x = positions(x)
     here, after = _segments(x, loop)
@@ -182,15 +175,14 @@ def curvature(x: Numbers, loop: Any) -> Float[Array, " k"]:
 def leading_edge_radius(x: Numbers, loop: Any, tail: int, around: int = 4) -> Float[Array, ""]:
     """Computes the radius of the nose of an airfoil (2-D).
 
-    The circle is closest to the node farthest from the tail and `around` nodes on each side of it.
+    The circle is closest to the node farthest from the tail and `around` nodes on each side of it:
+    the osculating circle to second order in their spacing.
 
     **Arguments:**
 
-    - `x`: positions (n, 2).
-    - `loop`: ids (k,) of the airfoil's nodes in order.
+    - `x`, `loop`: as `area` takes them.
     - `tail`: a node of the trailing edge.
-    - `around`: nodes on each side of the nose, 1 or more. Their circle is the osculating circle to
-      second order in their spacing.
+    - `around`: nodes on each side of the nose, 1 or more.
 
     **Raises:** `ValueError` for a tail that is not in the loop, and for too many nodes.
     """
@@ -203,8 +195,7 @@ def leading_edge_radius(x: Numbers, loop: Any, tail: int, around: int = 4) -> Fl
     farthest = jnp.argmax(away >= (1 - slack(x.dtype)) * away.max())  # of nodes as far the first in the loop
     order = (farthest + jnp.arange(-around, around + 1)) % len(loop)
     near = x[jnp.asarray(loop)[order]]
-    centre = near[around]
-    arms = near - centre[None, :]
+    arms = near - near[around][None, :]
     size = jax.lax.stop_gradient(jnp.sqrt(jnp.max(jnp.sum(arms**2, axis=1))))  # the result does not depend on it
     arms = arms / size
     # |p|^2 = 2 p . c + e: linear least squares for the centre c
@@ -217,10 +208,7 @@ def leading_edge_radius(x: Numbers, loop: Any, tail: int, around: int = 4) -> Fl
 def trailing_edge_angle(x: Numbers, upper: Any, lower: Any) -> Float[Array, ""]:
     """Computes the angle between the two sides at the trailing edge: radians, 0 or more.
 
-    **Arguments:**
-
-    - `x`: positions (n, 2).
-    - `upper`, `lower`: two nodes (ahead, at the edge) of each side.
+    `x` are positions (n, 2), `upper` and `lower` two nodes (ahead, at the edge) of each side.
 
     **Raises:** `ValueError` for anything but two nodes.
     """
@@ -249,19 +237,15 @@ def _loop_in(x: Numbers, loop: Any) -> tuple[Float[Array, "n 2"], Int[np.ndarray
 
 
 def _check_closed(x: Float[Array, "n 3"], triangles: Int[np.ndarray, "k 3"], plane: Float[Array, " 3"] | None) -> None:
-    """Raises `ValueError` for edges of only one triangle, unless a plane closes them."""
     edges = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
     unique, count = np.unique(edges, axis=0, return_counts=True)
     border = unique[count == 1]
-    if not len(border):
-        return
-    if plane is None:
+    if len(border) and plane is None:
         raise ValueError(
             f"the wall is open: {len(border)} edges have one face, first {border[0].tolist()}. Give `plane`."
         )
-    if is_known(x, plane):
-        arms = np.asarray(x)[np.unique(border)] - np.asarray(plane)
-        sizes = np.linalg.svd(arms, compute_uv=False)
+    if len(border) and is_known(x, plane):
+        sizes = np.linalg.svd(np.asarray(x)[np.unique(border)] - np.asarray(plane), compute_uv=False)
         if len(sizes) == 3 and sizes[-1] > 1e-6 * sizes[0]:
             raise ValueError(
                 f"the wall's border of {len(border)} edges does not lie in a plane through {np.asarray(plane)}."
@@ -271,8 +255,7 @@ def _check_closed(x: Float[Array, "n 3"], triangles: Int[np.ndarray, "k 3"], pla
 class Stations(Module):
     """Lines on which thickness is measured, with the first and the last face on each line.
 
-    `Stations.on` makes them once. The faces keep the wall's nodes, so that a moved wall is measured
-    where its faces went.
+    `Stations.on` finds them once; a moved wall is measured where its faces went.
 
     - `points` (s, d): a point on each line.
     - `directions` (s, d): of the lines, of length 1.
@@ -288,12 +271,8 @@ class Stations(Module):
     def on(x: Numbers, faces: Any, points: Numbers, direction: Numbers) -> "Stations":
         """Finds the first and the last face that each line meets.
 
-        **Arguments:**
-
-        - `x`: positions (n, d) of the wall.
-        - `faces`: segments (k, 2) in 2-D; triangles or quads in 3-D, one array or several.
-        - `points`: (s, d) a point on each line.
-        - `direction`: (d,) of all lines, or (s, d).
+        The wall has positions `x` (n, d) and faces: segments (k, 2) in 2-D, triangles or quads in
+        3-D, one array or several. The lines have points (s, d) and a direction (d,), or (s, d).
 
         **Raises:** `ValueError` with the number of lines that meet fewer than two faces.
         """
@@ -309,66 +288,53 @@ class Stations(Module):
             raise ValueError("`direction` has length 0; it must be a direction.")
         lines = np.broadcast_to(known / lengths, points.shape)
         ids, same = simplices_of(faces, x.shape), 1e-9 * np.ptp(x, axis=0).max()
-        chosen, missed = np.zeros((len(points), 2, x.shape[1]), int), []
-        for s, (point, line) in enumerate(zip(points, lines, strict=True)):
-            place, inside = _meets(x, ids, point, line)
-            hits = np.flatnonzero(inside)
-            if len(hits) < 2 or np.ptp(place[hits]) <= same:
-                missed.append(s)
-            else:  # of faces that are met at one place, such as around a node, the first counts
-                ends = place[hits] <= place[hits].min() + same, place[hits] >= place[hits].max() - same
-                chosen[s] = ids[[hits[end.argmax()] for end in ends]]
+        found = [_first_and_last(x, ids, *line, same) for line in zip(points, lines, strict=True)]
+        missed = [s for s, ends in enumerate(found) if not ends]
         if missed:
             raise ValueError(
                 f"{len(missed)} of {len(points)} lines miss the body, first row {missed[0]} at {points[missed[0]]}."
             )
-        return Stations(jnp.asarray(points), jnp.asarray(lines), jnp.asarray(chosen))
+        return Stations(jnp.asarray(points), jnp.asarray(lines), jnp.asarray(ids[np.array(found, int).reshape(-1, 2)]))
 
 
 @checked
 def thickness(x: Numbers, stations: Stations) -> Float[Array, " s"]:
-    """Computes the distance between the two faces that each line meets.
+    """Computes the distance between the two faces that each line meets, with positions (n, d).
 
     The faces count as planes, beyond their corners too.
 
-    **Arguments:**
-
-    - `x`: positions (n, d) of the wall, moved or not; traced.
-    - `stations`: from `Stations.on`.
-
-    **Raises:** `ValueError` for positions of another wall: another dimension, or fewer rows than
-    the faces name.
+    **Raises:** `ValueError` for positions in another dimension, or with fewer rows than the faces
+    name.
     """
     x = positions(x)
     if x.shape[1] != stations.points.shape[1]:
         raise ValueError(f"`x` has shape {x.shape}; the stations are in {stations.points.shape[1]}-D.")
     if is_known(stations.faces):
         rows_of("stations.faces", stations.faces, len(x))
-    corners = x[stations.faces]
-    first = corners[:, :, 0]
-    line = jnp.broadcast_to(stations.directions.astype(x.dtype)[:, None], first.shape)
+    own, corners = cast(stations, x), x[stations.faces]
+    first, edges = corners[:, :, 0], corners[:, :, 1:] - corners[:, :, :1]
     if x.shape[1] == 2:
-        edge = corners[:, :, 1] - first
-        normal = jnp.stack([edge[..., 1], -edge[..., 0]], axis=-1)
+        normal = jnp.stack([edges[:, :, 0, 1], -edges[:, :, 0, 0]], axis=-1)
     else:
-        normal = jnp.cross(corners[:, :, 1] - first, corners[:, :, 2] - first)
-    arm = first - stations.points.astype(x.dtype)[:, None, :]
+        normal = jnp.cross(edges[:, :, 0], edges[:, :, 1])
+    line, arm = jnp.broadcast_to(own.directions[:, None], first.shape), first - own.points[:, None, :]
     place = jnp.sum(normal * arm, axis=-1) / jnp.sum(normal * line, axis=-1)
     return place[:, 1] - place[:, 0]
 
 
-def _meets(x: np.ndarray, ids: np.ndarray, point: np.ndarray, line: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Solves point + s line = first corner + weights times edges for all faces.
-
-    It returns s, and whether the place is inside the face.
-    """
+def _first_and_last(x: np.ndarray, ids: np.ndarray, point: np.ndarray, line: np.ndarray, same: float) -> list[int]:
+    """Finds the first and the last face that a line meets; none within a distance `same`."""
+    # point + s line = first corner + weights times edges
     first, d = x[ids[:, 0]], x.shape[1]
     columns = [np.broadcast_to(line, first.shape)] + [first - x[ids[:, k]] for k in range(1, d)]
     system = np.stack(columns, axis=2)
-    size = np.abs(system).max()
-    regular = np.abs(np.linalg.det(system / size)) > 1e-14
+    regular = np.abs(np.linalg.det(system / np.abs(system).max())) > 1e-14
     solution = np.full((len(ids), d), np.nan)
     solution[regular] = np.linalg.solve(system[regular], (first - point)[regular][:, :, None])[:, :, 0]
-    weights = solution[:, 1:]
-    inside = regular & (weights >= -1e-9).all(axis=1) & (weights.sum(axis=1) <= 1 + 1e-9)
-    return solution[:, 0], inside
+    place, weights = solution[:, 0], solution[:, 1:]
+    hits = np.flatnonzero(regular & (weights >= -1e-9).all(axis=1) & (weights.sum(axis=1) <= 1 + 1e-9))
+    if len(hits) < 2 or np.ptp(place[hits]) <= same:
+        return []
+    # of faces that are met at one place, such as around a node, the first counts
+    ends = place[hits] <= place[hits].min() + same, place[hits] >= place[hits].max() - same
+    return [int(hits[end.argmax()]) for end in ends]

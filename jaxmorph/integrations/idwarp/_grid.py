@@ -11,22 +11,19 @@ import jaxmorph as jm
 from jaxmorph import io
 
 from .. import mpi
-from .._pieces import check_comm, numbers_of, together
+from .._pieces import check_comm, finite_array, rows_of, together
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Grid:
-    """Holds what this process has of a grid in 3-D.
-
-    The coordinates of all processes, one after the other, are the file's.
+    """This process' part of a grid in 3-D; those of all processes in turn are the file's list.
 
     - `points` (n, 3), `nodes` (n,): coordinates, and ids in the whole mesh.
-    - `rows` (k,): the row of `points` of each node that the file lists, as far as it is this
-      process'. Blocks repeat nodes.
-    - `mesh`: the whole mesh in the first process and None in others; or the part of a decomposed
-      case that this process has.
-    - `outside`: the mesh of the first process by whose patches the surface is prepared; None in
-      others.
+    - `rows` (k,): the row of `points` of each node in this process' part of the list, where blocks
+      repeat nodes.
+    - `mesh`: the whole mesh in the first process and None in others; or this process' part of a
+      decomposed case.
+    - `outside`: the mesh in the first process by whose patches the surface is prepared.
     - `case`: the decomposed case.
     """
 
@@ -106,9 +103,9 @@ class Grid:
 class SolverOrder:
     """Takes coordinates from the list of all processes to the solver's list of each, and back.
 
-    - `count`: the numbers that this process has of the list of all.
-    - `sent`: places of the numbers that go to each process, in that process' order.
-    - `places`: where the numbers that come from each process stand in this process' solver.
+    - `count`: numbers of the list in this process.
+    - `sent`: their places, for each process in that process' order.
+    - `places`: the places in this process' solver of the numbers from each process.
     """
 
     comm: Any
@@ -138,18 +135,7 @@ def solver_order(comm: Any, count: int, indices: Any) -> SolverOrder:
     """Finds who has what. `indices` (k,) count the numbers of all processes from 0."""
     firsts = np.cumsum([0, *comm.allgather(count)])
 
-    def checked() -> np.ndarray:
-        wanted = np.asarray(indices)
-        if wanted.ndim != 1 or wanted.dtype.kind not in "iuf" or (wanted != np.floor(wanted)).any():
-            raise ValueError(f"indices are whole numbers (k,), not {wanted.dtype} of shape {wanted.shape}.")
-        if wanted.size and (wanted.min() < 0 or wanted.max() >= firsts[-1]):
-            raise ValueError(
-                f"indices go from {wanted.min()} to {wanted.max()}; the grid has coordinates 0 to {firsts[-1] - 1}, three "
-                "for each node."
-            )
-        return wanted.astype(np.int64)
-
-    wanted = together(comm, checked)
+    wanted = together(comm, lambda: rows_of("indices", whole_numbers("indices", indices), int(firsts[-1])))
     keeper = np.searchsorted(firsts, wanted, side="right") - 1
     places = [np.flatnonzero(keeper == rank) for rank in range(comm.size)]
     sent = comm.alltoall([wanted[rows] - firsts[rank] for rank, rows in enumerate(places)])
@@ -181,35 +167,25 @@ def surface_blocks(comm: Any, path: str) -> tuple[np.ndarray, np.ndarray]:
 
 
 def faces(points: Any, conn: Any, sizes: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    points = numbers_of("pts", points)
-    points = points if points.size else points.reshape(-1, 3)
-    corners, counts = _whole("conn", conn), _whole("faceSizes", sizes)
-    if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
-        raise ValueError(f"`pts` has shape {points.shape}; expected finite coordinates (k, 3).")
+    points = reals("pts", points if np.size(points) else np.zeros((0, 3)), (None, 3))
+    corners, counts = whole_numbers("conn", conn), whole_numbers("faceSizes", sizes)
     if (counts < 3).any() or counts.sum() != len(corners):
         raise ValueError(
             f"`faceSizes` adds up to {counts.sum()}, and `conn` has {len(corners)} corners; a face has 3 or more."
         )
-    if corners.size and (corners.min() < 0 or corners.max() >= len(points)):
-        raise ValueError(
-            f"`conn` goes from {corners.min()} to {corners.max()}; `pts` has points 0 to {len(points) - 1}."
-        )
-    return points, corners, counts
+    return points, rows_of("conn", corners, len(points)), counts
 
 
-def _whole(name: str, values: Any) -> np.ndarray:
+def whole_numbers(name: str, values: Any) -> np.ndarray:
     """Returns whole numbers, which may come as floats, in one row."""
-    array = numbers_of(name, values)
+    array = reals(name, np.ravel(values), (None,))
     if not (array == np.floor(array)).all():
         raise ValueError(f"`{name}` must be whole numbers.")
-    return array.astype(np.int64).ravel()
+    return array.astype(np.int64)
 
 
-def reals(name: str, values: Any, shape: tuple[int, ...]) -> np.ndarray:
-    array = numbers_of(name, values, shape)
-    if not np.isfinite(array).all():
-        raise ValueError(f"`{name}` has numbers that are not finite.")
-    return array
+def reals(name: str, values: Any, shape: tuple[int | None, ...]) -> np.ndarray:
+    return finite_array(name, values, shape).astype(float)
 
 
 def numbers(name: str, values: Any, shape: tuple[int, ...], kind: type) -> np.ndarray:

@@ -48,10 +48,7 @@ def checked(options: Any) -> dict[str, Any]:
     """Completes options by IDWarp's defaults, and adds a list of those that were given."""
     if not isinstance(options, Mapping) or not all(isinstance(name, str) for name in options):
         raise ValueError(f"`options` must be a dictionary of options by name, such as gridFile, not {options!r}.")
-    values = {name_of(name): value for name, value in options.items()}
-    for name, value in values.items():
-        if value is not None:
-            _check(name, value)
+    values = {name_of(name): _checked(name_of(name), value) for name, value in options.items()}
     values["fileType"] = KINDS.get((values.get("fileType") or "CGNS").lower())
     if values.get("gridFile") is None or values["fileType"] is None:
         raise ValueError(f"`gridFile` must be the name of a grid, and `fileType` one of {', '.join(KINDS.values())}.")
@@ -65,25 +62,35 @@ def name_of(name: str) -> str:
     return known[name.lower()]
 
 
-def _is_of(value: Any, kinds: tuple[type, ...]) -> bool:
-    return isinstance(value, kinds) and (bool in kinds or not isinstance(value, bool))
-
-
-def _check(name: str, value: Any) -> None:
+def _checked(name: str, value: Any) -> Any:
+    if value is None:
+        return None
     kinds = OPTIONS[name][0]
-    if not _is_of(value, kinds):
+    if not isinstance(value, kinds) or type(value) in {bool} - {*kinds}:
         raise ValueError(f"`{name}` is {value!r}; expected {' or '.join(kind.__name__ for kind in kinds)}.")
-    if name in ("specifiedSurfaces", "symmetrySurfaces") and not all(isinstance(entry, str) for entry in value):
-        raise ValueError(f"`{name}` is {value!r}; expected names of patches.")
-    if name == "symmetryPlanes" and len(value):
-        try:
-            shape = np.asarray(value, dtype=float).shape
-        except (TypeError, ValueError):
-            shape = ()
-        if shape[1:] != (2, 3):
-            raise ValueError(
-                f"`{name}` is {value!r}; expected a point and a normal for each: [[[0, 0, 0], [0, 1, 0]]]."
-            )
+    is_fit, expected = SHAPES.get(name, (lambda value: True, ""))
+    if not is_fit(value):
+        raise ValueError(f"`{name}` is {value!r}; expected {expected}.")
+    return value
+
+
+def _are_names(value: Any) -> bool:
+    return all(isinstance(entry, str) for entry in value)
+
+
+def _are_planes(value: Any) -> bool:
+    try:
+        return not len(value) or np.asarray(value, dtype=float).shape[1:] == (2, 3)
+    except (TypeError, ValueError):
+        return False
+
+
+SHAPES = {
+    "specifiedSurfaces": (_are_names, "names of patches"),
+    "symmetrySurfaces": (_are_names, "names of patches"),
+    "symmetryPlanes": (_are_planes, "a point and a normal for each: [[[0, 0, 0], [0, 1, 0]]]"),
+}
+"""What lists among the options hold."""
 
 
 def warn_of(options: Mapping[str, Any]) -> None:
@@ -111,12 +118,10 @@ class USMesh:
     Processes of an MPI run call it together. Arrays are NumPy's and float64, whatever JAX's mode
     is.
 
-    - A solver that calls `setExternalMeshIndices` and `setSurfaceDefinition` speaks in its own
-      order of nodes. Its surface may have other points than the mesh's wall: this follows by a
-      linear map.
-    - Without a definition the surface is the nodes of the wall patches, or of `specifiedSurfaces`,
-      each once, in the file's order. The first process has all of a file; with folders `processor*`
-      each has its own.
+    - `setSurfaceDefinition` may define a surface of other points than the wall's nodes, which
+      follow by a linear map. Without a definition the surface is the nodes of the wall patches, or
+      of `specifiedSurfaces`, each once, in the file's order. The first process has all of a file;
+      with folders `processor*` each has its own.
     - Nodes of patches that are neither walls nor symmetry planes are fixed. IDWarp lets them
       follow.
 
@@ -125,10 +130,11 @@ class USMesh:
     - `options`: IDWarp's options by name, in any case. `useRotations` chooses IDWarp's method,
       `InverseDistance(rotations=...)`, with `aExp`, `bExp` and `alpha`. Without it the method is
       `prepare`'s default, or IDWarp's where patches are overset and none is fixed. `symmTol` is the
-      distance within which nodes lie on `symmetryPlanes`. Without planes they come from the file.
-      Options without a counterpart are named in one warning.
+      distance within which nodes lie on `symmetryPlanes`; without planes the file tells symmetry.
     - `comm`: the communicator. Default: that of all processes.
-    - `debug`: IDWarp's; nothing here depends on it.
+    - `debug`: changes nothing.
+
+    **Warns:** of options without a counterpart.
 
     **Raises:** `ValueError`, in every process, for an option that IDWarp does not have, for values
     of another type, for a mesh in 2-D, and for what `jaxmorph.io.read` refuses.
@@ -166,15 +172,15 @@ class USMesh:
     def setSurfaceDefinition(self, pts: Any, conn: Any, faceSizes: Any, cgnsBlockID: Any = None) -> None:
         """Defines the surface by this process' points (k, 3) and faces; equal points are one.
 
-        Wall nodes at its points move with them. Others move as the closest point of its faces;
-        without faces as the three points that are nearest.
+        Wall nodes move as the closest point of its faces, or as the three nearest points where
+        there are none.
 
         **Arguments:**
 
         - `pts`: coordinates (k, 3), none where this process has no part of the surface.
         - `conn`: the corners of all faces in one list, counted from 0 in `pts`.
         - `faceSizes`: how many of them each face has.
-        - `cgnsBlockID`: IDWarp's; nothing here depends on it.
+        - `cgnsBlockID`: changes nothing.
 
         **Raises:** `ValueError`, in every process, for other shapes, and for a surface on which no
         patch of the mesh lies.
@@ -217,11 +223,8 @@ class USMesh:
     def warpDeriv(self, dXv: Any, solverVec: bool = True) -> None:
         """Pulls the derivative by mesh coordinates back to the surface's points; see `getdXs`.
 
-        **Arguments:**
-
-        - `dXv`: the derivative, in the order of `getSolverGrid`, or of `getCommonGrid`.
-          Contributions of processes add up.
-        - `solverVec`: whether its order is the solver's. Default True.
+        `dXv` is in the order of `getSolverGrid`, or of `getCommonGrid` where `solverVec` is False.
+        Contributions of processes add up.
         """
         surface = self._defined()
         self._dXs = surface.pullback(self._grid.added(self._volume("dXv", dXv, solverVec)))
@@ -231,10 +234,9 @@ class USMesh:
         return self._dXs.copy()
 
     def warpDerivFwd(self, dXs: Any, solverVec: bool = True) -> Float[np.ndarray, " c"]:
-        """Pushes a change of the surface's points (k, 3) forward to the mesh's coordinates.
+        """Moves the mesh, and pushes a change of the surface's points (k, 3) forward to it.
 
-        It moves the mesh too, as IDWarp does. The result is in the order of `getSolverGrid`, or of
-        `getCommonGrid` where `solverVec` is False.
+        The result is in the order of `getSolverGrid`, or of `getCommonGrid` without `solverVec`.
         """
         tangent = self._rows("dXs", np.reshape(np.asarray(dXs, float), (-1, 3)))
         self.warpMesh()
@@ -252,13 +254,9 @@ class USMesh:
     ) -> float:
         """Compares `warpDeriv` with central differences, and prints a line for each coordinate.
 
-        **Arguments:**
-
-        - `dXv`, `solverVec`: as `warpDeriv` takes them. Default: random numbers.
-        - `dofStart`, `dofEnd`: the first coordinate, and the coordinate after the last, counted
-          over the points of all processes.
-        - `h`: the step, in the mesh's unit.
-        - `randomSeed`: of the random numbers.
+        `dXv` and `solverVec` are as `warpDeriv` takes them, `dXv` random by default. Coordinates
+        from `dofStart` to before `dofEnd` count over the points of all processes. The step `h` has
+        the mesh's unit.
 
         **Returns:** the largest difference, relative to the largest derivative.
         """
@@ -280,7 +278,7 @@ class USMesh:
     def writeGrid(self, fileName: str | None = None) -> None:
         """Writes the moved mesh: a file in `gridFile`'s format, or an OpenFOAM case or time.
 
-        It raises `ValueError` without a name, of OpenFOAM too: what was read is never overwritten.
+        It raises `ValueError` without a name: what was read is never overwritten.
         """
         if fileName is None:
             raise ValueError("`fileName` is missing: name a new file or folder; what the mesh was read from is kept.")
@@ -291,10 +289,9 @@ class USMesh:
         return self._options[name_of(name)]
 
     def setOption(self, name: str, value: Any) -> None:
-        """Sets an option; it holds for the surface that is defined next.
+        """Sets an option, which holds for the surface that is defined next.
 
-        It raises `ValueError` where the surface is there, or the grid is read, and the option
-        belongs to it.
+        It raises `ValueError` for options of a grid, and of a surface that is there.
         """
         name = name_of(name)
         if name in FILE or (name not in WITHOUT and self._surface is not None):

@@ -12,7 +12,7 @@ import jaxmorph as jm
 from jaxmorph import io
 from jaxmorph.io.cgns.file import open_zones, opened
 
-from .._pieces import together
+from .._pieces import rows_of, together
 from ._grid import Grid, SolverOrder, communicator, faces, numbers, reals, solver_order
 from ._mesh import USMesh, USMesh_C
 
@@ -27,9 +27,9 @@ class MultiUSMesh:
     **Arguments:**
 
     - `CGNSFile`: the file.
-    - `optionsDict`: options of `USMesh` by the name of a grid; `gridFile` in them is not looked at.
+    - `optionsDict`: options of `USMesh` by the name of a grid, but `gridFile`.
     - `comm`, `debug`: as `USMesh` takes them.
-    - `dtype`: IDWarp's, "d"; `MultiUSMesh_C` is for complex steps.
+    - `dtype`: "d"; `MultiUSMesh_C` is for complex steps.
 
     **Raises:** `ValueError`, in every process, for names of no grid, and as `USMesh` does.
     """
@@ -66,7 +66,7 @@ class MultiUSMesh:
     def setExternalMeshIndices(self, ind: Any) -> None:
         """Sets the file's coordinates that this process' solver has, three a node, from 0."""
         self._order = solver_order(self.comm, 3 * len(self._whole.rows), ind)
-        indices, self._chosen = np.asarray(ind, dtype=np.int64), []
+        indices, self._chosen = np.asarray(ind, dtype=np.int64).ravel(), []
         first = np.cumsum(self._counts) - self._counts
         zone = np.searchsorted(first, indices // 3, side="right") - 1
         for k, mesh in enumerate(self.meshes):
@@ -81,11 +81,10 @@ class MultiUSMesh:
     def setSurfaceDefinition(
         self, pts: Any, conn: Any = None, faceSizes: Any = None, cgnsBlockIDs: Any = None, distTol: float = 1e-6
     ) -> None:
-        """Defines the surface as `USMesh` does.
+        """Defines the surface as `USMesh` does; IDWarp's `distTol` changes nothing here.
 
         - `cgnsBlockIDs`: the zone of each face, counted from 0. Faces of grids that stay do not
           move.
-        - `distTol`: IDWarp's; nothing here depends on it.
         """
         points, corners, sizes = together(self.comm, lambda: faces(pts, conn, faceSizes))
         zones = together(self.comm, lambda: self._zones_of_faces(cgnsBlockIDs, sizes.shape))
@@ -98,15 +97,15 @@ class MultiUSMesh:
 
     def getSurfaceCoordinates(self) -> Inexact[np.ndarray, "k 3"]:
         """Returns the surface's points that this process has, as they were set last."""
-        for rows, mesh in zip(self._defined(), self.meshes, strict=True):
+        for rows, mesh in self._parts():
             self._coordinates[rows] = mesh.getSurfaceCoordinates()
         return self._coordinates.copy()
 
     def setSurfaceCoordinates(self, pts: Any) -> None:
         """Sets the surface's points, as `getSurfaceCoordinates` orders them; `warpMesh` moves."""
-        self._defined()
+        parts = self._parts()
         points = together(self.comm, lambda: numbers("pts", pts, self._coordinates.shape, self._number))
-        for rows, mesh in zip(self._defined(), self.meshes, strict=True):
+        for rows, mesh in parts:
             mesh.setSurfaceCoordinates(points[rows])
 
     def warpMesh(self) -> None:
@@ -127,10 +126,7 @@ class MultiUSMesh:
         return grids, self.comm.allreduce(sum(map(len, grids)))
 
     def warpDeriv(self, dXv: Any, solverVec: bool = True) -> Float[np.ndarray, "k 3"]:
-        """Pulls the derivative by the solver's coordinates back to the surface's points (k, 3).
-
-        It raises `ValueError` for `solverVec=False`: the file's order is that of each grid alone.
-        """
+        """Pulls the derivative by the solver's coordinates back to the surface's points (k, 3)."""
         if not solverVec:
             raise ValueError("`solverVec` must be True here; `meshes` have an order of their own each.")
         values = together(self.comm, lambda: reals("dXv", dXv, (self._solver().size,)))
@@ -141,24 +137,21 @@ class MultiUSMesh:
     def getdXs(self) -> Float[np.ndarray, "k 3"]:
         """Returns the derivative by the surface's points that `warpDeriv` computed."""
         total = np.zeros(self._coordinates.shape)
-        for rows, mesh in zip(self._defined(), self.meshes, strict=True):
+        for rows, mesh in self._parts():
             total[rows] += mesh.getdXs()
         return total
 
     def warpDerivFwd(self, dXs: Any) -> Float[np.ndarray, " c"]:
         """Pushes a change of the surface's points (k, 3) forward to the solver's coordinates."""
-        self._defined()
+        parts = self._parts()
         tangent = together(self.comm, lambda: reals("dXs", dXs, self._coordinates.shape))
         change = np.zeros(self._solver().size)
-        for rows, chosen, mesh in zip(self._defined(), self._chosen, self.meshes, strict=True):
+        for (rows, mesh), chosen in zip(parts, self._chosen, strict=True):
             change[chosen] = mesh.warpDerivFwd(tangent[rows])
         return change
 
     def writeGrid(self, baseName: str | None = None) -> None:
-        """Writes one `baseName`.cgns with all grids as they moved; IDWarp writes several.
-
-        The default name is IDWarpMulti.
-        """
+        """Writes all grids as they moved to `baseName`.cgns, IDWarpMulti.cgns by default."""
         shares = [self.comm.gather(np.real(mesh.getCommonGrid()).reshape(-1, 3)) for mesh in self.meshes]
 
         def write() -> None:
@@ -173,21 +166,18 @@ class MultiUSMesh:
 
     def _zones_of_faces(self, zones: Any, shape: tuple[int, ...]) -> np.ndarray:
         found = reals("cgnsBlockIDs", np.ravel(zones), shape).astype(int)
-        if found.size and (found.min() < 0 or found.max() >= len(self._grid)):
-            raise ValueError(
-                f"`cgnsBlockIDs` go from {found.min()} to {found.max()}; there are {len(self._grid)} zones."
-            )
-        return found
+        return rows_of("cgnsBlockIDs", found, len(self._grid))
 
     def _solver(self) -> SolverOrder:
         if self._order is None:
             raise ValueError("the solver's order is not known: call setExternalMeshIndices.")
         return self._order
 
-    def _defined(self) -> list[np.ndarray]:
+    def _parts(self) -> list[tuple[np.ndarray, USMesh]]:
+        """Returns each grid with the rows of its points among those of the surface."""
         if self._rows is None:
             raise ValueError("the surface is not known: call setSurfaceDefinition.")
-        return self._rows
+        return list(zip(self._rows, self.meshes, strict=True))
 
 
 class MultiUSMesh_C(MultiUSMesh):
@@ -207,15 +197,14 @@ def _read(path: str, options: Any) -> tuple[jm.Mesh, tuple[list[str], np.ndarray
     mesh = io.read(path)
     with opened(pathlib.Path(path)) as file:
         zones = open_zones(pathlib.Path(path), file)[0]
-        grids = [zone.name.rpartition(".")[0] or zone.name for zone in zones]
-        counts = np.array([zone.count for zone in zones])
-    names = list(dict.fromkeys(name for name in grids if name in options))
-    missing = [name for name in options if name not in grids]
-    if missing or not names:
-        raise ValueError(
-            f"`optionsDict`: {path} has no grid {', '.join(missing)}; it has {', '.join(dict.fromkeys(grids))}."
-        )
-    return mesh, (names, counts, np.array([names.index(name) if name in names else -1 for name in grids]))
+        sizes = [(zone.name.rsplit(".", 1)[0], zone.count) for zone in zones]
+    grids, counts = zip(*sizes, strict=True)
+    numbers = {name: k for k, name in enumerate(name for name in dict.fromkeys(grids) if name in options)}
+    missing = [name for name in options if name not in numbers]
+    if missing or not numbers:
+        known = ", ".join(dict.fromkeys(grids))
+        raise ValueError(f"`optionsDict`: {path} has no grid {', '.join(missing)}; it has {known}.")
+    return mesh, (list(numbers), np.array(counts), np.array([numbers.get(name, -1) for name in grids]))
 
 
 def _part(mesh: jm.Mesh, is_own: np.ndarray) -> jm.Mesh:

@@ -15,7 +15,7 @@ import jaxmorph as jm
 from jaxmorph import io
 
 from .. import mpi
-from .._pieces import closest, fans, float64_mode
+from .._pieces import closest, fans, float64_mode, spacing
 
 WORDS = {"overset": "overset", "wall": "wall", r"(?<![a-z])(bc)?sym": "symmetry"}
 """What a patch is, by a word in its kind in the file, or in its name."""
@@ -46,17 +46,15 @@ class Definition:
     def weights(self, x: Float[np.ndarray, "k 3"]) -> tuple[Any, np.ndarray, np.ndarray]:
         """Computes sparse weights (k, s) by which the surface's points move nodes `x`.
 
-        A node at a point of the surface moves with it; where several points are at one place, with
-        their mean. Another node moves as the closest point of the faces does, or as the three
-        nearest points where there are no faces. Rows sum to one.
-
-        **Returns:** the weights, each node's distance (k,) from the surface, and the distance (k,)
-        beyond which it is not on it.
+        A node at a place of the surface moves with the mean of its points. Another node moves as
+        the closest point of the faces does, or as the three nearest places where there are no
+        faces. Rows sum to one. Also returned: each node's distance (k,) from the surface, and the
+        distance (k,) beyond which it is not on it.
         """
         place, at = self._places()
         tree = KDTree(place)
         away, nearest = (np.reshape(answer, (len(x), -1)) for answer in tree.query(x, k=min(3, len(place))))
-        limit = _spacing(place)[nearest[:, 0]]
+        limit = spacing(place)[nearest[:, 0]]
         is_point = away[:, 0] <= AT * limit
         inverse = 1 / np.maximum(away, np.finfo(float).tiny ** 0.25) ** 2
         inverse = np.where(is_point[:, None], np.arange(away.shape[1]) == 0, inverse)
@@ -83,38 +81,42 @@ class Definition:
         return place[np.unique(part, return_index=True)[1]], part[at.ravel()]
 
 
-def _spacing(points: np.ndarray) -> np.ndarray:
-    """Measures the distance of each point from the next one; 1 for a point alone."""
-    return np.asarray(KDTree(points).query(points, k=2)[0])[:, 1] if len(points) > 1 else np.ones(1)
-
-
 def patches_by_kind(mesh: jm.Mesh, options: Mapping[str, Any]) -> dict[str, tuple[str, ...]]:
     """Lists patches of `wall`, `symmetry` and `overset` by option, kind in the file, or name."""
-    kinds = {kind: tuple(name for name in mesh.patches if _kind_of(mesh, name) == kind) for kind in WORDS.values()}
+    kinds: dict[str, list[str]] = {kind: [] for kind in (*WORDS.values(), "")}
+    for name in mesh.patches:
+        kinds[_kind_of(mesh, name)].append(name)
     for kind, option in (("wall", "specifiedSurfaces"), ("symmetry", "symmetrySurfaces")):
         if options[option] is not None:
             kinds[kind] = _named(mesh, options[option], option)
     if options["symmetryPlanes"] is not None:
-        points = np.asarray(mesh.points, dtype=float)
-        on = np.any([np.zeros(len(points), bool), *(plane.holds(points) for plane in _planes(mesh, options))], axis=0)
-        kinds["symmetry"] = tuple(name for name, nodes in mesh.patches.items() if on[np.asarray(nodes)].all())
-    walls = kinds.pop("wall")
-    return {kind: tuple(name for name in names if name not in walls) for kind, names in kinds.items()} | {"wall": walls}
+        kinds["symmetry"] = _in_planes(mesh, _planes(mesh, options))
+    walls, _ = kinds.pop("wall"), kinds.pop("")
+    return {kind: tuple(name for name in names if name not in walls) for kind, names in kinds.items()} | {
+        "wall": tuple(walls)
+    }
 
 
-def _kind_of(mesh: jm.Mesh, name: str) -> str | None:
+def _in_planes(mesh: jm.Mesh, planes: Sequence[jm.Plane]) -> list[str]:
+    on = np.zeros(len(mesh.points), bool)
+    for plane in planes:
+        on |= plane.holds(np.asarray(mesh.points, dtype=float))
+    return [name for name, nodes in mesh.patches.items() if on[np.asarray(nodes)].all()]
+
+
+def _kind_of(mesh: jm.Mesh, name: str) -> str:
     text = mesh.kinds.get(name, name).lower()
-    kind = next((kind for word, kind in WORDS.items() if re.search(word, text)), None)
-    return kind or ("overset" if "overset" in name.lower() else None)  # no type of CGNS says so
+    kind = next((kind for word, kind in WORDS.items() if re.search(word, text)), "")
+    return kind or ("overset" if "overset" in name.lower() else "")  # no type of CGNS says so
 
 
-def _named(mesh: jm.Mesh, names: Sequence[str], option: str) -> tuple[str, ...]:
+def _named(mesh: jm.Mesh, names: Sequence[str], option: str) -> list[str]:
     """Finds patches by names in whatever case, as IDWarp does."""
     wanted = {name.lower() for name in names}
     missing = sorted(wanted - {name.lower() for name in mesh.patches})
     if missing:
         raise ValueError(f"`{option}`: no patch {', '.join(missing)}; there are {', '.join(mesh.patches)}.")
-    return tuple(name for name in mesh.patches if name.lower() in wanted)
+    return [name for name in mesh.patches if name.lower() in wanted]
 
 
 def _planes(mesh: jm.Mesh, options: Mapping[str, Any]) -> list[jm.Plane]:
@@ -133,12 +135,11 @@ def _planes(mesh: jm.Mesh, options: Mapping[str, Any]) -> list[jm.Plane]:
 def boundary_of(
     mesh: jm.Mesh, options: Mapping[str, Any], surface: Definition, is_own: bool
 ) -> tuple[jm.Boundary, csr_array]:
-    """Finds the mesh's moving nodes (m,), ascending, and the surface's weights (m, s) of them.
+    """Finds the mesh's boundary, and the surface's weights (m, s) of the moving nodes.
 
     `is_own` says that the surface is the nodes of the wall patches. Otherwise it is that of a
-    solver. Patches with half of their nodes on its faces then belong to it, walls alone where there
-    are such ones; their nodes on its faces move. All patches but symmetry, periodic and overset are
-    fixed.
+    solver: of patches with half of their nodes on its faces, walls first, these nodes move. All
+    patches but symmetry, periodic and overset are fixed.
     """
     kinds, points = patches_by_kind(mesh, options), np.asarray(mesh.points, dtype=float)
     walls, periodic = kinds["wall"], io.periodic(mesh)
@@ -159,7 +160,7 @@ def _on_surface(mesh: jm.Mesh, surface: Definition, walls: Sequence[str], loose:
         found = []
         for nodes in (np.asarray(mesh.patches[name]) for name in names if len(mesh.patches[name]) > 1):
             _, away, limit = surface.weights(points[nodes])
-            is_on = away <= np.maximum(limit, NEAR * _spacing(points[nodes]))
+            is_on = away <= np.maximum(limit, NEAR * spacing(points[nodes]))
             if is_on.mean() >= PART:
                 found.append(nodes[is_on])
         if found:

@@ -9,7 +9,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import scipy.interpolate
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from jaxmorph import Mesh, boundary_faces, io, shapes
 
@@ -18,14 +18,14 @@ from ._options import KINDS, Options, Variable
 
 Fixed = tuple[frozenset[int], ...]
 """Planes of control points that stay, in each direction of a box."""
-TURNS = ("FFD_ROTATION", "FFD_CONTROL_SURFACE")
-"""Kinds that turn control points about an axis, by degrees."""
 KEPT = {"NO_DERIVATIVE": 1, "1ST_DERIVATIVE": 2, "2ND_DERIVATIVE": 3, "USER_INPUT": 0}
 """Planes of control points that stay behind each face of a box which the wall crosses."""
 HALVINGS = 60
 """Halvings of an interval, down to a double's rounding."""
 MOST = 10**6
 """Control points that a box may have."""
+OUTSIDE = 2.0
+"""Coordinate of a node that a box does not move."""
 
 
 class BoxPart(AbstractPart):
@@ -41,11 +41,9 @@ class BoxPart(AbstractPart):
     length: float = eqx.field(static=True)
     control: Float[Array, "..."]
     operator: Callable[[Any], Array]
-    inside: Bool[Array, " m"]
 
     def __call__(self, x, values):
-        moved = self.operator(self.change(values))
-        return jnp.where(self.inside[:, None], moved, 0).astype(x.dtype)
+        return self.operator(self.change(values)).astype(x.dtype)
 
     def change(self, values: Float[Array, " k"]) -> Float[Array, "..."]:
         """Computes the displacements (*counts, d) of the control points."""
@@ -54,13 +52,109 @@ class BoxPart(AbstractPart):
         for variable in self.variables:
             part = values[row : row + variable.size]
             if variable.kind in TURNS:
-                change = _turned(variable, part[0], control)
-            elif variable.kind == "FFD_TWIST":
-                change = _twist(variable, part[0] / self.length, control, self.fixed)
+                change = TURNS[variable.kind](self, variable, part[0], control)
             else:
-                change = jnp.tensordot(part, jnp.asarray(_factors(variable, control.shape, self.fixed), part.dtype), 1)
+                change = jnp.tensordot(part, jnp.asarray(self._factors(variable), part.dtype), 1)
             control, row = control + change, row + variable.size
         return control - start
+
+    def _factors(self, variable: Variable) -> Float[np.ndarray, "k ..."]:
+        """Computes what a unit of each value adds to the control points: (k, *counts, d)."""
+        factors = np.zeros((variable.size, *self.control.shape))
+        ADDS[variable.kind.removesuffix("_2D")](variable, variable.index, self, factors)
+        return factors
+
+    def is_fixed(self, *index: int) -> bool:
+        return any(value in planes for value, planes in zip(index, self.fixed, strict=True))
+
+
+def _control_point(variable: Variable, index: tuple[int, ...], part: BoxPart, factors: np.ndarray) -> None:
+    """Moves control points, of which -1 names all of a direction.
+
+    SU2 moves none where a plane of a number that is named stays. Of a direction of all it leaves
+    planes out in 3-D alone, and only where the other two numbers are named.
+    """
+    d = len(index)
+    if part.is_fixed(*index):
+        return
+    chosen = np.zeros(factors.shape[1:-1])
+    chosen[_places(*index)] = 1
+    every = [k for k, value in enumerate(index) if value == -1]
+    if d == 3 and len(every) == 1:
+        np.moveaxis(chosen, every[0], 0)[sorted(part.fixed[every[0]])] = 0
+    ways = np.array([variable.numbers[d:]]) if variable.size == 1 else np.eye(d)
+    factors += chosen[..., None] * ways.reshape(-1, *[1] * d, d)
+
+
+def _pair(variable: Variable, index: tuple[int, ...], part: BoxPart, factors: np.ndarray) -> None:
+    """Moves two control points across a box alike (camber), or apart (thickness)."""
+    d = factors.shape[-1]
+    if d == 2 or not any(part.is_fixed(*index, side) for side in (0, 1)):
+        factors[(0, *index, 0, d - 1)] = -1 if "THICKNESS" in variable.kind else 1
+        factors[(0, *index, 1, d - 1)] = 1
+
+
+def _gull(variable: Variable, index: tuple[int, ...], part: BoxPart, factors: np.ndarray) -> None:
+    factors[0, :, index[0], :, 2] = index[0] not in part.fixed[1]
+
+
+def _nacelle(variable: Variable, index: tuple[int, ...], part: BoxPart, factors: np.ndarray) -> None:
+    """Moves the control points at an angle and at the opposite angle."""
+    i, j, k = index
+    last = factors.shape[2] - 1
+    for angle in dict.fromkeys([j, last - j if j >= 0 else 0]):
+        if part.is_fixed(i, angle, k):
+            break
+        factors[(0, *_places(i, angle if j >= 0 else -1, k))] += [variable.numbers[3], 0, variable.numbers[4]]
+
+
+def _places(*index: int) -> tuple[int | slice, ...]:
+    return tuple(slice(None) if value == -1 else value for value in index)
+
+
+ADDS = {
+    "FFD_CONTROL_POINT": _control_point,
+    "FFD_CAMBER": _pair,
+    "FFD_THICKNESS": _pair,
+    "FFD_GULL": _gull,
+    "FFD_NACELLE": _nacelle,
+}
+"""What kinds whose values multiply displacements of control points add to these."""
+
+
+def _rotation(part: BoxPart, variable: Variable, value, control) -> Float[Array, "..."]:
+    """Turns the control points about an axis by degrees, which the numbers have by its two ends."""
+    d, ends = control.shape[-1], np.array(variable.numbers)
+    axis, about, points = ends[3:] - ends[:3], ends[:d], control.reshape(-1, d)
+    angle = jnp.deg2rad(value)
+    turn = (np.sign(axis[2]) * angle, about) if d == 2 else (angle, about, axis)
+    return (shapes.rotate(points, *turn) - points).reshape(control.shape)
+
+
+def _control_surface(part: BoxPart, variable: Variable, value, control) -> Float[Array, "..."]:
+    """Turns the other way, without the last two planes of i and the outer two of j each side."""
+    chosen = np.zeros(control.shape[:-1], bool)
+    chosen[:-2, 2:-2] = True
+    return jnp.where(jnp.asarray(chosen)[..., None], _rotation(part, variable, -value, control), 0)
+
+
+def _twist(part: BoxPart, variable: Variable, value, control) -> Float[Array, "..."]:
+    """Turns one plane's control points about an axis along y, where a line meets the plane."""
+    (j,), start, end = variable.index, np.array(variable.numbers[1:4]), np.array(variable.numbers[4:7])
+    rise = end[1] - start[1]
+    share = (control[0, j, 0, 1] - start[1]) / (rise or 1.0)
+    meets = (share >= 0) & (share <= 1) & (rise != 0)
+    about = jnp.asarray(start, control.dtype) + share * jnp.asarray(end - start, control.dtype)
+    plane = control[:, j].reshape(-1, 3)
+    turned = shapes.rotate(plane, jnp.arctan(value / part.length), about, [0.0, 1.0, 0.0]) - plane
+    rows, columns = len(control), control.shape[2]
+    free = np.array([[not part.is_fixed(i, j, k) for k in range(columns)] for i in range(rows)])
+    turned = jnp.where(meets & jnp.asarray(free)[..., None], turned.reshape(*free.shape, 3), 0)
+    return jnp.zeros_like(control).at[:, j].set(turned)
+
+
+TURNS = {"FFD_ROTATION": _rotation, "FFD_CONTROL_SURFACE": _control_surface, "FFD_TWIST": _twist}
+"""How the other kinds move control points, which depends on where these are."""
 
 
 def boxes_of(options: Options, mesh: Mesh, moving: Sequence[str], is_setting: bool) -> tuple[io.Box, ...]:
@@ -70,37 +164,45 @@ def boxes_of(options: Options, mesh: Mesh, moving: Sequence[str], is_setting: bo
     """
     options.choice("FFD_COORD_SYSTEM", "CARTESIAN", "CARTESIAN")
     present = () if is_setting else io.boxes(mesh)
-    if present or "FFD_DEFINITION" not in options:
-        nested = [box.name for box in present if box.level or box.parents or box.children]
-        if nested:
-            raise ValueError(f"box {nested[0]} is nested in another one; boxes side by side are taken.")
-        return present
-    shapes_by_name = _definition(options, mesh.points.shape[1])
-    return tuple(
-        io.Box(name, shape, np.asarray(shape.lattice()), _surface(shape, mesh, moving))
-        for name, shape in shapes_by_name
-    )
+    if not present and "FFD_DEFINITION" in options:
+        made = _definition(options, mesh.points.shape[1])
+        return tuple(io.Box(name, box, np.asarray(box.lattice()), _surface(box, mesh, moving)) for name, box in made)
+    nested = [box.name for box in present if box.level or box.parents or box.children]
+    if nested:
+        raise ValueError(f"box {nested[0]} is nested in another one; boxes side by side are taken.")
+    return present
 
 
 def _definition(options: Options, d: int) -> list[tuple[str, shapes.Hexahedron]]:
-    blending = options.choice("FFD_BLENDING", "BEZIER", "BEZIER", "BSPLINE_UNIFORM")
-    orders = options.words("FFD_BSPLINE_ORDER")[:d] or ["2"] * d
-    degree = [options.whole("FFD_BSPLINE_ORDER", word) - 1 for word in orders] if blending != "BEZIER" else None
+    degree = None
+    if options.choice("FFD_BLENDING", "BEZIER", "BEZIER", "BSPLINE_UNIFORM") != "BEZIER":
+        orders = options.words("FFD_BSPLINE_ORDER")[:d] or ["2"] * d
+        degree = [options.whole("FFD_BSPLINE_ORDER", word) - 1 for word in orders]
     degrees, groups = options.groups("FFD_DEGREE"), options.groups("FFD_DEFINITION")
     if len(degrees) != len(groups):
         raise options.error("FFD_DEGREE", f"{len(degrees)} groups of degrees for {len(groups)} boxes")
-    made = []
-    for (name, *words), words_of_degrees in zip(groups, degrees, strict=True):
-        numbers = [options.number("FFD_DEFINITION", word) for word in words]
-        if len(numbers) != 24:
-            found = f"24 numbers for box {name}, eight corners, expected; found {len(numbers)}"
-            raise options.error("FFD_DEFINITION", found)
-        counts = [options.whole("FFD_DEGREE", word) + 1 for word in words_of_degrees[:d]]
-        if len(counts) < d or math.prod(counts) > MOST:
-            found = " x ".join(map(str, counts))
-            raise options.error("FFD_DEGREE", f"{d} degrees of at most {MOST} control points expected, found {found}")
-        made.append((name, shapes.Hexahedron(np.reshape(numbers, (8, 3))[: 2**d, :d], counts, degree=degree)))
-    return made
+    return [
+        (
+            name,
+            shapes.Hexahedron(_corners(options, name, words)[: 2**d, :d], _counts(options, own[:d], d), degree=degree),
+        )
+        for (name, *words), own in zip(groups, degrees, strict=True)
+    ]
+
+
+def _corners(options: Options, name: str, words: list[str]) -> Float[np.ndarray, "8 3"]:
+    if len(words) != 24:
+        found = f"24 numbers for box {name}, eight corners, expected; found {len(words)}"
+        raise options.error("FFD_DEFINITION", found)
+    return np.reshape([options.number("FFD_DEFINITION", word) for word in words], (8, 3))
+
+
+def _counts(options: Options, degrees: list[str], d: int) -> list[int]:
+    counts = [options.whole("FFD_DEGREE", word) + 1 for word in degrees]
+    if len(counts) < d or math.prod(counts) > MOST:
+        found = " x ".join(map(str, counts))
+        raise options.error("FFD_DEGREE", f"{d} degrees of at most {MOST} control points expected, found {found}")
+    return counts
 
 
 def _surface(shape: shapes.Hexahedron, mesh: Mesh, moving: Sequence[str]) -> dict:
@@ -141,47 +243,44 @@ def box_parts(
 
     Raises `ValueError` for a box or control points that are not there.
     """
-    known = [box.name for box in boxes]
-    for name in (variable.box for variable in listed if variable.box):
-        if name not in known:
-            hint = "it has none: run with DV_KIND= FFD_SETTING, or give FFD_DEFINITION"
-            there = f"it has {', '.join(known)}" if known else hint
-            raise ValueError(f"there is no box {name} in the mesh file; {there}.")
-    nodes = mesh.patch(*moving)
-    length = options.number("REF_LENGTH")
-    parts, taken = [], np.zeros(len(nodes), bool)
+    _check_boxes(listed, boxes)
+    nodes, parts = mesh.patch(*moving), []
+    taken = np.zeros(len(nodes), bool)
     for box in reversed(boxes):  # of a node in two boxes SU2 has the last one move it
-        members = tuple(variable for variable in listed if variable.box == box.name)
-        places = _places(box, nodes, moving)
-        inside = np.isfinite(places).all(axis=1) & ~taken
-        if members:
-            for variable in members:
-                _check(variable, box)
-            rows = tuple(row for variable in members for row in variable.rows)
-            fixed = _fixed_planes(options, box.control, mesh, moving)
-            operator = box.shape.box.at(jnp.asarray(np.where(inside[:, None], places, 0.5)))
-            parts.append(BoxPart(rows, members, fixed, length, jnp.asarray(box.control), operator, jnp.asarray(inside)))
-        taken |= inside
+        places = _places_of(box, nodes, moving)
+        places[taken] = OUTSIDE
+        taken |= (places != OUTSIDE).any(axis=1)
+        if own := tuple(variable for variable in listed if variable.box == box.name):
+            fixed, length = _fixed_planes(options, box.control, mesh, moving), options.number("REF_LENGTH")
+            rows, move = tuple(row for variable in own for row in variable.rows), box.shape.box.at(jnp.asarray(places))
+            parts.append(BoxPart(rows, own, fixed, length, jnp.asarray(box.control), move))
     return parts[::-1]
 
 
-def _places(box: io.Box, nodes: Int[np.ndarray, " m"], moving: Sequence[str]) -> Float[np.ndarray, "m d"]:
-    places = np.full((len(nodes), len(box.shape.counts)), np.nan)
-    for name in moving:
-        ids, inside = box.surface.get(name, (np.zeros(0, int), np.zeros((0, places.shape[1]))))
+def _places_of(box: io.Box, nodes: Int[np.ndarray, " m"], moving: Sequence[str]) -> Float[np.ndarray, "m d"]:
+    places = np.full((len(nodes), len(box.shape.counts)), OUTSIDE)
+    for ids, inside in (box.surface[name] for name in moving if name in box.surface):
         moves = np.isin(ids, nodes)
         places[np.searchsorted(nodes, ids[moves])] = inside[moves]
     return places
 
 
+def _check_boxes(listed: Sequence[Variable], boxes: Sequence[io.Box]) -> None:
+    known = {box.name: box for box in boxes}
+    for variable in (variable for variable in listed if variable.box):
+        if variable.box not in known:
+            there = ", ".join(known) or "none: run with DV_KIND= FFD_SETTING, or give FFD_DEFINITION"
+            raise ValueError(f"there is no box {variable.box} in the mesh file; it has {there}.")
+        _check(variable, known[variable.box])
+
+
 def _check(variable: Variable, box: io.Box) -> None:
     """Raises `ValueError` for kinds of the other dimension, and for unknown control points."""
-    kind, counts = variable.kind, box.shape.counts
-    d, index = len(counts), variable.numbers[: KINDS[kind].indices]
-    if kind in TURNS:
-        return check_axis(kind, variable.numbers, d)
-    if kind.endswith("_2D") != (d == 2):
-        raise ValueError(f"{kind} in a mesh in {d}-D: kinds ending in _2D are for 2-D, other kinds for 3-D.")
+    kind, counts, index = variable.kind, box.shape.counts, variable.numbers[: KINDS[variable.kind].indices]
+    if not index:
+        return check_axis(kind, variable.numbers, len(counts))
+    if kind.endswith("_2D") != (len(counts) == 2):
+        raise ValueError(f"{kind} in a mesh in {len(counts)}-D: kinds ending in _2D are for 2-D, other kinds for 3-D.")
     if index == (-1, -1, -1):
         raise ValueError(f"{kind} of box {box.name} with all three numbers -1: SU2 moves no control point by it.")
     least = -1 if kind.startswith(("FFD_CONTROL_POINT", "FFD_NACELLE")) else 0
@@ -197,16 +296,16 @@ def _fixed_planes(options: Options, lattice: Float[np.ndarray, "..."], mesh: Mes
     word = options.choice("FFD_CONTINUITY", "2ND_DERIVATIVE", *KEPT)
     is_symmetric = options.choice("FFD_SYMMETRY_PLANE", "NO", "NO", "YES") == "YES"
     segments, (*counts, d) = _segments(mesh, moving), lattice.shape
-    planes: list[set[float]] = [set() for _ in counts]
-    if word == "USER_INPUT":
-        planes = [set(options.numbers(f"FFD_FIX_{axis}")) for axis in "IJK"[:d]]
-    for direction, last in itertools.product(range(d), (0, -1)):
-        top = counts[direction] - 1
-        depth = 0 if KEPT[word] == 3 and top <= 1 else KEPT[word]  # a second derivative needs a degree of 2
-        is_mirror = direction == 1 and d == 3 and is_symmetric
-        if depth and not is_mirror and _crosses(segments, _face(lattice, direction, last)):
-            planes[direction].update(k if last == 0 else top - k for k in range(depth))
-    return tuple(frozenset(int(k) for k in own) & {*range(count)} for own, count in zip(planes, counts, strict=True))
+    fixed = []
+    for direction, count in enumerate(counts):
+        planes = set(options.numbers(f"FFD_FIX_{'IJK'[direction]}")) if word == "USER_INPUT" else set()
+        depth = 0 if KEPT[word] == 3 and count <= 2 else KEPT[word]  # a second derivative needs a degree of 2
+        is_mirror = (direction, d, is_symmetric) == (1, 3, True)
+        for last, behind in ((0, range(depth)), (-1, range(count - depth, count))):
+            if depth and not is_mirror and _crosses(segments, _face(lattice, direction, last)):
+                planes.update(behind)
+        fixed.append(frozenset(int(k) for k in planes) & {*range(count)})
+    return tuple(fixed)
 
 
 def _face(lattice: Float[np.ndarray, "..."], direction: int, last: int) -> Float[np.ndarray, "t d d"]:
@@ -225,90 +324,12 @@ def _crosses(segments: Float[np.ndarray, "s 2 d"], faces: Float[np.ndarray, "t d
         size = np.linalg.norm(edges, axis=1).prod() * np.linalg.norm(way, axis=1)
         good = np.abs(np.linalg.det(matrix)) > 1e-14 * size
         solution = np.linalg.solve(matrix[good], (face[0] - start[good])[:, :, None])[:, :, 0]
-        share, weights = solution[:, 0], solution[:, 1:]
-        if ((share >= 0) & (share <= 1) & (weights >= 0).all(axis=1) & (weights.sum(axis=1) <= 1)).any():
+        if ((solution >= 0).all(axis=1) & (solution[:, 0] <= 1) & (solution[:, 1:].sum(axis=1) <= 1)).any():
             return True
     return False
 
 
 def _segments(mesh: Mesh, moving: Sequence[str]) -> Float[np.ndarray, "s 2 d"]:
     faces = [ids for name in moving for ids in boundary_faces(mesh, name).values()]
-    pairs = [ids[:, [a, b]] for ids in faces for a in range(ids.shape[1]) for b in range(a + 1, ids.shape[1])]
+    pairs = [ids[:, [a, b]] for ids in faces for a, b in itertools.combinations(range(ids.shape[1]), 2)]
     return np.asarray(mesh.points, float)[np.unique(np.sort(np.concatenate(pairs), axis=1), axis=0)]
-
-
-def _factors(variable: Variable, shape: tuple[int, ...], fixed: Fixed) -> Float[np.ndarray, "k ..."]:
-    """Computes what a unit of each value adds to the control points: (k, *counts, d)."""
-    numbers, d, factors = variable.numbers, shape[-1], np.zeros((variable.size, *shape))
-    index = tuple(int(value) for value in numbers[: KINDS[variable.kind].indices])
-    match variable.kind.removesuffix("_2D"):
-        case "FFD_CONTROL_POINT":
-            direction = np.array(numbers[d:]) if variable.size == 1 else np.eye(d)
-            factors += _chosen(index, shape[:-1], fixed)[..., None] * direction.reshape(-1, *[1] * d, d)
-        case "FFD_CAMBER" | "FFD_THICKNESS" as kind:
-            if d == 2 or not any(_is_fixed((*index, side), fixed) for side in (0, 1)):
-                factors[(0, *index, 0, d - 1)] = -1 if kind == "FFD_THICKNESS" else 1
-                factors[(0, *index, 1, d - 1)] = 1
-        case "FFD_GULL":
-            factors[0, :, index[0], :, 2] = index[0] not in fixed[1]
-        case "FFD_NACELLE":  # the control points at the opposite angle move, too
-            i, j, k = index
-            for opposite in dict.fromkeys([j, shape[1] - 1 - j if j >= 0 else 0]):
-                if _is_fixed((i, opposite, k), fixed):
-                    break
-                at = (i, opposite if j >= 0 else -1, k)
-                factors[(0, *(slice(None) if value == -1 else value for value in at))] += [numbers[3], 0, numbers[4]]
-    return factors
-
-
-def _turned(variable: Variable, value, control) -> Float[Array, "..."]:
-    """Turns control points.
-
-    A control surface turns the other way, without the last two planes of i and the two outer ones
-    of j on each side.
-    """
-    d, ends = control.shape[-1], np.array(variable.numbers)
-    axis, about = ends[3:] - ends[:3], ends[: control.shape[-1]]
-    points, angle = control.reshape(-1, d), jnp.deg2rad(value)
-    chosen = np.ones(control.shape[:-1], bool)
-    if variable.kind == "FFD_CONTROL_SURFACE":
-        angle, chosen = -angle, np.zeros_like(chosen)
-        chosen[:-2, 2:-2] = True
-    turn = (np.sign(axis[2]) * angle, about) if d == 2 else (angle, about, axis)
-    turned = shapes.rotate(points, *turn) - points
-    return jnp.where(jnp.asarray(chosen)[..., None], turned.reshape(control.shape), 0)
-
-
-def _twist(variable: Variable, value, control, fixed: Fixed) -> Float[Array, "..."]:
-    """Turns one plane's control points about an axis along y, where a line meets the plane."""
-    j, start, end = int(variable.numbers[0]), np.array(variable.numbers[1:4]), np.array(variable.numbers[4:7])
-    rise = end[1] - start[1]
-    height = control[0, j, 0, 1]
-    share = (height - start[1]) / (rise if rise else 1.0)
-    meets = (share >= 0) & (share <= 1) & (rise != 0)
-    about = jnp.asarray(start, control.dtype) + share * jnp.asarray(end - start, control.dtype)
-    plane = control[:, j].reshape(-1, 3)
-    turned = shapes.rotate(plane, jnp.arctan(value), about, [0.0, 1.0, 0.0]) - plane
-    free = np.array([[not _is_fixed((i, j, k), fixed) for k in range(control.shape[2])] for i in range(len(control))])
-    turned = jnp.where(meets & jnp.asarray(free)[..., None], turned.reshape(*free.shape, 3), 0)
-    return jnp.zeros_like(control).at[:, j].set(turned)
-
-
-def _chosen(index: Sequence[int], counts: tuple[int, ...], fixed: Fixed) -> Bool[np.ndarray, "..."]:
-    """Marks control points that move: -1 is all of a direction, and a plane that stays, stays.
-
-    SU2 looks at planes of numbers that are named. Of a direction of all it leaves planes out in 3-D
-    alone, and only where the other two numbers are named.
-    """
-    chosen = np.zeros(counts, bool)
-    if any(value in planes for value, planes in zip(index, fixed, strict=True) if value != -1):
-        return chosen
-    chosen[tuple(slice(None) if value == -1 else value for value in index)] = True
-    every = [k for k, value in enumerate(index) if value == -1]
-    if len(counts) == 3 and len(every) == 1:
-        np.moveaxis(chosen, every[0], 0)[sorted(fixed[every[0]])] = False
-    return chosen
-
-
-def _is_fixed(index: tuple[int, ...], fixed: Fixed) -> bool:
-    return any(value in planes for value, planes in zip(index, fixed, strict=True))

@@ -4,7 +4,7 @@ import dataclasses
 import functools
 import os
 import pathlib
-from collections.abc import Sequence
+from collections.abc import Collection, Iterable, Sequence
 
 import jax
 import jax.numpy as jnp
@@ -21,6 +21,9 @@ from ._options import KINDS, Options, Variable, checked_variables, read_options
 
 LARGE = 0.5
 """Motion of a wall over its own length that is taken for a mistake."""
+
+RIGID = {"TRANSLATION", "ROTATION", "SCALE"}
+"""Kinds that may move a wall far."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -119,36 +122,35 @@ def read_config(path: str | os.PathLike[str], *, definition: bool = False) -> Co
     """
     options = read_options(pathlib.Path(path))
     listed, markers = checked_variables(options, definition)
-    mesh = io.read(options.mesh_file)
-    is_setting = any(variable.kind == "FFD_SETTING" for variable in listed)
-    sorts = {variable.sort for variable in listed}
-    if "mesh" in sorts:
-        moving = tuple(mesh.patches)
-    else:
-        moving = _present(options, mesh, "DV_MARKER", markers, is_setting or not sorts <= {"nothing", "flow"})
+    mesh, kinds = io.read(options.mesh_file), {variable.kind for variable in listed}
+    sorts, is_setting = {KINDS[kind].sort for kind in kinds}, "FFD_SETTING" in kinds
+    is_whole, is_moving = "mesh" in sorts, is_setting or not sorts <= {"nothing", "flow"}
+    moving = tuple(mesh.patches) if is_whole else _present(options, mesh, "DV_MARKER", markers, is_moving)
     planes, inner = (_present(options, mesh, name, options.words(name)) for name in ("MARKER_SYM", "MARKER_INTERNAL"))
     try:
         boxes = boxes_of(options, mesh, moving, is_setting)
         parts = wall_parts(options, listed, mesh, moving) + box_parts(options, listed, mesh, moving, boxes)
     except ValueError as error:
         raise ValueError(f"{options.path}: {str(error).removeprefix(f'{options.path}: ')}") from None
-    shape = _shape(options, listed, parts, _free_coordinates(mesh, moving, () if "mesh" in sorts else planes))
-    symmetry = tuple(name for name in planes if name not in moving)
-    loose = {*moving, *symmetry, *inner}
+    shape = _shape(options, listed, parts, _free_coordinates(mesh, moving, () if is_whole else planes))
     config = Config(
         mesh,
         options.output,
         shape,
         _values(options, shape, definition),
         moving,
-        symmetry,
-        fixed=tuple(name for name in mesh.patches if name not in loose),
+        symmetry=_without(planes, moving),
+        fixed=_without(mesh.patches, (*moving, *planes, *inner)),
         steps=options.whole("DEFORM_NONLINEAR_ITER"),
         boxes=boxes,
         options=options,
     )
     _warn_of_results(config, listed)
     return config
+
+
+def _without(names: Iterable[str], others: Collection[str]) -> tuple[str, ...]:
+    return tuple(name for name in names if name not in others)
 
 
 def _sort(name: str) -> str:
@@ -167,9 +169,8 @@ def _present(
         except ValueError:
             absent.append(marker)
     if is_needed and not present:
-        raise options.error(
-            name, f"names no marker of the mesh, so nothing would move; it has {', '.join(mesh.patches)}"
-        )
+        there = ", ".join(mesh.patches)
+        raise options.error(name, f"names no marker of the mesh, so nothing would move; it has {there}")
     if absent:
         warn(f"{options.path}: {name}= the mesh has no marker {', '.join(absent)}; left out.")
     return tuple(dict.fromkeys(present))
@@ -178,15 +179,15 @@ def _present(
 def _warn_of_results(config: Config, listed: Sequence[Variable]) -> None:
     """Warns of what SU2 would do otherwise, and of a wall that moves suspiciously far."""
     options = config.options
-    for kind in dict.fromkeys(variable.kind for variable in listed if variable.sort == "flow"):
+    kinds = dict.fromkeys(variable.kind for variable in listed)
+    for kind in filter(lambda kind: KINDS[kind].sort == "flow", kinds):
         warn(f"{kind} is left alone: it is the flow solver's, no wall moves by it.")
     if left_out := options.left_out():
         warn(f"{options.path}: not honoured here, though SU2's result depends on it: {', '.join(left_out)}.")
     relaxed = options.relaxation
-    rigid = ("TRANSLATION", "ROTATION", "SCALE") if relaxed == 1 else ()  # they may go far
-    suspect = [variable for variable in listed if variable.sort in ("wall", "box") and variable.kind not in rigid]
+    cause = "check DV_VALUE" if relaxed == 1 else f"OPT_RELAX_FACTOR= {relaxed:g} multiplies DV_VALUE, as in SU2"
+    suspect = {kind for kind in kinds if KINDS[kind].sort in ("wall", "box")} - (RIGID if relaxed == 1 else set())
     if config.share > LARGE and suspect:
-        cause = f"OPT_RELAX_FACTOR= {relaxed:g} multiplies DV_VALUE, as in SU2" if relaxed != 1 else "check DV_VALUE"
         warn(f"{options.path}: the wall moves by {config.share:.3g} times its own length: {cause}.")
 
 
@@ -204,21 +205,15 @@ def _values(options: Options, shape: DesignVariables, definition: bool) -> Float
 def _shape(
     options: Options, listed: Sequence[Variable], parts: Sequence[AbstractPart], free: np.ndarray
 ) -> DesignVariables:
-    # SU2 relaxes amplitudes, not the vectors of control points without a direction, nor camber
-    scales = [
-        variable.scale * (options.relaxation if variable.size == 1 and variable.kind != "HICKS_HENNE_CAMBER" else 1)
-        for variable in listed
-    ]
-    rest = [
-        1 / scale if variable.kind.startswith("SCALE") else 0.0 for variable, scale in zip(listed, scales, strict=True)
-    ]
-    names = [
-        f"{variable.kind}[{k}]" + (f"[{part}]" if variable.size > 1 else "")
-        for k, variable in enumerate(listed)
-        for part in range(variable.size)
-    ]
-    sizes = [variable.size for variable in listed]
-    factors, neutral = (jnp.asarray(np.repeat(values, sizes)) for values in (scales, rest))
+    names, scales, rest = [], [], []
+    for k, own in enumerate(listed):
+        # SU2 relaxes amplitudes, not the vectors of control points without a direction, nor camber
+        is_relaxed = own.size == 1 and own.kind != "HICKS_HENNE_CAMBER"
+        scale = own.scale * (options.relaxation if is_relaxed else 1)
+        names += [f"{own.kind}[{k}]" + (f"[{part}]" if own.size > 1 else "") for part in range(own.size)]
+        scales += [scale] * own.size
+        rest += [1 / scale if own.kind.startswith("SCALE") else 0.0] * own.size
+    factors, neutral = (jnp.asarray(np.array(values, float)) for values in (scales, rest))
     return DesignVariables(tuple(names), tuple(parts), factors, neutral, jnp.asarray(free))
 
 

@@ -14,12 +14,12 @@ from jaxmorph import Mesh, io, shapes
 
 from ._options import LOWER, Options, Variable
 
-Numbers = Sequence[tuple[float, ...]]
+Numbers = Sequence[tuple[float, ...]] | Float[np.ndarray, "k p"]
 """The parameters of each variable."""
 TAIL = 0.99
 """The place along the chord behind which `HICKS_HENNE_CAMBER` moves nothing."""
 EPS = 1e-16
-"""Number that SU2 adds to numbers before it takes their powers."""
+"""SU2's bumps begin behind ten times this place."""
 
 
 class AbstractPart(eqx.Module):
@@ -116,7 +116,7 @@ def _signs(options: Options, mesh: Mesh, moving: Sequence[str]) -> Float[np.ndar
 
 
 def _chord(options: Options, mesh: Mesh, moving: Sequence[str]) -> tuple[shapes.Chord, Float[np.ndarray, " m"]]:
-    """Finds the airfoil's own chord, which SU2 takes to be 1 long, and nodes ahead of `TAIL`."""
+    """Finds the airfoil's own chord, which SU2 takes to be 1 long; 1 for nodes ahead of `TAIL`."""
     wall = np.asarray(mesh.points, float)[mesh.patch(*moving)]
     own = shapes.Chord.along(wall)
     nose, along = np.asarray(own.nose), np.asarray(own.tail - own.nose)
@@ -130,26 +130,20 @@ def _file(options: Options, mesh: Mesh, moving: Sequence[str]) -> Float[np.ndarr
 
 
 def _translation(x, values, numbers: Numbers, data):
-    return jnp.broadcast_to(values @ _along(x, numbers), x.shape)
+    return jnp.broadcast_to(values @ np.array(numbers)[:, : x.shape[1]].astype(x.dtype), x.shape)
 
 
 def _translation_of_length(x, values, numbers: Numbers, data):
-    along = _along(x, numbers)
-    return jnp.broadcast_to(values @ (along / np.linalg.norm(along, axis=1, keepdims=True)), x.shape)
-
-
-def _along(x, numbers: Numbers) -> Float[np.ndarray, "k d"]:
-    return np.array(numbers)[:, : x.shape[1]].astype(x.dtype)
+    along = np.array(numbers)[:, : x.shape[1]]
+    return _translation(x, values, along / np.linalg.norm(along, axis=1, keepdims=True), data)
 
 
 def _rotation(x, values, numbers: Numbers, data):
     """Turns about an axis by degrees, which the numbers have by its two ends."""
     d, ends = x.shape[1], np.array(numbers)
     axes = ends[:, 3:] - ends[:, :3] if d == 3 else [None] * len(ends)
-    return sum(
-        shapes.rotate(x, jnp.deg2rad(value), about[:d], axis) - x
-        for value, about, axis in zip(values, ends, axes, strict=True)
-    )
+    turns = zip(values, ends[:, :d], axes, strict=True)
+    return sum(shapes.rotate(x, jnp.deg2rad(value), about, axis) - x for value, about, axis in turns)
 
 
 def _scale(x, values, numbers: Numbers, data):
@@ -161,22 +155,29 @@ def _displacement(x, values, numbers: Numbers, u):
 
 
 def _hicks_henne(x, values, numbers: Numbers, signs):
-    """Moves each side outwards by sin(pi t^(ln 0.5 / ln c))^3 across a unit chord along x."""
+    """Moves each side outwards by bumps across a unit chord along x."""
     sides, tops = np.array(numbers).T
     ways = np.where(sides == LOWER, -1, 1)[None, :]
-    return _upwards(x, (_bumps(x[:, 0], tops) * (ways * (signs[:, None] == ways))) @ values)
+    return _upwards(x, (_bumps(x[:, :1], tops) * (ways * (signs[:, None] == ways))) @ values)
 
 
 def _camber(x, values, numbers: Numbers, data):
     chord, weights = data
-    rise = (_bumps(chord.coordinates(x)[0], np.ravel(numbers)) @ values) * weights.astype(x.dtype)
+    rise = (_bumps(chord.coordinates(x)[0][:, None], np.ravel(numbers)) @ values) * weights.astype(x.dtype)
     return rise[:, None] * chord.up.astype(x.dtype)[None, :]
 
 
-def _bumps(t: Float[Array, " m"], tops: Float[np.ndarray, " k"]) -> Float[Array, "m k"]:
-    behind = (t > 10 * EPS)[:, None]
-    power = (math.log(0.5) / np.log(tops))[None, :].astype(t.dtype)
-    return jnp.where(behind, jnp.sin(jnp.pi * jnp.where(behind, t[:, None], 0.5) ** power) ** 3, 0)
+def _surface_bump(x, values, numbers: Numbers, data):
+    """Moves both sides upwards by bumps along x between two places."""
+    start, end, top = np.array(numbers).T[:, None].astype(x.dtype)
+    t = (x[:, :1] - start) / (end - start)
+    return _upwards(x, jnp.where(t < 1, _bumps(t, ((top - start) / (end - start))[0]), 0) @ values)
+
+
+def _bumps(t: Float[Array, "m _"], tops: Float[np.ndarray, " k"]) -> Float[Array, "m k"]:
+    """Evaluates sin(pi t^(ln 0.5 / ln c))^3 for tops c."""
+    behind, power = t > 10 * EPS, (math.log(0.5) / np.log(tops))[None, :].astype(t.dtype)
+    return jnp.where(behind, jnp.sin(jnp.pi * jnp.where(behind, t, 0.5) ** power) ** 3, 0)
 
 
 def _kulfan(x, values, numbers: Numbers, signs):
@@ -189,18 +190,6 @@ def _kulfan(x, values, numbers: Numbers, signs):
         on = signs == (-1 if side == LOWER else 1)
         rise += value * math.comb(n, k) * t**k * (1 - t) ** (n - k) * on
     return _upwards(x, front * rise)
-
-
-def _surface_bump(x, values, numbers: Numbers, data):
-    """Moves both sides upwards by bumps along x between two places."""
-    rise = jnp.zeros_like(x[:, 0])
-    for value, (start, end, top) in zip(values, numbers, strict=True):
-        size, t = end - start, x[:, 0] - start
-        inside = (t > 0) & (t < size)
-        power = math.log(0.5) / math.log((top - start + EPS) / size)
-        bump = jnp.sin(jnp.pi * ((jnp.where(inside, t, size / 2) + EPS) / size) ** power) ** 3
-        rise += value * jnp.where(inside, bump, 0)
-    return _upwards(x, rise)
 
 
 def _naca(x, values, numbers: Numbers, signs):

@@ -216,6 +216,11 @@ class Variable:
         """What the variable moves, as `Kind` has it."""
         return KINDS[self.kind].sort
 
+    @property
+    def index(self) -> tuple[int, ...]:
+        """The numbers of control points among the parameters."""
+        return tuple(int(value) for value in self.numbers[: KINDS[self.kind].indices])
+
 
 @checked
 def checked_options(path: str | os.PathLike[str], *, definition: bool = False) -> Options:
@@ -242,9 +247,9 @@ def checked_variables(options: Options, definition: bool) -> tuple[list[Variable
     """
     listed, markers = _definition(options) if definition else _listed(options)
     _check_alone(options, listed)
-    faults = filter(None, (_fault(variable.kind, variable.numbers) for variable in listed))
-    for fault in faults:
-        raise ValueError(f"{options.path}: {fault}")
+    for variable in listed:
+        if fault := _fault(variable.kind, variable.numbers):
+            raise ValueError(f"{options.path}: {fault}")
     options.number("OPT_RELAX_FACTOR")
     options.numbers("DV_VALUE_NEW" if definition else "DV_VALUE")
     options.whole("DEFORM_NONLINEAR_ITER")
@@ -267,27 +272,31 @@ def _listed(options: Options) -> tuple[list[Variable], list[str]]:
 
 
 def _definition(options: Options) -> tuple[list[Variable], list[str]]:
-    name, listed, markers = "DEFINITION_DV", [], []
-    by_number = {str(kind.number): name for name, kind in KINDS.items()}
-    for text in filter(split, options.text(name).split(";")):
-        head, *rest = [split(part) for part in text.split("|")]
-        if not 1 <= len(head) <= 2 or len(rest) not in (1, 2):
-            raise options.error(name, f"( kind, scale | markers | parameters ) expected, found {text.strip()[:60]!r}")
-        kind = by_number.get(head[0], head[0].upper())
-        _check_kinds(options, name, [kind])
-        scale = options.number(name, head[1]) if len(head) == 2 else 1.0
-        listed.append(_variable(options, name, kind, rest[1] if len(rest) == 2 else [], scale))
-        markers.append(rest[0])
-    if not listed:
+    entries = [_defined(options, text) for text in filter(split, options.text("DEFINITION_DV").split(";"))]
+    if not entries:
         raise ValueError(f"{options.path}: DEFINITION_DV= is missing.")
-    for other in markers:
-        if other != markers[0]:
-            raise options.error(name, f"variables of different markers, {' '.join(markers[0])} and {' '.join(other)}")
-    return listed, markers[0]
+    (first, *others) = (markers for _, markers in entries)
+    for other in others:
+        if other != first:
+            both = f"{' '.join(first)} and {' '.join(other)}"
+            raise options.error("DEFINITION_DV", f"variables of different markers, {both}")
+    return [variable for variable, _ in entries], first
+
+
+def _defined(options: Options, text: str) -> tuple[Variable, list[str]]:
+    """Reads one variable and its markers: ( kind, scale | markers | parameters )."""
+    name, (head, *rest) = "DEFINITION_DV", [split(part) for part in text.split("|")]
+    if not 1 <= len(head) <= 2 or len(rest) not in (1, 2):
+        raise options.error(name, f"( kind, scale | markers | parameters ) expected, found {text.strip()[:60]!r}")
+    by_number = {str(kind.number): word for word, kind in KINDS.items()}
+    kind = by_number.get(head[0], head[0].upper())
+    _check_kinds(options, name, [kind])
+    scale = options.number(name, head[1]) if len(head) == 2 else 1.0
+    return _variable(options, name, kind, rest[1] if len(rest) == 2 else [], scale), rest[0]
 
 
 def _check_kinds(options: Options, name: str, kinds: list[str]) -> None:
-    taken = [kind for kind, (_, parameters, *_) in KINDS.items() if parameters is not None]
+    taken = [word for word, kind in KINDS.items() if kind.parameters is not None]
     wrong = [kind for kind in dict.fromkeys(kinds) if kind not in taken]
     if wrong:
         near = similar(wrong[0], taken)
@@ -297,15 +306,19 @@ def _check_kinds(options: Options, name: str, kinds: list[str]) -> None:
 
 def _check_alone(options: Options, listed: Sequence[Variable]) -> None:
     """Raises `ValueError` for kinds that stand alone in SU2, and boxes beside other kinds."""
-    moving = [variable for variable in listed if variable.sort != "flow"]
-    alone = [variable.kind for variable in moving if variable.sort in ("constant", "mesh")]
-    if alone and len(listed) > 1:
-        raise ValueError(f"{options.path}: {alone[0]} is taken alone; found {len(listed)} design variables.")
-    kinds = {variable.kind for variable in moving}
-    for sort in ({kind for kind in kinds if kind.startswith("FFD_")}, kinds & {"HICKS_HENNE_CAMBER"}):
-        if sort and sort != kinds:
-            both = f"{', '.join(sorted(sort))} beside {', '.join(sorted(kinds - sort))}"
-            raise ValueError(f"{options.path}: {both}: SU2 moves by one sort.")
+    for variable in listed:
+        if variable.sort in ("constant", "mesh") and len(listed) > 1:
+            raise ValueError(f"{options.path}: {variable.kind} is taken alone; found {len(listed)} design variables.")
+    kinds = sorted({variable.kind for variable in listed if variable.sort != "flow"})
+    for start in ("FFD_", "HICKS_HENNE_CAMBER"):
+        _check_sort(options, kinds, start)
+
+
+def _check_sort(options: Options, kinds: list[str], start: str) -> None:
+    own = [kind for kind in kinds if kind.startswith(start)]
+    others = [kind for kind in kinds if kind not in own]
+    if own and others:
+        raise ValueError(f"{options.path}: {', '.join(own)} beside {', '.join(others)}: SU2 moves by one sort.")
 
 
 def _fault(kind: str, numbers: tuple[float, ...]) -> str | None:

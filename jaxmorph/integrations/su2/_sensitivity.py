@@ -80,21 +80,30 @@ def read_sensitivity(config: Config, path: str | os.PathLike[str] | None = None)
 def _file(options: Options, is_normal: bool) -> pathlib.Path:
     """Finds the file of sensitivities that the config file names."""
     objective = options.text("OBJECTIVE_FUNCTION", "DRAG")
-    names = [name.strip("() ") for name in objective.split(",")]
-    kind = "combo" if len(names) > 1 else EXTENSIONS.get(names[0], "*")
-    tried = []
-    for option, default in {"SURFACE_ADJ_FILENAME": "surface_adjoint"}.items() if is_normal else FILES.items():
-        name = pathlib.Path(options.text(option, default))
-        stem = name.with_suffix("") if name.suffix in (".dat", ".csv") else name
-        endings = dict.fromkeys([name.suffix if stem != name else ".dat", ".csv", ".dat"])
-        for pattern in (f"{stem}_{kind}", str(stem)):
-            found = [file for ending in endings for file in sorted(options.path.parent.glob(pattern + ending))]
-            if len(found) == 1 or (found and "*" not in pattern):
-                return found[0]
-        tried.append(f"{option}= {name}")
+    kind = "combo" if "," in objective else EXTENSIONS.get(objective.strip("() "), "*")
+    defaults = {"SURFACE_ADJ_FILENAME": "surface_adjoint"} if is_normal else FILES
+    names = {option: options.path.parent / options.text(option, default) for option, default in defaults.items()}
+    for name in names.values():
+        if found := _present(name, kind):
+            return found
+    tried = ", ".join(f"{option}= {name.name}" for option, name in names.items())
     raise ValueError(
-        f"{options.path}: no file of sensitivities is there ({', '.join(tried)}), with _{kind} or without: give --sensitivity."
+        f"{options.path}: no file of sensitivities is there ({tried}), with _{kind} or without: give --sensitivity."
     )
+
+
+def _present(name: pathlib.Path, kind: str) -> pathlib.Path | None:
+    """Finds the file of a name, with or without the objective and an ending; one alone for `*`."""
+    is_full = name.suffix in (".dat", ".csv")
+    stem, endings = (
+        name.stem if is_full else name.name,
+        dict.fromkeys([name.suffix if is_full else ".dat", ".csv", ".dat"]),
+    )
+    for pattern in (f"{stem}_{kind}", stem):
+        found = [file for ending in endings for file in sorted(name.parent.glob(pattern + ending))]
+        if len(found) == 1 or (found and "*" not in pattern):
+            return found[0]
+    return None
 
 
 def _by_normals(config: Config, file: pathlib.Path) -> Float[np.ndarray, "m d"] | None:
@@ -105,16 +114,18 @@ def _by_normals(config: Config, file: pathlib.Path) -> Float[np.ndarray, "m d"] 
     if column is None:
         return None
     try:
-        rows = np.loadtxt(file, delimiter=",", skiprows=1, usecols=(0, column), ndmin=2).tolist()
+        rows = np.loadtxt(file, delimiter=",", skiprows=1, usecols=(0, column), ndmin=2)
     except ValueError as error:
         raise ValueError(f"{file}: {error}") from None
-    nodes, slopes = config.mesh.patch(*config.moving), {int(node): slope for node, slope in rows}
-    missing = [node for node in nodes.tolist() if node not in slopes]
-    if missing or not np.isfinite(rows).all():
-        fault = f"{len(missing)} of {len(nodes)} nodes of DV_MARKER are missing, first {missing[0]}" if missing else ""
-        raise ValueError(f"{file}: {fault or 'values that are not finite'}.")
+    if not np.isfinite(rows).all():
+        raise ValueError(f"{file}: values that are not finite.")
+    nodes = config.mesh.patch(*config.moving)
+    missing = np.setdiff1d(nodes, rows[:, 0])
+    if len(missing):
+        raise ValueError(f"{file}: {len(missing)} of {len(nodes)} nodes of DV_MARKER are missing, first {missing[0]}.")
     normals = shapes.wall_normals(config.mesh, *config.moving)
     length = np.linalg.norm(normals, axis=1, keepdims=True)
+    slopes = dict(rows.tolist())
     values = np.array([slopes[node] for node in nodes.tolist()])
     return -values[:, None] * normals / np.where(length > 0, length, 1)
 
