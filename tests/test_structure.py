@@ -146,7 +146,7 @@ BORDER = {
     "cli": """
 _advice.cures _advice.inspect _advice.methods _boundary.boundary _boundary.names _boundary.symmetry
 _host.package.cores _host.package.errors _host.package.files _host.package.ranks
-_host.package.rounding _host.package.text _kernels.compile _plan.prepare
+_host.package.rounding _host.package.text _kernels.compile
 """,
     "integrations": """
 _host.cells.topology _host.package.arguments _host.package.errors _host.package.files
@@ -168,7 +168,7 @@ _host.package.arguments
 
 HOMES = """
 Block Bounds Cells Content Elements Encoding Form Grid Group Hierarchy Method Modes Options Parts
-Patch Progress Rows Sensitivity Side Sides Variable _Content _Reader _Search
+Patch Rows Sensitivity Side Sides Variable _Content _Reader _Search
 """
 """Names of classes that several files define: the list may only shrink."""
 

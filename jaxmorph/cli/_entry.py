@@ -9,18 +9,23 @@ import os
 import textwrap
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 from . import _help
 from ._job import with_job
 from ._output import Output
 from ._parser import Parser, made, meant, quoted
-from ._requests import COMMANDS, Request, Speech
+from ._requests import COMMANDS, SU2, Deform, Demo, Info, Modes, Quality, Request, Sensitivity, Speech
 
 
 def answer(words: Sequence[str]) -> int:
     """Runs one command and returns its exit status, as `main` does."""
-    top, parsers = parser(is_short="--help-all" not in words and "_ARGCOMPLETE" not in os.environ)
-    _complete(top)
+    asked = "_ARGCOMPLETE" in os.environ  # by a shell: how do the words go on?
+    top, parsers = parser(is_short="--help-all" not in words and not asked)
+    if asked:
+        import argcomplete
+
+        argcomplete.autocomplete(top)
     if not words:
         top.print_help()
         return 0
@@ -51,8 +56,21 @@ def answer(words: Sequence[str]) -> int:
 def _command(request: Request) -> Callable[[Request, Output], int]:
     """Imports the command, and JAX with it, in double precision and with a cache."""
     importlib.import_module("._compiled", __package__).begin()
-    module, name = request.run.split(".")
+    is_part = isinstance(request, Deform) and request.decomposed
+    module, name = ("_decomposed.deform_parts" if is_part else RUNS[type(request)]).split(".")
     return getattr(importlib.import_module(f".{module}", __package__), name)
+
+
+RUNS: dict[Any, str] = {
+    Deform: "_deform.deform",
+    Modes: "_modes.modes",
+    Sensitivity: "_sensitivity.sensitivity",
+    SU2: "_su2.run",
+    Quality: "_inspect.quality",
+    Info: "_inspect.info",
+    Demo: "_inspect.demo",
+}
+"""The function of each request's command, and its module, which imports JAX."""
 
 
 def one_line(message: object) -> str:
@@ -60,7 +78,7 @@ def one_line(message: object) -> str:
     return " ".join(str(message).split())
 
 
-def _checked(words: Sequence[str], top: Parser, parsers: dict[str, Parser]) -> str:
+def _checked(words: Sequence[str], top: Parser, parsers: Mapping[str, Parser]) -> str:
     """Returns the command's name.
 
     A flag of the program itself ends the process; unknown commands and flags with status 2.
@@ -73,14 +91,6 @@ def _checked(words: Sequence[str], top: Parser, parsers: dict[str, Parser]) -> s
         top.error(f"there is no command {name}{meant(name, COMMANDS)}")
     parsers[name].check_flags(words[1:])
     return name
-
-
-def _complete(top: Parser) -> None:
-    """Answers a shell that asks how the words go on, and ends; see argcomplete."""
-    if "_ARGCOMPLETE" in os.environ:
-        import argcomplete
-
-        argcomplete.autocomplete(top)
 
 
 def request_of(words: Sequence[str], parsers: Mapping[str, Parser] | None = None) -> Request:
@@ -101,27 +111,25 @@ def parser(*, is_short: bool = False) -> tuple[Parser, dict[str, Parser]]:
     `is_short` leaves rare flags out of the pages of help.
     """
     top = Parser(prog="jaxmorph", description="Moves meshes with their surfaces, and judges them.", epilog=_help.MAIN)
-    top.add(
-        ["--version"],
-        {"action": Version, "nargs": 0, "help": "show the versions of jaxmorph, JAX, NumPy, SciPy and Python"},
-    )
+    text = "show the versions of jaxmorph, JAX, NumPy, SciPy and Python"
+    top.add(["--version"], {"action": Version, "nargs": 0, "help": text})
     commands = top.add_subparsers(
         title="commands", dest="command", metavar="COMMAND", required=True, parser_class=Parser
     )
     parsers = {}
     for name, fields in COMMANDS.items():
         page = _help.PAGES[name]
-        is_brief = is_short and bool(page.short)
+        is_brief = is_short and bool(page.more)
         command = parsers[name] = commands.add_parser(
             name,
             help=page.summary,
             description=textwrap.fill(page.summary[0].upper() + page.summary[1:] + ".", 80),
             usage=f"jaxmorph {name} {page.usage}",
-            epilog=page.short if is_brief else page.long,
+            epilog=page.below(is_brief),
             is_short=is_brief,
         )
-        if page.short:
-            command.add(["--help-all"], {"action": "help", "help": "show all flags and more examples"}, everyday=True)
+        if page.more:
+            command.add(["--help-all"], {"action": "help", "help": "show all flags and more examples"})
         command.add_fields(fields)
     return top, parsers
 

@@ -68,24 +68,22 @@ def motion(request: Deform, mesh: Mesh, moving: Int[np.ndarray, " m"]) -> Motion
     Raises `ValueError` if there is none, if it does not fit the mesh or the nodes, and where
     patches of a node move it differently.
     """
-    chains, owned, parameters, boxes = {}, {}, {}, []
-    sides = _shared_sides(request.groups, mesh, moving)
-    for number, group in enumerate(request.groups):
-        nodes = mesh.patch(*group.patches)
+    groups, chains, parameters, boxes = request.groups, {}, {}, []
+    for group in groups:
+        key, patch = _key(group, chains), Patch(group, mesh, mesh.patch(*group.patches))
         try:
-            patch = Patch(group, mesh, nodes)
-            parts = {name.replace("_", "-"): make(patch) for name, make in PARTS.items() if is_given(group, name)}
+            parts = patch.parts()
         except ValueError as error:
-            raise ValueError(f"{group.title}: {error}" if len(request.groups) > 1 else str(error)) from None
-        key = _key(group, chains)
+            raise ValueError(f"{group.title}: {error}" if len(groups) > 1 else str(error)) from None
         chain = shapes.Chain({name: shape for name, (shape, _) in parts.items()})
-        chains[key] = shapes.OnRows(chain, np.searchsorted(moving, nodes))
-        owned[key] = shapes.OnRows(_on_some(chain, _is_moved(sides, number, nodes)), chains[key].rows)
+        chains[key] = shapes.OnRows(chain, np.searchsorted(moving, patch.nodes))
         parameters[key] = {name: values for name, (_, values) in parts.items()}
         if group.lattice is not None:
             boxes.append((group.lattice, parts["box"][0], (key, "box")))
+    sides = _sides(groups, mesh, moving)
+    owned = {key: _of_own(chain, moving, sides, number) for number, (key, chain) in enumerate(chains.items())}
     made = Motion(shapes.Chain(owned), parameters, tuple(boxes)).varied(dict(request.set))
-    _check_agreement(request.groups, sides, chains, made, Wall(moving, np.asarray(mesh.points, float)[moving]))
+    _check_agreement(made, chains, groups, sides, (moving, np.asarray(mesh.points, float)[moving]))
     return made
 
 
@@ -100,15 +98,16 @@ class Side:
     nodes: np.ndarray
     own: np.ndarray
 
+    def flags(self, groups: Sequence[Group]) -> str:
+        """Writes the flags that move a side."""
+        words = []
+        for group in (groups[number] for number in self.groups):
+            flags = [flag_of(name) for name in MOTIONS if is_given(group, name)]
+            words.append(" ".join(["--moving", *group.patches, *flags]))
+        return ", then ".join(words)
 
-class Wall(NamedTuple):
-    """Ids and undeformed points of the moving nodes."""
 
-    nodes: np.ndarray
-    points: Points
-
-
-def _shared_sides(groups: Sequence[Group], mesh: Mesh, moving: np.ndarray) -> list[Side]:
+def _sides(groups: Sequence[Group], mesh: Mesh, moving: np.ndarray) -> list[Side]:
     """Sorts the moving nodes by the groups that name their patches."""
     names = [mesh.patch_names(*group.patches) for group in groups]
     by_groups: dict[tuple[int, ...], list[str]] = {}
@@ -123,50 +122,42 @@ def _shared_sides(groups: Sequence[Group], mesh: Mesh, moving: np.ndarray) -> li
     return sides
 
 
-def _is_moved(sides: list[Side], number: int, nodes: np.ndarray) -> np.ndarray:
-    """Marks the nodes of a group that move with it: those that are not another side's own."""
-    return np.isin(nodes, np.concatenate([side.own for side in sides if number in side.groups]))
-
-
-def _on_some(chain: shapes.Chain, is_moved: np.ndarray) -> shapes.AbstractShape:
+def _of_own(chain: shapes.OnRows, moving: np.ndarray, sides: list[Side], number: int) -> shapes.OnRows:
+    """Restricts the motion of a group to the nodes that are no other side's own."""
+    own = np.concatenate([side.own for side in sides if number in side.groups])
+    shape, is_moved = chain.shape, np.isin(moving[chain.rows], own)
     if is_moved.all():
         return chain
-    return shapes.Function(lambda x, values: jnp.where(is_moved[:, None], chain(x, values), x), chain.neutral())
+    some = shapes.Function(lambda x, values: jnp.where(is_moved[:, None], shape(x, values), x), shape.neutral())
+    return shapes.OnRows(some, chain.rows)
 
 
 def _check_agreement(
-    groups: Sequence[Group], sides: list[Side], chains: Mapping[str, shapes.OnRows], made: Motion, wall: Wall
+    made: Motion,
+    chains: Mapping[str, shapes.OnRows],
+    groups: Sequence[Group],
+    sides: list[Side],
+    wall: tuple[np.ndarray, Points],
 ) -> None:
     """Raises `ValueError` where two sides move a common node differently, beyond round-off."""
-    keys = list(chains)
+    nodes, points = wall
     for side in sides:
-        rows = np.searchsorted(wall.nodes, np.setdiff1d(side.nodes, side.own))
+        rows = np.searchsorted(nodes, np.setdiff1d(side.nodes, side.own))
         if not len(rows):
             continue
-        u = made.path(wall.points, 1)[-1]
-        alone = shapes.Chain({keys[number]: chains[keys[number]] for number in side.groups})
-        other = Motion(alone, {name: made.parameters[name] for name in alone.names}).path(wall.points, 1)[-1]
+        own = {key: chain for number, (key, chain) in enumerate(chains.items()) if number in side.groups}
+        alone = Motion(shapes.Chain(own), {key: made.parameters[key] for key in own})
+        u, other = (way.path(points, 1)[-1] for way in (made, alone))
         off = np.linalg.norm(u[rows] - other[rows], axis=1)
-        wrong = rows[worst_first(off, 1e-9 * np.abs(u).max() + 1e-13 * np.abs(wall.points).max())]
-        if not len(wrong):
-            continue
-        first = next(owner for owner in sides if wall.nodes[wrong[0]] in owner.own)
-        told = ", ".join(map(str, wall.nodes[wrong[:5]])) + (", ..." if len(wrong) > 5 else "")
-        raise ValueError(
-            f"{_flags(groups, first)} and {_flags(groups, side)} move {len(wrong)} common nodes differently, by up to "
-            f"{off.max():.3g}: nodes {told}, the first near ({place_of(wall.points[wrong[0]])}). Name both patches after one "
-            "--moving, or take the common nodes out of one of the patches."
-        )
-
-
-def _flags(groups: Sequence[Group], side: Side) -> str:
-    """Writes the flags that move a side."""
-    words = []
-    for number in side.groups:
-        group = groups[number]
-        flags = [flag_of(name) for name in MOTIONS if is_given(group, name)]
-        words.append(" ".join(["--moving", *group.patches, *flags]))
-    return ", then ".join(words)
+        wrong = rows[worst_first(off, 1e-9 * np.abs(u).max() + 1e-13 * np.abs(points).max())]
+        if len(wrong):
+            first = next(owner for owner in sides if nodes[wrong[0]] in owner.own)
+            told = ", ".join(map(str, nodes[wrong[:5]])) + (", ..." if len(wrong) > 5 else "")
+            raise ValueError(
+                f"{first.flags(groups)} and {side.flags(groups)} move {len(wrong)} common nodes differently, by up to "
+                f"{off.max():.3g}: nodes {told}, the first near ({place_of(points[wrong[0]])}). Name both patches after "
+                "one --moving, or take the common nodes out of one of the patches."
+            )
 
 
 def _key(group: Group, others: Mapping[str, Any]) -> str:
@@ -191,6 +182,10 @@ class Patch(NamedTuple):
     @property
     def about(self) -> np.ndarray:
         return self.vector("about")
+
+    def parts(self) -> "dict[str, Parametrised]":
+        """Makes the shapes that the flags ask for, by flag."""
+        return {name.replace("_", "-"): make(self) for name, make in PARTS.items() if is_given(self.group, name)}
 
     def axis(self, option: str) -> np.ndarray | None:
         """Returns the axis of rotation and bending, of length 1; None in 2-D."""
@@ -290,31 +285,47 @@ def _translate(patch: Patch) -> Parametrised:
 
 def _bumps(patch: Patch) -> Parametrised:
     """Makes the shape of `--hicks-henne`: lists of [centre, height] by side."""
-    flag, table = "hicks-henne", _table("hicks-henne", patch.group.hicks_henne, ("width",))
-    bumps = {side: _numbers(flag, table, side, (None, 2)) for side in SIDES if side in table}
-    width = table.get("width", 3.0)
-    chord, masks = _sides(flag, table, patch)
-    parts = {side: shapes.HicksHenne(rows[:, 0], width, chord=chord) for side, rows in bumps.items()}
-    return _on_sides(parts, masks), {side: rows[:, 1] for side, rows in bumps.items()}
+
+    def bumps(rows: np.ndarray, table: Table, chord: shapes.Chord) -> Parametrised:
+        return shapes.HicksHenne(rows[:, 0], table.get("width", 3.0), chord=chord), rows[:, 1]
+
+    return _on_sides("hicks-henne", patch.group.hicks_henne, patch, ((None, 2), "width"), bumps)
 
 
 def _class_functions(patch: Patch) -> Parametrised:
     """Makes the shape of `--cst`: weights and the ordinate of the edge by side."""
-    flag, table = "cst", _table("cst", patch.group.cst, ("exponents",))
-    numbers = {side: _numbers(flag, table, side, (None,)) for side in SIDES if side in table}
-    for side, weights in numbers.items():
+
+    def functions(weights: np.ndarray, table: Table, chord: shapes.Chord) -> Parametrised:
         if len(weights) < 3:
             raise ValueError(
-                f"--{flag}: {side} has {len(weights)} numbers; two weights or more are expected, then the ordinate of the edge."
+                f"--cst: a side has {len(weights)} numbers; two weights or more are expected, then the ordinate of the edge."
             )
-    exponents = tuple(_numbers(flag, {"exponents": [0.5, 1.0]} | table, "exponents", (2,)).tolist())
-    chord, masks = _sides(flag, table, patch)
-    parts = {side: shapes.CST(len(weights) - 2, exponents, chord=chord) for side, weights in numbers.items()}
-    return _on_sides(parts, masks), numbers
+        exponents = _numbers("cst", {"exponents": [0.5, 1.0]} | table, "exponents", (2,)).tolist()
+        return shapes.CST(len(weights) - 2, tuple(exponents), chord=chord), weights
+
+    return _on_sides("cst", patch.group.cst, patch, ((None,), "exponents"), functions)
 
 
-def _on_sides(parts: Mapping[str, Any], masks: Mapping[str, np.ndarray]) -> shapes.Chain:
-    return shapes.Chain({side: shapes.Part(part, masks[side]) for side, part in parts.items()})
+def _on_sides(
+    flag: str, source: Path | Table | None, patch: Patch, entries: tuple[tuple[int | None, ...], str], make: Callable
+) -> Parametrised:
+    """Makes a shape for each side of an airfoil from a table.
+
+    `entries` are the shape of a side's numbers, and the name of one more entry.
+    """
+    shape, more = entries
+    table = read(str(source), input_path(source).read_bytes()) if isinstance(source, Path) else source or {}
+    foreign = set(table) - {*SIDES, more, *CHORD}
+    if foreign or not set(table) & set(SIDES):
+        listed, known = ", ".join(table) or "nothing", ", ".join((more, *CHORD))
+        raise ValueError(f"--{flag}: upper or lower expected, and perhaps {known}; found {listed}.")
+    numbers = {side: _numbers(flag, table, side, shape) for side in SIDES if side in table}
+    chord = _chord(flag, table, patch)
+    upper = shapes.wall_normals(patch.mesh, *patch.group.patches) @ np.asarray(chord.up) >= 0
+    made = {side: make(rows, table, chord) for side, rows in numbers.items()}
+    masks = {"upper": upper, "lower": ~upper}
+    chain = shapes.Chain({side: shapes.Part(part, masks[side]) for side, (part, _) in made.items()})
+    return chain, {side: values for side, (_, values) in made.items()}
 
 
 PARTS: dict[str, Callable[[Patch], Parametrised]] = {
@@ -332,16 +343,6 @@ PARTS: dict[str, Callable[[Patch], Parametrised]] = {
 """Makers of shapes by field of a group, in the order in which the shapes are applied."""
 
 
-def _table(flag: str, source: Path | Table | None, more: tuple[str, ...]) -> Table:
-    table = read(str(source), input_path(source).read_bytes()) if isinstance(source, Path) else source or {}
-    known = (*SIDES, *more, *CHORD)
-    foreign = [name for name in table if name not in known]
-    if foreign or not set(table) & set(SIDES):
-        listed = ", ".join(table) or "nothing"
-        raise ValueError(f"--{flag}: upper or lower expected, and perhaps {', '.join(known[2:])}; found {listed}.")
-    return table
-
-
 def _numbers(flag: str, table: Table, name: str, shape: tuple[int | None, ...]) -> np.ndarray:
     try:
         values = np.array(table[name], float)
@@ -354,17 +355,12 @@ def _numbers(flag: str, table: Table, name: str, shape: tuple[int | None, ...]) 
     return values
 
 
-def _sides(flag: str, table: Table, patch: Patch) -> tuple[shapes.Chord, dict[str, np.ndarray]]:
-    """Finds the chord, and by the normals of the wall the nodes on either side."""
-    d = patch.dimension
-    ends = {name: _numbers(flag, table, name, (d,)) for name in CHORD if name in table}
+def _chord(flag: str, table: Table, patch: Patch) -> shapes.Chord:
+    ends = {name: _numbers(flag, table, name, (patch.dimension,)) for name in CHORD if name in table}
+    if {"nose", "tail"} <= set(ends):
+        return shapes.Chord(**ends)
     if ends:
-        if not {"nose", "tail"} <= set(ends):
-            raise ValueError(f"--{flag}: a chord has a nose and a tail; found {', '.join(ends)} alone.")
-        chord = shapes.Chord(**ends)
-    elif d == 2:
-        chord = shapes.Chord.along(np.asarray(patch.mesh.points)[patch.nodes])
-    else:
-        raise ValueError(f"--{flag}: a wall in 3-D needs its chord: nose, tail and up, three numbers each.")
-    upper = shapes.wall_normals(patch.mesh, *patch.group.patches) @ np.asarray(chord.up) >= 0
-    return chord, {"upper": upper, "lower": ~upper}
+        raise ValueError(f"--{flag}: a chord has a nose and a tail; found {', '.join(ends)} alone.")
+    if patch.dimension == 2:
+        return shapes.Chord.along(np.asarray(patch.mesh.points)[patch.nodes])
+    raise ValueError(f"--{flag}: a wall in 3-D needs its chord: nose, tail and up, three numbers each.")

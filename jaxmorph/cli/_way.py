@@ -36,14 +36,16 @@ class Way:
     path: Path
     mesh: Mesh
     ends: tuple[Float[np.ndarray, "n d"], ...]
-    is_straight: bool
+    is_straight: bool = True
 
     @functools.cached_property
     def stored(self) -> Float[np.ndarray, "n d"]:
         """The last points as the file holds them, rounded where it is in single precision."""
         return io.as_written(self.path, self.mesh.moved(self.ends[-1]))
 
-    def judge(self, limits: jm.Limits, before: jm.Verdict | None = None, part: int | None = None) -> jm.Verdict:
+    def judge(
+        self, limits: jm.Limits | None = None, before: jm.Verdict | None = None, part: int | None = None
+    ) -> jm.Verdict:
         motion: dict[str, Any] = {"steps": self.ends[:-1], "is_straight": self.is_straight}
         return jm.judge(self.mesh, self.stored, limits, before=before, part=part, **motion)
 
@@ -117,14 +119,23 @@ def faults(verdict: jm.Verdict) -> list[str]:
     return verdict.faults(lambda gate: "--proven" if gate.name == PROVEN else f"{flag_of(gate.name)} {gate.limit:g}")
 
 
+def is_kept(bad: list[str], allow_inverted: bool, output: Path, out: Output) -> bool:
+    """Tells what is wrong, and whether the output is to be written."""
+    for sentence in bad:
+        out.complain(sentence)
+    if bad and not allow_inverted:
+        out.complain(f"{output} is not written; --allow-inverted writes it anyway.")
+    return not bad or allow_inverted
+
+
 def say_proven(verdict: jm.Verdict, is_straight: bool, steps: int, out: Output) -> None:
     """Says how many cells the gate `--proven` has proven, and for which instants of the motion."""
-    beyond = [gate.beyond for gate in verdict.gates if gate.name == PROVEN]
-    if not beyond:
-        return
-    valid = verdict.cells - beyond[0]
-    wrapped(out, f"proven: {valid} of {verdict.cells} cells fold nowhere inside, {instants(is_straight, steps)}.")
-    out.say(proven={"cells": valid, "steps": steps, "on_the_way": is_straight})
+    for gate in (gate for gate in verdict.gates if gate.name == PROVEN):
+        valid = verdict.cells - gate.beyond
+        out.say(
+            wrapped(f"proven: {valid} of {verdict.cells} cells fold nowhere inside, {instants(is_straight, steps)}.")
+        )
+        out.say(proven={"cells": valid, "steps": steps, "on_the_way": is_straight})
 
 
 def instants(is_straight: bool, steps: int) -> str:
