@@ -120,8 +120,7 @@ REFUSED = [
 ]
 
 
-@pytest.mark.parametrize("row", range(len(REFUSED)))
-def test_what_has_no_mesh(row):
-    make, message = REFUSED[row]
+@pytest.mark.parametrize(("make", "message"), REFUSED)
+def test_what_has_no_mesh(make, message):
     with pytest.raises(ValueError, match=message):
         make()

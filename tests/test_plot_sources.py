@@ -153,9 +153,8 @@ REFUSED = [
 ]
 
 
-@pytest.mark.parametrize("row", range(len(REFUSED)))
-def test_refused_before_anything_is_drawn(row):
-    call, said = REFUSED[row]
+@pytest.mark.parametrize(("call", "said"), REFUSED)
+def test_refused_before_anything_is_drawn(call, said):
     with pytest.raises(ValueError, match=said):
         call()
     assert not plt.get_fignums()

@@ -18,7 +18,7 @@ from ._method import patches_of
 from ._motion import motion
 from ._output import Output, Stage, title
 from ._requests import Deform
-from ._way import Way, faults, followed, in_double, is_kept, say_proven
+from ._way import Way, faults, followed, in_double, is_kept, say_verdict
 
 COUNTS = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS")
 """Variables that count the processes that mpiexec or srun started together."""
@@ -50,12 +50,14 @@ def deform_parts(request: Deform, out: Output) -> int:
         return _prepared(request, case.surface([by_part[k] for k in range(len(case))]), out)
 
     half, path = ranks.bcast(together(ranks, prepared))  # pyright: ignore[reportGeneralTypeIssues]
-    parts, bad, is_written = Parts(half, path, largest, request), [], False
+    parts, bad, is_written = MovingParts(half, path, largest, request), [], False
     with contextlib.suppress(_Bad), case.writing(request.output, ranks) as writer:
         with out.progress("moving and judging the parts") as stage:
             verdict = _moved(parts, case, ranks, writer, stage)
         _say_warnings_of_all(out, ranks)
-        bad = _print(verdict, half.plan.is_linear, len(path), out)
+        say_verdict(verdict, out, is_straight=half.plan.is_linear, steps=len(path))
+        out.say(faces_between_parts=verdict.between, parts=verdict.parts)
+        bad = faults(verdict)
         if not is_kept(bad, request.allow_inverted, request.output, out):
             raise _Bad
         is_written = True
@@ -64,8 +66,7 @@ def deform_parts(request: Deform, out: Output) -> int:
     return 1 if bad else 0
 
 
-def _moved(parts: "Parts", case: io.Decomposed, ranks: Ranks, writer: Any, stage: Stage) -> jm.Verdict:
-    """Moves and writes each part in one of the processes; returns the verdict on all parts."""
+def _moved(parts: "MovingParts", case: io.Decomposed, ranks: Ranks, writer: Any, stage: Stage) -> jm.Verdict:
     verdicts: dict[int, jm.Verdict] = {}
     for first in range(0, len(case), ranks.size):
         k = first + ranks.rank if first + ranks.rank < len(case) else None
@@ -76,15 +77,6 @@ def _moved(parts: "Parts", case: io.Decomposed, ranks: Ranks, writer: Any, stage
         stage.done(min(1.0, (first + ranks.size) / len(case)))
     by_part = {k: verdict for share in ranks.allgather(verdicts) for k, verdict in share.items()}
     return jm.Verdict.together([by_part[k] for k in sorted(by_part)])
-
-
-def _print(verdict: jm.Verdict, is_straight: bool, steps: int, out: Output) -> list[str]:
-    """Prints the verdict on all parts, and returns the faults."""
-    assert verdict.before is not None
-    out.say(f"\n{verdict.table()}\n", before=verdict.before.facts, after=verdict.facts, gates=verdict.gate_facts)
-    out.say(faces_between_parts=verdict.between, parts=verdict.parts)
-    say_proven(verdict, is_straight, steps, out)
-    return faults(verdict)
 
 
 def _say_warnings_of_all(out: Output, ranks: Ranks) -> None:
@@ -123,14 +115,12 @@ def _ranks() -> Ranks:
 
 
 def _checked(request: Deform) -> io.Decomposed:
-    """Opens the case. Raises `ValueError` for a request that is sure to fail, before any work."""
     case = io.Decomposed(request.file)
     case.check_output(request.output)
     return case
 
 
 def _prepared(request: Deform, surface: jm.Mesh, out: Output) -> tuple[jm.SurfaceHalf, np.ndarray]:
-    """Prepares the surface and its motion, describes both, and warns of contradictions."""
     check(request, surface)
     patches = patches_of(request, surface)
     moves = motion(request, surface, patches.nodes)
@@ -146,7 +136,7 @@ def _prepared(request: Deform, surface: jm.Mesh, out: Output) -> tuple[jm.Surfac
 
 
 @dataclasses.dataclass(frozen=True)
-class Parts:
+class MovingParts:
     """The shared state of all parts of a case: prepared surface, and the path of its nodes.
 
     `largest` is the number of nodes of the largest part.
@@ -158,7 +148,6 @@ class Parts:
     request: Deform
 
     def moved(self, case: io.Decomposed, k: int) -> tuple[jm.Mesh, jm.Verdict]:
-        """Moves part `k`, and judges it."""
         mesh = case.read(k)
         way = self._way(mesh, io.global_nodes(mesh), f"processor{k}")
         return mesh.moved(way.ends[-1]), way.judge(self.request.gates.limits, part=k)

@@ -22,7 +22,7 @@ from ._method import Chunks, Patches, described, mesh_of, patches_of
 from ._motion import Motion, motion
 from ._output import Output, coordinates, count, title, wrapped
 from ._requests import Deform
-from ._way import Way, faults, followed, in_double, is_kept, say_proven, writing
+from ._way import Way, faults, followed, in_double, is_kept, say_verdict, writing
 
 SMALL = 10_000
 """Points, times steps, below which compile time dominates."""
@@ -50,7 +50,6 @@ class Attempt:
 
     @property
     def base(self) -> Float[np.ndarray, "n d"]:
-        """The undeformed points."""
         return np.asarray(self.patches.mesh.points, dtype=float)
 
     def path(self, steps: int = 1) -> Float[np.ndarray, "k m d"]:
@@ -130,7 +129,6 @@ def _written(attempt: Attempt, way: Way, nodes: np.ndarray, plan: jm.Plan, out: 
 def _inspected(
     attempt: Attempt, nodes: np.ndarray, plan: jm.Plan, points: np.ndarray, out: Output
 ) -> tuple[jm.Inspection, jm.BoundaryQuality]:
-    """Inspects the motion, warns of contradictions, and judges the boundary."""
     with out.progress("inspecting the motion"):
         moved = points[nodes] if attempt.request.steps == 1 and plan.points.dtype == points.dtype else None
         inspection = inspected(plan, attempt.path()[-1], attempt.patches.mesh, nodes, moved)
@@ -147,7 +145,6 @@ def _tell(
     boundary: jm.BoundaryQuality,
     out: Output,
 ) -> None:
-    """Prints tables of quality before and after."""
     overshoots: dict[str, Any] = {"overshoot": inspection.overshoot, "overshoot_behind": inspection.overshoot_behind}
     wall = _wall_numbers(attempt, way.stored)
     rows = [
@@ -155,14 +152,13 @@ def _tell(
     ]
     rows = [row.replace("first cell height", "first-cell height") for row in rows]
     rows += [f"{name.replace('_', ' '):<23}{'-':>12}{value:>12.5g}" for name, value in overshoots.items()]
-    out.say(f"\n{verdict.table(rows)}\n")
-    say_proven(verdict, way.is_straight, attempt.request.steps, out)
+    say_verdict(verdict, out, is_straight=way.is_straight, steps=attempt.request.steps, more=rows)
     if boundary.nodes:
         out.say(wrapped(f"boundary: {boundary}"))
         measures = {name: getattr(boundary, name) for name in boundary.nodes}
         out.say(boundary=measures | {"ended": boundary.ended.tolist()})
     starts, ends = ({name: numbers[k] for name, numbers in wall.items()} for k in (0, 1))
-    out.say(before=attempt.before.facts | starts, after=verdict.facts | ends, gates=verdict.gate_facts, **overshoots)
+    out.say(before=attempt.before.facts | starts, after=verdict.facts | ends, **overshoots)
 
 
 def _wall_numbers(attempt: Attempt, points: np.ndarray) -> dict[str, tuple[float, float, str]]:
@@ -188,7 +184,6 @@ def _wall_numbers(attempt: Attempt, points: np.ndarray) -> dict[str, tuple[float
 
 
 def _write_beside(attempt: Attempt, way: Way, verdict: jm.Verdict, out: Output) -> None:
-    """Writes the job file, lattices and the picture, also if cells are bad."""
     picture = attempt.request.picture
     write_job(attempt.request, attempt.motion, out)
     if picture is not None:
@@ -242,7 +237,6 @@ def say_motion(request: Deform, patches: Patches, plan: jm.Plan, u: np.ndarray, 
 
 
 def write_job(request: Deform, moves: Motion, out: Output) -> None:
-    """Writes the job file and the lattices that are asked for."""
     if request.save_job is not None:
         with complete(request.save_job) as partial:
             partial.write_bytes(text_of(request, request.save_job.parent).encode())
@@ -287,7 +281,6 @@ def _flags(attempt: Attempt, cure: Cure) -> str:
 
 
 def _works(attempt: Attempt, cure: Cure) -> bool:
-    """Checks whether a cure leaves the mesh good. False if it is refused."""
     patches = attempt.patches
     patches = dataclasses.replace(
         patches,

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from jaxmorph import _demo
 from jaxmorph._advice.methods import METHODS, entry
 from jaxmorph._host.package.files import check_apart, input_path, output_path
 from jaxmorph._host.package.text import GRADIENTS, LATTICES, SENSITIVITIES, is_folder
@@ -14,7 +13,20 @@ from jaxmorph.integrations import su2
 
 from ._job import job_of
 from ._parser import flag_of, values_of
-from ._requests import LIMITS, MOTIONS, SU2, Deform, Demo, Group, Info, Modes, Quality, Request, Sensitivity
+from ._requests import (
+    LIMITS,
+    MOTIONS,
+    SU2,
+    Deform,
+    Demo,
+    Info,
+    MethodFlags,
+    ModesRequest,
+    MotionFlags,
+    Quality,
+    Request,
+    SensitivityRequest,
+)
 
 OWNERS = {
     "axis": ("rotate", "bend"),
@@ -31,19 +43,15 @@ def check(request: Request) -> None:
     """Raises `ValueError` or `OSError` for a request that no mesh can fulfil."""
     OF_COMMAND[type(request)](request)
     _check_values(values_of(request))
-    if isinstance(request, Deform | Modes | Sensitivity | SU2):
-        method, sources = request.method.method, request.method.sources
-        if sources is not None and entry(method).sources != "some":
-            free = " and ".join(method.name for method in METHODS if method.sources == "some")
-            raise ValueError(f"--sources is for the methods {free}; {method} has no sources to choose.")
+    if isinstance(request, Deform | ModesRequest | SensitivityRequest | SU2):
+        _check_sources(request.method)
 
 
 def lattice_files(file: Path) -> tuple[Path, Path]:
-    """Names the files of a lattice before and after its motion."""
     return file.with_stem(f"{file.stem}_before"), file.with_stem(f"{file.stem}_after")
 
 
-def is_given(group: Group, name: str) -> bool:
+def is_given(group: MotionFlags, name: str) -> bool:
     return getattr(group, name) not in (None, ())
 
 
@@ -65,7 +73,6 @@ def _check_deform(request: Deform) -> None:
 
 
 def _check_way(request: Deform) -> None:
-    """Checks how the mesh is read and moved: whole, in chunks, or in the parts of a case."""
     for name in ("picture", "chunk", "zone"):
         if request.decomposed and getattr(request, name) is not None:
             raise ValueError(f"--{name} and --decomposed cannot be combined. Remove one of the two.")
@@ -78,6 +85,12 @@ def _check_way(request: Deform) -> None:
             raise ValueError(f"--{name} is not for {request.method.method}, which solves for all nodes at once.")
 
 
+def _check_sources(request: MethodFlags) -> None:
+    if request.sources is not None and entry(request.method).sources != "some":
+        free = " and ".join(method.name for method in METHODS if method.sources == "some")
+        raise ValueError(f"--sources is for the methods {free}; {request.method} has no sources to choose.")
+
+
 def _check_groups(request: Deform) -> None:
     for group in request.groups:
         try:
@@ -86,7 +99,7 @@ def _check_groups(request: Deform) -> None:
             raise ValueError(f"{group.title}: {error}" if len(request.groups) > 1 else str(error)) from None
 
 
-def _check_motion(group: Group) -> None:
+def _check_motion(group: MotionFlags) -> None:
     if not any(is_given(group, name) for name in MOTIONS):
         raise ValueError(f"no motion: give one of {', '.join(map(flag_of, MOTIONS))}.")
     for name, owners in OWNERS.items():
@@ -101,25 +114,24 @@ def _check_motion(group: Group) -> None:
 
 
 def _inputs_of(request: Deform) -> dict[str, Sequence[Path | str | None]]:
-    """Lists the files that a request reads, by what is read from them."""
     displacements = [file for group in request.groups for file in _files_of(group)]
     return {"the mesh is": [request.file], "the job is": [request.job], "the displacements are": displacements}
 
 
-def _files_of(group: Group) -> Iterator[Path | str]:
+def _files_of(group: MotionFlags) -> Iterator[Path | str]:
     files = (group.displacement, group.displacement_from, group.box, group.hicks_henne, group.cst)
     yield from (file for file in files if isinstance(file, Path))
     yield from (file for file, _ in group.mode)
 
 
-def _check_modes(request: Modes) -> None:
+def _check_modes(request: ModesRequest) -> None:
     _check_input(request.file)
     _check_mesh_output(request.output)
     for file in request.mode:
         input_path(file).stat()
 
 
-def _check_sensitivity(request: Sensitivity) -> None:
+def _check_sensitivity(request: SensitivityRequest) -> None:
     job = job_of(request)
     output_path(request.output, *(SENSITIVITIES if job is None else GRADIENTS))
     inputs = {"the mesh is": [request.file]} if job is None else _inputs_of(job)
@@ -128,6 +140,7 @@ def _check_sensitivity(request: Sensitivity) -> None:
     input_path(request.sensitivity).stat()
     if job is not None:
         _check_groups(job)
+        _check_sources(job.method)
 
 
 def _check_su2(request: SU2) -> None:
@@ -154,15 +167,14 @@ def _check_quality(request: Quality) -> None:
 
 
 def _check_demo(request: Demo) -> None:
-    _demo.check(request.case)
     if request.output.exists() and not request.output.is_dir():
         raise ValueError(f"--output {request.output}: is a file, and pictures and meshes go into a folder.")
 
 
 OF_COMMAND: dict[Any, Callable[[Any], None]] = {
     Deform: _check_deform,
-    Modes: _check_modes,
-    Sensitivity: _check_sensitivity,
+    ModesRequest: _check_modes,
+    SensitivityRequest: _check_sensitivity,
     SU2: _check_su2,
     Quality: _check_quality,
     Info: lambda request: _check_input(request.file),

@@ -4,18 +4,24 @@ Nothing of JAX is imported before the words are understood.
 """
 
 import argparse
+import hashlib
 import importlib
 import os
+import platform
 import textwrap
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from . import _help
 from ._job import with_job
 from ._output import Output
 from ._parser import Parser, made, meant, quoted
-from ._requests import COMMANDS, SU2, Deform, Demo, Info, Modes, Quality, Request, Sensitivity, Speech
+from ._requests import COMMANDS, SU2, Deform, Demo, Info, ModesRequest, Quality, Request, SensitivityRequest, Speech
+
+LIMIT = 256 * 2**20
+"""Bytes in the cache at most; what was used longest ago goes first."""
 
 
 def answer(words: Sequence[str]) -> int:
@@ -55,7 +61,7 @@ def answer(words: Sequence[str]) -> int:
 
 def _command(request: Request) -> Callable[[Request, Output], int]:
     """Imports the command, and JAX with it, in double precision and with a cache."""
-    importlib.import_module("._compiled", __package__).begin()
+    begin_jax()
     is_part = isinstance(request, Deform) and request.decomposed
     module, name = ("_decomposed.deform_parts" if is_part else RUNS[type(request)]).split(".")
     return getattr(importlib.import_module(f".{module}", __package__), name)
@@ -63,8 +69,8 @@ def _command(request: Request) -> Callable[[Request, Output], int]:
 
 RUNS: dict[Any, str] = {
     Deform: "_deform.deform",
-    Modes: "_modes.modes",
-    Sensitivity: "_sensitivity.sensitivity",
+    ModesRequest: "_modes.modes",
+    SensitivityRequest: "_sensitivity.sensitivity",
     SU2: "_su2.run",
     Quality: "_inspect.quality",
     Info: "_inspect.info",
@@ -74,7 +80,6 @@ RUNS: dict[Any, str] = {
 
 
 def one_line(message: object) -> str:
-    """Joins the words of a message by single spaces."""
     return " ".join(str(message).split())
 
 
@@ -135,14 +140,56 @@ def parser(*, is_short: bool = False) -> tuple[Parser, dict[str, Parser]]:
 
 
 class Version(argparse.Action):
-    """Prints versions, and ends."""
-
     def __call__(self, parser, namespace, values, option_string=None):
         from importlib.metadata import version
-        from platform import python_version
 
         import jaxmorph
 
         others = ", ".join(f"{name} {version(name)}" for name in ("jax", "numpy", "scipy"))
-        print(f"jaxmorph {jaxmorph.__version__} ({others}, Python {python_version()})")
+        print(f"jaxmorph {jaxmorph.__version__} ({others}, Python {platform.python_version()})")
         parser.exit()
+
+
+def begin_jax() -> None:
+    """Switches double precision on, and JAX's compilation cache, in the user's cache folder.
+
+    There is no cache if JAX has a folder already, if the folder is missing or open to other users,
+    or without the packages that find and lock it.
+    """
+    import jax
+
+    config: Any = jax.config
+    config.update("jax_enable_x64", True)
+    if config.jax_compilation_cache_dir:
+        return
+    try:
+        import filelock  # noqa: F401  JAX locks the folder with it
+        import platformdirs
+
+        folder = platformdirs.user_cache_path("jaxmorph") / "compiled" / _machine()
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        is_private = _is_private(folder)
+    except (ImportError, OSError):
+        return
+    if is_private:
+        config.update("jax_compilation_cache_dir", str(folder))
+        config.update("jax_compilation_cache_max_size", LIMIT)
+        config.update("jax_persistent_cache_min_compile_time_secs", 0)  # reading takes a tenth of any compilation
+
+
+def _is_private(folder: Path) -> bool:
+    """Checks whether this user alone can write to a folder: machine code in it may do anything."""
+    about = folder.stat()
+    is_mine = os.name != "posix" or (about.st_uid == os.getuid() and not about.st_mode & 0o022)
+    return is_mine and os.access(folder, os.W_OK)
+
+
+def _machine() -> str:
+    """Names the kind of processor, on which another kind's code may not run."""
+    facts = [platform.machine()]
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        facts += sorted({line for line in lines if line.startswith(("model name", "flags", "Features", "CPU part"))})
+    except OSError:
+        pass
+    return hashlib.sha256("\n".join(facts).encode()).hexdigest()[:16]

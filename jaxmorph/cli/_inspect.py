@@ -30,14 +30,17 @@ def quality(request: Quality, out: Output) -> int:
     out.say("\n\n".join(tables), gates=verdict.gate_facts, after=verdict.facts)
     if verdict.before is not None:
         out.say(before=verdict.before.facts)
-    bad = faults(verdict)
-    if proof is not None:
-        out.say(proof={name: getattr(proof, name) for name in ("valid", "invalid", "unknown", "min_margin", "depth")})
-        if proof.invalid:
-            bad.append(f"{proof.invalid} of {count(proof.count, 'cell')} fold{'s' * (proof.invalid == 1)} inside.")
+    bad = faults(verdict) + ([] if proof is None else _proven(proof, out))
     for sentence in bad:
         out.complain(sentence)
     return 1 if bad else 0
+
+
+def _proven(proof: jm.Proof, out: Output) -> list[str]:
+    """Notes the numbers of a proof, and lists what is wrong."""
+    out.say(proof={name: getattr(proof, name) for name in ("valid", "invalid", "unknown", "min_margin", "depth")})
+    verb = "folds" if proof.invalid == 1 else "fold"
+    return [f"{proof.invalid} of {count(proof.count, 'cell')} {verb} inside."] if proof.invalid else []
 
 
 def info(request: Info, out: Output) -> int:
@@ -79,7 +82,6 @@ def _facts(mesh: Mesh) -> dict[str, Any]:
 
 
 def _lines(name: str, mesh: Mesh, facts: dict[str, Any]) -> Iterator[str]:
-    """Formats the facts of a mesh for a terminal."""
     yield f"{name}: {facts['dimension']}-D, {facts['points']} points"
     yield "cells    " + ", ".join(f"{number} {kind}" for kind, number in facts["cells"].items())
     for axis, least, most in zip("xyz", facts["low"], facts["high"], strict=False):
@@ -109,8 +111,7 @@ def _lines(name: str, mesh: Mesh, facts: dict[str, Any]) -> Iterator[str]:
 
 
 def demo(request: Demo, out: Output) -> int:
-    """Shows a case of the paper. Returns the exit status."""
-    return _demo.run(request.case, request.output)
+    return _demo.run(request.output)
 
 
 def _ids(mesh: Mesh) -> dict[str, np.ndarray]:

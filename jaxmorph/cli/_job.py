@@ -11,7 +11,7 @@ from typing import Any, get_args
 from jaxmorph._host.package.text import read, written
 
 from ._parser import Fields, flags_of, is_switch, made, meant, settings_of, values_of
-from ._requests import BoundaryFlags, Deform, Group, Method, Sensitivity, Speech, table
+from ._requests import BoundaryFlags, Deform, MethodFlags, MotionFlags, SensitivityRequest, Speech, table
 
 NO_KEYS = ("job", "save_job", "set", *(field.name for field in dataclasses.fields(Speech)))
 """Flags that are not keys of a job; `set` is a table of it."""
@@ -81,13 +81,13 @@ def _relative(file: str | Path, folder: Path) -> str:
 
 def _keys(fields: Fields) -> Iterator[tuple[str, Key]]:
     for field, owner in flags_of(fields):
-        if (fields is Group or owner is not Group) and field.name not in NO_KEYS:
+        if (fields is MotionFlags or owner is not MotionFlags) and field.name not in NO_KEYS:
             settings = settings_of(field)
             kind = bool if is_switch(settings) else settings.get("type", str)
             yield field.name, Key(field.name, settings, kind, Path in (field.type, *get_args(field.type)))
 
 
-JOB, MOTION = dict(_keys(Deform)), dict(_keys(Group))
+JOB, MOTION = dict(_keys(Deform)), dict(_keys(MotionFlags))
 
 
 def with_job(command: str, words: Sequence[str]) -> tuple[list[str], argparse.Namespace]:
@@ -97,9 +97,11 @@ def with_job(command: str, words: Sequence[str]) -> tuple[list[str], argparse.Na
 
     Raises `ValueError` for a file that is no job.
     """
+    if command not in ("deform", "sensitivity"):
+        return list(words), argparse.Namespace()
     finder = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
     finder.add_argument("--job", type=Path, nargs="?")
-    path = finder.parse_known_args(words)[0].job if command in ("deform", "sensitivity") else None
+    path = finder.parse_known_args(words)[0].job
     if path is None:
         return list(words), argparse.Namespace()
     values = read_job(path)
@@ -126,17 +128,16 @@ def read_job(path: Path) -> dict[str, Any]:
     return values | {"groups": [_group(path, group) for group in moving]}
 
 
-def _group(path: Path, group: dict[str, Any]) -> Group:
+def _group(path: Path, group: dict[str, Any]) -> MotionFlags:
     group = _known(path, "[[moving]]", group, tuple(MOTION))
     if not group.get("patches"):
         raise ValueError(f"{path}: a [[moving]] without patches.")
     values: dict[str, Any] = {name: MOTION[name].from_toml(path, value) for name, value in group.items()}
     values["patches"] = tuple(values["patches"])
-    return Group(**values)
+    return MotionFlags(**values)
 
 
 def _modes(path: Path, modes: Any) -> tuple[tuple[str, float], ...]:
-    """Reads files of mode shapes with their amplitudes."""
     if not isinstance(modes, list) or not all(map(_is_mode, modes)):
         found = reprlib.repr(modes)
         raise ValueError(f'{path}: mode is a list of files with amplitudes, [["FILE", 0.1], ...], found {found}.')
@@ -158,7 +159,7 @@ def _known(path: Path, what: str, table: dict[str, Any], names: Sequence[str]) -
     return table
 
 
-def job_of(request: Sensitivity) -> Deform | None:
+def job_of(request: SensitivityRequest) -> Deform | None:
     """Reads the job that the request names.
 
     It raises `ValueError` for flags that make no sense with a job, or without one.
@@ -167,7 +168,7 @@ def job_of(request: Sensitivity) -> Deform | None:
         if request.set:
             raise ValueError("--set without --job: it names design variables of a job.")
         return None
-    if (request.moving, request.boundary, request.method) != ((), BoundaryFlags(), Method()):
+    if (request.moving, request.boundary, request.method) != ((), BoundaryFlags(), MethodFlags()):
         raise ValueError("--job names patches and method. Remove the flags of patches and methods.")
     values = read_job(request.job)
     values |= {"file": request.file, "output": request.output, "job": request.job}
@@ -176,15 +177,17 @@ def job_of(request: Sensitivity) -> Deform | None:
 
 
 def text_of(request: Deform, folder: Path) -> str:
-    """Writes a request as a job, with paths relative to a folder."""
-    values = dict(values_of(request))
-    lines = [key.in_toml(values[name], folder) for name, key in JOB.items() if key.is_said(values[name])]
+    lines = list(_said(JOB, dict(values_of(request)), folder))
     if request.set:
         changes = {name: numbers[0] if len(numbers) == 1 else numbers for name, numbers in request.set}
         lines.append(f"set = {written(changes)}")
     for group in request.groups:
-        lines += ["", "[[moving]]"]
-        unsaid = ("displacement_is",) if group.displacement is None else ()
-        said = {name: value for name, value in vars(group).items() if name in MOTION and name not in unsaid}
-        lines += [MOTION[name].in_toml(value, folder) for name, value in said.items() if MOTION[name].is_said(value)]
+        unsaid = {"displacement_is": None} if group.displacement is None else {}
+        lines += ["", "[[moving]]", *_said(MOTION, vars(group) | unsaid, folder)]
     return "\n".join(lines) + "\n"
+
+
+def _said(keys: Mapping[str, Key], values: Mapping[str, Any], folder: Path) -> Iterator[str]:
+    for name, key in keys.items():
+        if key.is_said(values[name]):
+            yield key.in_toml(values[name], folder)

@@ -16,7 +16,7 @@ from jaxmorph._boundary.names import planes_of
 from jaxmorph._boundary.symmetry import check_planes
 
 from ._output import count
-from ._requests import Deform, Method, Modes, Sensitivity
+from ._requests import Deform, MethodFlags, ModesRequest, SensitivityRequest
 
 Chunks = Iterator[tuple[Int[np.ndarray, " c"], jm.Plan]]
 """Nodes and plans of a mesh in chunks, one after the other."""
@@ -32,7 +32,7 @@ def mesh_of(path: Path, zone: int | None = None) -> jm.Mesh:
     return meshes[zone - 1]
 
 
-def method_of(request: Method, wall: np.ndarray, fixed: np.ndarray) -> jm.AbstractMethod | None:
+def method_of(request: MethodFlags, wall: np.ndarray, fixed: np.ndarray) -> jm.AbstractMethod | None:
     """Makes the requested method for moving (m, d) and fixed points (f, d); None for the default.
 
     It raises `ValueError` for a number of sources that the method cannot take.
@@ -51,7 +51,7 @@ def method_of(request: Method, wall: np.ndarray, fixed: np.ndarray) -> jm.Abstra
     return jm.SurfaceReconstruction(coarse, method.correction)
 
 
-def described(request: Method, plan: jm.Plan) -> tuple[str, int]:
+def described(request: MethodFlags, plan: jm.Plan) -> tuple[str, int]:
     """Describes the method of a plan in a sentence, and counts its sources on the wall."""
     is_carrying = request.method == "default" and isinstance(plan.method, jm.InverseDistance)
     listed = entry("turning" if is_carrying else request.method)
@@ -66,7 +66,7 @@ class Patches:
     """A mesh and the names of its patches by what they do; `symmetry` has the planes by name."""
 
     mesh: jm.Mesh
-    request: Method
+    request: MethodFlags
     moving: tuple[str, ...]
     fixed: tuple[str, ...]
     symmetry: dict[str, tuple[jm.Plane, ...]]
@@ -76,7 +76,6 @@ class Patches:
 
     @property
     def nodes(self) -> Int[np.ndarray, " m"]:
-        """Ids of the moving nodes."""
         return self.mesh.patch(*self.moving)
 
     @property
@@ -138,7 +137,7 @@ class Patches:
             return jm.prepare_surface(self.boundary, method=self.method, **known)
 
 
-def patches_of(request: Deform | Modes | Sensitivity, mesh: jm.Mesh) -> Patches:
+def patches_of(request: Deform | ModesRequest | SensitivityRequest, mesh: jm.Mesh) -> Patches:
     """Looks up the patches that the names mean. A pattern never fixes a moving or sliding patch.
 
     Symmetry patches and periodic pairs of the file are taken where no name says otherwise.
@@ -152,18 +151,21 @@ def patches_of(request: Deform | Modes | Sensitivity, mesh: jm.Mesh) -> Patches:
         mesh.patch_names(*names) for names in (request.moving, flags.symmetry, flags.sliding, flags.free)
     )
     periodic = _periodic(flags.periodic, mesh, {*moving, *flags.fixed, *symmetry, *sliding, *free})
-    elsewhere = {*moving, *symmetry, *sliding, *(str(side) for pair in periodic for side in (pair.patch, pair.partner))}
-    fixed = mesh.patch_names(*flags.fixed)
-    fixed = tuple(name for name in fixed if name in flags.fixed or name not in elsewhere)
+    repeating = [str(side) for pair in periodic for side in (pair.patch, pair.partner)]
+    elsewhere = {*moving, *symmetry, *sliding, *repeating}
+    fixed = tuple(name for name in mesh.patch_names(*flags.fixed) if name in flags.fixed or name not in elsewhere)
     planes = _planes(symmetry, mesh) | _planes_of_file(request.file, mesh, {*elsewhere, *fixed, *free})
-    lists = {*elsewhere, *planes, *fixed, *free}
-    if not fixed and not sliding and any(len(nodes) for name, nodes in mesh.patches.items() if name not in lists):
-        has = ", ".join(mesh.patches) or "none"
-        raise ValueError(f"--fixed is missing: name the patches that stay; this mesh has: {has}.")
+    if not fixed and not sliding:
+        _check_none_left(mesh, {*elsewhere, *planes, *free})
     return Patches(mesh, request.method, moving, fixed, planes, sliding, periodic, free)
 
 
-def _check_names(request: Deform | Modes | Sensitivity, mesh: jm.Mesh) -> None:
+def _check_none_left(mesh: jm.Mesh, lists: set[str]) -> None:
+    if any(len(nodes) for name, nodes in mesh.patches.items() if name not in lists):
+        raise ValueError(f"--fixed is missing: name the patches that stay; this mesh has: {', '.join(mesh.patches)}.")
+
+
+def _check_names(request: Deform | ModesRequest | SensitivityRequest, mesh: jm.Mesh) -> None:
     if not request.moving:
         has = ", ".join(mesh.patches) or "none"
         raise ValueError(f"--moving is missing: name the patches that move; this mesh has: {has}.")
@@ -188,7 +190,6 @@ def _planes(names: tuple[str, ...], mesh: jm.Mesh) -> dict[str, tuple[jm.Plane, 
 
 
 def _planes_of_file(file: Path, mesh: jm.Mesh, lists: set[str]) -> dict[str, tuple[jm.Plane, ...]]:
-    """Finds the planes of the file's symmetry patches that are in no list."""
     planes = {}
     for name in (name for name in io.symmetry(mesh) if name not in lists):
         with contextlib.suppress(ValueError):  # a bent patch has no plane: its nodes do not slide

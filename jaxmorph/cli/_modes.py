@@ -15,7 +15,7 @@ from jaxmorph._host.package.files import check_apart
 
 from ._method import described, patches_of
 from ._output import Output, count, title
-from ._requests import Modes
+from ._requests import ModesRequest
 from ._way import Way, faults, in_double, instants
 
 BATCH = 8
@@ -33,7 +33,7 @@ class Case:
     time: float
 
 
-def modes(request: Modes, out: Output) -> int:
+def modes(request: ModesRequest, out: Output) -> int:
     """Moves, judges and writes the mesh for each mode and amplitude. Returns the exit status."""
     with out.progress(f"reading {title(request.file)}"):
         mesh = io.read(request.file)
@@ -71,7 +71,7 @@ def modes(request: Modes, out: Output) -> int:
     return 1 if bad else 0
 
 
-def _cases(request: Modes) -> list[Case]:
+def _cases(request: ModesRequest) -> list[Case]:
     """Names a numbered file beside OUT for each case.
 
     Times are amplitudes if the amplitudes increase.
@@ -113,7 +113,7 @@ def _tell(case: Case, file: pathlib.Path, verdict: jm.Verdict, out: Output) -> N
         out.complain(f"case {case.number}: {sentence}")
 
 
-def _end(request: Modes, good: list[Case], total: int, out: Output) -> None:
+def _end(request: ModesRequest, good: list[Case], total: int, out: Output) -> None:
     out.say("")
     if good:
         files = good[0].output if len(good) == 1 else f"{good[0].output} to {good[-1].output.name}"

@@ -78,7 +78,6 @@ class Output:
                 clock.join()
 
     def say(self, text: str | None = None, **facts: Any) -> None:
-        """Prints one or more lines, and collects their facts by name."""
         self.facts.update(facts)
         if text is not None and not self.as_json and not self.is_silent:
             print(text, flush=True)
@@ -90,7 +89,6 @@ class Output:
             print(f"{self.name}: {text}", file=sys.stderr)
 
     def warn(self, text: str) -> None:
-        """Prints a warning, once."""
         if f"warning: {text}" not in self.facts.get("warnings", []):
             self.complain(f"warning: {text}", "warnings")
 

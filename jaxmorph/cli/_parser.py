@@ -56,7 +56,6 @@ def switch(what: str, *names: str, default: bool = False, **settings: Any) -> An
 
 
 def part(fields: Fields) -> Any:
-    """Makes a field whose value is a dataclass of flags."""
     return dataclasses.field(default_factory=fields, metadata={"part": fields})
 
 
@@ -76,7 +75,6 @@ def flags_of(fields: Fields) -> Iterator[tuple[dataclasses.Field, Fields]]:
 
 
 def settings_of(field: dataclasses.Field) -> dict[str, Any]:
-    """Collects the settings of argparse: those of the field's type, and its own."""
     kind = next((kind for kind in SETTINGS if field.type in (kind, kind | None)), None)
     return SETTINGS.get(kind, {}) | field.metadata["settings"]
 
@@ -86,14 +84,12 @@ def is_switch(settings: dict[str, Any]) -> bool:
 
 
 def values_of(request: Any) -> Iterator[tuple[str, Any]]:
-    """Yields the values of flags by name, flags of parts included."""
     for field in dataclasses.fields(request):
         value = getattr(request, field.name)
         yield from values_of(value) if "part" in field.metadata else [(field.name, value)]
 
 
 def made(fields: type[T], values: argparse.Namespace) -> T:
-    """Makes a dataclass from the values of its flags."""
     arguments = {}
     for field in dataclasses.fields(fields):  # pyright: ignore[reportArgumentType]
         inner = field.metadata.get("part")
@@ -115,7 +111,6 @@ class Parser(argparse.ArgumentParser):
         self.sections: dict[str, Any] = {"": self}
 
     def add(self, names: Sequence[str], settings: dict[str, Any], *, section: str = "", everyday: bool = True):
-        """Adds a flag, or a word without one, to a section of the page of help."""
         self.flags += [name for name in names if name.startswith("--")]
         self.short += [name for name in names if re.match("-[^-]", name)]
         if settings.get("nargs") != 0 and settings.get("action") != "help" and not is_switch(settings):
@@ -151,7 +146,6 @@ class Parser(argparse.ArgumentParser):
 
 
 def one_of(kind: str, words: Iterable[str]) -> Callable[[str], str]:
-    """Makes the type of a flag whose value is one of some words."""
     known = tuple(words)
 
     def chosen(word: str) -> str:
@@ -164,7 +158,6 @@ def one_of(kind: str, words: Iterable[str]) -> Callable[[str], str]:
 
 
 def flag_of(name: str) -> str:
-    """Writes a field's name as a flag."""
     return f"--{name.replace('_', '-')}"
 
 

@@ -72,7 +72,7 @@ class InGroup(argparse.Action):
     def __call__(self, parser, namespace, values: Any, option_string=None):
         groups = namespace.groups = getattr(namespace, "groups", [])
         if not groups or (self.dest == "patches" and groups[-1].patches):
-            groups.append(Group())
+            groups.append(MotionFlags())
         group = groups[-1]
         if self.dest in group.flags:
             parser.error(f"{option_string} twice for one --moving. Begin another motion of the patches by --moving.")
@@ -91,7 +91,7 @@ def _mode(parser: argparse.ArgumentParser, file: str, amplitude: str) -> tuple[s
 
 
 @dataclasses.dataclass
-class Group:
+class MotionFlags:
     """Patches that move and their motion: `--moving` and the flags after it."""
 
     SECTION: ClassVar = "motion of the patches of the last --moving (at least one flag)"
@@ -147,7 +147,7 @@ class BoundaryFlags:
 
 
 @dataclasses.dataclass(frozen=True)
-class Method:
+class MethodFlags:
     """The method by its name, its number of sources, and the precision.
 
     With None the method has its own number of sources on the moving patches.
@@ -192,7 +192,6 @@ class Gates:
 
     @property
     def limits(self) -> "jm.Limits":
-        """The preset's limits, replaced by those of flags."""
         flags = {name: limit for name, limit in vars(self).items() if name != "preset" and limit not in (None, False)}
         return dataclasses.replace(jm.Limits.checkmesh() if self.preset else jm.Limits(), **flags)
 
@@ -203,8 +202,6 @@ LIMITS = tuple(field.name for field in dataclasses.fields(Gates) if field.type =
 
 @dataclasses.dataclass(frozen=True)
 class Speech:
-    """Flags of how a command speaks."""
-
     SECTION: ClassVar = "output"
 
     json: bool = switch("print one JSON object in place of text")
@@ -213,8 +210,6 @@ class Speech:
 
 @dataclasses.dataclass(frozen=True)
 class Deform:
-    """Request of `jaxmorph deform`; `set` are changes to the motion, by name."""
-
     file: Path = positional(MESH, "IN")
     output: Path = positional(
         "the new mesh, in the format of its ending; for a case a new folder, or CASE/TIME", "OUT", type=_output
@@ -226,10 +221,10 @@ class Deform:
         "draw the mesh before and after: .png, in 3-D also a page (.html)", type=_output, everyday=True
     )
     zone: int | None = flag(ZONE)
-    groups: tuple[Group, ...] = several(Group)
+    groups: tuple[MotionFlags, ...] = several(MotionFlags)
     boundary: BoundaryFlags = part(BoundaryFlags)
     set: tuple[tuple[str, tuple[float, ...]], ...] = flag(CHANGES_HELP, section="design variables", **CHANGES)
-    method: Method = part(Method)
+    method: MethodFlags = part(MethodFlags)
     steps: int = flag("number of steps (default 1)", default=1, section="method", everyday=True)
     chunk: int | None = flag(
         "prepare and move N points at a time: less memory before cells are judged, more time", section="method"
@@ -245,9 +240,7 @@ class Deform:
 
 
 @dataclasses.dataclass(frozen=True)
-class Modes:
-    """Request of `jaxmorph modes`."""
-
+class ModesRequest:
     file: Path = positional(MESH, "IN")
     output: Path = positional(
         "a time series OUT.pvd of .vtu files; else one file a case, OUT_0001, ...", "OUT", type=_output
@@ -258,14 +251,14 @@ class Modes:
         "displacements of the moving nodes: rows of node id, x, y[, z], or .npz", required=True, **SHAPES
     )
     amplitude: tuple[float, ...] = flag("factors for each mode (default 1)", metavar="A", default=(1.0,), **SHAPES)
-    method: Method = part(Method)
+    method: MethodFlags = part(MethodFlags)
     gates: Gates = part(Gates)
     allow_inverted: bool = switch("write bad meshes too", section=BAD)
     speech: Speech = part(Speech)
 
 
 @dataclasses.dataclass(frozen=True)
-class Sensitivity:
+class SensitivityRequest:
     """Request of `jaxmorph sensitivity`; with a job the result is by design variables."""
 
     file: Path = positional(MESH, "IN")
@@ -277,7 +270,7 @@ class Sensitivity:
     set: tuple[tuple[str, tuple[float, ...]], ...] = flag(CHANGES_HELP, **CHANGES)
     moving: tuple[str, ...] = _patches(WHAT_MOVES, section="surface", everyday=True)
     boundary: BoundaryFlags = part(BoundaryFlags)
-    method: Method = part(Method)
+    method: MethodFlags = part(MethodFlags)
     speech: Speech = part(Speech)
 
 
@@ -292,7 +285,7 @@ class SU2:
     )
     output: Path | None = flag("where to write (default as the config file says)", *OUTPUT, metavar="OUT", type=_output)
     definition: bool = switch("the design variables of DEFINITION_DV in place of DV_KIND")
-    method: Method = part(Method)
+    method: MethodFlags = part(MethodFlags)
     allow_inverted: bool = switch("write OUT even when cells are inverted", section=BAD)
     speech: Speech = part(Speech)
 
@@ -311,23 +304,22 @@ class Quality:
 
 @dataclasses.dataclass(frozen=True)
 class Info:
-    """Request of `jaxmorph info`."""
-
     file: Path = positional(MESH, "FILE")
     speech: Speech = part(Speech)
 
 
 @dataclasses.dataclass(frozen=True)
 class Demo:
-    """Request of `jaxmorph demo`."""
-
-    case: str = positional("naca0015 (default)", "CASE", nargs="?", default="naca0015")
+    case: str = positional(
+        "naca0015 (default)", "CASE", nargs="?", default="naca0015", type=one_of("demo", ["naca0015"])
+    )
     output: Path = flag("where to write (default jaxmorph-demo)", *OUTPUT, metavar="DIR", default=Path("jaxmorph-demo"))
 
 
-Request = Deform | Modes | Sensitivity | SU2 | Quality | Info | Demo
+Request = Deform | ModesRequest | SensitivityRequest | SU2 | Quality | Info | Demo
 
 COMMANDS: dict[str, Fields] = {
-    fields.__name__.lower(): fields for fields in (Deform, Modes, Sensitivity, SU2, Quality, Info, Demo)
+    fields.__name__.removesuffix("Request").lower(): fields
+    for fields in (Deform, ModesRequest, SensitivityRequest, SU2, Quality, Info, Demo)
 }
 """Requests by the name of their command."""

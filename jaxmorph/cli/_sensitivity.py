@@ -12,10 +12,10 @@ from ._job import job_of
 from ._method import described, patches_of
 from ._motion import Motion, motion
 from ._output import LISTED, Output, coordinates, count, steepest, title
-from ._requests import Sensitivity
+from ._requests import SensitivityRequest
 
 
-def sensitivity(request: Sensitivity, out: Output) -> int:
+def sensitivity(request: SensitivityRequest, out: Output) -> int:
     """Reads, pulls back, writes. Returns the exit status."""
     job = job_of(request)
     with out.progress(f"reading {title(request.file)}"):
@@ -50,7 +50,7 @@ def sensitivity(request: Sensitivity, out: Output) -> int:
     return 0
 
 
-def _write_nodes(request: Sensitivity, plan: jm.Plan, given: np.ndarray, out: Output) -> None:
+def _write_nodes(request: SensitivityRequest, plan: jm.Plan, given: np.ndarray, out: Output) -> None:
     moving, wall = np.asarray(plan.moving), np.asarray(plan.moving_points)
     with out.progress("pulling back"):
         slope = np.asarray(jm.pullback(plan, np.zeros(wall.shape), given), float)
@@ -63,7 +63,7 @@ def _write_nodes(request: Sensitivity, plan: jm.Plan, given: np.ndarray, out: Ou
         io.write_sensitivity(request.output, moving, slope)
 
 
-def _write_variables(request: Sensitivity, moves: Motion, gradient: Any, out: Output) -> None:
+def _write_variables(request: SensitivityRequest, moves: Motion, gradient: Any, out: Output) -> None:
     names = shapes.names(moves.parameters)
     values, slopes = (
         np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(tree)]) for tree in (moves.parameters, gradient)

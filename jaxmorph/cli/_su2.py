@@ -16,7 +16,7 @@ from ._deform import SMALL
 from ._method import described, method_of
 from ._output import Output, count, steepest, title
 from ._requests import SU2
-from ._way import Way, faults, is_kept
+from ._way import Way, faults, is_kept, say_verdict
 
 
 def run(request: SU2, out: Output) -> int:
@@ -38,7 +38,6 @@ def run(request: SU2, out: Output) -> int:
 
 
 def _values(config: su2.Config, factors: np.ndarray) -> Iterator[str]:
-    """Lists the values of each kind of design variable, and what they are multiplied by."""
     kinds = np.array([name.partition("[")[0] for name in config.names])
     for kind in dict.fromkeys(kinds.tolist()):
         own, relaxed = factors[kinds == kind], config.options.relaxation
@@ -76,8 +75,7 @@ def _deform(request: SU2, config: su2.Config, out: Output) -> int:
         moved = mesh.moved(points)
         with out.progress("judging the cells"):
             verdict = Way(output, mesh, (points,)).judge()
-        assert verdict.before is not None
-        out.say(f"\n{verdict.table()}\n", before=verdict.before.facts, after=verdict.facts)
+        say_verdict(verdict, out)
         bad = faults(verdict)
     if not is_kept(bad, request.allow_inverted, output, out):
         return 1

@@ -3,7 +3,7 @@
 import contextlib
 import dataclasses
 import functools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
@@ -128,8 +128,15 @@ def is_kept(bad: list[str], allow_inverted: bool, output: Path, out: Output) -> 
     return not bad or allow_inverted
 
 
-def say_proven(verdict: jm.Verdict, is_straight: bool, steps: int, out: Output) -> None:
-    """Says how many cells the gate `--proven` has proven, and for which instants of the motion."""
+def say_verdict(
+    verdict: jm.Verdict, out: Output, *, is_straight: bool = True, steps: int = 1, more: Sequence[str] = ()
+) -> None:
+    """Prints the quality before and after a motion, with `more` rows.
+
+    With the gate `--proven`, it says how many cells are proven, and for which instants.
+    """
+    assert verdict.before is not None
+    out.say(f"\n{verdict.table(more)}\n", before=verdict.before.facts, after=verdict.facts, gates=verdict.gate_facts)
     for gate in (gate for gate in verdict.gates if gate.name == PROVEN):
         valid = verdict.cells - gate.beyond
         out.say(
@@ -139,7 +146,6 @@ def say_proven(verdict: jm.Verdict, is_straight: bool, steps: int, out: Output) 
 
 
 def instants(is_straight: bool, steps: int) -> str:
-    """Writes for which instants of a motion `--proven` holds."""
     if is_straight:
         return "at every instant of the motion" + (f", step by step in {steps} steps" if steps > 1 else "")
     end = f"where each of {steps} steps ends" if steps > 1 else "where the motion ends"

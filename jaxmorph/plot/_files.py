@@ -18,7 +18,7 @@ from .._host.package.arguments import checked, finite_array, rows_of, whole
 from .._host.package.files import complete, output_path
 from . import _plane
 from ._outside import outlines, outside
-from ._plane import ROOM, Axes, Figure, Window, plt, round_numbers, to_hex
+from ._plane import Axes, Figure, plt, round_numbers, to_hex
 from ._space import (
     AIMED,
     before_after_3d,
@@ -121,7 +121,7 @@ def _in_3d(only: jm.Mesh, points: Float[Any, "n 3"]) -> bytes:
 
 def _in_2d(before: jm.Mesh, points: Float[np.ndarray, "n 2"], moving: np.ndarray, reports: Reports) -> bytes:
     states = np.asarray(before.points), points
-    window = _window(np.concatenate([state[moving] for state in states]))
+    window = _plane.window_round(np.concatenate([state[moving] for state in states]), np.concatenate(states))
     width, height = (side[1] - side[0] for side in window)
     figure = Figure(figsize=(8, 1.5 + 3.6 * min(height / width, 1.5)), dpi=200, layout="constrained")
     axes = figure.subplots(1, 2, sharey=True)
@@ -135,12 +135,6 @@ def _in_2d(before: jm.Mesh, points: Float[np.ndarray, "n 2"], moving: np.ndarray
     file = io.BytesIO()
     figure.savefig(file, format="png")
     return file.getvalue()
-
-
-def _window(points: Float[np.ndarray, "k 2"]) -> Window:
-    low, high = points.min(axis=0), points.max(axis=0)
-    room = ROOM * (high - low).max()
-    return _plane.whole(np.stack([low - room, high + room]))
 
 
 def _in_plane(before: jm.Mesh, points: Float[np.ndarray, "n 3"]) -> tuple[jm.Mesh, np.ndarray, np.ndarray] | None:
@@ -221,8 +215,8 @@ def page(
     scene = k3d.plot(time=1.0, snapshot_type="full", **free)
     scene.camera = _camera(np.concatenate([*places.values()]), viewer_of(faces, np.ptp(after - before, axis=0)))
     scene += k3d.mesh(places, triangles.cells_dict[5].astype(np.uint32), side="double", name="surface", **style)
-    style = {"indices_type": "segment", "shader": "simple", "color": int(DARK[1:], 16)}
-    scene += k3d.lines(places, edges, name="edges", **style)
+    plain = {"indices_type": "segment", "shader": "simple", "color": int(DARK[1:], 16)}
+    scene += k3d.lines(places, edges, name="edges", **plain)
     words = {
         "TITLE": path.stem,
         "LABEL": label or ("displacement" if values is None else "values of the cells"),

@@ -188,7 +188,7 @@ def graph(
     simplices = nodes[Delaunay(points[nodes]).simplices]
     if u is not None:
         points = np.asarray(jm.deform(plan, finite_array("u", u, (plan.n_moving, 2))))
-    window = _round(points[moving], points) if window is None else window
+    window = window_round(points[moving], points) if window is None else window
     ax = show(given_or_new(ax, window, above=0.35), window)
     if interior:
         ax.plot(*np.delete(points, nodes, axis=0).T, ".", color=GREY, markersize=2, zorder=1)
@@ -347,18 +347,15 @@ def round_numbers(low: float, high: float, count: int) -> list[float]:
 def legend_above(ax: Axes, handles: Sequence[Any] | None = None) -> None:
     """Puts the legend above the axes, in as few rows as the figure's width has room for."""
     handles = ax.get_legend_handles_labels()[0] if handles is None else handles
-    size, count = plt.rcParams["font.size"], len(handles)
-    widths = [
-        2.8 * size + TextPath((0, 0), str(handle.get_label()), size=size).get_extents().width for handle in handles
-    ]
-    room = 72 / ax.figure.dpi * ax.figure.bbox.width * min(ax.get_position().width / UNLABELLED, 1) - size
-    # a column holds the entries of `rows` places in a row, and is as wide as its widest
-    rows = 1
-    while rows < count and sum(max(widths[k : k + rows]) for k in range(0, count, rows)) > room:
-        rows += 1
+    size, figure = plt.rcParams["font.size"], ax.figure
+    room = figure.bbox.width * min(ax.get_position().width / UNLABELLED, 1) - size * figure.dpi / 72
     tight: dict[str, Any] = {"handlelength": 1.2, "handletextpad": 0.4, "columnspacing": 1.0, "frameon": False}
-    columns = -(-count // rows)
-    ax.legend(handles=handles, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=columns, fontsize=size, **tight)
+    for columns in range(len(handles), 0, -1):
+        legend = ax.legend(
+            handles=handles, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=columns, fontsize=size, **tight
+        )
+        if legend.get_window_extent().width <= room:
+            return
 
 
 def show(ax: Axes, window: Window) -> Axes:
@@ -401,10 +398,10 @@ def _bodies(mesh: jm.Mesh, *states: Any) -> Window:
     everything, nodes = np.concatenate(states), bodies(base, mesh.patches)
     if not len(nodes):
         return whole(everything)
-    return _round(np.concatenate([points[nodes] for points in states]), everything)
+    return window_round(np.concatenate([points[nodes] for points in states]), everything)
 
 
-def _round(body: Float[np.ndarray, "k 2"], points: Float[np.ndarray, "n 2"]) -> Window:
+def window_round(body: Float[np.ndarray, "k 2"], points: Float[np.ndarray, "n 2"]) -> Window:
     low, high = body.min(axis=0), body.max(axis=0)
     room = ROOM * (high - low).max()
     low, high = np.maximum(low - room, points.min(axis=0)), np.minimum(high + room, points.max(axis=0))

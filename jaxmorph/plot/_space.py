@@ -169,25 +169,30 @@ def _draw(
 ) -> Any:
     if part.n_cells == 0:
         raise ValueError(NOTHING)
-    has_values = "values" in part.cell_data
+    has_values, ends = "values" in part.cell_data, {}
     if label is not None and not has_values:
         raise ValueError(f"there are no `values` that are {label!r}.")
-    style: dict[str, Any] = {"color": GREY if lighting else "white"}
-    ends: list[tuple[str, str]] = []
+    # light would change the colours, and not those of the bar
+    style: dict[str, Any] = LIT if lighting and not has_values else {"lighting": False}
+    style = style | {"color": GREY if lighting else "white"}
     if has_values:
-        values, sizes = part.cell_data["values"], part.compute_cell_sizes(length=False, volume=False).cell_data["Area"]
-        colours, limits, below, above = scale_of(values, sizes, limits)
-        ends = [("below", "<")] * below + [("above", ">")] * above
-        style = {"scalars": "values", "cmap": colours, "clim": limits}
-        style |= {f"{side}_color": plt.get_cmap(colours)(float(side == "above")) for side, _ in ends}
+        style, ends = _scaled(part, limits)
     new, plotter = plotter is None, new_plotter() if plotter is None else plotter
-    light = LIT if lighting and not has_values else {"lighting": False}  # it would change the colours, and the bar not
-    _add_faces(plotter, part, show_edges, show_scalar_bar=False, **light, **style)
+    _add_faces(plotter, part, show_edges, show_scalar_bar=False, **style)
     if has_values and bar:
-        add_bar(plotter, label or "", limits, {f"{side}_label": sign for side, sign in ends})
+        add_bar(plotter, label or "", style["clim"], {f"{side}_label": sign for side, sign in ends.items()})
     if new:
         aim(plotter, viewer_of(part))
     return plotter
+
+
+def _scaled(part: Any, limits: Limits | None) -> tuple[dict[str, Any], dict[str, str]]:
+    """Returns settings of faces coloured by their values, and the signs of values beyond."""
+    values, sizes = part.cell_data["values"], part.compute_cell_sizes(length=False, volume=False).cell_data["Area"]
+    colours, limits, *beyond = scale_of(values, sizes, limits)
+    ends = {side: sign for side, sign, is_so in zip(("below", "above"), "<>", beyond, strict=True) if is_so}
+    style: dict[str, Any] = {"scalars": "values", "cmap": colours, "clim": limits, "lighting": False}
+    return style | {f"{side}_color": plt.get_cmap(colours)(float(side == "above")) for side in ends}, ends
 
 
 def _add_faces(plotter: Any, faces: Any, show_edges: bool, **style: Any) -> None:
