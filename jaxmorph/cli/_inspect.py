@@ -86,28 +86,26 @@ def _lines(name: str, mesh: Mesh, facts: dict[str, Any]) -> Iterator[str]:
     yield "cells    " + ", ".join(f"{number} {kind}" for kind, number in facts["cells"].items())
     for axis, least, most in zip("xyz", facts["low"], facts["high"], strict=False):
         yield f"{axis:<9}{least:.6g} to {most:.6g}"
-    loose, patches, kinds = facts["of_no_cell"], facts["patches"], facts["kinds"]
+    loose = facts["of_no_cell"]
     if loose:
         first = ", ".join(map(str, loose[:5])) + (", ..." if len(loose) > 5 else "")
         yield f"no cell  {count(len(loose), 'node')}, at rest: {first}"
-    width = max(map(len, patches), default=0)
-    sizes = {box.name: sum(len(ids) for ids, _ in box.surface.values()) for box in io.boxes(mesh)}
-    rows = {
-        "patches": [
-            f"  {patch:<{width}}  {number:>9} nodes  {kinds.get(patch, '')}" for patch, number in patches.items()
-        ],
-        "groups": [wrapped(f"  {group}: {', '.join(names)}", 4) for group, names in facts["groups"].items()],
-        "boxes": [
-            f"  {box}  degrees {' x '.join(map(str, degrees))}, {sizes[box]:>9} nodes"
-            for box, degrees in facts["boxes"].items()
-        ],
-        "notes": [wrapped(f"  {note}", 4) for note in facts["notes"]],
+    yield "patches" if facts["patches"] else "patches  none"
+    width = max(map(len, facts["patches"]), default=0)
+    for patch, number in facts["patches"].items():
+        yield f"  {patch:<{width}}  {number:>9} nodes  {facts['kinds'].get(patch, '')}".rstrip()
+    rest = {
+        "groups": [f"  {group}: {', '.join(names)}" for group, names in facts["groups"].items()],
+        "boxes": list(map(_line_of_box, io.boxes(mesh))),
+        "notes": [f"  {note}" for note in facts["notes"]],
     }
-    for what, lines in rows.items():
-        if lines:
-            yield from (what, *map(str.rstrip, lines))
-        elif what == "patches":
-            yield "patches  none"
+    for what, lines in rest.items():
+        yield from (what, *(wrapped(line, 4) for line in lines)) if lines else ()
+
+
+def _line_of_box(box: io.Box) -> str:
+    degrees = " x ".join(str(number - 1) for number in box.shape.counts)
+    return f"  {box.name}  degrees {degrees}, {sum(len(ids) for ids, _ in box.surface.values()):>9} nodes"
 
 
 def demo(request: Demo, out: Output) -> int:

@@ -61,6 +61,10 @@ window.addEventListener("resize", look);
 """
 """Script of a page; words in capitals are replaced by the page's texts, colours and numbers."""
 
+# no bar of k3d's, which rounds its numbers to two digits: the script draws another
+BARE = {"grid_visible": False, "menu_visibility": False, "camera_auto_fit": False, "colorbar_object_id": 0}
+LINES = {"indices_type": "segment", "shader": "simple", "color": int(DARK[1:], 16)}
+
 HALF_VIEW = np.tan(np.deg2rad(15))
 """Half of what the camera of a page sees across the smaller side, over its distance."""
 
@@ -210,13 +214,10 @@ def page(
     middle = (after.min(axis=0) + after.max(axis=0)) / 2
     places = {time: (state - middle).astype(np.float32) for time, state in (("0", before), ("1", after))}
     edges = np.asarray(outlines(faces).lines).reshape(-1, 3)[:, 1:].astype(np.uint32)
-    # no bar of k3d's, which rounds its numbers to two digits: the script draws another
-    free = {"grid_visible": False, "menu_visibility": False, "camera_auto_fit": False, "colorbar_object_id": 0}
-    scene = k3d.plot(time=1.0, snapshot_type="full", **free)
+    scene = k3d.plot(time=1.0, snapshot_type="full", **BARE)
     scene.camera = _camera(np.concatenate([*places.values()]), viewer_of(faces, np.ptp(after - before, axis=0)))
     scene += k3d.mesh(places, triangles.cells_dict[5].astype(np.uint32), side="double", name="surface", **style)
-    plain = {"indices_type": "segment", "shader": "simple", "color": int(DARK[1:], 16)}
-    scene += k3d.lines(places, edges, name="edges", **plain)
+    scene += k3d.lines(places, edges, name="edges", **LINES)
     words = {
         "TITLE": path.stem,
         "LABEL": label or ("displacement" if values is None else "values of the cells"),
