@@ -101,11 +101,13 @@ def here(folder, monkeypatch):
 
 @pytest.fixture
 def closed_figures():
-    """Closes all figures of matplotlib after a test."""
+    """Closes all figures of matplotlib and all plotters of pyvista after a test."""
     yield
+    import pyvista
     from matplotlib import pyplot
 
     pyplot.close("all")
+    pyvista.close_all()
 
 
 @pytest.fixture(autouse=True)

@@ -2,7 +2,6 @@
 
 import pickle
 import re
-import tomllib
 
 import numpy as np
 import pytest
@@ -84,31 +83,14 @@ def test_chunks_cover_the_mesh_and_have_one_length(here):
     mesh = write_ring(here / "ring.su2")
     wall, far = mesh.patch("wall"), mesh.patch("far")
     for size in (10, 50, 167, 168, 1000, None):
-        chunks = [
-            nodes
-            for nodes, _ in jm.prepare_in_chunks(
-                jm.Boundary(mesh.points, wall, far), size=size, method=jm.InverseDistance()
-            )
-        ]
+        boundary = jm.Boundary(mesh.points, wall, far)
+        chunks = [nodes for nodes, _ in jm.prepare_in_chunks(boundary, size=size, method=jm.InverseDistance())]
         assert len(chunks) == (1 if size is None else -(-168 // size))
         assert len({len(nodes) for nodes in chunks}) == 1
         assert all(np.isin([*wall, *far], nodes).all() for nodes in chunks)
         np.testing.assert_array_equal(np.unique(np.concatenate(chunks)), np.arange(216))
     with pytest.raises(ValueError, match="`size` must be a whole number of at least 1, not 0"):
         jm.prepare_in_chunks(jm.Boundary(mesh.points, wall, far), size=0)
-
-
-@pytest.mark.slow
-def test_a_job_carries_it_and_a_bad_number_is_answered(here, capsys):
-    write_ring(here / "ring.su2")
-    assert main(["deform", "ring.su2", "a.su2", *MOVE, "--chunk", "100", "--save-job", "job.toml"]) == 0
-    assert tomllib.loads((here / "job.toml").read_text())["chunk"] == 100
-    capsys.readouterr()
-    assert main(["deform", "ring.su2", "a.su2", *MOVE, "--chunk", "0"]) == 2
-    assert capsys.readouterr().err == "jaxmorph deform: --chunk must be 1 or more, found 0.\n"
-    assert main(["deform", "ring.su2", "a.su2", *MOVE, "--chunk", "9", "--method", "elasticity"]) == 2
-    said = "--chunk is not for elasticity, which solves for all nodes at once."
-    assert capsys.readouterr().err == f"jaxmorph deform: {said}\n"
 
 
 def test_errors_name_nodes_of_the_mesh(here, capsys):

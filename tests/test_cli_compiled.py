@@ -12,8 +12,8 @@ from jaxmorph._kernels.compile import compiled, quickly_compiled
 
 CODE = """
 import jax
-from jaxmorph.cli import _compiled
-_compiled.begin()
+from jaxmorph.cli import _entry
+_entry.begin_jax()
 values = jax.config.values
 print(values["jax_compilation_cache_dir"], values["jax_compilation_cache_max_size"])
 jax.numpy.negative(jax.numpy.ones(3)).block_until_ready()

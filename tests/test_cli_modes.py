@@ -132,13 +132,9 @@ def test_sensitivities_that_do_not_fit(here, capsys, what):
 
 def test_outputs_that_cannot_be(here, capsys):
     (here / "zero.csv").write_text("".join(f"{k} 0 0\n" for k in range(216)))
-    for out, message in (("zero.csv", "read from this file"), ("x.su2", ".csv or .npz"), ("no/x.csv", "no folder no")):
+    for out, message in (("zero.csv", "read from this file"), ("no/x.csv", "no folder no")):
         assert main(["sensitivity", "ring.su2", "zero.csv", out, *SURFACE]) == 2
         assert message in capsys.readouterr().err
-    assert modes("x.abc", "bump.csv") == 2
-    assert "unknown file ending" in capsys.readouterr().err
-    assert modes("x.su2", "bump.csv", "--amplitude", "nan") == 2
-    assert "--amplitude needs finite numbers" in capsys.readouterr().err
     shape = (here / "bump.csv").read_bytes()
     (here / "y_0001.su2").write_bytes(shape)
     assert modes("y.su2", "y_0001.su2") == 2

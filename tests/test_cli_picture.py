@@ -1,6 +1,5 @@
 """`jaxmorph deform --picture`."""
 
-import re
 import tomllib
 
 import matplotlib
@@ -90,17 +89,7 @@ def test_a_bad_mesh_is_drawn_though_not_written(here, capsys):
     assert not (here / "out.su2").exists()
 
 
-@pytest.mark.parametrize(
-    ("name", "said"),
-    [
-        ("ring.jpg", r"ends in \.png, in 3-D also in \.html\."),
-        ("ring.html", r"ends in \.png\."),
-        ("no/ring.png", "no such folder"),
-    ],
-)
-def test_what_cannot_be_drawn_is_told_before_the_work(here, capsys, name, said):
-    assert ring("--rotate", "20", "--picture", name) == 2
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1
-    assert re.search(said, error)
+def test_a_page_of_a_mesh_in_2d_is_refused_before_the_work(here, capsys):
+    assert ring("--rotate", "20", "--picture", "ring.html") == 2
+    assert capsys.readouterr().err.endswith("ring.html: a picture of this mesh ends in .png.\n")
     assert not (here / "out.su2").exists()

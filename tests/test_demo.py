@@ -77,7 +77,7 @@ def check_files(output, said, start, patch, motion, measure, methods):
 def test_the_demo_leaves_tables_pictures_and_meshes(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(_airfoil, "LEAVES", (1,))
     output = tmp_path / "made" / "for it"
-    assert run("naca0015", output, points=2000) == 0
+    assert run(output, points=2000) == 0
     said = capsys.readouterr()
     assert said.err == ""
     assert max(map(len, said.out.split("\nwrote")[0].splitlines())) <= 80
@@ -132,11 +132,6 @@ def test_cells_next_to_the_wall():
     blunt = small.points[wall, 0] >= small.points[wall, 0].max() - 1e-12
     assert np.isin(wall[~blunt], near).all()
     assert small.points[near, 0].max() < base / 2
-
-
-def test_an_unknown_case_is_named(tmp_path):
-    with pytest.raises(ValueError, match=r"'wing'.*there are: naca0015"):
-        run("wing", tmp_path)
 
 
 def test_table_aligns_columns():

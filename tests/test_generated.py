@@ -82,18 +82,22 @@ def test_a_blade_has_a_passage_around_it():
     assert 0.2 < cKDTree(rim).query(blade)[0].min() < 0.5
 
 
+def check_solid(mesh):
+    """Checks cells, and that the patches hold the boundary, so that all inner faces are shared; returns its nodes."""
+    assert mesh.to_pyvista().cell_quality(["scaled_jacobian"])["scaled_jacobian"].min() > 0
+    faces = boundary_faces(mesh.cells, len(mesh.points)).values()
+    surface = np.unique(np.concatenate([face.ravel() for face in faces]))
+    np.testing.assert_array_equal(surface, mesh.patch(*mesh.patches))
+    return surface
+
+
 @pytest.mark.parametrize("kind", ["hexahedron", "wedge", "tetra", "pyramid", "mixed"])
 @pytest.mark.parametrize("first_cell", [None, 1e-3])
 def test_bricks_fill_the_cube(kind, first_cell):
     mesh = cases.bricks(kind, cells=4, first_cell=first_cell)
-    grid = mesh.to_pyvista()
-    assert grid.cell_quality(["scaled_jacobian"])["scaled_jacobian"].min() > 0
-    assert grid.compute_cell_sizes()["Volume"].sum() == pytest.approx(1, rel=1e-12)
+    assert mesh.to_pyvista().compute_cell_sizes()["Volume"].sum() == pytest.approx(1, rel=1e-12)
     assert set(mesh.cells) == ({"hexahedron", "pyramid", "wedge"} if kind == "mixed" else {kind})
-    surface = np.unique(
-        np.concatenate([face.ravel() for face in boundary_faces(mesh.cells, len(mesh.points)).values()])
-    )
-    np.testing.assert_array_equal(surface, mesh.patch(*mesh.patches))  # so all inner faces are shared
+    surface = check_solid(mesh)
     assert ((mesh.points[surface] == 0) | (mesh.points[surface] == 1)).any(axis=1).all()
     if first_cell:
         assert np.unique(mesh.points[mesh.patch("sides"), 2])[1] == pytest.approx(first_cell)
@@ -101,12 +105,7 @@ def test_bricks_fill_the_cube(kind, first_cell):
 
 def test_wing():
     mesh = cases.wing(points=1000, stations=5)
-    grid = mesh.to_pyvista()
-    assert grid.cell_quality(["scaled_jacobian"])["scaled_jacobian"].min() > 0
-    surface = np.unique(
-        np.concatenate([face.ravel() for face in boundary_faces(mesh.cells, len(mesh.points)).values()])
-    )
-    np.testing.assert_array_equal(surface, mesh.patch(*mesh.patches))
+    check_solid(mesh)
     wall = mesh.points[mesh.patch("wing")]
     np.testing.assert_allclose(np.ptp(wall, axis=0)[:2], [1.2, 2.0], rtol=0.01)
     assert np.sort(cKDTree(wall).query(wall, k=9)[0][:, -1]).max() < 0.5  # within one station

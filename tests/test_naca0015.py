@@ -82,8 +82,3 @@ def test_a_million_points():
     mesh = cases.naca0015(points=1_000_000)
     assert len(mesh.points) == pytest.approx(1_000_000, rel=0.01)
     assert polydata(mesh).cell_quality("scaled_jacobian")["scaled_jacobian"].min() > 0
-
-
-def test_too_few_points():
-    with pytest.raises(ValueError, match="`points` is 299; a C-grid needs at least 300"):
-        cases.naca0015(points=299)

@@ -99,29 +99,28 @@ def test_cusped_section():
     check_geometry(mesh)
 
 
-@pytest.mark.parametrize("code", ["15", "00155", "naca", "-412", "4 12", "٤٤١٢"])
-def test_not_of_the_family(code):
-    with pytest.raises(ValueError, match="four digits"):
-        cases.naca4(code)
+def crossed(t):
+    return cusped(t) - np.column_stack([0 * t, np.sign(t) * 0.0016 * t**2])
 
 
-@pytest.mark.parametrize(("code", "message"), [("4400", "no thickness"), ("4012", "place of its largest camber")])
-def test_codes_without_a_section(code, message):
+REFUSED = [
+    *((lambda code=code: cases.naca4(code), "four digits") for code in ("15", "00155", "naca", "-412", "4 12", "٤٤١٢")),
+    (lambda: cases.naca4("4400"), "no thickness"),
+    (lambda: cases.naca4("4012"), "place of its largest camber"),
+    (lambda: cases.naca4("9999"), r"cells around this section are not convex, first cell \d+ near"),
+    (lambda: c_grid(crossed), "trailing edge is crossed"),
+    (lambda: cases.naca0015(points=299), "`points` is 299; a C-grid needs at least 300"),
+    *(
+        (
+            lambda first=first: cases.naca4("4412", first_cell=first),
+            r"`first_cell` is .* between 1e-12 and 0\.09 chords",
+        )
+        for first in (0.0, -1e-6, 1e-14, 0.1)
+    ),
+]
+
+
+@pytest.mark.parametrize(("make", "message"), REFUSED)
+def test_what_has_no_mesh(make, message):
     with pytest.raises(ValueError, match=message):
-        cases.naca4(code)
-
-
-@pytest.mark.parametrize("first_cell", [0.0, -1e-6, 1e-14, 0.1])
-def test_first_cell_that_does_not_fit(first_cell):
-    with pytest.raises(ValueError, match=r"`first_cell` is .* between 1e-12 and 0\.09 chords"):
-        cases.naca4("4412", first_cell=first_cell)
-
-
-def test_section_that_no_ray_leaves():
-    with pytest.raises(ValueError, match=r"cells around this section are not convex, first cell \d+ near"):
-        cases.naca4("9999")
-
-
-def test_crossed_trailing_edge_is_refused():
-    with pytest.raises(ValueError, match="trailing edge is crossed"):
-        c_grid(lambda t: cusped(t) - np.column_stack([0 * t, np.sign(t) * 0.0016 * t**2]))
+        make()

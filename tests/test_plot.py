@@ -129,15 +129,6 @@ def test_lines_are_thin_where_cells_are(airfoil):
     assert max(widths) <= 0.6
 
 
-def test_mesh_refuses_what_it_cannot_draw():
-    with pytest.raises(ValueError, match="3 cells"):
-        plot.mesh(mixed(), values=np.zeros(6))
-    with pytest.raises(ValueError, match=r"plot\.surface"):
-        plot.mesh(bricks())
-    with pytest.raises(ValueError, match=r"plot\.mesh"):
-        plot.surface(mixed())
-
-
 def test_colours_turn_round_where_small_is_bad_and_a_label_brings_a_bar():
     axis = plot.mesh(mixed(), values=[0.0, 1.0, 0.5], limits=(1, 0), label="V/V0")
     faces = axis.collections[0]
@@ -146,21 +137,6 @@ def test_colours_turn_round_where_small_is_bad_and_a_label_brings_a_bar():
     np.testing.assert_allclose(faces.to_rgba([1.0, 0.0]), [light, dark])
     (bar,) = axis.child_axes
     assert bar.get_ylabel() == "V/V0"
-
-
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        ({"label": "skewness"}, "no `values`"),
-        ({"values": np.zeros(3), "limits": (1, 1)}, "`limits`"),
-        ({"values": np.zeros(3), "limits": (0, np.nan)}, "`limits`"),
-        ({"points": np.zeros((5, 2))}, r"shape \(5, 2\)"),
-    ],
-)
-def test_mesh_refuses_before_it_draws(options, said):
-    with pytest.raises(ValueError, match=said):
-        plot.mesh(mixed(), **options)
-    assert not plt.get_fignums()
 
 
 def test_pictures_show_the_bodies_and_some_room(airfoil):
@@ -190,23 +166,15 @@ def test_values_bring_a_bar_unless_told_otherwise(label):
     for bar in (True, False):
         plotter = plot.surface(bricks(), values=np.arange(27.0), label=label, bar=bar)
         assert len(plotter.scalar_bars) == bar
-        plotter.close()
 
 
 def test_a_bar_in_3d_stands_beside_the_cells():
-    plotter = plot.cut(bricks(), plane=jm.Plane((0, 1.0, 0), (0, 0.5, 0)), values=np.arange(27.0), label="V/V0")
-    picture = plotter.screenshot(return_img=True).astype(int)
-    plotter.close()
-    filled = np.flatnonzero((picture.min(axis=2) < 250).any(axis=0))
-    gaps = filled[1:][np.diff(filled) > 20]  # columns of pixels left white between cells and bar
-    assert len(gaps) >= 1
-    assert filled[0] > 0
-    wide = jm.Mesh(bricks().points * [3, 1, 1], bricks().cells, {})
-    plotter = plot.cut(wide, plane=jm.Plane((0, 1.0, 0), (0, 0.5, 0)), values=np.arange(27.0))
-    picture = plotter.screenshot(return_img=True).astype(int)
-    plotter.close()
-    filled = np.flatnonzero((picture.min(axis=2) < 250).any(axis=0))
-    assert len(filled[1:][np.diff(filled) > 20]) >= 1
+    for width, label in ((1, "V/V0"), (3, None)):
+        mesh = jm.Mesh(bricks().points * [width, 1, 1], bricks().cells, {})
+        plotter = plot.cut(mesh, plane=jm.Plane((0, 1.0, 0), (0, 0.5, 0)), values=np.arange(27.0), label=label)
+        filled = np.flatnonzero((plotter.screenshot(return_img=True).min(axis=2) < 250).any(axis=0))
+        assert filled[0] > 0
+        assert (np.diff(filled) > 20).any()  # columns of pixels left white between cells and bar
 
 
 @pytest.mark.nightly
@@ -217,7 +185,6 @@ def test_colours_in_3d_are_those_of_the_bar():
         if hasattr(getattr(actor, "prop", None), "show_edges"):
             actor.prop.show_edges = False
     picture = plotter.screenshot(return_img=True)
-    plotter.close()
     colours, counts = np.unique(picture.reshape(-1, 3), axis=0, return_counts=True)
     colour, background = colours[np.argsort(counts)[-2:]]
     if (colour == 255).all():
@@ -332,13 +299,6 @@ def test_histogram_counts_cells_of_the_highest_dimension_alone():
     assert axis.get_ylim()[0] < 1  # a single cell is seen
 
 
-def test_histogram_refuses_what_it_does_not_know():
-    with pytest.raises(ValueError, match="'skew'; there are skewness"):
-        plot.histogram({}, measure="skew")
-    with pytest.raises(ValueError, match="empty"):
-        plot.histogram({})
-
-
 def test_surface_takes_the_colours_of_its_cells():
     mesh = bricks()
     plotter = plot.surface(mesh, values=np.arange(27.0), limits=(0, 26))
@@ -347,7 +307,6 @@ def test_surface_takes_the_colours_of_its_cells():
     cell = np.minimum(faces.cell_centers().points * 3, 2.5).astype(int) @ [9, 3, 1]
     np.testing.assert_array_equal(faces.cell_data["values"], cell)
     picture = plotter.screenshot(return_img=True)
-    plotter.close()
     assert picture.shape[1] == 1200
     assert 450 <= picture.shape[0] <= 900
     assert picture.std() > 10
@@ -363,7 +322,6 @@ def test_the_bar_in_3d_has_round_numbers_and_its_whole_label():
     (bar,) = plotter.scalar_bars.values()
     np.testing.assert_allclose(np.asarray(bar.GetCustomLabels()), [0.2, 0.4, 0.6, 0.8])
     assert bar.GetTitle().strip() == "\u2223V/V0 - 1\u2223"
-    plotter.close()
 
 
 def test_surface_of_a_patch_of_a_moved_mesh():
@@ -371,7 +329,6 @@ def test_surface_of_a_patch_of_a_moved_mesh():
     plotter = plot.surface(mesh, mesh.points + np.array([0, 0, 5]), patch="floor")
     assert plotter.meshes[0].n_cells == 9
     np.testing.assert_allclose(plotter.meshes[0].points[:, 2], 5)
-    plotter.close()
 
 
 def test_before_and_after_in_3d():
@@ -386,7 +343,6 @@ def test_before_and_after_in_3d():
     np.testing.assert_allclose(np.array(after.bounds), [0, 1, 0, 1, 0, 2])
     names = [actor.input for name, actor in plotter.actors.items() if name.startswith("legend")]
     assert names == ["in place", "undeformed", "deformed"]
-    plotter.close()
 
 
 @pytest.mark.nightly
@@ -396,26 +352,12 @@ def test_one_state_is_seen_through_the_other():
     for factor in (2, 0.5):
         plotter = plot.before_after_3d(mesh, 0.5 + factor * (mesh.points - 0.5))
         picture = plotter.screenshot(return_img=True).astype(int)
-        plotter.close()
         height, _width = picture.shape[:2]
         drawn = np.flatnonzero((picture.min(axis=2) < 250).any(axis=0))
         middle = int(drawn[[0, -1]].mean())
         row = picture[int(0.45 * height), drawn[0] : drawn[-1]]
         inner, outer = row[middle - drawn[0]], row[len(row) // 8]
         assert np.abs(inner - outer).max() > 12
-
-
-def test_space_refuses_what_it_cannot_draw():
-    mesh = bricks()
-    with pytest.raises(ValueError, match="no patch is called 'roof'"):
-        plot.surface(mesh, patch="roof")
-    with pytest.raises(ValueError, match=r"shape \(3, 3\)"):
-        plot.before_after_3d(mesh, np.zeros((3, 3)))
-    with pytest.raises(ValueError, match="no `values`"):
-        plot.surface(mesh, label="skewness")
-    one_node = jm.Mesh(mesh.points, mesh.cells, {"corner": [0]})
-    with pytest.raises(ValueError, match="no face"):
-        plot.surface(one_node, patch="corner")
 
 
 def sphere_half(side):
@@ -434,7 +376,6 @@ def test_the_camera_does_not_look_into_an_open_body(side):
     position, focus, _ = np.array(list(plotter.camera_position))
     assert (position - focus)[1] * side > 0  # the open side is that of smaller |y|
     assert (position - focus)[2] > 0
-    plotter.close()
 
 
 @pytest.mark.nightly
@@ -453,7 +394,6 @@ def test_pictures_in_3d_have_axes_and_a_scale_of_a_round_length():
         plotter.camera.parallel_scale *= zoom
         assert length() == pytest.approx(float(scale.GetTitle()))
     assert plotter.renderer.axes_actor is not None
-    plotter.close()
 
 
 def test_a_label_brings_a_bar_in_3d():
@@ -463,7 +403,6 @@ def test_a_label_brings_a_bar_in_3d():
     np.testing.assert_allclose(
         np.array(plotter.mapper.lookup_table.map_value(0))[:3], plt.get_cmap(plot.COLOURS)(255)[:3], atol=0.01
     )
-    plotter.close()
 
 
 def test_cut_shows_the_cells_that_the_plane_meets():
@@ -477,9 +416,6 @@ def test_cut_shows_the_cells_that_the_plane_meets():
     np.testing.assert_allclose(np.abs(position - focus)[1:], 0, atol=1e-9)  # seen along the normal
     again = plot.surface(mesh, patch="floor", plotter=plotter)
     assert again is plotter
-    plotter.close()
-    with pytest.raises(ValueError, match="nothing to draw"):
-        plot.cut(mesh, plane=jm.Plane((1.0, 0, 0), (7.0, 0, 0)))
 
 
 def test_a_cut_along_nodes_has_each_edge_once():
@@ -488,7 +424,6 @@ def test_a_cut_along_nodes_has_each_edge_once():
     points = box.points + np.random.default_rng(0).uniform(-1e-13, 1e-13, box.points.shape)
     plotter = plot.cut(box, points, plane=jm.Plane((0, 1.0, 0), (0, 0.5, 0)))
     section, lines, _ = plotter.meshes
-    plotter.close()
     assert section.n_cells == 16
     assert lines.n_cells == 2 * 4 * 5
 
@@ -500,7 +435,6 @@ def test_a_cut_shows_whole_polyhedra(tmp_path):
     assert len(mesh.cell_ids) > 5
     plotter = plot.cut(mesh, plane=jm.Plane((0, 0, 1.0), (0, 0, 0.25)))
     section, lines, walls = plotter.meshes
-    plotter.close()
     np.testing.assert_allclose(section.area, 2)
     edges = lines.points[lines.lines.reshape(-1, 3)[:, 1:]]
     inner = np.all((edges[:, :, 0] > 1e-6) & (edges[:, :, 0] < 1 - 1e-6), axis=1) & np.all(
@@ -513,9 +447,9 @@ def test_a_cut_shows_whole_polyhedra(tmp_path):
     assert length[between].sum() > 1 - 1e-6
     round_it = walls.points[walls.lines.reshape(-1, 3)[:, 1:]]
     np.testing.assert_allclose(np.linalg.norm(round_it[:, 1] - round_it[:, 0], axis=1).sum(), 6, rtol=1e-6)
-    plotter = plot.surface(mesh)
-    assert plotter.meshes[0].n_cells == 5 + 12  # faces of the cube, of five corners too, and of the small ones
-    plotter.close()
+    assert (
+        plot.surface(mesh).meshes[0].n_cells == 5 + 12
+    )  # faces of the cube, of five corners too, and of the small ones
 
 
 def test_a_cut_is_cropped_to_the_body_that_it_meets():
@@ -528,7 +462,6 @@ def test_a_cut_is_cropped_to_the_body_that_it_meets():
     for place, area in ((0.5, (1.8**2 - 1) / 81), (0.8, 1)):
         plotter = plot.cut(mesh, plane=jm.Plane((0, 1.0, 0), (0, place, 0)))
         np.testing.assert_allclose(plotter.meshes[0].area, area, rtol=1e-6)
-        plotter.close()
 
 
 def test_values_follow_the_order_of_the_cells_for_mixed_types():
@@ -537,7 +470,53 @@ def test_values_follow_the_order_of_the_cells_for_mixed_types():
     plotter = plot.surface(mesh, values=[7.0, 3.0])  # types stand in alphabetical order
     faces = plotter.meshes[0]
     np.testing.assert_array_equal(faces.cell_data["values"], np.where(faces.cell_centers().points[:, 0] > 1, 3, 7))
-    plotter.close()
+
+
+ZERO = np.zeros(3)
+REFUSED = [
+    (lambda: plot.mesh(mixed(), values=np.zeros(6)), "3 cells"),
+    (lambda: plot.mesh(bricks()), r"plot\.surface"),
+    (lambda: plot.mesh(mixed(), label="skewness"), "no `values`"),
+    (lambda: plot.mesh(mixed(), values=ZERO, limits=(1, 1)), "`limits`"),
+    (lambda: plot.mesh(mixed(), values=ZERO, limits=(0, np.nan)), "`limits`"),
+    (lambda: plot.mesh(mixed(), np.zeros((5, 2))), r"shape \(5, 2\)"),
+    (lambda: plot.surface(mixed()), r"plot\.mesh"),
+    (lambda: plot.surface(bricks(), patch="roof"), "no patch is called 'roof'"),
+    (lambda: plot.surface(bricks(), label="skewness"), "no `values`"),
+    (lambda: plot.surface(jm.Mesh(bricks().points, bricks().cells, {"corner": [0]}), patch="corner"), "no face"),
+    (lambda: plot.before_after_3d(bricks(), np.zeros((3, 3))), r"shape \(3, 3\)"),
+    (lambda: plot.cut(bricks(), plane=jm.Plane((1.0, 0, 0), (7.0, 0, 0))), "nothing to draw"),
+    (lambda: plot.histogram({}, measure="skew"), "'skew'; there are skewness"),
+    (lambda: plot.histogram({}), "empty"),
+    (lambda: plot.convergence({}), "empty"),
+    (lambda: plot.swing(np.zeros((3, 2)), np.zeros((4, 2))), r"`extreme` has shape \(4, 2\); expected \(3, 2\)"),
+    (lambda: plot.swing(np.zeros((3, 2)), np.zeros((3, 2)), frames=1), "at least 2"),
+    (lambda: plot.animate("m.gif", lambda points: None, np.zeros((2, 3, 2))), "NoneType"),
+    (lambda: plot.animate("mode.avi", never, np.zeros((2, 3, 2))), r"\.gif"),
+    (lambda: plot.animate("nowhere/mode.gif", never, np.zeros((2, 3, 2))), "no folder"),
+    (lambda: plot.animate("mode.gif", never, np.zeros((1, 3, 2))), "2 or more"),
+    (lambda: plot.animate("mode.gif", never, [np.zeros((3, 2)), np.zeros((4, 2))]), "of one shape"),
+    (lambda: plot.animate("mode.gif", never, np.zeros((3, 2))), "shape"),
+    (lambda: plot.animate("mode.gif", never, np.zeros((2, 3, 2)), rate=0), "`rate`"),
+    (lambda: plot.page("cube.htl", bricks(2), bricks(2).points), r"\.html"),
+    (lambda: plot.page("cube.html", mixed(), mixed().points), "3-D meshes"),
+    (lambda: plot.page("cube.html", bricks(2), bricks(2).points, values=ZERO), "8 cells"),
+    (lambda: plot.page("cube.html", bricks(2), np.zeros((3, 3))), "shape"),
+    (lambda: plot.page("cube.html", bricks(2), bricks(2).points, patch="roof"), "no patch"),
+]
+
+
+def never(points):
+    raise AssertionError("drawn")
+
+
+@pytest.mark.parametrize(("call", "said"), REFUSED)
+def test_what_cannot_be_drawn_is_refused_before_anything_is_drawn(tmp_path, monkeypatch, call, said):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ValueError, match=said):
+        call()
+    assert not plt.get_fignums()
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_missing_extra_is_named(monkeypatch):

@@ -138,36 +138,6 @@ def test_a_film_in_3d_keeps_its_camera_and_holds_all_frames(tmp_path):
     np.testing.assert_allclose([camera.position for camera in cameras], [placed[0]] * 2)
 
 
-def never(points):
-    raise AssertionError("drawn")
-
-
-@pytest.mark.parametrize(
-    ("name", "frames", "rate", "said"),
-    [
-        ("mode.avi", np.zeros((2, 3, 2)), 12, r"\.gif"),
-        ("nowhere/mode.gif", np.zeros((2, 3, 2)), 12, "no folder"),
-        ("mode.gif", np.zeros((1, 3, 2)), 12, "2 or more"),
-        ("mode.gif", [np.zeros((3, 2)), np.zeros((4, 2))], 12, "of one shape"),
-        ("mode.gif", np.zeros((3, 2)), 12, "shape"),
-        ("mode.gif", np.zeros((2, 3, 2)), 0, "`rate`"),
-    ],
-)
-def test_films_are_refused_before_anything_is_drawn(tmp_path, name, frames, rate, said):
-    with pytest.raises(ValueError, match=said):
-        plot.animate(tmp_path / name, never, frames, rate=rate)
-    assert not list(tmp_path.iterdir())
-
-
-def test_swings_and_pictures_that_cannot_be(tmp_path):
-    with pytest.raises(ValueError, match=r"`extreme` has shape \(4, 2\); expected \(3, 2\)"):
-        plot.swing(np.zeros((3, 2)), np.zeros((4, 2)))
-    with pytest.raises(ValueError, match="at least 2"):
-        plot.swing(np.zeros((3, 2)), np.zeros((3, 2)), frames=1)
-    with pytest.raises(ValueError, match="NoneType"):
-        plot.animate(tmp_path / "m.gif", lambda points: None, np.zeros((2, 3, 2)))
-
-
 def scene(path):
     """The objects in a page, as k3d packs them."""
     msgpack = pytest.importorskip("msgpack")
@@ -211,21 +181,6 @@ def test_a_page_takes_the_colours_of_the_cells_of_a_patch(tmp_path):
     cell = ((corners.mean(axis=1)[:, :2] + 0.5) * 3).astype(int) @ [9, 3]
     np.testing.assert_array_equal(array(surface["triangles_attribute"]), cell)
     assert surface["color_range"] == [0, 26]
-
-
-def test_pages_are_refused_before_anything_is_written(tmp_path):
-    mesh = bricks(2)
-    with pytest.raises(ValueError, match=r"\.html"):
-        plot.page(tmp_path / "cube.htl", mesh, mesh.points)
-    with pytest.raises(ValueError, match="3-D meshes"):
-        plot.page(tmp_path / "cube.html", mixed(), mixed().points)
-    with pytest.raises(ValueError, match="8 cells"):
-        plot.page(tmp_path / "cube.html", mesh, mesh.points, values=np.zeros(3))
-    with pytest.raises(ValueError, match="shape"):
-        plot.page(tmp_path / "cube.html", mesh, np.zeros((3, 3)))
-    with pytest.raises(ValueError, match="no patch"):
-        plot.page(tmp_path / "cube.html", mesh, mesh.points, patch="roof")
-    assert not list(tmp_path.iterdir())
 
 
 @pytest.fixture

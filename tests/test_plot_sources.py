@@ -99,24 +99,6 @@ def test_boxes_in_3d_are_wires_round_the_points():
     np.testing.assert_allclose(lengths.sum(), 4 * (high - low).sum(), rtol=1e-4)
     assert (np.count_nonzero(ends[:, 1] != ends[:, 0], axis=1) == 1).all()
     assert plot.sources_3d(points, jm.KDTree(2), plotter=plotter) is plotter
-    plotter.close()
-
-
-def test_refused_before_anything_is_drawn():
-    plan = planned()
-    with pytest.raises(ValueError, match="no radial basis functions"):
-        plot.sources(planned(jm.DelaunayGraph()))
-    with pytest.raises(ValueError, match="own reductions"):
-        plot.sources(plan, jm.KDTree(3))
-    with pytest.raises(ValueError, match="need the `reduction`"):
-        plot.sources(plan.points)
-    with pytest.raises(ValueError, match="sources_3d"):
-        plot.sources(ball(), jm.KDTree(3))
-    with pytest.raises(ValueError, match=r"plot\.sources"):
-        plot.sources_3d(plan)
-    with pytest.raises(ValueError, match="in 3-D"):
-        plot.sources_3d(plan.points, jm.KDTree(3))
-    assert not plt.get_fignums()
 
 
 def test_errors_on_the_surface_are_those_of_scipy():
@@ -159,11 +141,20 @@ def test_errors_with_a_symmetry_plane():
     assert found.sources[0] == 40 + len(jm.KDTree(2)(np.asarray(plan.points[40:70])))
 
 
-def test_errors_refuse_what_has_no_answer():
-    plan = planned()
-    with pytest.raises(ValueError, match="zero"):
-        plot.surface_errors(plan, np.zeros((40, 2)), [jm.KDTree(2)])
-    with pytest.raises(ValueError, match="no sources"):
-        plot.surface_errors(planned(jm.DelaunayGraph()), np.ones((40, 2)), [jm.KDTree(2)])
-    with pytest.raises(ValueError, match="empty"):
-        plot.convergence({})
+REFUSED = [
+    (lambda: plot.sources(planned(jm.DelaunayGraph())), "no radial basis functions"),
+    (lambda: plot.sources(planned(), jm.KDTree(3)), "own reductions"),
+    (lambda: plot.sources(planned().points), "need the `reduction`"),
+    (lambda: plot.sources(ball(), jm.KDTree(3)), "sources_3d"),
+    (lambda: plot.sources_3d(planned()), r"plot\.sources"),
+    (lambda: plot.sources_3d(planned().points, jm.KDTree(3)), "in 3-D"),
+    (lambda: plot.surface_errors(planned(), np.zeros((40, 2)), [jm.KDTree(2)]), "zero"),
+    (lambda: plot.surface_errors(planned(jm.DelaunayGraph()), np.ones((40, 2)), [jm.KDTree(2)]), "no sources"),
+]
+
+
+@pytest.mark.parametrize(("call", "said"), REFUSED)
+def test_refused_before_anything_is_drawn(call, said):
+    with pytest.raises(ValueError, match=said):
+        call()
+    assert not plt.get_fignums()

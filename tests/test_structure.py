@@ -134,7 +134,7 @@ BORDER = {
     "cli": """
 _advice.cures _advice.inspect _advice.methods _boundary.boundary _boundary.names _boundary.symmetry
 _host.package.cores _host.package.errors _host.package.files _host.package.ranks
-_host.package.rounding _host.package.text _kernels.compile _plan.prepare
+_host.package.rounding _host.package.text _kernels.compile
 """,
     "integrations": """
 _host.cells.topology _host.package.arguments _host.package.errors _host.package.files
@@ -155,8 +155,8 @@ _host.package.arguments
 """Private modules that the outer rooms still import: the list may only shrink."""
 
 HOMES = """
-Block Bounds Cells Content Elements Encoding Form Grid Group Hierarchy Method Modes Options Parts
-Patch Progress Sensitivity Side Sides Variable _Content _Reader
+Block Bounds Cells Content Elements Encoding Form Grid Hierarchy Options Patch Sides
+Variable _Content _Reader
 """
 """Names of classes that several files define: the list may only shrink."""
 

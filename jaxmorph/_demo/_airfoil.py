@@ -72,7 +72,6 @@ class Outcome:
 
 
 def say(what: str) -> None:
-    """Tells what is being done, on a terminal alone."""
     if sys.stdout.isatty():
         print(f"{what} ...", file=sys.stderr)
 
@@ -80,19 +79,20 @@ def say(what: str) -> None:
 def run(output: pathlib.Path, *, points: int | None = None) -> int:
     """Runs the whole comparison; returns 1 when a cell was inverted."""
     mesh = cases.naca0015() if points is None else cases.naca0015(points=points)
-    studies = compare(mesh)
     output.mkdir(parents=True, exist_ok=True)
     say("generating the mesh, judging it")
     start, outcomes = jm.quality(mesh), []
-    written = write(output / "naca0015-undeformed.su2", mesh, np.asarray(mesh.points), _skewness(start))
-    for study in studies:
+    for study in compare(mesh):
         say(f"moving the mesh, {study.name}")
         outcomes.append(measure(mesh, start, study))
     by_file = {outcome.study.file: outcome for outcome in outcomes if outcome.study.file}
     say("writing meshes")
-    for name, outcome in by_file.items():
-        path, values = output / f"naca0015-{name}.su2", _skewness(outcome.reports[-1])
-        written += write(path, mesh, outcome.points, values)
+    states = {"undeformed": (np.asarray(mesh.points), start)}
+    states |= {name: (outcome.points, outcome.reports[-1]) for name, outcome in by_file.items()}
+    written = []
+    for name, (moved, report) in states.items():
+        values = {"skewness": np.asarray(report.skewness)}
+        written += write(output / f"naca0015-{name}.su2", mesh, moved, values)
     figures = [output / "figure5.png", output / "figure6.png"]
     say("drawing airfoil and trailing edge (figure 5)")
     figure5(figures[0], mesh, [by_file["dgm"], by_file["reduced-rbf"]])
@@ -126,31 +126,18 @@ def measure(mesh: jm.Mesh, start: jm.QualityReport, study: Study) -> Outcome:
     """Prepares, marches twice (once without compiling), and judges the mesh after each step."""
     moving, fixed = mesh.patch("airfoil"), mesh.patch("farfield")
     path = np.stack([rotation(np.asarray(mesh.points)[moving], angle) for angle in ANGLES])
-    begin = time.perf_counter()
+    times = [time.perf_counter()]
     plan = jm.prepare(mesh.points, moving, fixed, method=study.method)
-    plans, points = _march(plan, path, study.rebuild)
-    first = time.perf_counter() - begin
-    begin = time.perf_counter()
-    _march(plan, path, study.rebuild)
-    again = time.perf_counter() - begin
-    stages = [*(after.points for after in plans[1:]), points]
-    reports = [jm.quality(mesh, stage) for stage in stages]
-    near = near_wall(mesh)
-    points = np.asarray(points)
-    return Outcome(
-        study=study,
-        points=points,
-        reports=reports,
-        change=float(np.abs(np.asarray(reports[-1].skewness) - np.asarray(start.skewness))[near].mean()),
-        error=float(np.abs(points[moving] - mesh.points[moving] - path[-1]).max()),
-        first=first,
-        again=again,
-    )
-
-
-def _march(plan: jm.Plan, path: np.ndarray, rebuild: bool) -> tuple[Any, Any]:
-    plans, points = jm.march(plan, path, rebuild=rebuild)
-    return plans, points.block_until_ready()
+    plans, end = jm.march(plan, path, rebuild=study.rebuild)
+    points = np.asarray(end)
+    times.append(time.perf_counter())
+    np.asarray(jm.march(plan, path, rebuild=study.rebuild)[1])
+    times.append(time.perf_counter())
+    reports = [jm.quality(mesh, stage) for stage in (*(after.points for after in plans[1:]), points)]
+    change = np.abs(np.asarray(reports[-1].skewness) - np.asarray(start.skewness))[near_wall(mesh)].mean()
+    error = np.abs(points[moving] - mesh.points[moving] - path[-1]).max()
+    first, again = np.diff(times).tolist()
+    return Outcome(study, points, reports, float(change), float(error), first, again)
 
 
 def rotation(points: np.ndarray, degrees: float) -> np.ndarray:
@@ -169,39 +156,35 @@ def near_wall(mesh: jm.Mesh) -> np.ndarray:
     return (np.arange(round(0.4 * layers))[:, None] * columns + np.arange(wake, columns - wake)).ravel()
 
 
-def _skewness(report: jm.QualityReport) -> dict[str, np.ndarray]:
-    return {"skewness": np.asarray(report.skewness)}
-
-
 def _tables(mesh: jm.Mesh, start: jm.QualityReport, outcomes: list[Outcome]) -> str:
-    cells = len(mesh.cells["quad"])
     undeformed = f"{float(start.mean_skewness):.4f}", f"{float(start.max_skewness):.4f}"
-    last: list[tuple[str, ...]] = [("undeformed", *undeformed, *[""] * 5)]
-    steps: list[tuple[str, ...]] = [("undeformed", *undeformed, *[""] * 4)]
-    for outcome in outcomes:
-        skewness = [(f"{mean:.4f}", f"{largest:.4f}") for mean, largest in outcome.skewness]
-        rest = f"{outcome.change:.3f}", str(outcome.inverted), f"{outcome.error:.1g}"
-        times = f"{outcome.first:.2f}", f"{outcome.again:.3f}"
-        last.append((outcome.study.name, *skewness[-1], *rest, *times))
-        steps.append((outcome.study.name, *(number for pair in skewness for number in pair)))
-    heads = [
+    last: list[tuple[str, ...]] = [
         ("", "mean", "max", "change", "inverted", "surface", "first", "once"),
         (f"at {ANGLES[-1]:g} degrees", "skew", "skew", "at wall", "cells", "error", "time", "more"),
+        ("undeformed", *undeformed, *[""] * 5),
     ]
     at = [head for angle in ANGLES for head in (f"at {angle:g}", "degrees")]
-    angles = [("", *at), ("", *("mean", "max") * len(ANGLES))]
-    return "\n".join(
-        [
-            f"NACA0015 C-grid, {len(mesh.points)} points, {cells} cells: rotated nose up by {ANGLES[-1]:g} degrees",
-            f"about the quarter chord in {len(ANGLES)} steps, far field fixed; wall + far-field sources.\n",
-            table(heads, last),
-            "\nchange at wall: mean absolute change of skewness in the "
-            f"{len(near_wall(mesh))} cells next to it;\n"
-            "surface error in chords; first time: seconds for ids, compiling and three steps,\n"
-            "once more: for the three steps again.\n",
-            table(angles, steps),
-        ]
-    )
+    steps: list[tuple[str, ...]] = [
+        ("", *at),
+        ("", *("mean", "max") * len(ANGLES)),
+        ("undeformed", *undeformed, *[""] * 4),
+    ]
+    for outcome in outcomes:
+        skewness = [f"{number:.4f}" for pair in outcome.skewness for number in pair]
+        rest = f"{outcome.change:.3f}", str(outcome.inverted), f"{outcome.error:.1g}"
+        last.append((outcome.study.name, *skewness[-2:], *rest, f"{outcome.first:.2f}", f"{outcome.again:.3f}"))
+        steps.append((outcome.study.name, *skewness))
+    return f"""\
+NACA0015 C-grid, {len(mesh.points)} points, {len(mesh.cells["quad"])} cells: rotated nose up by {ANGLES[-1]:g} degrees
+about the quarter chord in {len(ANGLES)} steps, far field fixed; wall + far-field sources.
+
+{table(last[:2], last[2:])}
+
+change at wall: mean absolute change of skewness in the {len(near_wall(mesh))} cells next to it;
+surface error in chords; first time: seconds for ids, compiling and three steps,
+once more: for the three steps again.
+
+{table(steps[:2], steps[2:])}"""
 
 
 def write(path: pathlib.Path, mesh: jm.Mesh, points: np.ndarray, values: dict[str, np.ndarray]) -> list[pathlib.Path]:
@@ -214,15 +197,12 @@ def write(path: pathlib.Path, mesh: jm.Mesh, points: np.ndarray, values: dict[st
 
 def table(heads: Sequence[tuple[str, ...]], rows: Sequence[tuple[str, ...]]) -> str:
     """Formats rows with a rule under the heads."""
-    everything = [*heads, *rows]
-    widths = [max(map(len, column)) for column in zip(*everything, strict=True)]
-    lines = []
-    for row in everything:
-        first, *others = (
-            cell.ljust(w) if k == 0 else cell.rjust(w) for k, (cell, w) in enumerate(zip(row, widths, strict=True))
-        )
-        lines.append("  ".join([first, *others]).rstrip())
-    lines.insert(len(heads), "-" * (sum(widths) + 2 * (len(widths) - 1)))
+    first, *others = [max(map(len, column)) for column in zip(*heads, *rows, strict=True)]
+    lines = [
+        "  ".join([name.ljust(first), *(cell.rjust(width) for cell, width in zip(cells, others, strict=True))]).rstrip()
+        for name, *cells in (*heads, *rows)
+    ]
+    lines.insert(len(heads), "-" * (first + sum(others) + 2 * len(others)))
     return "\n".join(lines)
 
 
@@ -238,18 +218,15 @@ def figure5(path: pathlib.Path, mesh: jm.Mesh, outcomes: Sequence[Outcome]) -> N
                 axis.tick_params(labelsize=11)
                 axis.locator_params(nbins=6)
             column[0].set_title(f"{outcome.study.title}: largest skewness {outcome.skewness[-1][1]:.2f}")
-            _frame(column[0], TRAILING_EDGE)
+            (left, right), (low, high) = TRAILING_EDGE
+            frame = {"fill": False, "color": plot.BLUE, "linewidth": 2.5}
+            column[0].add_patch(Rectangle((left, low), right - left, high - low, **frame))
             column[1].set_xlabel("x / chord")
         for axis, what in zip(axes[:, 0], ("airfoil", "trailing edge and wake"), strict=True):
             axis.set_ylabel(f"{what}\ny / chord")
         bar = figure.colorbar(axes[0, 0].collections[0], ax=axes, aspect=35, pad=0.01)
         bar.set_label("skewness of the cells")
         figure.savefig(path)
-
-
-def _frame(axis: Any, window: plot.Window) -> None:
-    (left, right), (bottom, top) = window
-    axis.add_patch(Rectangle((left, bottom), right - left, top - bottom, fill=False, color=plot.BLUE, linewidth=2.5))
 
 
 def figure6(path: pathlib.Path, start: jm.QualityReport, outcomes: Sequence[Outcome], angles: Sequence[float]) -> None:

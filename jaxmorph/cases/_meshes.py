@@ -210,28 +210,32 @@ def bodies(
     it.
     """
     left, right, bottom, top = finite_array("box", box, (4,)).tolist()
-    sides = {name: finite_array(f"boxes[{name!r}]", box, (4,)).tolist() for name, box in boxes.items()}
-    ends = []
     if not (left < right and bottom < top and spacing > 0):
         raise ValueError(f"a box has x and y from least to largest and a positive spacing, not {box} and {spacing}.")
-    axes = [
-        np.linspace(*side, 1 + max(1, round((side[1] - side[0]) / spacing))) for side in ((bottom, top), (left, right))
-    ]
-    for name, (x0, x1, y0, y1) in sides.items():
-        near = [
-            np.abs(axis[:, None] - side).argmin(axis=0) for axis, side in zip(axes, ((y0, y1), (x0, x1)), strict=True)
-        ]
-        if any(not 0 < first < last < len(axis) - 1 for axis, (first, last) in zip(axes, near, strict=True)):
-            raise ValueError(
-                f"body {name!r} at {(x0, x1, y0, y1)} has no cell within it or beside it: try a smaller spacing."
-            )
-        ends.append([axis[i] for axis, i in zip(axes, near, strict=True)])
+    ends = (bottom, top), (left, right)
+    axes = [np.linspace(low, high, 1 + max(1, round((high - low) / spacing))) for low, high in ends]
+    sides = {name: _on_lines(name, finite_array(f"boxes[{name!r}]", four, (4,)), axes) for name, four in boxes.items()}
 
     def within(y, x, margin):
-        return [(y > a - margin) & (y < b + margin) & (x > c - margin) & (x < d + margin) for (a, b), (c, d) in ends]
+        return [
+            (y > a - margin) & (y < b + margin) & (x > c - margin) & (x < d + margin)
+            for (a, b), (c, d) in sides.values()
+        ]
 
     places, cells = cut(axes, lambda y, x: np.any([np.zeros(len(x), bool), *within(y, x, 0.0)], axis=0))
     y, x = places.T
     patches = dict(zip(boxes, within(y, x, 1e-9), strict=True))
     patches["farfield"] = (y == bottom) | (y == top) | (x == left) | (x == right)
     return jm.Mesh(np.stack([x, y], axis=1), {"quad": cells}, {k: np.flatnonzero(v) for k, v in patches.items()})
+
+
+def _on_lines(name: str, sides: np.ndarray, axes: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Moves a body's sides to grid lines: in y, then in x."""
+    places = []
+    for axis, pair in zip(axes, (sides[2:], sides[:2]), strict=True):
+        first, last = np.abs(axis[:, None] - pair).argmin(axis=0)
+        if not 0 < first < last < len(axis) - 1:
+            at = tuple(sides.tolist())
+            raise ValueError(f"body {name!r} at {at} has no cell within it or beside it: try a smaller spacing.")
+        places.append(axis[[first, last]])
+    return places

@@ -35,23 +35,16 @@ REFERENCE = Counts(half=80, wake=50, normal=150, base=6)
 
 
 def ids_of(*shape: int) -> np.ndarray:
-    """Numbers the nodes of a block of the given shape, the last index running fastest."""
     return np.arange(np.prod(shape)).reshape(shape)
 
 
 def quads(ids: np.ndarray) -> np.ndarray:
-    """Makes the cells (k, 4) between the nodes of a block, counter-clockwise.
-
-    Rows run along y, columns along x.
-    """
+    """Makes the cells (k, 4) of a block, counter-clockwise: rows along y, columns along x."""
     return np.stack([ids[:-1, :-1], ids[:-1, 1:], ids[1:, 1:], ids[1:, :-1]], axis=-1).reshape(-1, 4)
 
 
 def hexahedra(ids: np.ndarray) -> np.ndarray:
-    """Makes the cells (k, 8) between the nodes of a block.
-
-    Layers run along z, rows along y, columns along x.
-    """
+    """Makes the cells (k, 8) of a block: layers along z, rows along y, columns along x."""
     floor, lid = ids[:-1], ids[1:]
     return np.concatenate([np.stack([quads(layer) for layer in part]) for part in (floor, lid)], axis=-1).reshape(-1, 8)
 
@@ -71,12 +64,10 @@ def geometric(cells: int, first: float, samples: int | None = None) -> np.ndarra
 
 
 def root(function: Callable[[float], float], lower: float, upper: float) -> float:
-    """Finds where a function crosses zero, to the last digits of a spacing."""
     return float(cast(float, brentq(function, lower, upper, xtol=1e-14)))
 
 
 def cut(axes: Sequence[np.ndarray], is_solid) -> tuple[np.ndarray, np.ndarray]:
-    """Makes the grid between axes without cells whose middle is solid."""
     ids = ids_of(*map(len, axes))
     places = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
     cells = quads(ids) if len(axes) == 2 else hexahedra(ids)
@@ -86,33 +77,16 @@ def cut(axes: Sequence[np.ndarray], is_solid) -> tuple[np.ndarray, np.ndarray]:
 
 
 def c_grid(section: Section, *, points: int = REFERENCE_POINTS, first_cell: float = 1e-5) -> jm.Mesh:
-    """Makes a C-grid around a section of unit chord.
+    """Makes a C-grid around a section of unit chord, about as many points as asked for.
 
-    It has straight rays of 15 chords, and a wake to x = 17 chords.
+    It has straight rays of 15 chords, and a wake to x = 17 chords. With 39,666 points it has 260 x
+    150 cells, and 50 x 6 behind the base. Other numbers sample the same spacing laws along wall and
+    wake, and scale the four counts alike. Cells and patches are as in `naca0015`. Behind a sharp
+    trailing edge, both ends of the section at one place, the two wakes share their nodes.
 
-    The mesh has about as many points as asked for, and exactly as many for 39,666 (260 x 150 cells
-    and 50 x 6 behind the base). Other numbers sample the same spacing laws along wall and wake, and
-    scale the four counts alike.
-
-    The cells of the C come first, layer after layer from the wall. A layer runs from the lower
-    wake's exit round the nose to the upper wake's. The cells behind the base are last. All are
-    convex and counter-clockwise. Patches: `airfoil`, `farfield`. Behind a sharp trailing edge, both
-    ends of the section at one place, there is no base: the two wakes share their nodes.
-
-    **Arguments:**
-
-    - `section`: a function from parameters (k,), -1 to 1 from the lower trailing edge round the
-      nose to the upper, to places (k, 2) in chords.
-    - `points`: about how many points, 300 or more. Default 39,666.
-    - `first_cell`: height of the cells at the wall in chords, whatever the number of points.
-      Default 1e-5.
-
-    **Returns:** a `Mesh`.
-
-    **Raises:** `ValueError` for fewer than 300 points, a first cell that does not fit, and a
-    section whose upper end lies below its lower one. Also where the rays leave a cell that is not
-    convex: a nose of 1 % thickness at 9 % camber, or thickness and camber of which no airfoil is
-    made.
+    Raises `ValueError` for fewer than 300 points, a first cell that does not fit, and a section
+    whose upper end lies below its lower one. Also where the rays leave a cell that is not convex: a
+    nose of 1 % thickness at 9 % camber, or thickness and camber of which no airfoil is made.
     """
     counts = _counts(points)
     largest = 0.9 * RAY_LENGTH / counts.normal
@@ -165,7 +139,6 @@ def _wall(section: Section, counts: Counts) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _half(section: Section, end: float, cells: int) -> np.ndarray:
-    """Computes the nodes' parameters from the nose to one trailing edge, spaced in arc length."""
     t = np.linspace(0.0, end, 20_001)
     arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(section(t), axis=0), axis=1))])
     first, last = NOSE_SPACING / arc[-1], TRAILING_EDGE_SPACING / arc[-1]
@@ -194,9 +167,7 @@ def _with_wake(wall: np.ndarray, counts: Counts) -> tuple[np.ndarray, np.ndarray
     """
     first = TRAILING_EDGE_SPACING / (FARFIELD_X - 1)
     along = geometric(REFERENCE.wake, first, counts.wake)[1:]
-    rows = []
-    for x, y in wall[[0, -1]]:
-        rows.append(np.column_stack([x + (FARFIELD_X - x) * along, np.full_like(along, y)]))
+    rows = [np.column_stack([x + (FARFIELD_X - x) * along, np.full_like(along, y)]) for x, y in wall[[0, -1]]]
     weights = WAKE_WEIGHT * np.concatenate([along[::-1], np.zeros(len(wall)), along])
     return np.concatenate([rows[0][::-1], wall, rows[1]]), weights
 
@@ -210,18 +181,14 @@ def _ray_lengths(weights: np.ndarray, cells: int, first_cell: float) -> np.ndarr
 
 
 def _wake_strip(inner: np.ndarray, counts: Counts) -> np.ndarray:
-    """Places nodes (base - 1, wake + 1, 2) strictly between lower and upper wake.
-
-    They run from the trailing edge to the exit.
-    """
+    """Places nodes (base - 1, wake + 1, 2) between the wakes; the exit is last."""
     lower, upper = inner[counts.wake :: -1], inner[-counts.wake - 1 :]
     across = np.linspace(0, 1, counts.base + 1)[1:-1, None, None]
     return lower + across * (upper - lower)
 
 
 def _sharp(rays: np.ndarray, counts: Counts) -> jm.Mesh:
-    """Makes the mesh of the C's nodes alone; the upper wake has the nodes of the lower wake."""
-    places = np.arange(rays.shape[0] * rays.shape[1]).reshape(rays.shape[:2])
+    places = ids_of(*rays.shape[:2])
     places[0, -counts.wake - 1 :] = places[0, counts.wake :: -1]
     nodes, ids = np.unique(places, return_inverse=True)
     ids = ids.reshape(places.shape)
@@ -239,8 +206,7 @@ def _assemble(rays: np.ndarray, strip: np.ndarray, counts: Counts) -> jm.Mesh:
     """Makes the mesh of the C's nodes (normal + 1, rays, 2) and of the nodes between the wakes."""
     # The C's nodes are numbered layer by layer from the wall, the strip's nodes follow. The strip
     # behind the base has the innermost nodes of both wakes as its first and last line.
-    ids = np.arange(rays.shape[0] * rays.shape[1]).reshape(rays.shape[:2])
-    between = ids.size + np.arange(strip.shape[0] * strip.shape[1]).reshape(strip.shape[:2])
+    ids, between = ids_of(*rays.shape[:2]), rays[..., 0].size + ids_of(*strip.shape[:2])
     lower, upper = ids[0, counts.wake :: -1], ids[0, -counts.wake - 1 :]
     behind = np.vstack([lower, between, upper])
     return jm.Mesh(

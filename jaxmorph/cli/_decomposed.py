@@ -1,8 +1,8 @@
 """`jaxmorph deform --decomposed`: an OpenFOAM case part by part, in one process or an MPI run."""
 
+import contextlib
 import dataclasses
 import os
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,12 +13,12 @@ from jaxmorph import io
 from jaxmorph._host.package.ranks import Alone, Ranks, together
 from jaxmorph._host.package.rounding import rows_in
 
-from ._deform import check_files, described, write_job
+from ._deform import check, say_motion, write_job
 from ._method import patches_of
 from ._motion import motion
 from ._output import Output, Stage, title
 from ._requests import Deform
-from ._way import Way, faults, followed, in_double, say_proven
+from ._way import Way, faults, followed, in_double, is_kept, say_verdict
 
 COUNTS = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS")
 """Variables that count the processes that mpiexec or srun started together."""
@@ -43,34 +43,30 @@ def deform_parts(request: Deform, out: Output) -> int:
     gathered = ranks.gather({k: side for k, (side, _) in sides.items()})
     del sides
 
-    def prepared() -> tuple[jm.SurfaceHalf, np.ndarray, str] | None:
-        by_part = {k: side for share in gathered or () for k, side in share.items()}
+    def prepared() -> tuple[jm.SurfaceHalf, np.ndarray] | None:
         if not gathered:
             return None
+        by_part = {k: side for share in gathered for k, side in share.items()}
         return _prepared(request, case.surface([by_part[k] for k in range(len(case))]), out)
 
-    half, path, dtype = ranks.bcast(together(ranks, prepared))  # pyright: ignore[reportGeneralTypeIssues]
-    parts = Parts(half, path, dtype, largest, request.gates.limits, request.output)
-    try:
-        with case.writing(request.output, ranks) as writer, out.progress("moving and judging the parts") as stage:
-            by_part = _moved(parts, case, ranks, writer, stage)
-            _say_warnings_of_all(out, ranks)
-            bad = _print(
-                jm.Verdict.together([by_part[k] for k in sorted(by_part)]), half.plan.is_linear, len(path), out
-            )
-            if bad and not request.allow_inverted:
-                raise _Bad
-    except _Bad:
-        _complain(bad, out)  # pyright: ignore[reportPossiblyUnboundVariable]
-        out.complain(f"{request.output} is not written; --allow-inverted writes it anyway.")
-        return 1
-    _complain(bad, out)
-    out.say(f"wrote {request.output} ({out.seconds:.1f} s)", output=str(request.output))
+    half, path = ranks.bcast(together(ranks, prepared))  # pyright: ignore[reportGeneralTypeIssues]
+    parts, bad, is_written = MovingParts(half, path, largest, request), [], False
+    with contextlib.suppress(_Bad), case.writing(request.output, ranks) as writer:
+        with out.progress("moving and judging the parts") as stage:
+            verdict = _moved(parts, case, ranks, writer, stage)
+        _say_warnings_of_all(out, ranks)
+        say_verdict(verdict, out, is_straight=half.plan.is_linear, steps=len(path))
+        out.say(faces_between_parts=verdict.between, parts=verdict.parts)
+        bad = faults(verdict)
+        if not is_kept(bad, request.allow_inverted, request.output, out):
+            raise _Bad
+        is_written = True
+    if is_written:
+        out.say(f"wrote {request.output} ({out.seconds:.1f} s)", output=str(request.output))
     return 1 if bad else 0
 
 
-def _moved(parts: "Parts", case: io.Decomposed, ranks: Ranks, writer: Any, stage: Stage) -> dict[int, jm.Verdict]:
-    """Moves and writes each part in one of the processes; returns the verdicts by part."""
+def _moved(parts: "MovingParts", case: io.Decomposed, ranks: Ranks, writer: Any, stage: Stage) -> jm.Verdict:
     verdicts: dict[int, jm.Verdict] = {}
     for first in range(0, len(case), ranks.size):
         k = first + ranks.rank if first + ranks.rank < len(case) else None
@@ -79,21 +75,8 @@ def _moved(parts: "Parts", case: io.Decomposed, ranks: Ranks, writer: Any, stage
             verdicts[k] = moved[1]
         writer.add(k, None if moved is None else moved[0])
         stage.done(min(1.0, (first + ranks.size) / len(case)))
-    return {k: verdict for share in ranks.allgather(verdicts) for k, verdict in share.items()}
-
-
-def _print(verdict: jm.Verdict, is_straight: bool, steps: int, out: Output) -> list[str]:
-    """Prints the verdict on all parts, and returns the faults."""
-    assert verdict.before is not None
-    out.say(f"\n{verdict.table()}\n", before=verdict.before.facts, after=verdict.facts, gates=verdict.gate_facts)
-    out.say(faces_between_parts=verdict.between, parts=verdict.parts)
-    say_proven(verdict, is_straight, steps, out)
-    return faults(verdict)
-
-
-def _complain(bad: list[str], out: Output) -> None:
-    for sentence in bad:
-        out.complain(sentence)
+    by_part = {k: verdict for share in ranks.allgather(verdicts) for k, verdict in share.items()}
+    return jm.Verdict.together([by_part[k] for k in sorted(by_part)])
 
 
 def _say_warnings_of_all(out: Output, ranks: Ranks) -> None:
@@ -132,53 +115,42 @@ def _ranks() -> Ranks:
 
 
 def _checked(request: Deform) -> io.Decomposed:
-    """Opens the case. Raises `ValueError` for a request that is sure to fail, before any work."""
     case = io.Decomposed(request.file)
     case.check_output(request.output)
     return case
 
 
-def _prepared(request: Deform, surface: jm.Mesh, out: Output) -> tuple[jm.SurfaceHalf, np.ndarray, str]:
-    """Prepares the surface and its motion, describes both, and warns of contradictions."""
-    check_files(request, surface)
+def _prepared(request: Deform, surface: jm.Mesh, out: Output) -> tuple[jm.SurfaceHalf, np.ndarray]:
+    check(request, surface)
     patches = patches_of(request, surface)
-    wall = np.asarray(surface.points)[patches.nodes]
     moves = motion(request, surface, patches.nodes)
+    path = moves.path(np.asarray(surface.points)[patches.nodes], request.steps)
     with out.progress("preparing the surface"):
-        choice = patches.method(request.method)
-        if choice.method.needs_cells:
-            raise ValueError(f"--decomposed is not for {request.method.method}, which solves for all nodes at once.")
-        path = moves.path(wall, request.steps)
-        out.say(f"{title(request.file)}: boundary of {len(surface.points)} nodes in {surface.points.shape[1]}-D")
-        described(request, patches, choice, path[-1], out)
-        half = patches.half(choice.method)
-        for warning in jm.inspect(half.plan, path[-1].astype(request.method.dtype)).warnings:
-            out.warn(warning)
-    write_job(request, out)
-    for file in moves.write_lattices():
-        out.say(f"lattice  {file}")
-    return half, path, request.method.dtype
+        half = patches.half()
+    out.say(f"{title(request.file)}: boundary of {len(surface.points)} nodes in {surface.points.shape[1]}-D")
+    say_motion(request, patches, half.plan, path[-1], out)
+    for warning in jm.inspect(half.plan, path[-1].astype(request.method.dtype)).warnings:
+        out.warn(warning)
+    write_job(request, moves, out)
+    return half, path
 
 
 @dataclasses.dataclass(frozen=True)
-class Parts:
-    """The shared state of all parts of a case: prepared surface, path, precision and limits.
+class MovingParts:
+    """The shared state of all parts of a case: prepared surface, and the path of its nodes.
 
     `largest` is the number of nodes of the largest part.
     """
 
     half: jm.SurfaceHalf
     path: Float[np.ndarray, "k m d"]
-    dtype: str
     largest: int
-    limits: jm.Limits
-    output: Path
+    request: Deform
 
     def moved(self, case: io.Decomposed, k: int) -> tuple[jm.Mesh, jm.Verdict]:
-        """Moves part `k`, and judges it."""
         mesh = case.read(k)
         way = self._way(mesh, io.global_nodes(mesh), f"processor{k}")
-        return mesh.moved(way.ends[-1]), way.judge(self.limits, part=k)
+        return mesh.moved(way.ends[-1]), way.judge(self.request.gates.limits, part=k)
 
     def _way(self, mesh: jm.Mesh, ids: np.ndarray, name: str) -> Way:
         """Moves the points of a part, whose nodes are `ids` (k,) of the whole mesh.
@@ -186,20 +158,19 @@ class Parts:
         Errors begin with `name`. The part is filled up with copies of a node to the size of the
         largest part, so that all parts share compiled code.
         """
-        half, path, base = self.half, self.path, np.asarray(mesh.points)
+        half, base = self.half, np.asarray(mesh.points)
         is_inner = ~np.isin(ids, half.surface_nodes)
         more = self.largest - len(ids)
         rows = np.append(np.arange(len(ids)), np.full(more, is_inner.argmax()))
         nodes = np.append(np.where(is_inner, -1, ids), np.full(more, -1))
         try:
-            plan = half.attach(base.astype(self.dtype)[rows], nodes)
+            plan = half.attach(base.astype(self.request.method.dtype)[rows], nodes)
         except jm.MeshError as error:
             raise ValueError(f"{name}: {error.renumbered(rows)}") from None
         here = np.flatnonzero(np.isin(ids, half.moving))
-        of_moving = rows_in(half.moving, ids[here])
-        steps = zip(path, followed(plan, path), strict=True)
-        ends = (
-            in_double(base, np.asarray(points)[: len(ids)], here, u[of_moving], plan.method.exact)
-            for u, points in steps
-        )
-        return Way(self.output, mesh, tuple(ends), plan.is_linear)
+        path = self.path[:, rows_in(half.moving, ids[here])]
+        ends = [
+            in_double(base, np.asarray(points)[: len(ids)], here, u, plan.method.exact)
+            for u, points in zip(path, followed(plan, self.path), strict=True)
+        ]
+        return Way(self.request.output, mesh, tuple(ends), plan.is_linear)

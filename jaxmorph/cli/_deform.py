@@ -1,15 +1,13 @@
 """`jaxmorph deform`: one mesh, one motion, and other methods where it fails."""
 
 import dataclasses
-import importlib
 import itertools
 import warnings
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 import jaxmorph as jm
 from jaxmorph import Mesh, io
@@ -20,14 +18,11 @@ from jaxmorph._host.package.files import complete
 from jaxmorph._kernels.compile import quickly_compiled
 
 from ._job import text_of
-from ._method import NamedMethod, Patches, mesh_of, patches_of
+from ._method import Chunks, Patches, described, mesh_of, patches_of
 from ._motion import Motion, motion
 from ._output import Output, coordinates, count, title, wrapped
 from ._requests import Deform
-from ._way import Way, faults, followed, in_double, say_proven, writing
-
-Chunks = Iterator[tuple[Int[np.ndarray, " c"], jm.Plan]]
-"""Nodes and plans of a mesh in chunks, one after the other."""
+from ._way import Way, faults, followed, in_double, is_kept, say_verdict, writing
 
 SMALL = 10_000
 """Points, times steps, below which compile time dominates."""
@@ -55,38 +50,29 @@ class Attempt:
 
     @property
     def base(self) -> Float[np.ndarray, "n d"]:
-        """The undeformed points."""
         return np.asarray(self.patches.mesh.points, dtype=float)
 
-    @property
-    def wall(self) -> Float[np.ndarray, "m d"]:
-        """The undeformed points of the moving nodes."""
-        return self.base[self.patches.nodes]
+    def path(self, steps: int = 1) -> Float[np.ndarray, "k m d"]:
+        """Total displacements of the moving nodes at the end of each step."""
+        return self.motion.path(self.base[self.patches.nodes], steps)
 
-    def way(
-        self,
-        chunks: Chunks,
-        steps: int,
-        done: Callable[[float], None] | None = None,
-    ) -> Way:
+    def way(self, chunks: Chunks, steps: int, done: Callable[[float], None] = lambda share: None) -> Way:
         """Moves the points chunk by chunk, in double precision; `done` takes the finished share.
 
         Steps before the last one are kept for `--proven` alone.
         """
-        path = self.motion.path(self.wall, steps)
-        ends = {step: self.base.copy() for step in (range(steps) if self.request.gates.proven else [steps - 1])}
-        is_moved, is_straight = np.zeros(len(self.base), dtype=bool), True
+        path, base, wall = self.path(steps), self.base, self.patches.nodes
+        ends = {step: base.copy() for step in (range(steps) if self.request.gates.proven else [steps - 1])}
+        is_moved, is_straight = np.zeros(len(base), dtype=bool), True
         for nodes, plan in chunks:
-            here = np.flatnonzero(np.isin(nodes, self.patches.nodes))
-            of_wall = np.searchsorted(self.patches.nodes, nodes[here])
+            here = np.flatnonzero(np.isin(nodes, wall))
+            of_wall = np.searchsorted(wall, nodes[here])
             for step, moved in enumerate(followed(plan, path)):
                 if step in ends:
-                    u = path[step][of_wall]
-                    ends[step][nodes] = in_double(self.base[nodes], moved, here, u, plan.method.exact)
+                    ends[step][nodes] = in_double(base[nodes], moved, here, path[step][of_wall], plan.method.exact)
             is_moved[nodes] = True
             is_straight &= plan.is_linear
-            if done is not None:
-                done(is_moved.mean())
+            done(is_moved.mean())
         return Way(self.request.output, self.patches.mesh, tuple(ends.values()), is_straight)
 
     def judge(self, way: Way) -> jm.Verdict:
@@ -102,20 +88,37 @@ def deform(request: Deform, out: Output) -> int:
 
 
 def _deform(request: Deform, mesh: Mesh, out: Output) -> int:
-    attempt, chunks = _attempt(request, mesh, out)
-    nodes, plan, way = _moved(attempt, chunks, out)
-    judging = Beside(attempt.judge, way)
+    check(request, mesh)
+    judging = Beside(jm.judge, mesh, None, request.gates.limits)
+    patches = patches_of(request, mesh)
+    attempt = Attempt(request, patches, motion(request, mesh, patches.nodes), judging)
+    with out.progress("preparing"):
+        chunks = patches.chunks(request.chunk)
+        nodes, plan = next(chunks)
+    n, d = mesh.points.shape
+    cells = ", ".join(f"{number} {kind}" for kind, number in mesh.cell_counts.items())
+    out.say(f"{title(request.file)}: {n} points in {d}-D, {cells}", points=n)
+    say_motion(request, patches, plan, attempt.path()[-1], out)
+    with out.progress("judging the cells"):
+        judging.result()  # it raises for limits on measures that the cells do not have
+    with out.progress(f"deforming in {count(request.steps, 'step')}") as stage:
+        way = attempt.way(itertools.chain([(nodes, plan)], chunks), request.steps, stage.done)
+    return _written(attempt, way, nodes, plan, out)
+
+
+def _written(attempt: Attempt, way: Way, nodes: np.ndarray, plan: jm.Plan, out: Output) -> int:
+    """Inspects and judges the motion beside writing the mesh; `nodes` are those of `plan`."""
+    request, judging = attempt.request, Beside(attempt.judge, way)
     with writing(way.write, judging.result) as finish:
         inspection, boundary = _inspected(attempt, nodes, plan, way.stored, out)
         with out.progress("judging the cells"):
             verdict = judging.result()
         _tell(attempt, way, verdict, inspection, boundary, out)
-        bad = faults(verdict)
         _write_beside(attempt, way, verdict, out)
+        bad = faults(verdict)
         if bad:
-            explain(attempt, bad, out)
-        if bad and not request.allow_inverted:
-            out.complain(f"{request.output} is not written; --allow-inverted writes it anyway.")
+            bad[-1] += _advice(attempt, out)
+        if not is_kept(bad, request.allow_inverted, request.output, out):
             return 1
         with out.progress(f"writing {request.output.name}"):
             finish()
@@ -123,42 +126,12 @@ def _deform(request: Deform, mesh: Mesh, out: Output) -> int:
     return 1 if bad else 0
 
 
-def _attempt(request: Deform, mesh: Mesh, out: Output) -> tuple[Attempt, Chunks]:
-    """Checks the request, describes it on the terminal, and collects what an attempt needs."""
-    _check(request, mesh)
-    judging = Beside(jm.judge, mesh, None, request.gates.limits)
-    patches = patches_of(request, mesh)
-    wall = np.asarray(mesh.points)[patches.nodes]
-    moves = motion(request, mesh, patches.nodes)
-    with out.progress("choosing sources"):
-        choice = patches.method(request.method)
-        chunks = patches.chunks(choice.method, request.chunk)
-    n, d = mesh.points.shape
-    cells = ", ".join(f"{number} {kind}" for kind, number in mesh.cell_counts.items())
-    out.say(f"{title(request.file)}: {n} points in {d}-D, {cells}", points=n)
-    described(request, patches, choice, moves.path(wall, 1)[-1], out)
-    return Attempt(request, patches, moves, judging), chunks
-
-
-def _moved(attempt: Attempt, chunks: Chunks, out: Output) -> tuple[np.ndarray, jm.Plan, Way]:
-    """Moves the points; returns the first chunk's nodes and plan, and the way of all points."""
-    steps = attempt.request.steps
-    with out.progress("preparing"):
-        nodes, plan = next(chunks)
-    with out.progress("judging the cells"):
-        attempt.judging.result()  # it raises for limits on measures that the cells do not have
-    with out.progress(f"deforming in {count(steps, 'step')}") as stage:
-        return nodes, plan, attempt.way(itertools.chain([(nodes, plan)], chunks), steps, stage.done)
-
-
 def _inspected(
     attempt: Attempt, nodes: np.ndarray, plan: jm.Plan, points: np.ndarray, out: Output
 ) -> tuple[jm.Inspection, jm.BoundaryQuality]:
-    """Inspects the motion, warns of contradictions, and judges the boundary."""
     with out.progress("inspecting the motion"):
-        u, mesh = attempt.motion.path(attempt.wall, 1)[-1], attempt.patches.mesh
         moved = points[nodes] if attempt.request.steps == 1 and plan.points.dtype == points.dtype else None
-        inspection = inspected(plan, u, mesh, nodes, moved)
+        inspection = inspected(plan, attempt.path()[-1], attempt.patches.mesh, nodes, moved)
         for warning in inspection.warnings:
             out.warn(warning)
         return inspection, jm.boundary_quality(plan, points[nodes]).renumbered(nodes)
@@ -172,67 +145,47 @@ def _tell(
     boundary: jm.BoundaryQuality,
     out: Output,
 ) -> None:
-    """Prints tables of quality before and after."""
+    overshoots: dict[str, Any] = {"overshoot": inspection.overshoot, "overshoot_behind": inspection.overshoot_behind}
     wall = _wall_numbers(attempt, way.stored)
-    out.say(f"\n{verdict.table(_rows(wall, inspection))}\n")
-    say_proven(verdict, way.is_straight, attempt.request.steps, out)
+    rows = [
+        f"{name.replace('_', ' '):<23}{start:>12g}{end:>12.5g}{place}" for name, (start, end, place) in wall.items()
+    ]
+    rows = [row.replace("first cell height", "first-cell height") for row in rows]
+    rows += [f"{name.replace('_', ' '):<23}{'-':>12}{value:>12.5g}" for name, value in overshoots.items()]
+    say_verdict(verdict, out, is_straight=way.is_straight, steps=attempt.request.steps, more=rows)
     if boundary.nodes:
-        wrapped(out, f"boundary: {boundary}")
+        out.say(wrapped(f"boundary: {boundary}"))
         measures = {name: getattr(boundary, name) for name in boundary.nodes}
         out.say(boundary=measures | {"ended": boundary.ended.tolist()})
-    start, end = ({number.name: getattr(number, when) for number in wall} for when in ("before", "after"))
-    out.say(before=attempt.before.facts | start, after=verdict.facts | end)
-    out.say(overshoot=inspection.overshoot, overshoot_behind=inspection.overshoot_behind)
-    out.say(gates=verdict.gate_facts)
+    starts, ends = ({name: numbers[k] for name, numbers in wall.items()} for k in (0, 1))
+    out.say(before=attempt.before.facts | starts, after=verdict.facts | ends, **overshoots)
 
 
-@dataclasses.dataclass(frozen=True)
-class WallNumber:
-    """One number of the first grid line at the moving wall, before and after."""
+def _wall_numbers(attempt: Attempt, points: np.ndarray) -> dict[str, tuple[float, float, str]]:
+    """Measures the first grid line at the moving nodes: before and after by name, and the place.
 
-    name: str
-    label: str
-    before: float
-    after: float
-    place: str = ""
-
-
-def _wall_numbers(attempt: Attempt, points: np.ndarray) -> list[WallNumber]:
-    """Measures the first grid line at the moving nodes.
-
-    The list is empty where no side of a cell lies there, or no line begins.
+    There is nothing where no side of a cell lies there, or no line begins.
     """
     try:
         wall = jm.wall_quality(attempt.patches.mesh, attempt.patches.nodes, points)
     except ValueError:
-        return []
+        return {}
     # as mean_angle, max_angle and min_height, by NumPy: nothing is compiled for a table
     angle, height, nodes = np.asarray(wall.angle), np.asarray(wall.height), np.asarray(wall.nodes)
     if not len(nodes):
-        return []
+        return {}
     most, least = int(angle.argmax()), int(height.argmin())
     steepest, lowest = (f"   node {nodes[row]} near {coordinates(points[nodes[row]])}" for row in (most, least))
-    return [
-        WallNumber("mean_wall_angle", "mean wall angle", 0.0, float(angle.mean())),
-        WallNumber("max_wall_angle", "max wall angle", 0.0, float(angle[most]), steepest),
-        WallNumber("min_first_cell_height", "min first-cell height", 1.0, float(height[least]), lowest),
-    ]
-
-
-def _rows(wall: list[WallNumber], inspection: jm.Inspection) -> list[str]:
-    """Formats numbers of the first grid line, and the overshoot, as rows of a table."""
-    rows = [f"{row.label:<23}{row.before:>12g}{row.after:>12.5g}{row.place}" for row in wall]
-    for label, value in (("overshoot", inspection.overshoot), ("overshoot behind", inspection.overshoot_behind)):
-        rows.append(f"{label:<23}{'-':>12}{value:>12.5g}")
-    return rows
+    return {
+        "mean_wall_angle": (0.0, float(angle.mean()), ""),
+        "max_wall_angle": (0.0, float(angle[most]), steepest),
+        "min_first_cell_height": (1.0, float(height[least]), lowest),
+    }
 
 
 def _write_beside(attempt: Attempt, way: Way, verdict: jm.Verdict, out: Output) -> None:
-    """Writes the job file, lattices and the picture, also if cells are bad."""
     picture = attempt.request.picture
-    write_job(attempt.request, out)
-    for file in attempt.motion.write_lattices():
-        out.say(f"lattice  {file}")
+    write_job(attempt.request, attempt.motion, out)
     if picture is not None:
         try:
             with out.progress("drawing"):
@@ -245,32 +198,22 @@ def _write_beside(attempt: Attempt, way: Way, verdict: jm.Verdict, out: Output) 
             out.warn(f"no picture: {error}")
 
 
-def _check(request: Deform, mesh: Mesh) -> None:
-    """Raises `ValueError` for a request that is sure to fail, before any work."""
-    io.check_output(request.output, mesh)
-    check_files(request, mesh)
-    if request.picture is not None:
-        _check_picture(request.picture, mesh)
-
-
-def _check_picture(path: Path, mesh: Mesh) -> None:
-    """Raises `ValueError` or `ImportError` for a picture that is sure to fail, before any work."""
-    endings = (".png",) if mesh.points.shape[1] == 2 else (".png", ".html")
-    if path.suffix.lower() not in endings:
-        raise ValueError(f"--picture {path}: a picture of this mesh ends in {' or '.join(endings)}.")
-    importlib.import_module("jaxmorph.plot")
-
-
-def check_files(request: Deform, mesh: Mesh) -> None:
-    """Raises `ValueError` for patches without nodes, `ImportError` for lattices without VTK."""
+def check(request: Deform, mesh: Mesh) -> None:
+    """Raises `ValueError` or `ImportError` for what is sure to fail, before any work."""
+    if not request.decomposed:
+        io.check_output(request.output, mesh)
     for group in request.groups:
         if group.lattice is not None:
             io.check_lattice_output(group.lattice)
         if group.patches and not len(mesh.patch(*group.patches)):
             raise ValueError(f"--moving {' '.join(group.patches)}: there are no nodes in it.")
+    if request.picture is not None:
+        if mesh.points.shape[1] == 2 and request.picture.suffix.lower() != ".png":
+            raise ValueError(f"--picture {request.picture}: a picture of this mesh ends in .png.")
+        from jaxmorph import plot  # noqa: F401  raises where an extra is missing
 
 
-def described(request: Deform, patches: Patches, choice: NamedMethod, u: np.ndarray, out: Output) -> None:
+def say_motion(request: Deform, patches: Patches, plan: jm.Plan, u: np.ndarray, out: Output) -> None:
     """Describes what moves, by how much, what stays, and the method.
 
     `u` are the displacements of the moving nodes.
@@ -279,39 +222,36 @@ def described(request: Deform, patches: Patches, choice: NamedMethod, u: np.ndar
     for names in dict.fromkeys(tuple(group.patches) for group in request.groups):
         nodes = mesh.patch(*names)
         largest = way[np.searchsorted(patches.nodes, nodes)].max()
-        wrapped(out, f"moving   {', '.join(names)}: {count(len(nodes), 'node')}, by up to {largest:.4g}")
+        out.say(wrapped(f"moving   {', '.join(names)}: {count(len(nodes), 'node')}, by up to {largest:.4g}"))
     names = ", ".join(request.boundary.fixed) or "no patch"
-    wrapped(out, f"fixed    {names}: {count(len(patches.fixed_nodes), 'node')}")
-    if patches.symmetry:
-        wrapped(out, f"symmetry {', '.join(patches.symmetry)}: {count(len(mesh.patch(*patches.symmetry)), 'node')}")
-    if patches.sliding:
-        wrapped(out, f"sliding  {', '.join(patches.sliding)}: {count(len(mesh.patch(*patches.sliding)), 'node')}")
+    out.say(wrapped(f"fixed    {names}: {count(len(patches.fixed_nodes), 'node')}"))
+    for what, names in (("symmetry", tuple(patches.symmetry)), ("sliding ", patches.sliding)):
+        if names:
+            out.say(wrapped(f"{what} {', '.join(names)}: {count(len(mesh.patch(*names)), 'node')}"))
     for pair in patches.periodic:
-        wrapped(out, f"periodic {pair.patch}, {pair.partner}: {count(len(mesh.patch(str(pair.patch))), 'pair')}")
-    out.say(f"method   {choice.name}, {count(request.steps, 'step')}", method=choice.name, steps=request.steps)
+        out.say(wrapped(f"periodic {pair.patch}, {pair.partner}: {count(len(mesh.patch(str(pair.patch))), 'pair')}"))
+    name, sources = described(request.method, plan)
+    out.say(f"method   {name}, {count(request.steps, 'step')}", method=name, steps=request.steps)
     moving = {name: len(mesh.patch(name)) for name in patches.moving}
-    out.say(moving=moving, largest=float(way.max()), sources=choice.sources)
+    out.say(moving=moving, largest=float(way.max()), sources=sources)
 
 
-def write_job(request: Deform, out: Output) -> None:
-    """Writes the job file that is asked for."""
+def write_job(request: Deform, moves: Motion, out: Output) -> None:
     if request.save_job is not None:
         with complete(request.save_job) as partial:
             partial.write_bytes(text_of(request, request.save_job.parent).encode())
         out.say(f"job      {request.save_job}")
+    for file in moves.write_lattices():
+        out.say(f"lattice  {file}")
 
 
-def explain(attempt: Attempt, bad: list[str], out: Output) -> None:
-    """Prints what is wrong, and other flags that cure it, if an attempt with them succeeds."""
+def _advice(attempt: Attempt, out: Output) -> str:
+    """Writes which other flags cure a bad motion: the first of which an attempt succeeds."""
     request = attempt.request
-    for sentence in bad[:-1]:
-        out.complain(sentence)
     if any(gate.beyond for gate in attempt.before.gates):  # no way of moving the mesh cures it
-        out.complain(bad[-1])
-        return
+        return ""
     if out.seconds > PATIENCE or not request.dry_run:
-        out.complain(f"{bad[-1]} No other flags were tried.")
-        return
+        return " No other flags were tried."
     trials, worked = _trials(attempt), ""
     with out.progress("trying others") as stage:
         for k, cure in enumerate(trials):
@@ -319,17 +259,17 @@ def explain(attempt: Attempt, bad: list[str], out: Output) -> None:
                 worked = _flags(attempt, cure)
                 break
             stage.done((k + 1) / len(trials))
-    tried = ", ".join(_flags(attempt, cure) for cure in trials)
-    advice = f"{worked} works." if worked else f"A dry run with each of {tried} does not cure it."
-    out.complain(f"{bad[-1]} {advice}" if trials else bad[-1])
     out.say(suggestion=worked)
+    if worked or not trials:
+        return worked and f" {worked} works."
+    return f" A dry run with each of {', '.join(_flags(attempt, cure) for cure in trials)} does not cure it."
 
 
 def _trials(attempt: Attempt) -> list[Cure]:
     """Lists cures in the order in which they are tried: the default method first."""
     patches, request = attempt.patches, attempt.request
-    u = attempt.motion.path(attempt.wall, 1)[-1]
-    found = [Cure(method="default"), *cures(patches.mesh, patches.nodes, patches.fixed_nodes, u)]
+    found = [Cure(method="default")]
+    found += cures(patches.mesh, patches.nodes, patches.fixed_nodes, attempt.path()[-1])
     found = [dataclasses.replace(cure, steps=cure.steps * request.steps) for cure in found]
     return [cure for cure in found if cure.method != request.method.method]
 
@@ -341,18 +281,17 @@ def _flags(attempt: Attempt, cure: Cure) -> str:
 
 
 def _works(attempt: Attempt, cure: Cure) -> bool:
-    """Checks whether a cure leaves the mesh good. False if it is refused."""
-    patches, method = attempt.patches, attempt.request.method
-    fixed = tuple(name for name in patches.fixed if name not in cure.sliding)
-    attempt = dataclasses.replace(
-        attempt, patches=dataclasses.replace(patches, fixed=fixed, sliding=(*patches.sliding, *cure.sliding))
+    patches = attempt.patches
+    patches = dataclasses.replace(
+        patches,
+        fixed=tuple(name for name in patches.fixed if name not in cure.sliding),
+        sliding=(*patches.sliding, *cure.sliding),
+        request=dataclasses.replace(patches.request, method=cure.method or patches.request.method),
     )
-    method = dataclasses.replace(method, method=cure.method or method.method)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
-            chunks = attempt.patches.chunks(attempt.patches.method(method).method, attempt.request.chunk)
-            way = attempt.way(chunks, cure.steps)
+            way = dataclasses.replace(attempt, patches=patches).way(patches.chunks(attempt.request.chunk), cure.steps)
         except (ValueError, ImportError):  # ImportError: a solver for large 3-D meshes is not installed
             return False
         return attempt.judge(way).ok

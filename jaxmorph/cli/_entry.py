@@ -4,23 +4,34 @@ Nothing of JAX is imported before the words are understood.
 """
 
 import argparse
+import hashlib
 import importlib
 import os
+import platform
 import textwrap
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
 
 from . import _help
 from ._job import with_job
 from ._output import Output
 from ._parser import Parser, made, meant, quoted
-from ._requests import COMMANDS, Request, Speech
+from ._requests import COMMANDS, SU2, Deform, Demo, Info, ModesRequest, Quality, Request, SensitivityRequest, Speech
+
+LIMIT = 256 * 2**20
+"""Bytes in the cache at most; what was used longest ago goes first."""
 
 
 def answer(words: Sequence[str]) -> int:
     """Runs one command and returns its exit status, as `main` does."""
-    top, parsers = parser(is_short="--help-all" not in words and "_ARGCOMPLETE" not in os.environ)
-    _complete(top)
+    asked = "_ARGCOMPLETE" in os.environ  # by a shell: how do the words go on?
+    top, parsers = parser(is_short="--help-all" not in words and not asked)
+    if asked:
+        import argcomplete
+
+        argcomplete.autocomplete(top)
     if not words:
         top.print_help()
         return 0
@@ -50,17 +61,29 @@ def answer(words: Sequence[str]) -> int:
 
 def _command(request: Request) -> Callable[[Request, Output], int]:
     """Imports the command, and JAX with it, in double precision and with a cache."""
-    importlib.import_module("._compiled", __package__).begin()
-    module, name = request.run.split(".")
+    begin_jax()
+    is_part = isinstance(request, Deform) and request.decomposed
+    module, name = ("_decomposed.deform_parts" if is_part else RUNS[type(request)]).split(".")
     return getattr(importlib.import_module(f".{module}", __package__), name)
 
 
+RUNS: dict[Any, str] = {
+    Deform: "_deform.deform",
+    ModesRequest: "_modes.modes",
+    SensitivityRequest: "_sensitivity.sensitivity",
+    SU2: "_su2.run",
+    Quality: "_inspect.quality",
+    Info: "_inspect.info",
+    Demo: "_inspect.demo",
+}
+"""The function of each request's command, and its module, which imports JAX."""
+
+
 def one_line(message: object) -> str:
-    """Joins the words of a message by single spaces."""
     return " ".join(str(message).split())
 
 
-def _checked(words: Sequence[str], top: Parser, parsers: dict[str, Parser]) -> str:
+def _checked(words: Sequence[str], top: Parser, parsers: Mapping[str, Parser]) -> str:
     """Returns the command's name.
 
     A flag of the program itself ends the process; unknown commands and flags with status 2.
@@ -73,14 +96,6 @@ def _checked(words: Sequence[str], top: Parser, parsers: dict[str, Parser]) -> s
         top.error(f"there is no command {name}{meant(name, COMMANDS)}")
     parsers[name].check_flags(words[1:])
     return name
-
-
-def _complete(top: Parser) -> None:
-    """Answers a shell that asks how the words go on, and ends; see argcomplete."""
-    if "_ARGCOMPLETE" in os.environ:
-        import argcomplete
-
-        argcomplete.autocomplete(top)
 
 
 def request_of(words: Sequence[str], parsers: Mapping[str, Parser] | None = None) -> Request:
@@ -101,40 +116,80 @@ def parser(*, is_short: bool = False) -> tuple[Parser, dict[str, Parser]]:
     `is_short` leaves rare flags out of the pages of help.
     """
     top = Parser(prog="jaxmorph", description="Moves meshes with their surfaces, and judges them.", epilog=_help.MAIN)
-    top.add(
-        ["--version"],
-        {"action": Version, "nargs": 0, "help": "show the versions of jaxmorph, JAX, NumPy, SciPy and Python"},
-    )
+    text = "show the versions of jaxmorph, JAX, NumPy, SciPy and Python"
+    top.add(["--version"], {"action": Version, "nargs": 0, "help": text})
     commands = top.add_subparsers(
         title="commands", dest="command", metavar="COMMAND", required=True, parser_class=Parser
     )
     parsers = {}
     for name, fields in COMMANDS.items():
         page = _help.PAGES[name]
-        is_brief = is_short and bool(page.short)
+        is_brief = is_short and bool(page.more)
         command = parsers[name] = commands.add_parser(
             name,
             help=page.summary,
             description=textwrap.fill(page.summary[0].upper() + page.summary[1:] + ".", 80),
             usage=f"jaxmorph {name} {page.usage}",
-            epilog=page.short if is_brief else page.long,
+            epilog=page.below(is_brief),
             is_short=is_brief,
         )
-        if page.short:
-            command.add(["--help-all"], {"action": "help", "help": "show all flags and more examples"}, everyday=True)
+        if page.more:
+            command.add(["--help-all"], {"action": "help", "help": "show all flags and more examples"})
         command.add_fields(fields)
     return top, parsers
 
 
 class Version(argparse.Action):
-    """Prints versions, and ends."""
-
     def __call__(self, parser, namespace, values, option_string=None):
         from importlib.metadata import version
-        from platform import python_version
 
         import jaxmorph
 
         others = ", ".join(f"{name} {version(name)}" for name in ("jax", "numpy", "scipy"))
-        print(f"jaxmorph {jaxmorph.__version__} ({others}, Python {python_version()})")
+        print(f"jaxmorph {jaxmorph.__version__} ({others}, Python {platform.python_version()})")
         parser.exit()
+
+
+def begin_jax() -> None:
+    """Switches double precision on, and JAX's compilation cache, in the user's cache folder.
+
+    There is no cache if JAX has a folder already, if the folder is missing or open to other users,
+    or without the packages that find and lock it.
+    """
+    import jax
+
+    config: Any = jax.config
+    config.update("jax_enable_x64", True)
+    if config.jax_compilation_cache_dir:
+        return
+    try:
+        import filelock  # noqa: F401  JAX locks the folder with it
+        import platformdirs
+
+        folder = platformdirs.user_cache_path("jaxmorph") / "compiled" / _machine()
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        is_private = _is_private(folder)
+    except (ImportError, OSError):
+        return
+    if is_private:
+        config.update("jax_compilation_cache_dir", str(folder))
+        config.update("jax_compilation_cache_max_size", LIMIT)
+        config.update("jax_persistent_cache_min_compile_time_secs", 0)  # reading takes a tenth of any compilation
+
+
+def _is_private(folder: Path) -> bool:
+    """Checks whether this user alone can write to a folder: machine code in it may do anything."""
+    about = folder.stat()
+    is_mine = os.name != "posix" or (about.st_uid == os.getuid() and not about.st_mode & 0o022)
+    return is_mine and os.access(folder, os.W_OK)
+
+
+def _machine() -> str:
+    """Names the kind of processor, on which another kind's code may not run."""
+    facts = [platform.machine()]
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        facts += sorted({line for line in lines if line.startswith(("model name", "flags", "Features", "CPU part"))})
+    except OSError:
+        pass
+    return hashlib.sha256("\n".join(facts).encode()).hexdigest()[:16]

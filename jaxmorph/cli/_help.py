@@ -4,26 +4,35 @@ import dataclasses
 
 from jaxmorph._advice.methods import METHODS
 
+EXAMPLES = "examples:\n"
+
 
 @dataclasses.dataclass(frozen=True)
 class Page:
     """Help of one command: summary, usage, and the text below its flags.
 
-    `long` is for the long page, `short` for the short page. With an empty `short` there is only the
-    long page.
+    The short page says what `more` there is, and has the first `few` lines of the examples. Without
+    `more` there is only the long page.
     """
 
     summary: str
     usage: str
-    long: str
-    short: str = ""
+    text: str
+    more: str = ""
+    few: int = 0
+
+    def below(self, is_short: bool) -> str:
+        above, _, below = self.text.partition(EXAMPLES)
+        if not is_short:
+            return self.text if "[METHOD ...]" not in self.usage else f"{above}{_methods()}\n\n{EXAMPLES}{below}"
+        examples, _, status = below.partition("\n\n")
+        few = "\n".join(examples.split("\n")[: self.few])
+        return f"{self.more}\n\n{EXAMPLES}{few}\n\n{status}"
 
 
-def _with_methods(text: str) -> str:
-    """Puts the list of methods before the examples of a page."""
+def _methods() -> str:
     lines = [f"  {entry.name + ' *' * entry.needs_cells:<17} {entry.sentence}" for entry in METHODS]
-    above, examples, below = text.partition("examples:\n")
-    return "\n".join([f"{above}methods (* is solved on the cells):", *lines, "", examples + below])
+    return "\n".join(["methods (* is solved on the cells):", *lines])
 
 
 MAIN = """\
@@ -36,7 +45,13 @@ examples:
 exit status: 0; 1 when a motion inverts cells or a gate fails; 2 for bad input;
 130 when interrupted"""
 
-DEFORM = """\
+PAGES = {
+    "deform": Page(
+        "move patches of a mesh, and the mesh with them",
+        """IN OUT --moving NAME ... MOTION ... [--moving ...]
+           --fixed NAME ... [--symmetry NAME ...] [METHOD ...] [GATE ...]
+       jaxmorph deform --job FILE""",
+        """\
 Each --moving begins a motion; the flags after it, up to the next --moving,
 describe that motion. The order is fixed: displacement file, modes, box,
 scaling, twist, bend, rotation, translation. A patch named by several --moving
@@ -92,13 +107,13 @@ examples:
   new positions of the wall from a file with rows of node id, x, y:
     jaxmorph deform airfoil.su2 bumped.su2 --moving airfoil --fixed farfield \\
         --displacement surface.dat
-  the motion from one surface to another of the same triangles:
-    jaxmorph deform wing.su2 bent.su2 --moving wing --fixed farfield \\
-        --displacement bent.stl --displacement-from straight.stl
   a half wing on its symmetry plane, twisted and bent along its span y:
     jaxmorph deform wing.su2 bent.su2 --moving wing --fixed farfield \\
         --symmetry symmetry --along 0 1 0 --axis 1 0 0 --twist -3 --bend 8 \\
         --picture bent.html
+  the motion from one surface to another of the same triangles:
+    jaxmorph deform wing.su2 bent.su2 --moving wing --fixed farfield \\
+        --displacement bent.stl --displacement-from straight.stl
   a blade between the sides of its passage, which repeat each other:
     jaxmorph deform cascade.su2 pitched.su2 --moving blade --rotate 10 \\
         --fixed inlet outlet --periodic lower upper
@@ -112,24 +127,16 @@ examples:
   that motion with another angle of the flap:
     jaxmorph deform --job flaps.toml --set flap.rotate=12
 
-exit status: 0; 1 when the motion inverts cells or a gate fails (OUT is then not
-written unless --allow-inverted is given); 2 for bad input"""
-
-DEFORM_SHORT = """\
-Scaling, twists, bends, modes, free-form boxes, design variables; free, sliding
-and periodic patches; methods, quality limits, jobs: jaxmorph deform --help-all
-
-examples:
-  jaxmorph deform airfoil.su2 pitched.su2 --moving airfoil --fixed farfield \\
-      --rotate -15 --about 0.25 0 --steps 3
-  jaxmorph deform airfoil.su2 bumped.su2 --moving airfoil --fixed farfield \\
-      --displacement surface.dat
-  jaxmorph deform wing.su2 up.su2 --moving wing --fixed farfield \\
-      --symmetry symmetry --rotate 2 --axis 0 1 0 --picture up.html
-
-exit status: 0; 1 when the motion inverts cells or a gate fails; 2 for bad input"""
-
-MODES = """\
+exit status: 0; 1 when the motion inverts cells or a gate fails; 2 for bad input""",
+        """Scaling, twists, bends, modes, free-form boxes, design variables; free, sliding
+and periodic patches; methods, quality limits, jobs: jaxmorph deform --help-all""",
+        6,
+    ),
+    "modes": Page(
+        "move a mesh by many shapes or amplitudes at once",
+        """IN OUT --moving NAME ... --fixed NAME ... --mode FILE ...
+           [--amplitude A ...] [--symmetry NAME ...] [METHOD ...] [GATE ...]""",
+        """\
 Moves the mesh by every mode file at every amplitude. The times of a series are
 the amplitudes if there is one mode and they increase, else 1, 2, 3, ...
 
@@ -141,32 +148,16 @@ examples:
     jaxmorph modes airfoil.su2 shapes.su2 --moving airfoil --fixed farfield \\
         --mode bumps/*.npz --amplitude 0.01
 
-exit status: 0; 1 when a motion inverts cells or a gate fails (its mesh is then
-not written unless --allow-inverted is given); 2 for bad input"""
-
-MODES_SHORT = """\
-Other methods, limits of quality, output for machines: jaxmorph modes --help-all
-
-examples:
-  jaxmorph modes wing.su2 flutter.pvd --moving wing --fixed farfield \\
-      --symmetry symmetry --mode mode1.csv --amplitude -0.2 -0.1 0 0.1 0.2
-  jaxmorph modes airfoil.su2 shapes.su2 --moving airfoil --fixed farfield \\
-      --mode bumps/*.npz --amplitude 0.01
-
-exit status: 0; 1 when a motion inverts cells or a gate fails; 2 for bad input"""
-
-_SENSITIVITY_EXAMPLES = """\
-examples:
-  SU2's volume sensitivities to sensitivities of the wall's nodes:
-    jaxmorph sensitivity airfoil.su2 volume_sens.csv wall_sens.csv \\
-        --moving airfoil --fixed farfield
-  derivatives by twist, box and all other design variables of a job:
-    jaxmorph sensitivity --job wing.toml volume_sens.csv variables.json
-
-exit status: 0; 2 for bad input"""
-
-SENSITIVITY = (
-    """\
+exit status: 0; 1 when a motion inverts cells or a gate fails; 2 for bad input""",
+        "Other methods, limits of quality, output for machines: jaxmorph modes --help-all",
+        6,
+    ),
+    "sensitivity": Page(
+        "take dJ/d(volume nodes) of an adjoint solver to the moving nodes",
+        """IN SENS OUT --moving NAME ... --fixed NAME ...
+           [--symmetry NAME ...] [METHOD ...]
+       jaxmorph sensitivity --job FILE SENS OUT""",
+        """\
 The transpose of deform, at the undeformed mesh. Name the patches and the method
 as for deform. Rows of OUT have the node ids of IN.
 
@@ -175,20 +166,23 @@ names. OUT has the name, value and derivative of every variable, per degree for
 angles.
 SENS must be of the mesh that the job writes.
 
-"""
-    + _SENSITIVITY_EXAMPLES
-)
+examples:
+  SU2's volume sensitivities to sensitivities of the wall's nodes:
+    jaxmorph sensitivity airfoil.su2 volume_sens.csv wall_sens.csv \\
+        --moving airfoil --fixed farfield
+  derivatives by twist, box and all other design variables of a job:
+    jaxmorph sensitivity --job wing.toml volume_sens.csv variables.json
 
-SENSITIVITY_SHORT = (
-    """\
-Methods, other values of design variables, output for machines:
-jaxmorph sensitivity --help-all
-
-"""
-    + _SENSITIVITY_EXAMPLES
-)
-
-SU2 = """\
+exit status: 0; 2 for bad input""",
+        """Methods, other values of design variables, output for machines:
+jaxmorph sensitivity --help-all""",
+        5,
+    ),
+    "su2": Page(
+        "do what SU2_DEF and SU2_DOT do, from SU2's config file",
+        """def CONFIG [METHOD ...]
+       jaxmorph su2 dot CONFIG [--sensitivity SENS]""",
+        """\
 The config file gives design variables, markers, steps and file names:
 DV_KIND, DV_PARAM, DV_VALUE, DV_MARKER, MARKER_SYM, DEFORM_NONLINEAR_ITER,
 FFD_*, MESH_FILENAME, MESH_OUT_FILENAME. Markers that neither DV_MARKER nor
@@ -207,9 +201,12 @@ examples:
   jaxmorph su2 dot --definition config.cfg --sensitivity restart_adj_cd.csv
 
 exit status: 0; 1 when the motion inverts cells (the mesh is then not written
-unless --allow-inverted is given); 2 for bad input"""
-
-QUALITY = """\
+unless --allow-inverted is given); 2 for bad input""",
+    ),
+    "quality": Page(
+        "measure the quality of a mesh's cells",
+        "FILE [FILE2] [GATE ...]",
+        """\
 Skewness: 0 ideal, 1 degenerate. Aspect ratio: 1 ideal. Means are weighted by
 area or volume. FILE2 is the mesh of FILE with other coordinates: inverted cells
 and ratios are then relative to FILE.
@@ -220,49 +217,22 @@ examples:
   jaxmorph quality wing.su2 --proof
 
 exit status: 0; 1 when FILE2 inverts cells, FILE alone has inverted ones, or a
-gate fails; 2 for bad input"""
-
-INFO = """\
+gate fails; 2 for bad input""",
+    ),
+    "info": Page(
+        "show what a mesh file holds",
+        "FILE",
+        """\
 example:
-  jaxmorph info airfoil.su2"""
-
-DEMO = """\
+  jaxmorph info airfoil.su2""",
+    ),
+    "demo": Page(
+        "run a test case of the paper: tables, pictures, meshes",
+        "[CASE] [-o DIR]",
+        """\
 examples:
   jaxmorph demo
-  jaxmorph demo --output results"""
-
-PAGES = {
-    "deform": Page(
-        "move patches of a mesh, and the mesh with them",
-        """IN OUT --moving NAME ... MOTION ... [--moving ...]
-           --fixed NAME ... [--symmetry NAME ...] [METHOD ...] [GATE ...]
-       jaxmorph deform --job FILE""",
-        _with_methods(DEFORM),
-        DEFORM_SHORT,
+  jaxmorph demo --output results""",
     ),
-    "modes": Page(
-        "move a mesh by many shapes or amplitudes at once",
-        """IN OUT --moving NAME ... --fixed NAME ... --mode FILE ...
-           [--amplitude A ...] [--symmetry NAME ...] [METHOD ...] [GATE ...]""",
-        _with_methods(MODES),
-        MODES_SHORT,
-    ),
-    "sensitivity": Page(
-        "take dJ/d(volume nodes) of an adjoint solver to the moving nodes",
-        """IN SENS OUT --moving NAME ... --fixed NAME ...
-           [--symmetry NAME ...] [METHOD ...]
-       jaxmorph sensitivity --job FILE SENS OUT""",
-        _with_methods(SENSITIVITY),
-        SENSITIVITY_SHORT,
-    ),
-    "su2": Page(
-        "do what SU2_DEF and SU2_DOT do, from SU2's config file",
-        """def CONFIG [METHOD ...]
-       jaxmorph su2 dot CONFIG [--sensitivity SENS]""",
-        _with_methods(SU2),
-    ),
-    "quality": Page("measure the quality of a mesh's cells", "FILE [FILE2] [GATE ...]", QUALITY),
-    "info": Page("show what a mesh file holds", "FILE", INFO),
-    "demo": Page("run a test case of the paper: tables, pictures, meshes", "[CASE] [-o DIR]", DEMO),
 }
 """By the name of the command."""

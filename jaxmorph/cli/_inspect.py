@@ -1,6 +1,6 @@
 """`jaxmorph quality`, `jaxmorph info` and `jaxmorph demo`."""
 
-import textwrap
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,7 @@ from jaxmorph import Mesh, _demo, io
 from jaxmorph._boundary.boundary import of_no_cell
 
 from ._method import mesh_of
-from ._output import Output, count, title
+from ._output import Output, count, title, wrapped
 from ._requests import Demo, Info, Quality
 from ._way import faults
 
@@ -26,20 +26,21 @@ def quality(request: Quality, out: Output) -> int:
         points = None if moved is None else moved.points
         verdict = jm.judge(mesh, points, request.gates.limits, is_straight=False)
         proof = jm.proof(mesh, points) if request.proof else None
-    tables = [verdict.table(), "" if proof is None else str(proof)]
-    out.say("\n\n".join(filter(None, tables)), gates=verdict.gate_facts)
+    tables = [verdict.table(), *([] if proof is None else [str(proof)])]
+    out.say("\n\n".join(tables), gates=verdict.gate_facts, after=verdict.facts)
     if verdict.before is not None:
         out.say(before=verdict.before.facts)
-    out.say(after=verdict.facts)
-    bad = faults(verdict)
-    if proof is not None:
-        out.say(proof={name: getattr(proof, name) for name in ("valid", "invalid", "unknown", "min_margin", "depth")})
-        if proof.invalid:
-            verb = "folds" if proof.invalid == 1 else "fold"
-            bad.append(f"{proof.invalid} of {count(proof.count, 'cell')} {verb} inside.")
+    bad = faults(verdict) + ([] if proof is None else _proven(proof, out))
     for sentence in bad:
         out.complain(sentence)
     return 1 if bad else 0
+
+
+def _proven(proof: jm.Proof, out: Output) -> list[str]:
+    """Notes the numbers of a proof, and lists what is wrong."""
+    out.say(proof={name: getattr(proof, name) for name in ("valid", "invalid", "unknown", "min_margin", "depth")})
+    verb = "folds" if proof.invalid == 1 else "fold"
+    return [f"{proof.invalid} of {count(proof.count, 'cell')} {verb} inside."] if proof.invalid else []
 
 
 def info(request: Info, out: Output) -> int:
@@ -47,65 +48,68 @@ def info(request: Info, out: Output) -> int:
     with out.progress("reading"):
         is_su2 = request.file.suffix.lower() == ".su2"
         meshes = io.read_zones(request.file) if is_su2 else (io.read(request.file),)
-    name, zones = title(request.file), []
+    zones: list[dict[str, Any]] = []
     for number, mesh in enumerate(meshes, start=1):
-        lines, facts = _described(mesh, name if len(meshes) == 1 else f"{name} zone {number}")
-        out.say("\n".join(lines), **(facts if len(meshes) == 1 else {}))
-        zones.append(facts)
-    if len(zones) > 1:
-        out.say(zones=zones)
+        facts = _facts(mesh)
+        name = title(request.file) + (f" zone {number}" if len(meshes) > 1 else "")
+        out.say("\n".join(_lines(name, mesh, facts)))
+        zones.append({key: value for key, value in facts.items() if value or key in ALWAYS})
+    facts = zones[0] if len(zones) == 1 else {"zones": zones}
+    out.say(None, **facts)
     return 0
 
 
-def _described(mesh: Mesh, name: str) -> tuple[list[str], dict[str, Any]]:
-    """Describes a mesh: the lines to print, and the facts by name."""
-    points, cells = np.asarray(mesh.points), mesh.cell_counts
-    n, d = points.shape
+ALWAYS = ("dimension", "points", "cells", "low", "high", "patches", "kinds")
+"""Facts that are given when they are empty, too."""
+
+
+def _facts(mesh: Mesh) -> dict[str, Any]:
+    points = np.asarray(mesh.points)
     low, high = points.min(axis=0).tolist(), points.max(axis=0).tolist()
-    patches, kinds = {patch: len(nodes) for patch, nodes in mesh.patches.items()}, dict(mesh.kinds)
-    facts = {"dimension": d, "points": n, "cells": cells, "low": low, "high": high, "patches": patches, "kinds": kinds}
-    lines = [
-        f"{name}: {d}-D, {n} points",
-        "cells    " + ", ".join(f"{number} {kind}" for kind, number in cells.items()),
-    ]
-    for axis, least, most in zip("xyz", low, high, strict=False):
-        lines.append(f"{axis:<9}{least:.6g} to {most:.6g}")
-    loose = of_no_cell(mesh)
-    if len(loose):
-        first = ", ".join(map(str, loose[:5].tolist())) + (", ..." if len(loose) > 5 else "")
-        lines.append(f"no cell  {count(len(loose), 'node')}, at rest: {first}")
-        facts["of_no_cell"] = loose.tolist()
-    lines.append("patches" if patches else "patches  none")
-    width = max(map(len, patches), default=0)
-    for patch, number in patches.items():
-        lines.append(f"  {patch:<{width}}  {number:>9} nodes  {kinds.get(patch, '')}".rstrip())
-    if mesh.groups:
-        facts["groups"] = {group: list(names) for group, names in mesh.groups.items()}
-        lines.append("groups")
-    for group, names in mesh.groups.items():
-        text = f"  {group}: {', '.join(names)}"
-        lines.append(textwrap.fill(text, 80, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False))
-    boxes = io.boxes(mesh)
-    degrees = {box.name: [count - 1 for count in box.shape.counts] for box in boxes}
-    if boxes:
-        facts["boxes"] = degrees
-        lines.append("boxes")
-    for box in boxes:
-        nodes = sum(len(ids) for ids, _ in box.surface.values())
-        lines.append(f"  {box.name}  degrees {' x '.join(map(str, degrees[box.name]))}, {nodes:>9} nodes")
-    notes = getattr(mesh.source, "notes", ())
-    if notes:
-        facts["notes"] = list(notes)
-        lines.append("notes")
-    for note in notes:
-        text = f"  {note}"
-        lines.append(textwrap.fill(text, 80, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False))
-    return lines, facts
+    return {
+        "dimension": points.shape[1],
+        "points": len(points),
+        "cells": mesh.cell_counts,
+        "low": low,
+        "high": high,
+        "patches": {patch: len(nodes) for patch, nodes in mesh.patches.items()},
+        "kinds": dict(mesh.kinds),
+        "of_no_cell": of_no_cell(mesh).tolist(),
+        "groups": {group: list(names) for group, names in mesh.groups.items()},
+        "boxes": {box.name: [number - 1 for number in box.shape.counts] for box in io.boxes(mesh)},
+        "notes": list(getattr(mesh.source, "notes", ())),
+    }
+
+
+def _lines(name: str, mesh: Mesh, facts: dict[str, Any]) -> Iterator[str]:
+    yield f"{name}: {facts['dimension']}-D, {facts['points']} points"
+    yield "cells    " + ", ".join(f"{number} {kind}" for kind, number in facts["cells"].items())
+    for axis, least, most in zip("xyz", facts["low"], facts["high"], strict=False):
+        yield f"{axis:<9}{least:.6g} to {most:.6g}"
+    loose = facts["of_no_cell"]
+    if loose:
+        first = ", ".join(map(str, loose[:5])) + (", ..." if len(loose) > 5 else "")
+        yield f"no cell  {count(len(loose), 'node')}, at rest: {first}"
+    yield "patches" if facts["patches"] else "patches  none"
+    width = max(map(len, facts["patches"]), default=0)
+    for patch, number in facts["patches"].items():
+        yield f"  {patch:<{width}}  {number:>9} nodes  {facts['kinds'].get(patch, '')}".rstrip()
+    rest = {
+        "groups": [f"  {group}: {', '.join(names)}" for group, names in facts["groups"].items()],
+        "boxes": list(map(_line_of_box, io.boxes(mesh))),
+        "notes": [f"  {note}" for note in facts["notes"]],
+    }
+    for what, lines in rest.items():
+        yield from (what, *(wrapped(line, 4) for line in lines)) if lines else ()
+
+
+def _line_of_box(box: io.Box) -> str:
+    degrees = " x ".join(str(number - 1) for number in box.shape.counts)
+    return f"  {box.name}  degrees {degrees}, {sum(len(ids) for ids, _ in box.surface.values()):>9} nodes"
 
 
 def demo(request: Demo, out: Output) -> int:
-    """Shows a case of the paper. Returns the exit status."""
-    return _demo.run(request.case, request.output)
+    return _demo.run(request.output)
 
 
 def _ids(mesh: Mesh) -> dict[str, np.ndarray]:

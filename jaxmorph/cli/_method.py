@@ -7,20 +7,22 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Int
 
 import jaxmorph as jm
 from jaxmorph import io
 from jaxmorph._advice.methods import Lengths, entry
 from jaxmorph._boundary.names import planes_of
 from jaxmorph._boundary.symmetry import check_planes
-from jaxmorph._plan.prepare import default_for
 
 from ._output import count
-from ._requests import Deform, Method, Modes, Sensitivity
+from ._requests import Deform, MethodFlags, ModesRequest, SensitivityRequest
+
+Chunks = Iterator[tuple[Int[np.ndarray, " c"], jm.Plan]]
+"""Nodes and plans of a mesh in chunks, one after the other."""
 
 
-def mesh_of(path: Path, zone: int | None) -> jm.Mesh:
+def mesh_of(path: Path, zone: int | None = None) -> jm.Mesh:
     """Reads a file's mesh, or an SU2 file's zone `zone`. Raises `ValueError` for an absent zone."""
     if zone is None:
         return io.read(path)
@@ -30,55 +32,50 @@ def mesh_of(path: Path, zone: int | None) -> jm.Mesh:
     return meshes[zone - 1]
 
 
-@dataclasses.dataclass(frozen=True)
-class NamedMethod:
-    """A method, its sentence, and its number of sources on the wall."""
-
-    method: jm.AbstractMethod
-    name: str
-    sources: int
-
-
-def named_method(request: Method, wall: Float[np.ndarray, "m d"], fixed: Float[np.ndarray, "f d"]) -> NamedMethod:
-    """Makes the requested method for the points of the moving and of the fixed nodes.
+def method_of(request: MethodFlags, wall: np.ndarray, fixed: np.ndarray) -> jm.AbstractMethod | None:
+    """Makes the requested method for moving (m, d) and fixed points (f, d); None for the default.
 
     It raises `ValueError` for a number of sources that the method cannot take.
     """
-    listed, d = entry(request.method), wall.shape[1]
+    d = wall.shape[1]
     if request.sources is not None and request.sources <= d:
         raise ValueError(f"--sources must be {d + 1} or more in {d}-D, found {request.sources}.")
-    method = listed.make(Lengths(wall, fixed))
-    if listed.sources != "some":
-        return NamedMethod(method, listed.sentence, len(wall) * (listed.sources == "all"))
-    assert isinstance(method, jm.SurfaceReconstruction)
-    is_fitted, coarse = isinstance(method.coarse, jm.FittedRBF), method.coarse
-    rbf = coarse.rbf if isinstance(coarse, jm.FittedRBF) else coarse
-    if request.sources is not None:
-        is_all = request.sources >= len(wall)
-        rbf = jm.RBF(reduction=jm.AllPoints() if is_all else jm.KDTree.with_sources(request.sources, wall))
-        method = jm.SurfaceReconstruction(jm.FittedRBF(rbf) if is_fitted else rbf, method.correction)
-    sources = len(rbf.reduction(wall)) if isinstance(rbf, jm.RBF) else 0
-    number = "" if request.sources is None else f", {sources} wall sources"
-    return NamedMethod(method, listed.sentence + number, sources)
+    if request.method == "default" and request.sources is None:
+        return None
+    method = entry(request.method).make(Lengths(wall, fixed))
+    if request.sources is None or not isinstance(method, jm.SurfaceReconstruction):
+        return method
+    is_all = request.sources >= len(wall)
+    rbf = jm.RBF(reduction=jm.AllPoints() if is_all else jm.KDTree.with_sources(request.sources, wall))
+    coarse = jm.FittedRBF(rbf) if isinstance(method.coarse, jm.FittedRBF) else rbf
+    return jm.SurfaceReconstruction(coarse, method.correction)
+
+
+def described(request: MethodFlags, plan: jm.Plan) -> tuple[str, int]:
+    """Describes the method of a plan in a sentence, and counts its sources on the wall."""
+    is_carrying = request.method == "default" and isinstance(plan.method, jm.InverseDistance)
+    listed = entry("turning" if is_carrying else request.method)
+    sources = plan.n_moving * (listed.sources == "all")
+    if listed.sources == "some":
+        sources = int(np.isin(plan.sources, plan.moving).sum())
+    return listed.sentence + (f", {sources} wall sources" if request.sources is not None else ""), sources
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Patches:
-    """A mesh and the names of its patches by what they do: move, stay, lie in a plane, slide."""
+    """A mesh and the names of its patches by what they do; `symmetry` has the planes by name."""
 
     mesh: jm.Mesh
-    dtype: str
+    request: MethodFlags
     moving: tuple[str, ...]
     fixed: tuple[str, ...]
-    symmetry: tuple[str, ...]
-    free: tuple[str, ...]
-    planes: tuple[jm.Plane, ...]
+    symmetry: dict[str, tuple[jm.Plane, ...]]
     sliding: tuple[str, ...]
     periodic: tuple[jm.Periodic, ...]
+    free: tuple[str, ...]
 
     @property
     def nodes(self) -> Int[np.ndarray, " m"]:
-        """Ids of the moving nodes."""
         return self.mesh.patch(*self.moving)
 
     @property
@@ -92,8 +89,9 @@ class Patches:
 
         It raises `ValueError` for boundary faces of patches that no flag names.
         """
-        mesh = self.mesh.moved(np.asarray(self.mesh.points).astype(self.dtype, copy=False))
-        slides = {"symmetry": self.planes, "periodic": self.periodic, "sliding": self.sliding}
+        mesh = self.mesh.moved(np.asarray(self.mesh.points).astype(self.request.dtype, copy=False))
+        planes = [plane for planes in self.symmetry.values() for plane in planes]
+        slides = {"symmetry": tuple(planes), "periodic": self.periodic, "sliding": self.sliding}
         with self._explaining():
             boundary = jm.Boundary(mesh, self.moving, self.fixed, free=self.free, **slides)
         if boundary.left is not None and boundary.left.patches:
@@ -113,40 +111,33 @@ class Patches:
             others = f" Patches there that neither move nor stay: {', '.join(left)}." if left else ""
             raise ValueError(f"{error}{others}") from None
 
-    def method(self, request: Method) -> NamedMethod:
-        """Makes the requested method. Raises what `named_method` does."""
+    @property
+    def method(self) -> jm.AbstractMethod | None:
         points = np.asarray(self.mesh.points)
-        walls = points[self.nodes], points[self.fixed_nodes]
-        if request.method == "default" and request.sources is None and not len(walls[1]):
-            with self._explaining():
-                if isinstance(default_for(self.boundary), jm.InverseDistance):
-                    request = dataclasses.replace(request, method="turning")
-        return named_method(request, *walls)
+        return method_of(self.request, points[self.nodes], points[self.fixed_nodes])
 
-    def chunks(
-        self, method: jm.AbstractMethod, size: int | None = None
-    ) -> Iterator[tuple[Int[np.ndarray, " c"], jm.Plan]]:
+    def chunks(self, size: int | None = None) -> Chunks:
         """Cuts the mesh into chunks of `size` inner nodes; yields the nodes and plan of each chunk.
 
         It raises `ValueError` for nodes at fault, with the patches that hold them; faults of the
-        boundary at once.
+        boundary and of the method at once.
         """
-        boundary = self.boundary
+        boundary, method = self.boundary, self.method
 
-        def plans() -> Iterator[tuple[np.ndarray, jm.Plan]]:
+        def plans() -> Chunks:
             with self._explaining():
                 yield from jm.prepare_in_chunks(boundary, method=method, size=size)
 
         return plans()
 
-    def half(self, method: jm.AbstractMethod) -> jm.SurfaceHalf:
+    def half(self) -> jm.SurfaceHalf:
         """Prepares the surface of a mesh in parts, which `mesh` is. Raises as `chunks` does."""
+        known = {"nodes": io.global_nodes(self.mesh), "faces": self.mesh.cells}
         with self._explaining():
-            known = {"nodes": io.global_nodes(self.mesh), "faces": self.mesh.cells}
-            return jm.prepare_surface(self.boundary, method=method, **known)
+            return jm.prepare_surface(self.boundary, method=self.method, **known)
 
 
-def patches_of(request: Deform | Modes | Sensitivity, mesh: jm.Mesh) -> Patches:
+def patches_of(request: Deform | ModesRequest | SensitivityRequest, mesh: jm.Mesh) -> Patches:
     """Looks up the patches that the names mean. A pattern never fixes a moving or sliding patch.
 
     Symmetry patches and periodic pairs of the file are taken where no name says otherwise.
@@ -154,61 +145,71 @@ def patches_of(request: Deform | Modes | Sensitivity, mesh: jm.Mesh) -> Patches:
     Raises `ValueError` for patches that are missing, empty, both moving and fixed, or not flat
     where they slide.
     """
-    surface, file = request.boundary, request.file
-    known = ", ".join(mesh.patches) or "none"
+    flags = request.boundary
+    _check_names(request, mesh)
+    moving, symmetry, sliding, free = (
+        mesh.patch_names(*names) for names in (request.moving, flags.symmetry, flags.sliding, flags.free)
+    )
+    periodic = _periodic(flags.periodic, mesh, {*moving, *flags.fixed, *symmetry, *sliding, *free})
+    repeating = [str(side) for pair in periodic for side in (pair.patch, pair.partner)]
+    elsewhere = {*moving, *symmetry, *sliding, *repeating}
+    fixed = tuple(name for name in mesh.patch_names(*flags.fixed) if name in flags.fixed or name not in elsewhere)
+    planes = _planes(symmetry, mesh) | _planes_of_file(request.file, mesh, {*elsewhere, *fixed, *free})
+    if not fixed and not sliding:
+        _check_none_left(mesh, {*elsewhere, *planes, *free})
+    return Patches(mesh, request.method, moving, fixed, planes, sliding, periodic, free)
+
+
+def _check_none_left(mesh: jm.Mesh, lists: set[str]) -> None:
+    if any(len(nodes) for name, nodes in mesh.patches.items() if name not in lists):
+        raise ValueError(f"--fixed is missing: name the patches that stay; this mesh has: {', '.join(mesh.patches)}.")
+
+
+def _check_names(request: Deform | ModesRequest | SensitivityRequest, mesh: jm.Mesh) -> None:
     if not request.moving:
-        raise ValueError(f"--moving is missing: name the patches that move; this mesh has: {known}.")
-    for option, names in (("--moving", request.moving), ("--fixed", surface.fixed)):
+        has = ", ".join(mesh.patches) or "none"
+        raise ValueError(f"--moving is missing: name the patches that move; this mesh has: {has}.")
+    for option, names in (("--moving", request.moving), ("--fixed", request.boundary.fixed)):
         if names and not len(mesh.patch(*names)):
             raise ValueError(f"{option} {' '.join(names)}: there are no nodes in it.")
-    moving, symmetry = mesh.patch_names(*request.moving), mesh.patch_names(*surface.symmetry)
-    sliding, free = mesh.patch_names(*surface.sliding), mesh.patch_names(*surface.free)
-    both = sorted(set(moving) & set(surface.fixed))
+    both = sorted({*mesh.patch_names(*request.moving)} & {*request.boundary.fixed})
     if both:
         raise ValueError(f"{', '.join(both)} cannot be both --moving and --fixed.")
-    fixed = mesh.patch_names(*surface.fixed)
-    periodic = _periodic(surface.periodic, mesh, {*moving, *surface.fixed, *symmetry, *sliding, *free})
-    repeating = {str(patch) for pair in periodic for patch in (pair.patch, pair.partner)}
-    elsewhere = {*moving, *symmetry, *sliding, *repeating}
-    fixed = tuple(name for name in fixed if name in surface.fixed or name not in elsewhere)
     if not len(mesh.cells):
-        raise ValueError(f"{file}: the mesh has no cells.")
-    planes = []
-    for name in symmetry:
+        raise ValueError(f"{request.file}: the mesh has no cells.")
+
+
+def _planes(names: tuple[str, ...], mesh: jm.Mesh) -> dict[str, tuple[jm.Plane, ...]]:
+    planes = {}
+    for name in names:
         try:
-            planes += planes_of(mesh, name)
+            planes[name] = planes_of(mesh, name)
         except ValueError as error:
             raise ValueError(f"--symmetry {name}: {error}") from None
-    names, more = _symmetry(mesh, {*elsewhere, *fixed, *free}, planes, file)
-    symmetry, planes = (*symmetry, *names), [*planes, *more]
-    lists = {*elsewhere, *symmetry, *fixed, *free}
-    if not fixed and not sliding and any(len(nodes) for name, nodes in mesh.patches.items() if name not in lists):
-        raise ValueError(f"--fixed is missing: name the patches that stay; this mesh has: {known}.")
-    return Patches(mesh, request.method.dtype, moving, fixed, symmetry, free, tuple(planes), sliding, periodic)
+    return planes
 
 
-def _symmetry(mesh: jm.Mesh, lists: set[str], planes: list[jm.Plane], file: object) -> tuple[list[str], list[jm.Plane]]:
-    """Lists the file's symmetry patches that are in no other list, and their planes."""
-    names, lying = [], []
-    for name in io.symmetry(mesh):
+def _planes_of_file(file: Path, mesh: jm.Mesh, lists: set[str]) -> dict[str, tuple[jm.Plane, ...]]:
+    planes = {}
+    for name in (name for name in io.symmetry(mesh) if name not in lists):
         with contextlib.suppress(ValueError):  # a bent patch has no plane: its nodes do not slide
-            if name not in lists:
-                lying += planes_of(mesh, name)
-                names.append(name)
-    if names:
+            planes[name] = planes_of(mesh, name)
+    if planes:
         try:
-            check_planes([*planes, *lying], np.asarray(mesh.points))
+            check_planes([plane for several in planes.values() for plane in several], np.asarray(mesh.points))
         except ValueError as error:
-            patches = " ".join(names)
+            names = " ".join(planes)
             raise ValueError(
-                f"{file} has the symmetry patches {patches}: {error} Hold them by --fixed {patches}."
+                f"{file} has the symmetry patches {names}: {error} Hold them by --fixed {names}."
             ) from None
-    return names, lying
+    return planes
 
 
 def _periodic(names: tuple[str, ...], mesh: jm.Mesh, lists: set[str]) -> tuple[jm.Periodic, ...]:
     """Lists the pairs of flags, and the file's pairs of which no patch is in another list."""
-    pairs = list(zip(names[::2], names[1::2], strict=True))
+    if len(names) % 2:
+        raise ValueError(f"--periodic {' '.join(names)}: name pairs of patches, one after the other.")
+    sides = [mesh.patch_names(name)[0] for name in names]
     known = {*lists, *names}
     of_file = [pair for pair in io.periodic(mesh) if not {str(pair.patch), str(pair.partner)} & known]
-    return (*(jm.Periodic(*(mesh.patch_names(name)[0] for name in pair)) for pair in pairs), *of_file)
+    return (*map(jm.Periodic, sides[::2], sides[1::2]), *of_file)

@@ -13,9 +13,9 @@ import jaxmorph as jm
 from jaxmorph import Mesh, io
 from jaxmorph._host.package.files import check_apart
 
-from ._method import Patches, patches_of
+from ._method import described, patches_of
 from ._output import Output, count, title
-from ._requests import Modes
+from ._requests import ModesRequest
 from ._way import Way, faults, in_double, instants
 
 BATCH = 8
@@ -33,20 +33,23 @@ class Case:
     time: float
 
 
-def modes(request: Modes, out: Output) -> int:
+def modes(request: ModesRequest, out: Output) -> int:
     """Moves, judges and writes the mesh for each mode and amplitude. Returns the exit status."""
     with out.progress(f"reading {title(request.file)}"):
         mesh = io.read(request.file)
-    cases = _cases(request)
-    patches = _check(request, mesh, cases)
+    cases, patches = _cases(request), patches_of(request, mesh)
+    for case in cases:
+        io.check_output(case.output, mesh)
+    outputs = [("OUT", file) for file in (request.output, *(case.output for case in cases))]
+    check_apart(outputs, {"the mesh is": [request.file], "the shapes are": request.mode})
     with out.progress("reading the modes"):
         shapes = [io.read_displacement(file, mesh, patches.nodes, is_position=False) for file in request.mode]
     with out.progress("preparing"):
-        choice = patches.method(request.method)
-        _, plan = next(patches.chunks(choice.method))
+        _, plan = next(patches.chunks())
+    name, _ = described(request.method, plan)
     what = f"{count(len(shapes), 'mode')} at {count(len(request.amplitude), 'amplitude')}"
     out.say(f"{title(request.file)}: {len(mesh.points)} points, {what}", points=len(mesh.points))
-    out.say(f"method   {choice.name}", method=choice.name)
+    out.say(f"method   {name}", method=name)
     if request.gates.proven:
         out.say(f"proven   cells that fold nowhere inside, {instants(plan.is_linear, 1)}", on_the_way=plan.is_linear)
     limits = request.gates.limits
@@ -64,34 +67,23 @@ def modes(request: Modes, out: Output) -> int:
                 way.write(lambda verdict=verdict: verdict)
                 good.append(case)
             stage.done(case.number / len(cases))
-    return _end(request, good, bad, len(cases), out)
+    _end(request, good, len(cases), out)
+    return 1 if bad else 0
 
 
-def _cases(request: Modes) -> list[Case]:
+def _cases(request: ModesRequest) -> list[Case]:
     """Names a numbered file beside OUT for each case.
 
     Times are amplitudes if the amplitudes increase.
     """
-    amplitudes = request.amplitude
-    pairs = [(mode, amplitude) for mode in range(len(request.mode)) for amplitude in amplitudes]
+    amplitudes, out = request.amplitude, request.output
     go_up = len(request.mode) == 1 and all(a < b for a, b in itertools.pairwise(amplitudes))
-    suffix = ".vtu" if request.output.suffix == ".pvd" else request.output.suffix
-    name = request.output.stem
-    cases = []
-    for k, (mode, a) in enumerate(pairs, start=1):
-        output = request.output.with_name(f"{name}_{k:04d}{suffix}")
-        cases.append(Case(k, mode, a, output, a if go_up else float(k)))
-    return cases
-
-
-def _check(request: Modes, mesh: Mesh, cases: list[Case]) -> Patches:
-    """Looks up the patches, before any work."""
-    patches = patches_of(request, mesh)
-    for case in cases:
-        io.check_output(case.output, mesh)
-    outputs = [request.output, *(case.output for case in cases)]
-    check_apart([("OUT", file) for file in outputs], {"the mesh is": [request.file], "the shapes are": request.mode})
-    return patches
+    suffix = ".vtu" if out.suffix == ".pvd" else out.suffix
+    pairs = itertools.product(range(len(request.mode)), amplitudes)
+    return [
+        Case(k, mode, a, out.with_name(f"{out.stem}_{k:04d}{suffix}"), a if go_up else float(k))
+        for k, (mode, a) in enumerate(pairs, start=1)
+    ]
 
 
 def _moved(
@@ -99,14 +91,14 @@ def _moved(
 ) -> Iterator[tuple[Case, Float[np.ndarray, "n d"]]]:
     """Yields the points of each case. `BATCH` cases together cost much less than single cases."""
     together = jax.vmap(lambda u: jm.deform(plan, u))
-    size = min(BATCH, len(cases))
+    size, base, nodes = min(BATCH, len(cases)), np.asarray(mesh.points), np.asarray(plan.moving)
     for first in range(0, len(cases), size):
         some = cases[first : first + size]
         u = np.zeros((size, *shapes.shape[1:]))
         u[: len(some)] = [case.amplitude * shapes[case.mode] for case in some]
         moved = np.asarray(together(u))
         for k, case in enumerate(some):
-            yield case, in_double(np.asarray(mesh.points), moved[k], np.asarray(plan.moving), u[k], plan.method.exact)
+            yield case, in_double(base, moved[k], nodes, u[k], plan.method.exact)
 
 
 def _tell(case: Case, file: pathlib.Path, verdict: jm.Verdict, out: Output) -> None:
@@ -121,7 +113,7 @@ def _tell(case: Case, file: pathlib.Path, verdict: jm.Verdict, out: Output) -> N
         out.complain(f"case {case.number}: {sentence}")
 
 
-def _end(request: Modes, good: list[Case], bad: int, total: int, out: Output) -> int:
+def _end(request: ModesRequest, good: list[Case], total: int, out: Output) -> None:
     out.say("")
     if good:
         files = good[0].output if len(good) == 1 else f"{good[0].output} to {good[-1].output.name}"
@@ -132,4 +124,3 @@ def _end(request: Modes, good: list[Case], bad: int, total: int, out: Output) ->
     if len(good) < total:
         missing = f"{total - len(good)} of {count(total, 'case')}"
         out.complain(f"{missing} not written; --allow-inverted writes them anyway.")
-    return 1 if bad else 0

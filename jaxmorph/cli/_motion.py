@@ -1,6 +1,7 @@
 """The motion of a surface that the command line describes, made of the library's shapes."""
 
 import dataclasses
+import functools
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,7 +18,7 @@ from jaxmorph._host.package.text import read
 
 from ._early import is_given, lattice_files
 from ._parser import flag_of
-from ._requests import MOTIONS, Deform, Group, Table
+from ._requests import MOTIONS, Deform, MotionFlags, Table
 
 Points = Float[np.ndarray, "m d"]
 Parametrised = tuple[shapes.AbstractShape, Any]
@@ -43,14 +44,12 @@ class Motion:
         return np.asarray(shapes.path(self.shape, surface, self.parameters, steps))
 
     def varied(self, changes: Mapping[str, Sequence[float]]) -> "Motion":
-        """Sets parameters by name. Raises `ValueError` for names that are none."""
         try:
             return dataclasses.replace(self, parameters=shapes.varied(self.parameters, changes))
         except ValueError as error:
             raise ValueError(f"--set: {error}") from None
 
     def write_lattices(self) -> list[Path]:
-        """Writes the lattice of each box before and after its motion, and returns the files."""
         files = []
         for file, box, (patches, name) in self.boxes:
             for place, control in zip(lattice_files(file), (None, self.parameters[patches][name]), strict=True):
@@ -68,29 +67,27 @@ def motion(request: Deform, mesh: Mesh, moving: Int[np.ndarray, " m"]) -> Motion
     Raises `ValueError` if there is none, if it does not fit the mesh or the nodes, and where
     patches of a node move it differently.
     """
-    chains, owned, parameters, boxes = {}, {}, {}, []
-    sides = _shared_sides(request.groups, mesh, moving)
-    for number, group in enumerate(request.groups):
-        nodes = mesh.patch(*group.patches)
+    groups, chains, parameters, boxes = request.groups, {}, {}, []
+    for group in groups:
+        key, patch = _key(group, chains), MovingPatch(group, mesh, mesh.patch(*group.patches))
         try:
-            patch = Patch(group, mesh, nodes)
-            parts = {name.replace("_", "-"): make(patch) for name, make in PARTS.items() if is_given(group, name)}
+            parts = patch.parts()
         except ValueError as error:
-            raise ValueError(f"{group.title}: {error}" if len(request.groups) > 1 else str(error)) from None
-        key = _key(group, chains)
+            raise ValueError(f"{group.title}: {error}" if len(groups) > 1 else str(error)) from None
         chain = shapes.Chain({name: shape for name, (shape, _) in parts.items()})
-        chains[key] = shapes.OnRows(chain, np.searchsorted(moving, nodes))
-        owned[key] = shapes.OnRows(_on_some(chain, _is_moved(sides, number, nodes)), chains[key].rows)
+        chains[key] = shapes.OnRows(chain, np.searchsorted(moving, patch.nodes))
         parameters[key] = {name: values for name, (_, values) in parts.items()}
         if group.lattice is not None:
             boxes.append((group.lattice, parts["box"][0], (key, "box")))
+    sides = _sides(groups, mesh, moving)
+    owned = {key: _of_own(chain, moving, sides, number) for number, (key, chain) in enumerate(chains.items())}
     made = Motion(shapes.Chain(owned), parameters, tuple(boxes)).varied(dict(request.set))
-    _check_agreement(request.groups, sides, chains, made, Wall(moving, np.asarray(mesh.points, float)[moving]))
+    _check_agreement(made, chains, groups, sides, (moving, np.asarray(mesh.points, float)[moving]))
     return made
 
 
 @dataclasses.dataclass(frozen=True)
-class Side:
+class SharedSide:
     """Moving nodes that the same groups name: the `groups` by number, all `nodes`, and its `own`.
 
     A node of several sides is the first one's own.
@@ -100,16 +97,15 @@ class Side:
     nodes: np.ndarray
     own: np.ndarray
 
+    def flags(self, groups: Sequence[MotionFlags]) -> str:
+        words = []
+        for group in (groups[number] for number in self.groups):
+            flags = [flag_of(name) for name in MOTIONS if is_given(group, name)]
+            words.append(" ".join(["--moving", *group.patches, *flags]))
+        return ", then ".join(words)
 
-class Wall(NamedTuple):
-    """Ids and undeformed points of the moving nodes."""
 
-    nodes: np.ndarray
-    points: Points
-
-
-def _shared_sides(groups: Sequence[Group], mesh: Mesh, moving: np.ndarray) -> list[Side]:
-    """Sorts the moving nodes by the groups that name their patches."""
+def _sides(groups: Sequence[MotionFlags], mesh: Mesh, moving: np.ndarray) -> list[SharedSide]:
     names = [mesh.patch_names(*group.patches) for group in groups]
     by_groups: dict[tuple[int, ...], list[str]] = {}
     for patch in dict.fromkeys(name for patches in names for name in patches):
@@ -118,58 +114,50 @@ def _shared_sides(groups: Sequence[Group], mesh: Mesh, moving: np.ndarray) -> li
     sides, left = [], moving
     for numbers, patches in by_groups.items():
         nodes = mesh.patch(*patches)
-        sides.append(Side(numbers, nodes, np.intersect1d(nodes, left)))
+        sides.append(SharedSide(numbers, nodes, np.intersect1d(nodes, left)))
         left = np.setdiff1d(left, nodes)
     return sides
 
 
-def _is_moved(sides: list[Side], number: int, nodes: np.ndarray) -> np.ndarray:
-    """Marks the nodes of a group that move with it: those that are not another side's own."""
-    return np.isin(nodes, np.concatenate([side.own for side in sides if number in side.groups]))
-
-
-def _on_some(chain: shapes.Chain, is_moved: np.ndarray) -> shapes.AbstractShape:
+def _of_own(chain: shapes.OnRows, moving: np.ndarray, sides: list[SharedSide], number: int) -> shapes.OnRows:
+    """Restricts the motion of a group to the nodes that are no other side's own."""
+    own = np.concatenate([side.own for side in sides if number in side.groups])
+    shape, is_moved = chain.shape, np.isin(moving[chain.rows], own)
     if is_moved.all():
         return chain
-    return shapes.Function(lambda x, values: jnp.where(is_moved[:, None], chain(x, values), x), chain.neutral())
+    some = shapes.Function(lambda x, values: jnp.where(is_moved[:, None], shape(x, values), x), shape.neutral())
+    return shapes.OnRows(some, chain.rows)
 
 
 def _check_agreement(
-    groups: Sequence[Group], sides: list[Side], chains: Mapping[str, shapes.OnRows], made: Motion, wall: Wall
+    made: Motion,
+    chains: Mapping[str, shapes.OnRows],
+    groups: Sequence[MotionFlags],
+    sides: list[SharedSide],
+    wall: tuple[np.ndarray, Points],
 ) -> None:
     """Raises `ValueError` where two sides move a common node differently, beyond round-off."""
-    keys = list(chains)
+    nodes, points = wall
     for side in sides:
-        rows = np.searchsorted(wall.nodes, np.setdiff1d(side.nodes, side.own))
+        rows = np.searchsorted(nodes, np.setdiff1d(side.nodes, side.own))
         if not len(rows):
             continue
-        u = made.path(wall.points, 1)[-1]
-        alone = shapes.Chain({keys[number]: chains[keys[number]] for number in side.groups})
-        other = Motion(alone, {name: made.parameters[name] for name in alone.names}).path(wall.points, 1)[-1]
+        own = {key: chain for number, (key, chain) in enumerate(chains.items()) if number in side.groups}
+        alone = Motion(shapes.Chain(own), {key: made.parameters[key] for key in own})
+        u, other = (way.path(points, 1)[-1] for way in (made, alone))
         off = np.linalg.norm(u[rows] - other[rows], axis=1)
-        wrong = rows[worst_first(off, 1e-9 * np.abs(u).max() + 1e-13 * np.abs(wall.points).max())]
-        if not len(wrong):
-            continue
-        first = next(owner for owner in sides if wall.nodes[wrong[0]] in owner.own)
-        told = ", ".join(map(str, wall.nodes[wrong[:5]])) + (", ..." if len(wrong) > 5 else "")
-        raise ValueError(
-            f"{_flags(groups, first)} and {_flags(groups, side)} move {len(wrong)} common nodes differently, by up to "
-            f"{off.max():.3g}: nodes {told}, the first near ({place_of(wall.points[wrong[0]])}). Name both patches after one "
-            "--moving, or take the common nodes out of one of the patches."
-        )
+        wrong = rows[worst_first(off, 1e-9 * np.abs(u).max() + 1e-13 * np.abs(points).max())]
+        if len(wrong):
+            first = next(owner for owner in sides if nodes[wrong[0]] in owner.own)
+            told = ", ".join(map(str, nodes[wrong[:5]])) + (", ..." if len(wrong) > 5 else "")
+            raise ValueError(
+                f"{first.flags(groups)} and {side.flags(groups)} move {len(wrong)} common nodes differently, by up to "
+                f"{off.max():.3g}: nodes {told}, the first near ({place_of(points[wrong[0]])}). Name both patches after "
+                "one --moving, or take the common nodes out of one of the patches."
+            )
 
 
-def _flags(groups: Sequence[Group], side: Side) -> str:
-    """Writes the flags that move a side."""
-    words = []
-    for number in side.groups:
-        group = groups[number]
-        flags = [flag_of(name) for name in MOTIONS if is_given(group, name)]
-        words.append(" ".join(["--moving", *group.patches, *flags]))
-    return ", then ".join(words)
-
-
-def _key(group: Group, others: Mapping[str, Any]) -> str:
+def _key(group: MotionFlags, others: Mapping[str, Any]) -> str:
     """Names a group by `--name` or by its patches, with a number if the name is taken."""
     name = group.name or "+".join(group.patches)
     if group.name in others:
@@ -177,10 +165,10 @@ def _key(group: Group, others: Mapping[str, Any]) -> str:
     return next(key for key in (name, *(f"{name}{k}" for k in range(2, len(others) + 3))) if key not in others)
 
 
-class Patch(NamedTuple):
+class MovingPatch(NamedTuple):
     """The patches of one motion, whose nodes are `nodes`, in a mesh."""
 
-    group: Group
+    group: MotionFlags
     mesh: Mesh
     nodes: np.ndarray
 
@@ -188,18 +176,20 @@ class Patch(NamedTuple):
     def dimension(self) -> int:
         return self.mesh.points.shape[1]
 
-    @property
-    def about(self) -> np.ndarray:
-        return self.vector("about")
+    def parts(self) -> "dict[str, Parametrised]":
+        return {name.replace("_", "-"): make(self) for name, make in PARTS.items() if is_given(self.group, name)}
 
-    def axis(self, option: str) -> np.ndarray | None:
-        """Returns the axis of rotation and bending, of length 1; None in 2-D."""
-        is_given = self.group.axis is not None
-        if self.dimension == 2 and is_given:
+    def argument(self, name: str, option: str) -> Any:
+        """Makes the axis (None in 2-D), the length, the direction or the centre of a motion."""
+        if name == "length":
+            return self.length(option)
+        if name != "axis":
+            return self.vector("about") if name == "about" else self.direction(name)
+        if self.dimension == 2 and self.group.axis is not None:
             raise ValueError("--axis is for meshes in 3-D; this one is in 2-D.")
-        if self.dimension == 3 and not is_given:
+        if self.dimension == 3 and self.group.axis is None:
             raise ValueError(f"{option} needs --axis X Y Z for a mesh in 3-D.")
-        return self.direction("axis") if is_given else None
+        return self.direction("axis") if self.dimension == 3 else None
 
     def vector(self, name: str) -> np.ndarray:
         """Returns the d numbers of a flag, zeros without it. Raises `ValueError` for others."""
@@ -226,7 +216,7 @@ class Patch(NamedTuple):
         By default the line ends where the surface does.
         """
         given = self.group.length
-        ahead = (np.asarray(self.mesh.points)[self.nodes] - self.about) @ self.direction("along")
+        ahead = (np.asarray(self.mesh.points)[self.nodes] - self.vector("about")) @ self.direction("along")
         length = float(ahead.max()) if given is None else given
         if not (np.isfinite(length) and length > 0):
             reason = "and no node lies ahead of --about in that direction" if given is None else f"found {length:g}"
@@ -234,7 +224,7 @@ class Patch(NamedTuple):
         return length
 
 
-def _displacement(patch: Patch) -> Parametrised:
+def _displacement(patch: MovingPatch) -> Parametrised:
     group = patch.group
     assert group.displacement is not None
     how: dict[str, Any] = {"before": group.displacement_from, "is_position": group.displacement_is == "position"}
@@ -242,104 +232,106 @@ def _displacement(patch: Patch) -> Parametrised:
     return shapes.Function(lambda x, factor: x + factor * u, 0.0), 1.0
 
 
-def _modes(patch: Patch) -> Parametrised:
+def _modes(patch: MovingPatch) -> Parametrised:
     files, amplitudes = zip(*patch.group.mode, strict=True)
     fields = [io.read_displacement(file, patch.mesh, patch.nodes, is_position=False) for file in files]
     return shapes.Modes(np.stack(fields)), np.array(amplitudes)
 
 
-def _box(patch: Patch) -> Parametrised:
+def _box(patch: MovingPatch) -> Parametrised:
     assert patch.group.box is not None
     return io.read_box(patch.group.box, patch.dimension)
 
 
-def _scale(patch: Patch) -> Parametrised:
-    about, given = patch.about, patch.group.scale or ()
+def _scale(patch: MovingPatch) -> Parametrised:
+    about, given = patch.vector("about"), patch.group.scale or ()
     factors = given[0] if len(given) == 1 else patch.vector("scale")
     return shapes.Function(lambda x, factors: shapes.scale(x, factors, about), np.ones_like(factors)), factors
 
 
-def _twist(patch: Patch) -> Parametrised:
-    if patch.dimension == 2:
+TURNS: dict[str, tuple[Callable, tuple[str, ...]]] = {
+    "twist": (shapes.twist, ("about", "along", "length")),
+    "bend": (shapes.bend, ("about", "along", "length", "axis")),
+    "rotate": (shapes.rotate, ("about", "axis")),
+}
+"""Motions by an angle, and what else they are called with."""
+
+
+def _turned(name: str, patch: MovingPatch) -> Parametrised:
+    function, needs = TURNS[name]
+    if name == "twist" and patch.dimension == 2:
         raise ValueError("--twist is for meshes in 3-D; this one is in 2-D.")
-    about, along, length = patch.about, patch.direction("along"), patch.length("--twist")
-    return _by_angle(lambda x, angle: shapes.twist(x, angle, about, along, length)), patch.group.twist
-
-
-def _bend(patch: Patch) -> Parametrised:
-    about, axis, along = patch.about, patch.axis("--bend"), patch.direction("along")
-    if axis is not None and abs(axis @ along) > 1e-3:
+    found = {need: patch.argument(need, flag_of(name)) for need in needs}
+    if name == "bend" and found["axis"] is not None and abs(found["axis"] @ found["along"]) > 1e-3:
         raise ValueError("--bend needs --axis and --along at right angles.")
-    length = patch.length("--bend")
-    return _by_angle(lambda x, angle: shapes.bend(x, angle, about, along, length, axis)), patch.group.bend
+    turn = jax.jit(lambda x, angle: function(x, jnp.radians(angle), *found.values()))
+    return shapes.Function(turn, 0.0), getattr(patch.group, name)
 
 
-def _rotate(patch: Patch) -> Parametrised:
-    about, axis = patch.about, patch.axis("--rotate")
-    return _by_angle(lambda x, angle: shapes.rotate(x, angle, about, axis)), patch.group.rotate
-
-
-def _by_angle(function: Callable) -> shapes.Function:
-    """Makes a shape of an angle in degrees, compiled as one program."""
-    return shapes.Function(jax.jit(lambda x, angle: function(x, jnp.radians(angle))), 0.0)
-
-
-def _translate(patch: Patch) -> Parametrised:
+def _translate(patch: MovingPatch) -> Parametrised:
     return shapes.Function(shapes.translate, np.zeros(patch.dimension)), patch.vector("translate")
 
 
-def _bumps(patch: Patch) -> Parametrised:
-    """Makes the shape of `--hicks-henne`: lists of [centre, height] by side."""
-    flag, table = "hicks-henne", _table("hicks-henne", patch.group.hicks_henne, ("width",))
-    bumps = {side: _numbers(flag, table, side, (None, 2)) for side in SIDES if side in table}
-    width = table.get("width", 3.0)
-    chord, masks = _sides(flag, table, patch)
-    parts = {side: shapes.HicksHenne(rows[:, 0], width, chord=chord) for side, rows in bumps.items()}
-    return _on_sides(parts, masks), {side: rows[:, 1] for side, rows in bumps.items()}
+def _bumps(patch: MovingPatch) -> Parametrised:
+
+    def bumps(rows: np.ndarray, table: Table, chord: shapes.Chord) -> Parametrised:
+        return shapes.HicksHenne(rows[:, 0], table.get("width", 3.0), chord=chord), rows[:, 1]
+
+    return _on_sides("hicks-henne", patch.group.hicks_henne, patch, ((None, 2), "width"), bumps)
 
 
-def _class_functions(patch: Patch) -> Parametrised:
-    """Makes the shape of `--cst`: weights and the ordinate of the edge by side."""
-    flag, table = "cst", _table("cst", patch.group.cst, ("exponents",))
-    numbers = {side: _numbers(flag, table, side, (None,)) for side in SIDES if side in table}
-    for side, weights in numbers.items():
+def _class_functions(patch: MovingPatch) -> Parametrised:
+
+    def functions(weights: np.ndarray, table: Table, chord: shapes.Chord) -> Parametrised:
         if len(weights) < 3:
             raise ValueError(
-                f"--{flag}: {side} has {len(weights)} numbers; two weights or more are expected, then the ordinate of the edge."
+                f"--cst: a side has {len(weights)} numbers; two weights or more are expected, then the ordinate of the edge."
             )
-    exponents = tuple(_numbers(flag, {"exponents": [0.5, 1.0]} | table, "exponents", (2,)).tolist())
-    chord, masks = _sides(flag, table, patch)
-    parts = {side: shapes.CST(len(weights) - 2, exponents, chord=chord) for side, weights in numbers.items()}
-    return _on_sides(parts, masks), numbers
+        exponents = _numbers("cst", {"exponents": [0.5, 1.0]} | table, "exponents", (2,)).tolist()
+        return shapes.CST(len(weights) - 2, tuple(exponents), chord=chord), weights
+
+    return _on_sides("cst", patch.group.cst, patch, ((None,), "exponents"), functions)
 
 
-def _on_sides(parts: Mapping[str, Any], masks: Mapping[str, np.ndarray]) -> shapes.Chain:
-    return shapes.Chain({side: shapes.Part(part, masks[side]) for side, part in parts.items()})
+def _on_sides(
+    flag: str,
+    source: Path | Table | None,
+    patch: MovingPatch,
+    entries: tuple[tuple[int | None, ...], str],
+    make: Callable,
+) -> Parametrised:
+    """Makes a shape for each side of an airfoil from a table.
+
+    `entries` are the shape of a side's numbers, and the name of one more entry.
+    """
+    shape, more = entries
+    table = read(str(source), input_path(source).read_bytes()) if isinstance(source, Path) else source or {}
+    foreign = set(table) - {*SIDES, more, *CHORD}
+    if foreign or not set(table) & set(SIDES):
+        listed, known = ", ".join(table) or "nothing", ", ".join((more, *CHORD))
+        raise ValueError(f"--{flag}: upper or lower expected, and perhaps {known}; found {listed}.")
+    numbers = {side: _numbers(flag, table, side, shape) for side in SIDES if side in table}
+    chord = _chord(flag, table, patch)
+    upper = shapes.wall_normals(patch.mesh, *patch.group.patches) @ np.asarray(chord.up) >= 0
+    made = {side: make(rows, table, chord) for side, rows in numbers.items()}
+    masks = {"upper": upper, "lower": ~upper}
+    chain = shapes.Chain({side: shapes.Part(part, masks[side]) for side, (part, _) in made.items()})
+    return chain, {side: values for side, (_, values) in made.items()}
 
 
-PARTS: dict[str, Callable[[Patch], Parametrised]] = {
+PARTS: dict[str, Callable[[MovingPatch], Parametrised]] = {
     "displacement": _displacement,
     "mode": _modes,
     "box": _box,
     "hicks_henne": _bumps,
     "cst": _class_functions,
     "scale": _scale,
-    "twist": _twist,
-    "bend": _bend,
-    "rotate": _rotate,
+    "twist": functools.partial(_turned, "twist"),
+    "bend": functools.partial(_turned, "bend"),
+    "rotate": functools.partial(_turned, "rotate"),
     "translate": _translate,
 }
 """Makers of shapes by field of a group, in the order in which the shapes are applied."""
-
-
-def _table(flag: str, source: Path | Table | None, more: tuple[str, ...]) -> Table:
-    table = read(str(source), input_path(source).read_bytes()) if isinstance(source, Path) else source or {}
-    known = (*SIDES, *more, *CHORD)
-    foreign = [name for name in table if name not in known]
-    if foreign or not set(table) & set(SIDES):
-        listed = ", ".join(table) or "nothing"
-        raise ValueError(f"--{flag}: upper or lower expected, and perhaps {', '.join(known[2:])}; found {listed}.")
-    return table
 
 
 def _numbers(flag: str, table: Table, name: str, shape: tuple[int | None, ...]) -> np.ndarray:
@@ -354,17 +346,12 @@ def _numbers(flag: str, table: Table, name: str, shape: tuple[int | None, ...]) 
     return values
 
 
-def _sides(flag: str, table: Table, patch: Patch) -> tuple[shapes.Chord, dict[str, np.ndarray]]:
-    """Finds the chord, and by the normals of the wall the nodes on either side."""
-    d = patch.dimension
-    ends = {name: _numbers(flag, table, name, (d,)) for name in CHORD if name in table}
+def _chord(flag: str, table: Table, patch: MovingPatch) -> shapes.Chord:
+    ends = {name: _numbers(flag, table, name, (patch.dimension,)) for name in CHORD if name in table}
+    if {"nose", "tail"} <= set(ends):
+        return shapes.Chord(**ends)
     if ends:
-        if not {"nose", "tail"} <= set(ends):
-            raise ValueError(f"--{flag}: a chord has a nose and a tail; found {', '.join(ends)} alone.")
-        chord = shapes.Chord(**ends)
-    elif d == 2:
-        chord = shapes.Chord.along(np.asarray(patch.mesh.points)[patch.nodes])
-    else:
-        raise ValueError(f"--{flag}: a wall in 3-D needs its chord: nose, tail and up, three numbers each.")
-    upper = shapes.wall_normals(patch.mesh, *patch.group.patches) @ np.asarray(chord.up) >= 0
-    return chord, {"upper": upper, "lower": ~upper}
+        raise ValueError(f"--{flag}: a chord has a nose and a tail; found {', '.join(ends)} alone.")
+    if patch.dimension == 2:
+        return shapes.Chord.along(np.asarray(patch.mesh.points)[patch.nodes])
+    raise ValueError(f"--{flag}: a wall in 3-D needs its chord: nose, tail and up, three numbers each.")

@@ -17,59 +17,32 @@ PATIENCE = 2.0
 
 
 class Stage:
-    """One stage of the work, and how much of it is done."""
+    """One stage of the work, and the share of it that is done, from 0 to 1."""
 
     def __init__(self, name: str):
-        self.name = name
-        self.began, self.share = time.monotonic(), 0.0
+        self.name, self.began, self.share = name, time.monotonic(), 0.0
 
     def done(self, share: float) -> None:
-        """Sets the share of the stage that is done, from 0 to 1."""
         self.share = share
 
+    @property
+    def seconds(self) -> float:
+        return time.monotonic() - self.began
+
     def __str__(self) -> str:
-        passed = time.monotonic() - self.began
-        text = f"{self.name} ... {passed:.0f} s"
+        passed, left = self.seconds, ""
         if self.share > 0:
-            return f"{text}, {self.share:.0%}, {passed / self.share - passed:.0f} s left"
-        return text
+            left = f", {self.share:.0%}, {passed / self.share - passed:.0f} s left"
+        return f"{self.name} ... {passed:.0f} s{left}"
 
-
-class Progress:
-    """Announces a stage that takes longer than `PATIENCE`: seconds passed, and left where known.
-
-    Nothing is printed when standard error is not a terminal. The line vanishes when the stage is
-    over. `seconds` holds how long each stage took.
-    """
-
-    def __init__(self, command: str):
-        self.command = command
-        self.seconds: dict[str, float] = {}
-
-    @contextlib.contextmanager
-    def __call__(self, name: str) -> Iterator[Stage]:
-        stage, over = Stage(name), threading.Event()
-        clock = threading.Thread(target=self._tell, args=(stage, over), daemon=True)
-        is_heard = sys.stderr is not None and sys.stderr.isatty()  # a service may have closed it
-        if is_heard:
-            clock.start()
-        try:
-            yield stage
-        finally:
-            self.seconds[name] = self.seconds.get(name, 0.0) + time.monotonic() - stage.began
-            over.set()
-            if is_heard:
-                clock.join()
-
-    def _tell(self, stage: Stage, over: threading.Event) -> None:
+    def announce(self, command: str, over: threading.Event) -> None:
+        """Shows the stage on a terminal's line after `PATIENCE`; the line vanishes at the end."""
         has_line = False
         while not over.wait(0.5 if has_line else PATIENCE):
-            sys.stderr.write(f"\r\033[K{self.command}: {stage}")
-            sys.stderr.flush()
             has_line = True
+            print(f"\r\033[K{command}: {self}", end="", file=sys.stderr, flush=True)
         if has_line:
-            sys.stderr.write("\r\033[K")
-            sys.stderr.flush()
+            print("\r\033[K", end="", file=sys.stderr, flush=True)
 
 
 class Output:
@@ -84,11 +57,27 @@ class Output:
         self.is_silent = False
         """True in all processes of an MPI run but one, which prints for all."""
         self.facts: dict[str, Any] = {"command": command}
-        self.progress = Progress(self.name)
+        self.stages: dict[str, float] = {}
+        """Seconds that each stage took."""
         self.began = time.monotonic()
 
+    @contextlib.contextmanager
+    def progress(self, name: str) -> Iterator[Stage]:
+        """Times a stage, and announces it where standard error is a terminal."""
+        stage, over = Stage(name), threading.Event()
+        clock = threading.Thread(target=stage.announce, args=(self.name, over), daemon=True)
+        is_heard = sys.stderr is not None and sys.stderr.isatty()  # a service may have closed it
+        if is_heard:
+            clock.start()
+        try:
+            yield stage
+        finally:
+            self.stages[name] = self.stages.get(name, 0.0) + stage.seconds
+            over.set()
+            if is_heard:
+                clock.join()
+
     def say(self, text: str | None = None, **facts: Any) -> None:
-        """Prints one or more lines, and collects their facts by name."""
         self.facts.update(facts)
         if text is not None and not self.as_json and not self.is_silent:
             print(text, flush=True)
@@ -100,7 +89,6 @@ class Output:
             print(f"{self.name}: {text}", file=sys.stderr)
 
     def warn(self, text: str) -> None:
-        """Prints a warning, once."""
         if f"warning: {text}" not in self.facts.get("warnings", []):
             self.complain(f"warning: {text}", "warnings")
 
@@ -110,22 +98,22 @@ class Output:
 
     def end(self, status: int) -> int:
         """Prints the timings or the JSON object that were asked for; returns the exit status."""
-        stages = self.progress.seconds
         if self.is_silent:
             return status
         if self.as_json:
-            timings = {name: round(taken, 3) for name, taken in stages.items()}
+            timings = {name: round(taken, 3) for name, taken in self.stages.items()}
             facts = self.facts | {"status": status, "seconds": round(self.seconds, 3), "stages": timings}
             print(json.dumps(finite(facts), allow_nan=False), flush=True)
         elif self.verbose:
-            width = max(map(len, stages), default=0)
-            lines = [f"  {name:<{width}} {taken:>9.2f} s" for name, taken in stages.items()]
-            print("\n".join(["timings", *lines, f"  {'all':<{width}} {self.seconds:>9.2f} s"]), flush=True)
+            stages = self.stages | {"all": self.seconds}
+            lines = [f"  {name:<{max(map(len, stages))}} {taken:>9.2f} s" for name, taken in stages.items()]
+            print("\n".join(["timings", *lines]), flush=True)
         return status
 
 
-def wrapped(out: Output, text: str) -> None:
-    out.say(textwrap.fill(text, 80, subsequent_indent=" " * 9, break_long_words=False, break_on_hyphens=False))
+def wrapped(text: str, indent: int = 9) -> str:
+    """Breaks a line at 80 columns; names stay whole."""
+    return textwrap.fill(text, 80, subsequent_indent=" " * indent, break_long_words=False, break_on_hyphens=False)
 
 
 def count(number: int, what: str) -> str:

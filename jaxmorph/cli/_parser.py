@@ -3,24 +3,26 @@
 import argparse
 import dataclasses
 import functools
+import itertools
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NewType, TypeVar
 
 from jaxmorph._host.package.text import similar
 
 T = TypeVar("T")
-Fields = type[Any]
-"""A dataclass of flags.
+Angle = NewType("Angle", float)
+"""Degrees."""
 
-Its fields are made by `flag`, `positional` and `switch`, or they are parts: dataclasses of flags.
-"""
+Fields = type[Any]
+"""A dataclass whose fields are made by `flag`, `positional`, `switch`, `part` and `several`."""
 
 SETTINGS: dict[Any, dict[str, Any]] = {
     Path: {"type": Path, "metavar": "FILE"},
     int: {"type": int, "metavar": "N"},
     float: {"type": float, "metavar": "X"},
+    Angle: {"type": float, "metavar": "DEG"},
     list[float]: {"type": float, "metavar": ("X Y", "Z"), "nargs": "+"},
     tuple[float, ...]: {"type": float, "nargs": "+"},
     tuple[Path, ...]: {"type": Path, "metavar": "FILE", "nargs": "+"},
@@ -33,8 +35,7 @@ def flag(
 ) -> Any:
     """Makes a field of a flag that `what` describes.
 
-    The flag has the field's name unless `names` are given.
-
+    - `names`: the flag's names. Default: the field's name.
     - `default`: its value where the flag is absent; `()` for a flag of several values.
     - `section`: the title above it on the page of help. Default: `SECTION` of its dataclass.
     - `everyday`: True for a flag that the short page of help has, too.
@@ -46,7 +47,6 @@ def flag(
 
 
 def positional(what: str, metavar: str, **settings: Any) -> Any:
-    """Makes a field of a word without a flag."""
     return flag(what, "", everyday=True, metavar=metavar, **settings)
 
 
@@ -56,7 +56,6 @@ def switch(what: str, *names: str, default: bool = False, **settings: Any) -> An
 
 
 def part(fields: Fields) -> Any:
-    """Makes a field whose value is a dataclass of flags."""
     return dataclasses.field(default_factory=fields, metadata={"part": fields})
 
 
@@ -76,30 +75,26 @@ def flags_of(fields: Fields) -> Iterator[tuple[dataclasses.Field, Fields]]:
 
 
 def settings_of(field: dataclasses.Field) -> dict[str, Any]:
-    """Collects the settings of argparse: those of the field's type, and its own."""
     kind = next((kind for kind in SETTINGS if field.type in (kind, kind | None)), None)
     return SETTINGS.get(kind, {}) | field.metadata["settings"]
 
 
+def is_switch(settings: dict[str, Any]) -> bool:
+    return str(settings.get("action")).startswith("store_")
+
+
 def values_of(request: Any) -> Iterator[tuple[str, Any]]:
-    """Yields the values of flags by name, flags of parts included."""
     for field in dataclasses.fields(request):
         value = getattr(request, field.name)
-        if "part" in field.metadata:
-            yield from values_of(value)
-        else:
-            yield field.name, value
+        yield from values_of(value) if "part" in field.metadata else [(field.name, value)]
 
 
 def made(fields: type[T], values: argparse.Namespace) -> T:
-    """Makes a dataclass from the values of its flags."""
     arguments = {}
     for field in dataclasses.fields(fields):  # pyright: ignore[reportArgumentType]
-        if "part" in field.metadata:
-            arguments[field.name] = made(field.metadata["part"], values)
-        else:
-            value = getattr(values, field.name, field.default)
-            arguments[field.name] = tuple(value) if isinstance(value, list) else value
+        inner = field.metadata.get("part")
+        value = made(inner, values) if inner else getattr(values, field.name, field.default)
+        arguments[field.name] = tuple(value) if isinstance(value, list) else value
     return fields(**arguments)
 
 
@@ -115,11 +110,10 @@ class Parser(argparse.ArgumentParser):
         self.is_short, self.flags, self.short = is_short, ["--help"], ["-h"]
         self.sections: dict[str, Any] = {"": self}
 
-    def add(self, names: Sequence[str], settings: dict[str, Any], *, section: str = "", everyday: bool = False):
-        """Adds a flag, or a word without one, to a section of the page of help."""
+    def add(self, names: Sequence[str], settings: dict[str, Any], *, section: str = "", everyday: bool = True):
         self.flags += [name for name in names if name.startswith("--")]
         self.short += [name for name in names if re.match("-[^-]", name)]
-        if settings.get("nargs") != 0 and not str(settings.get("action")).startswith(("store_", "help")):
+        if settings.get("nargs") != 0 and settings.get("action") != "help" and not is_switch(settings):
             settings = settings | {"type": unquoted(settings.get("type", str))}
         if self.is_short and not everyday:
             settings = settings | {"help": argparse.SUPPRESS}
@@ -128,50 +122,42 @@ class Parser(argparse.ArgumentParser):
         self.sections[section].add_argument(*names, **settings)
 
     def add_fields(self, fields: Fields) -> None:
-        """Adds the flags of a dataclass."""
         for field, owner in flags_of(fields):
-            names, settings = field.metadata["names"], getattr(owner, "SETTINGS", {}) | settings_of(field)
-            if names == ("",):
-                names = (field.name,)
-            else:
-                names, settings = names or (flag_of(field.name),), settings | {"dest": field.name}
-            section = field.metadata["section"] or getattr(owner, "SECTION", "")
-            self.add(names, settings, section=section, everyday=field.metadata["everyday"] or not self.is_short)
+            facts, settings = field.metadata, getattr(owner, "SETTINGS", {}) | settings_of(field)
+            names = [field.name]
+            if facts["names"] != ("",):
+                names, settings = facts["names"] or (flag_of(field.name),), settings | {"dest": field.name}
+            section = facts["section"] or getattr(owner, "SECTION", "")
+            self.add(names, settings, section=section, everyday=facts["everyday"])
 
     def check_flags(self, words: Sequence[str]) -> None:
         """Ends with status 2 for a flag that this command does not have."""
-        for word in words:
+        for word in itertools.takewhile(lambda word: word != "--", words):
             name = word.partition("=")[0]
-            if word == "--":
-                return
             if name.startswith("--") and name not in self.flags:
                 hint = meant(name, self.flags) or f"; a patch of this name is written with =, as in --moving={name}"
                 self.error(f"there is no flag {name}{hint}")
-            if name not in self.flags and f"-{name}" in self.flags:
-                self.error(
-                    f"there is no flag {name}; did you mean -{name}? The patch {name} is written --moving={name}"
-                )
+            if f"-{name}" in self.flags and name not in self.flags:
+                hint = f"did you mean -{name}? The patch {name} is written --moving={name}"
+                self.error(f"there is no flag {name}; {hint}")
 
     def error(self, message: str):
         self.exit(2, f"{self.prog}: {message} (see {self.prog} --help)\n")
 
 
 def one_of(kind: str, words: Iterable[str]) -> Callable[[str], str]:
-    """Makes the type of a flag whose value is one of some words."""
     known = tuple(words)
 
     def chosen(word: str) -> str:
         if word not in known:
-            raise argparse.ArgumentTypeError(
-                f"there is no {kind} {word!r}{meant(word, known)} ({kind}s: {', '.join(known)})"
-            )
+            listed = f"({kind}s: {', '.join(known)})"
+            raise argparse.ArgumentTypeError(f"there is no {kind} {word!r}{meant(word, known)} {listed}")
         return word
 
     return chosen
 
 
 def flag_of(name: str) -> str:
-    """Writes a field's name as a flag."""
     return f"--{name.replace('_', '-')}"
 
 
@@ -181,21 +167,21 @@ def meant(word: str, known: Iterable[str]) -> str:
     return f"; did you mean {near}?" if near else ""
 
 
-def quoted(words: Sequence[str], short: Iterable[str] = ("-h",)) -> list[str]:
+def quoted(words: Sequence[str], short: Iterable[str]) -> list[str]:
     """Puts a space before words that argparse would take for flags: numbers, and names as `-wall`.
 
-    `--moving=-wall` becomes two words, so that more names may follow. `short` are
-    the command's flags of one letter; a value may follow one without a blank, but not `-h`.
+    `--moving=-wall` becomes two words, so that more names may follow. `short` are the command's
+    flags of one letter; a value may follow one without a blank, but not `-h`.
     """
-    with_values = tuple({*short} - {"-h"})
+    flags = ("--", *({*short} - {"-h"}))
     done: list[str] = []
     for word in words:
         name, equals, value = word.partition("=")
         if name.startswith("--") and equals and value.startswith("-"):
             done += [name, f" {value}"]
         else:
-            is_flag = word in ("-", "-h") or word.startswith(("--", *with_values))
-            done.append(f" {word}" if word.startswith("-") and not is_flag else word)
+            is_flag = word in ("-", "-h") or not word.startswith("-") or word.startswith(flags)
+            done.append(word if is_flag else f" {word}")
     return done
 
 

@@ -9,12 +9,15 @@ from typing import Any, ClassVar
 import jaxmorph as jm
 from jaxmorph._advice.methods import METHODS
 
-from ._parser import Fields, flag, one_of, part, positional, several, switch
+from ._parser import Angle, Fields, flag, one_of, part, positional, several, switch
 
 MESH = "a mesh file (.su2, .vtu, .vtk, .msh, .cgns, .med, .exo, .e, .xyz, .p3d ...) or an OpenFOAM case"
 ZONE = "of an SU2 file with several zones the zone IZONE= N alone; all others are written as they are"
 WHAT_MOVES = 'patches that move: names, or patterns as "wing.*"'
 NAMES = [entry.name for entry in METHODS]
+
+BAD, OUTPUT = "when cells are bad", ("--output", "-o")
+SHAPES: dict[str, Any] = {"section": "shapes", "everyday": True}
 
 Table = dict[str, Any]
 
@@ -28,18 +31,9 @@ def table(word: str) -> Path | Table:
 
 
 def _output(name: str) -> Path:
-    """Reads the name of an output.
-
-    A path forgets the slash at its end, which the name of a file does not have.
-    """
-    path = Path(name)
+    path = Path(name)  # which forgets a slash at the end
     if name.endswith("/") and path.suffix.strip(".0123456789") and not path.is_dir():
-        from jaxmorph._host.package.files import file_path
-
-        try:
-            file_path(name)
-        except ValueError as error:
-            raise argparse.ArgumentTypeError(str(error)) from None
+        raise argparse.ArgumentTypeError(f"{name}: ends as a folder does, but a file is written. Remove the /.")
     return path
 
 
@@ -54,7 +48,14 @@ def _change(word: str) -> tuple[str, tuple[float, ...]]:
     return name, values
 
 
-CHANGES: dict[str, Any] = {"metavar": "NAME=NUMBER[,...]", "nargs": "+", "action": "extend", "type": _change}
+TABLE: dict[str, Any] = {"type": table, "metavar": "FILE"}
+CHANGES: dict[str, Any] = {
+    "default": (),
+    "metavar": "NAME=NUMBER[,...]",
+    "nargs": "+",
+    "action": "extend",
+    "type": _change,
+}
 CHANGES_HELP = "new values of design variables, such as twist=2 or 'box[1,2,0]=0.1'"
 
 
@@ -62,42 +63,27 @@ def _patches(what: str, *names: str, **settings: Any) -> Any:
     return flag(what, *names, **{"default": (), "metavar": "NAME", "nargs": "+", "action": "extend"} | settings)
 
 
-class Moving(argparse.Action):
-    """Begins a group; motion flags before the first `--moving` belong to it."""
-
-    def __call__(self, parser, namespace, values: Any, option_string=None):
-        groups = _groups(namespace)
-        if groups and not groups[-1].patches:
-            groups[-1].patches = tuple(values)
-        else:
-            groups.append(Group(tuple(values)))
-
-
 class InGroup(argparse.Action):
-    """Sets one field of the last group."""
+    """Sets a field of the last group.
+
+    `--moving` begins a group, but motion flags before the first `--moving` belong to it.
+    """
 
     def __call__(self, parser, namespace, values: Any, option_string=None):
-        groups = _groups(namespace)
-        if not groups:
-            groups.append(Group())
+        groups = namespace.groups = getattr(namespace, "groups", [])
+        if not groups or (self.dest == "patches" and groups[-1].patches):
+            groups.append(MotionFlags())
         group = groups[-1]
-        if self.dest == "mode":
-            group.mode = (*group.mode, _mode(parser, values))
-            return
         if self.dest in group.flags:
             parser.error(f"{option_string} twice for one --moving. Begin another motion of the patches by --moving.")
-        group.flags.add(self.dest)
-        setattr(group, self.dest, values)
+        if self.dest == "mode":
+            values = (*group.mode, _mode(parser, *values))
+        else:
+            group.flags.add(self.dest)
+        setattr(group, self.dest, tuple(values) if self.dest == "patches" else values)
 
 
-def _groups(namespace: argparse.Namespace) -> "list[Group]":
-    if "groups" not in namespace:
-        namespace.groups = []
-    return namespace.groups
-
-
-def _mode(parser: argparse.ArgumentParser, values: Any) -> tuple[str, float]:
-    file, amplitude = values
+def _mode(parser: argparse.ArgumentParser, file: str, amplitude: str) -> tuple[str, float]:
     try:
         return file, float(amplitude)
     except ValueError:
@@ -105,17 +91,15 @@ def _mode(parser: argparse.ArgumentParser, values: Any) -> tuple[str, float]:
 
 
 @dataclasses.dataclass
-class Group:
+class MotionFlags:
     """Patches that move and their motion: `--moving` and the flags after it."""
 
     SECTION: ClassVar = "motion of the patches of the last --moving (at least one flag)"
     SETTINGS: ClassVar = {"action": InGroup}
 
-    patches: tuple[str, ...] = _patches(WHAT_MOVES, "--moving", section="surface", everyday=True, action=Moving)
+    patches: tuple[str, ...] = _patches(WHAT_MOVES, "--moving", section="surface", everyday=True, action=InGroup)
     displacement: Path | None = flag("new positions: node id, x, y[, z]; .npz, .stl, .obj", everyday=True)
-    displacement_from: Path | None = flag(
-        "the undeformed surface (.stl, .obj, .npz), if --displacement is a deformed one"
-    )
+    displacement_from: Path | None = flag("the undeformed surface (.stl, .obj, .npz) of a deformed one")
     displacement_is: str = flag(
         "whether x, y[, z] of the file are new positions (default) or displacements",
         choices=("position", "displacement"),
@@ -124,25 +108,14 @@ class Group:
     mode: tuple[tuple[str, float], ...] = flag(
         "a file of displacements, and a factor; may be repeated", metavar=("FILE", "AMPLITUDE"), nargs=2, default=()
     )
-    box: Path | Table | None = flag("a free-form deformation box, see below", type=table, metavar="FILE")
-    hicks_henne: Path | Table | None = flag(
-        "bumps of Hicks and Henne on an airfoil's sides, see below", type=table, metavar="FILE"
-    )
-    cst: Path | Table | None = flag(
-        "class and shape functions to add to its sides, see below", type=table, metavar="FILE"
-    )
-    lattice: Path | None = flag(
-        "write the lattice of the box for ParaView: FILE_before.vts, FILE_after.vts", metavar="FILE.vts"
-    )
+    box: Path | Table | None = flag("a free-form deformation box, see below", **TABLE)
+    hicks_henne: Path | Table | None = flag("bumps of Hicks and Henne on an airfoil's sides, see below", **TABLE)
+    cst: Path | Table | None = flag("class and shape functions to add to its sides, see below", **TABLE)
+    lattice: Path | None = flag("the box's lattice for ParaView: FILE_before.vts, FILE_after.vts", metavar="FILE.vts")
     scale: list[float] | None = flag("factor, or a factor for each coordinate", metavar="S")
-    twist: float | None = flag(
-        "degrees by which the end of the line --along turns about the line, 3-D only", metavar="DEG"
-    )
-    bend: float | None = flag(
-        "degrees of the arc that the line --along becomes, towards the cross product of --axis and --along",
-        metavar="DEG",
-    )
-    rotate: float | None = flag("degrees, counterclockwise; right-handed about --axis", metavar="DEG", everyday=True)
+    twist: Angle | None = flag("degrees by which the end of the line --along turns about the line, 3-D only")
+    bend: Angle | None = flag("degrees of the arc of the line --along, towards the cross product of --axis and --along")
+    rotate: Angle | None = flag("degrees, counterclockwise; right-handed about --axis", everyday=True)
     translate: list[float] | None = flag("vector to translate by", everyday=True)
     about: list[float] | None = flag("centre of scaling, twist, bend, rotation (the origin)", everyday=True)
     axis: list[float] | None = flag("axis of rotation and bend, 3-D only", everyday=True)
@@ -174,7 +147,7 @@ class BoundaryFlags:
 
 
 @dataclasses.dataclass(frozen=True)
-class Method:
+class MethodFlags:
     """The method by its name, its number of sources, and the precision.
 
     With None the method has its own number of sources on the moving patches.
@@ -219,15 +192,16 @@ class Gates:
 
     @property
     def limits(self) -> "jm.Limits":
-        """The preset's limits, replaced by those of flags."""
         flags = {name: limit for name, limit in vars(self).items() if name != "preset" and limit not in (None, False)}
         return dataclasses.replace(jm.Limits.checkmesh() if self.preset else jm.Limits(), **flags)
 
 
+LIMITS = tuple(field.name for field in dataclasses.fields(Gates) if field.type == float | None)
+"""Names of the gates that are numbers."""
+
+
 @dataclasses.dataclass(frozen=True)
 class Speech:
-    """Flags of how a command speaks."""
-
     SECTION: ClassVar = "output"
 
     json: bool = switch("print one JSON object in place of text")
@@ -236,48 +210,29 @@ class Speech:
 
 @dataclasses.dataclass(frozen=True)
 class Deform:
-    """Request of `jaxmorph deform`; `set` are changes to the motion, by name."""
-
     file: Path = positional(MESH, "IN")
     output: Path = positional(
-        "the new mesh, in the format of its ending; for an OpenFOAM case a new folder, or CASE/TIME",
-        "OUT",
-        type=_output,
+        "the new mesh, in the format of its ending; for a case a new folder, or CASE/TIME", "OUT", type=_output
     )
-    decomposed: bool = switch(
-        "IN is a decomposed OpenFOAM case: move its folders processor* one by one, or several at a time under mpiexec"
-    )
+    decomposed: bool = switch("IN is a decomposed OpenFOAM case: move its parts one by one, or under mpiexec several")
     job: Path | None = flag("read the flags from a TOML file")
     save_job: Path | None = flag("write a TOML file with the flags of this run", type=_output)
     picture: Path | None = flag(
-        "draw the mesh before and after (.png); in 3-D also as a page to turn and deform (.html)",
-        type=_output,
-        everyday=True,
+        "draw the mesh before and after: .png, in 3-D also a page (.html)", type=_output, everyday=True
     )
     zone: int | None = flag(ZONE)
-    groups: tuple[Group, ...] = several(Group)
+    groups: tuple[MotionFlags, ...] = several(MotionFlags)
     boundary: BoundaryFlags = part(BoundaryFlags)
-    set: tuple[tuple[str, tuple[float, ...]], ...] = flag(
-        CHANGES_HELP, default=(), section="design variables", **CHANGES
-    )
-    method: Method = part(Method)
+    set: tuple[tuple[str, tuple[float, ...]], ...] = flag(CHANGES_HELP, section="design variables", **CHANGES)
+    method: MethodFlags = part(MethodFlags)
     steps: int = flag("number of steps (default 1)", default=1, section="method", everyday=True)
     chunk: int | None = flag(
-        "prepare and move N points at a time: less memory until the cells are judged, a little more time",
-        section="method",
+        "prepare and move N points at a time: less memory before cells are judged, more time", section="method"
     )
     gates: Gates = part(Gates)
-    allow_inverted: bool = switch(
-        "write OUT even when cells are inverted or a gate fails", section="when cells are bad"
-    )
-    dry_run: bool = switch(
-        "do not try other flags for advice", "--no-dry-run", default=True, section="when cells are bad"
-    )
+    allow_inverted: bool = switch("write OUT even when cells are inverted or a gate fails", section=BAD)
+    dry_run: bool = switch("do not try other flags for advice", "--no-dry-run", default=True, section=BAD)
     speech: Speech = part(Speech)
-
-    @property
-    def run(self) -> str:
-        return "_decomposed.deform_parts" if self.decomposed else "_deform.deform"
 
     @property
     def moving(self) -> tuple[str, ...]:
@@ -285,60 +240,37 @@ class Deform:
 
 
 @dataclasses.dataclass(frozen=True)
-class Modes:
-    """Request of `jaxmorph modes`."""
-
-    run: ClassVar = "_modes.modes"
-
+class ModesRequest:
     file: Path = positional(MESH, "IN")
     output: Path = positional(
-        "a time series OUT.pvd of .vtu files; with another ending one file a case, OUT_0001, OUT_0002, ...",
-        "OUT",
-        type=_output,
+        "a time series OUT.pvd of .vtu files; else one file a case, OUT_0001, ...", "OUT", type=_output
     )
     moving: tuple[str, ...] = _patches(WHAT_MOVES, section="surface", everyday=True)
     boundary: BoundaryFlags = part(BoundaryFlags)
     mode: tuple[Path, ...] = flag(
-        "displacements of the moving nodes: rows of node id, x, y[, z], or .npz",
-        required=True,
-        section="shapes",
-        everyday=True,
+        "displacements of the moving nodes: rows of node id, x, y[, z], or .npz", required=True, **SHAPES
     )
-    amplitude: tuple[float, ...] = flag(
-        "factors for each mode (default 1)",
-        metavar="A",
-        default=(1.0,),
-        section="shapes",
-        everyday=True,
-    )
-    method: Method = part(Method)
+    amplitude: tuple[float, ...] = flag("factors for each mode (default 1)", metavar="A", default=(1.0,), **SHAPES)
+    method: MethodFlags = part(MethodFlags)
     gates: Gates = part(Gates)
-    allow_inverted: bool = switch("write bad meshes too", section="when cells are bad")
+    allow_inverted: bool = switch("write bad meshes too", section=BAD)
     speech: Speech = part(Speech)
 
 
 @dataclasses.dataclass(frozen=True)
-class Sensitivity:
+class SensitivityRequest:
     """Request of `jaxmorph sensitivity`; with a job the result is by design variables."""
-
-    run: ClassVar = "_sensitivity.sensitivity"
 
     file: Path = positional(MESH, "IN")
     sensitivity: Path = positional(
-        "dJ/d(points) of all nodes: SU2's, OpenFOAM's, rows of node id and dJ/dx, dJ/dy[, dJ/dz], or .npz",
-        "SENS",
+        "dJ/d(points): SU2's, OpenFOAM's, rows of node id, dJ/dx, dJ/dy[, dJ/dz], or .npz", "SENS"
     )
-    output: Path = positional(
-        "where to write dJ/d(moving nodes): .csv or .npz; with --job .csv or .json", "OUT", type=_output
-    )
-    job: Path | None = flag(
-        "a job of deform: take derivatives by its design variables (leave IN out)",
-        everyday=True,
-    )
-    set: tuple[tuple[str, tuple[float, ...]], ...] = flag(CHANGES_HELP, default=(), **CHANGES)
+    output: Path = positional("dJ/d(moving nodes), .csv or .npz; with --job .csv or .json", "OUT", type=_output)
+    job: Path | None = flag("a job of deform: derivatives by its design variables (leave IN out)", everyday=True)
+    set: tuple[tuple[str, tuple[float, ...]], ...] = flag(CHANGES_HELP, **CHANGES)
     moving: tuple[str, ...] = _patches(WHAT_MOVES, section="surface", everyday=True)
     boundary: BoundaryFlags = part(BoundaryFlags)
-    method: Method = part(Method)
+    method: MethodFlags = part(MethodFlags)
     speech: Speech = part(Speech)
 
 
@@ -346,32 +278,21 @@ class Sensitivity:
 class SU2:
     """Request of `jaxmorph su2`: `action` is `def` or `dot`."""
 
-    run: ClassVar = "_su2.run"
-
-    action: str = positional(
-        "def moves the mesh as SU2_DEF does, dot projects sensitivities onto design variables as SU2_DOT does",
-        "ACTION",
-        choices=("def", "dot"),
-    )
+    action: str = positional("def moves the mesh, dot projects sensitivities", "ACTION", choices=("def", "dot"))
     file: Path = positional("SU2's config file; the files it names are relative to its folder", "CONFIG")
     sensitivity: Path | None = flag(
-        "dot: dJ/d(nodes) of the volume or of the wall (default: the file that the config names)",
-        metavar="SENS",
+        "dot: dJ/d(nodes) of the volume or wall (default as the config file says)", metavar="SENS"
     )
-    output: Path | None = flag(
-        "where to write (default as the config file says)", "--output", "-o", metavar="OUT", type=_output
-    )
+    output: Path | None = flag("where to write (default as the config file says)", *OUTPUT, metavar="OUT", type=_output)
     definition: bool = switch("the design variables of DEFINITION_DV in place of DV_KIND")
-    method: Method = part(Method)
-    allow_inverted: bool = switch("write OUT even when cells are inverted", section="when cells are bad")
+    method: MethodFlags = part(MethodFlags)
+    allow_inverted: bool = switch("write OUT even when cells are inverted", section=BAD)
     speech: Speech = part(Speech)
 
 
 @dataclasses.dataclass(frozen=True)
 class Quality:
     """Request of `jaxmorph quality`. `moved` is the file of the moved mesh."""
-
-    run: ClassVar = "_inspect.quality"
 
     file: Path = positional(MESH, "FILE")
     moved: Path | None = positional("the same mesh, deformed", "FILE2", nargs="?")
@@ -383,39 +304,22 @@ class Quality:
 
 @dataclasses.dataclass(frozen=True)
 class Info:
-    """Request of `jaxmorph info`."""
-
-    run: ClassVar = "_inspect.info"
-
     file: Path = positional(MESH, "FILE")
     speech: Speech = part(Speech)
 
 
 @dataclasses.dataclass(frozen=True)
 class Demo:
-    """Request of `jaxmorph demo`."""
-
-    run: ClassVar = "_inspect.demo"
-
-    case: str = positional("naca0015 (default)", "CASE", nargs="?", default="naca0015")
-    output: Path = flag(
-        "where to write (default jaxmorph-demo)",
-        "--output",
-        "-o",
-        metavar="DIR",
-        default=Path("jaxmorph-demo"),
+    case: str = positional(
+        "naca0015 (default)", "CASE", nargs="?", default="naca0015", type=one_of("demo", ["naca0015"])
     )
+    output: Path = flag("where to write (default jaxmorph-demo)", *OUTPUT, metavar="DIR", default=Path("jaxmorph-demo"))
 
 
-Request = Deform | Modes | Sensitivity | SU2 | Quality | Info | Demo
+Request = Deform | ModesRequest | SensitivityRequest | SU2 | Quality | Info | Demo
 
 COMMANDS: dict[str, Fields] = {
-    "deform": Deform,
-    "modes": Modes,
-    "sensitivity": Sensitivity,
-    "su2": SU2,
-    "quality": Quality,
-    "info": Info,
-    "demo": Demo,
+    fields.__name__.removesuffix("Request").lower(): fields
+    for fields in (Deform, ModesRequest, SensitivityRequest, SU2, Quality, Info, Demo)
 }
 """Requests by the name of their command."""

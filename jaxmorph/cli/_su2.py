@@ -13,31 +13,31 @@ from jaxmorph._kernels.compile import quickly_compiled
 from jaxmorph.integrations import su2
 
 from ._deform import SMALL
-from ._method import NamedMethod, named_method
+from ._method import described, method_of
 from ._output import Output, count, steepest, title
 from ._requests import SU2
+from ._way import Way, faults, is_kept, say_verdict
 
 
 def run(request: SU2, out: Output) -> int:
     """Reads the config file, and moves its mesh or projects sensitivities. Returns the status."""
     with out.progress(f"reading {title(request.file)}"):
         config = su2.read_config(request.file, definition=request.definition)
-    mesh, nodes = config.mesh, config.mesh.patch(*config.moving)
+    mesh, factors = config.mesh, np.asarray(config.shape.scales)
     n, d = mesh.points.shape
     out.say(f"{mesh.source.path.name}: {n} points in {d}-D", points=n)
-    factors = np.asarray(config.shape.scales)
     out.say(
         f"values   {'; '.join(_values(config, factors)) or 'none: nothing is deformed'}",
         variables=dict(zip(config.names, config.parameters.tolist(), strict=True)),
         factors=dict(zip(config.names, factors.tolist(), strict=True)),
     )
-    out.say(f"moving   {', '.join(config.moving)}: {count(len(nodes), 'node')}", moving=list(config.moving))
+    nodes = count(len(mesh.patch(*config.moving)), "node")
+    out.say(f"moving   {', '.join(config.moving)}: {nodes}", moving=list(config.moving))
     with quickly_compiled(n * config.steps <= SMALL):
         return _deform(request, config, out) if request.action == "def" else _project(request, config, out)
 
 
 def _values(config: su2.Config, factors: np.ndarray) -> Iterator[str]:
-    """Lists the values of each kind of design variable, and what they are multiplied by."""
     kinds = np.array([name.partition("[")[0] for name in config.names])
     for kind in dict.fromkeys(kinds.tolist()):
         own, relaxed = factors[kinds == kind], config.options.relaxation
@@ -57,53 +57,44 @@ def _listed(numbers: np.ndarray) -> str:
 
 
 def _deform(request: SU2, config: su2.Config, out: Output) -> int:
-    mesh, output = config.mesh, request.output or config.output
+    mesh, output, bad = config.mesh, request.output or config.output, []
     io.check_output(output, mesh)
-    check_apart([("OUT", output)], {"the config is": [request.file]})
-    points = np.asarray(mesh.points)
-    status = 0
+    moved = mesh
     if config.names:
-        choice = _method(request, config)
-        out.say(f"method   {choice.name}, {count(config.steps, 'step')}", method=choice.name, steps=config.steps)
+        with out.progress("preparing"):
+            plan = _plan(request, config, request.method.dtype)
+        name, _ = described(request.method, plan)
+        out.say(f"method   {name}, {count(config.steps, 'step')}", method=name, steps=config.steps)
         out.say(f"fixed    {', '.join(config.fixed) or 'no patch'}", fixed=list(config.fixed))
         if config.symmetry:
             out.say(f"symmetry {', '.join(config.symmetry)}", symmetry=list(config.symmetry))
         text = f"largest  {config.largest:.6g}, {config.share:.3g} times the length of what moves"
         out.say(text, largest=config.largest, share=config.share)
-        with out.progress("preparing"):
-            base = mesh.moved(points.astype(request.method.dtype, copy=False))
-            plan = jm.prepare(base, config.moving, config.fixed, method=choice.method, symmetry=config.symmetry)
         with out.progress(f"deforming in {count(config.steps, 'step')}"):
             points = np.asarray(jm.march(plan, config.path.astype(request.method.dtype))[1], float)
-        status = _judge(request, mesh, io.as_written(output, mesh.moved(points)), output, out)
-    if status and not request.allow_inverted:
-        return status
-    moved = mesh.moved(points)
+        moved = mesh.moved(points)
+        with out.progress("judging the cells"):
+            verdict = Way(output, mesh, (points,)).judge()
+        say_verdict(verdict, out)
+        bad = faults(verdict)
+    if not is_kept(bad, request.allow_inverted, output, out):
+        return 1
     if config.boxes:
         moved = io.with_boxes(moved, config.moved_boxes)
         out.say(f"boxes    {', '.join(box.name for box in config.boxes)}", boxes=[box.name for box in config.boxes])
     with out.progress(f"writing {output.name}"):
         io.write(output, moved)
     out.say(f"wrote {output} ({out.seconds:.1f} s)", output=str(output))
-    return status
+    return 1 if bad else 0
 
 
-def _method(request: SU2, config: su2.Config) -> NamedMethod:
-    points, moving = np.asarray(config.mesh.points), config.mesh.patch(*config.moving)
-    fixed = config.mesh.patch(*config.fixed) if config.fixed else np.zeros(0, dtype=int)
-    return named_method(request.method, points[moving], points[np.setdiff1d(fixed, moving)])
-
-
-def _judge(request: SU2, mesh: jm.Mesh, points: np.ndarray, output: Path, out: Output) -> int:
-    with out.progress("judging the cells"):
-        verdict = jm.judge(mesh, points)
-    assert verdict.before is not None
-    out.say(f"\n{verdict.table()}\n", before=verdict.before.facts, after=verdict.facts)
-    for sentence in verdict.faults():
-        out.complain(sentence)
-    if not verdict.ok and not request.allow_inverted:
-        out.complain(f"{output} is not written; --allow-inverted writes it anyway.")
-    return 0 if verdict.ok else 1
+def _plan(request: SU2, config: su2.Config, dtype: str = "float64") -> jm.Plan:
+    mesh, points = config.mesh, np.asarray(config.mesh.points)
+    moving = mesh.patch(*config.moving)
+    fixed = mesh.patch(*config.fixed) if config.fixed else np.zeros(0, dtype=int)
+    method = method_of(request.method, points[moving], points[np.setdiff1d(fixed, moving)])
+    mesh = mesh.moved(points.astype(dtype, copy=False))
+    return jm.prepare(mesh, config.moving, config.fixed, method=method, symmetry=config.symmetry)
 
 
 def _project(request: SU2, config: su2.Config, out: Output) -> int:
@@ -131,16 +122,15 @@ def _project(request: SU2, config: su2.Config, out: Output) -> int:
 
 
 def _gradient(request: SU2, config: su2.Config, sensitivities: su2.Sensitivity, out: Output) -> np.ndarray:
-    mesh, by_nodes = config.mesh, sensitivities.by_nodes
-    wall, kind = np.asarray(mesh.points, float)[mesh.patch(*config.moving)], "surface"
+    mesh, by_nodes, kind = config.mesh, sensitivities.by_nodes, "surface"
+    wall = np.asarray(mesh.points, float)[mesh.patch(*config.moving)]
     if len(by_nodes) == len(mesh.points):
-        kind, choice = "volume", _method(request, config)
+        kind = "volume"
         with out.progress("preparing"):
-            plan = jm.prepare(mesh, config.moving, config.fixed, method=choice.method, symmetry=config.symmetry)
+            plan = _plan(request, config)
         with out.progress("pulling back"):
             by_nodes = np.asarray(jm.pullback(plan, np.zeros(wall.shape), by_nodes))
-    out.say(
-        f"reading  {sensitivities.path.name}: dJ/d(nodes) of the {kind}", sensitivity=str(sensitivities.path), kind=kind
-    )
+    path = sensitivities.path
+    out.say(f"reading  {path.name}: dJ/d(nodes) of the {kind}", sensitivity=str(path), kind=kind)
     project = jax.jit(lambda by_wall: shapes.project(config.shape, wall, config.shape.neutral(), by_wall))
     return np.array(project(by_nodes), float)

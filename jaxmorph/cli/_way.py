@@ -3,7 +3,7 @@
 import contextlib
 import dataclasses
 import functools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
@@ -36,14 +36,16 @@ class Way:
     path: Path
     mesh: Mesh
     ends: tuple[Float[np.ndarray, "n d"], ...]
-    is_straight: bool
+    is_straight: bool = True
 
     @functools.cached_property
     def stored(self) -> Float[np.ndarray, "n d"]:
         """The last points as the file holds them, rounded where it is in single precision."""
         return io.as_written(self.path, self.mesh.moved(self.ends[-1]))
 
-    def judge(self, limits: jm.Limits, before: jm.Verdict | None = None, part: int | None = None) -> jm.Verdict:
+    def judge(
+        self, limits: jm.Limits | None = None, before: jm.Verdict | None = None, part: int | None = None
+    ) -> jm.Verdict:
         motion: dict[str, Any] = {"steps": self.ends[:-1], "is_straight": self.is_straight}
         return jm.judge(self.mesh, self.stored, limits, before=before, part=part, **motion)
 
@@ -117,18 +119,33 @@ def faults(verdict: jm.Verdict) -> list[str]:
     return verdict.faults(lambda gate: "--proven" if gate.name == PROVEN else f"{flag_of(gate.name)} {gate.limit:g}")
 
 
-def say_proven(verdict: jm.Verdict, is_straight: bool, steps: int, out: Output) -> None:
-    """Says how many cells the gate `--proven` has proven, and for which instants of the motion."""
-    beyond = [gate.beyond for gate in verdict.gates if gate.name == PROVEN]
-    if not beyond:
-        return
-    valid = verdict.cells - beyond[0]
-    wrapped(out, f"proven: {valid} of {verdict.cells} cells fold nowhere inside, {instants(is_straight, steps)}.")
-    out.say(proven={"cells": valid, "steps": steps, "on_the_way": is_straight})
+def is_kept(bad: list[str], allow_inverted: bool, output: Path, out: Output) -> bool:
+    """Tells what is wrong, and whether the output is to be written."""
+    for sentence in bad:
+        out.complain(sentence)
+    if bad and not allow_inverted:
+        out.complain(f"{output} is not written; --allow-inverted writes it anyway.")
+    return not bad or allow_inverted
+
+
+def say_verdict(
+    verdict: jm.Verdict, out: Output, *, is_straight: bool = True, steps: int = 1, more: Sequence[str] = ()
+) -> None:
+    """Prints the quality before and after a motion, with `more` rows.
+
+    With the gate `--proven`, it says how many cells are proven, and for which instants.
+    """
+    assert verdict.before is not None
+    out.say(f"\n{verdict.table(more)}\n", before=verdict.before.facts, after=verdict.facts, gates=verdict.gate_facts)
+    for gate in (gate for gate in verdict.gates if gate.name == PROVEN):
+        valid = verdict.cells - gate.beyond
+        out.say(
+            wrapped(f"proven: {valid} of {verdict.cells} cells fold nowhere inside, {instants(is_straight, steps)}.")
+        )
+        out.say(proven={"cells": valid, "steps": steps, "on_the_way": is_straight})
 
 
 def instants(is_straight: bool, steps: int) -> str:
-    """Writes for which instants of a motion `--proven` holds."""
     if is_straight:
         return "at every instant of the motion" + (f", step by step in {steps} steps" if steps > 1 else "")
     end = f"where each of {steps} steps ends" if steps > 1 else "where the motion ends"

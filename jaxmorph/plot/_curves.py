@@ -52,7 +52,6 @@ def histogram(reports: Mapping[str, jm.QualityReport], *, measure: str = "skewne
 
 
 def _of_cells(report: jm.QualityReport, measure: str) -> Float[np.ndarray, " k"]:
-    """Selects the finite values of the cells of the highest dimension."""
     values = np.asarray(getattr(report, measure))
     return values[report.counted & np.isfinite(values)]
 

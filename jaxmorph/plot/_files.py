@@ -18,7 +18,7 @@ from .._host.package.arguments import checked, finite_array, rows_of, whole
 from .._host.package.files import complete, output_path
 from . import _plane
 from ._outside import outlines, outside
-from ._plane import ROOM, Axes, Figure, MaxNLocator, Window, plt, to_hex
+from ._plane import Axes, Figure, plt, round_numbers, to_hex
 from ._space import (
     AIMED,
     before_after_3d,
@@ -31,7 +31,7 @@ from ._space import (
     viewer_of,
     whole_view,
 )
-from ._style import COLOURS, DARK, DISPLACEMENT, Limits, Values, colour_scale, finite
+from ._style import DARK, DISPLACEMENT, Limits, Values, colour_scale, finite
 
 SLIDER = """
 const panel = document.createElement("form");
@@ -60,6 +60,10 @@ look();
 window.addEventListener("resize", look);
 """
 """Script of a page; words in capitals are replaced by the page's texts, colours and numbers."""
+
+# no bar of k3d's, which rounds its numbers to two digits: the script draws another
+BARE = {"grid_visible": False, "menu_visibility": False, "camera_auto_fit": False, "colorbar_object_id": 0}
+LINES = {"indices_type": "segment", "shader": "simple", "color": int(DARK[1:], 16)}
 
 HALF_VIEW = np.tan(np.deg2rad(15))
 """Half of what the camera of a page sees across the smaller side, over its distance."""
@@ -121,7 +125,7 @@ def _in_3d(only: jm.Mesh, points: Float[Any, "n 3"]) -> bytes:
 
 def _in_2d(before: jm.Mesh, points: Float[np.ndarray, "n 2"], moving: np.ndarray, reports: Reports) -> bytes:
     states = np.asarray(before.points), points
-    window = _window(np.concatenate([state[moving] for state in states]))
+    window = _plane.window_round(np.concatenate([state[moving] for state in states]), np.concatenate(states))
     width, height = (side[1] - side[0] for side in window)
     figure = Figure(figsize=(8, 1.5 + 3.6 * min(height / width, 1.5)), dpi=200, layout="constrained")
     axes = figure.subplots(1, 2, sharey=True)
@@ -135,12 +139,6 @@ def _in_2d(before: jm.Mesh, points: Float[np.ndarray, "n 2"], moving: np.ndarray
     file = io.BytesIO()
     figure.savefig(file, format="png")
     return file.getvalue()
-
-
-def _window(points: Float[np.ndarray, "k 2"]) -> Window:
-    low, high = points.min(axis=0), points.max(axis=0)
-    room = ROOM * (high - low).max()
-    return _plane.whole(np.stack([low - room, high + room]))
 
 
 def _in_plane(before: jm.Mesh, points: Float[np.ndarray, "n 3"]) -> tuple[jm.Mesh, np.ndarray, np.ndarray] | None:
@@ -208,37 +206,23 @@ def page(
         raise ImportError("pages need k3d: pip install 'jaxmorph[plot]'") from error
     faces = outside(mesh, points, values, patch)
     before, after = (np.asarray(part.points, float) for part in (outside(mesh, None, None, patch), faces))
-    colours, limits = colour_scale(limits, COLOURS if values is not None else DISPLACEMENT)
     triangles = faces.cast_to_unstructured_grid().triangulate()
-    if values is None:
-        length = np.linalg.norm(after - before, axis=1).astype(np.float32)
-        low, high = limits or _apart(0.0, float(length.max()))
-        shade = {"attribute": {"0": np.zeros_like(length), "1": length}}
-    else:
-        of_cells = np.asarray(triangles.cell_data["values"], np.float32)
-        known = of_cells[np.isfinite(of_cells)]
-        low, high = limits or _apart(float(known.min()), float(known.max()))
-        shade = {"triangles_attribute": np.clip(of_cells, low, high)}
-    map_places = np.linspace(0, 1, 64)
-    colour_map = np.column_stack([map_places, plt.get_cmap(colours)(map_places)[:, :3]]).ravel().tolist()
-    shade |= {"color_map": colour_map, "color_range": [low, high]}
+    lengths = np.linalg.norm(after - before, axis=1).astype(np.float32)
+    colours, (low, high), style = _shade(lengths, triangles.cell_data.get("values"), limits)
     if "whole" not in faces.cell_data:
         faces.cell_data["whole"] = np.arange(faces.n_cells)
     middle = (after.min(axis=0) + after.max(axis=0)) / 2
     places = {time: (state - middle).astype(np.float32) for time, state in (("0", before), ("1", after))}
     edges = np.asarray(outlines(faces).lines).reshape(-1, 3)[:, 1:].astype(np.uint32)
-    # no bar of k3d's, which rounds its numbers to two digits: the script draws another
-    free = {"grid_visible": False, "menu_visibility": False, "camera_auto_fit": False, "colorbar_object_id": 0}
-    scene = k3d.plot(time=1.0, snapshot_type="full", **free)
+    scene = k3d.plot(time=1.0, snapshot_type="full", **BARE)
     scene.camera = _camera(np.concatenate([*places.values()]), viewer_of(faces, np.ptp(after - before, axis=0)))
-    scene += k3d.mesh(places, triangles.cells_dict[5].astype(np.uint32), side="double", name="surface", **shade)
-    style = {"indices_type": "segment", "shader": "simple", "color": int(DARK[1:], 16)}
-    scene += k3d.lines(places, edges, name="edges", **style)
+    scene += k3d.mesh(places, triangles.cells_dict[5].astype(np.uint32), side="double", name="surface", **style)
+    scene += k3d.lines(places, edges, name="edges", **LINES)
     words = {
         "TITLE": path.stem,
         "LABEL": label or ("displacement" if values is None else "values of the cells"),
         "COLOURS": ", ".join(to_hex(colour) for colour in plt.get_cmap(colours)(np.linspace(0, 1, 9))),
-        "TICKS": _ticks(low, high),
+        "TICKS": [(100 * (tick - low) / (high - low), f"{tick:.6g}") for tick in round_numbers(low, high, 4)],
         "HALF_VIEW": HALF_VIEW,
     }
     code = scene.get_snapshot(additional_js_code=_with_words(SLIDER, words)).encode()
@@ -247,15 +231,21 @@ def page(
     return path
 
 
-def _apart(low: float, high: float) -> Limits:
-    return low, high if high > low else low + 1
-
-
-def _ticks(low: float, high: float) -> list[tuple[float, str]]:
-    """Returns places on a bar in percent of its length, and the round numbers there."""
-    values = np.asarray(MaxNLocator(4, steps=(1, 2, 2.5, 5, 10)).tick_values(low, high))
-    shown = values[(low <= values) & (values <= high)]
-    return [(100 * (value - low) / (high - low), f"{value:.6g}") for value in shown.tolist()]
+def _shade(lengths: np.ndarray, values: Any, limits: Limits | None) -> tuple[str, Limits, dict[str, Any]]:
+    """Returns the colour map, its limits, and k3d's settings: for values of cells, or lengths."""
+    if values is None:
+        colours, limits = colour_scale(limits, DISPLACEMENT)
+        low, high = limits or (0.0, float(lengths.max()) or 1.0)
+        style: dict[str, Any] = {"attribute": {"0": np.zeros_like(lengths), "1": lengths}}
+    else:
+        colours, limits = colour_scale(limits)
+        known = np.asarray(values, np.float32)
+        least, most = (float(end(known[np.isfinite(known)])) for end in (np.min, np.max))
+        low, high = limits or (least, most if most > least else least + 1)
+        style = {"triangles_attribute": np.clip(known, low, high)}
+    places = np.linspace(0, 1, 64)
+    colour_map = np.column_stack([places, plt.get_cmap(colours)(places)[:, :3]]).ravel().tolist()
+    return colours, (low, high), style | {"color_map": colour_map, "color_range": [low, high]}
 
 
 def _with_words(code: str, words: dict[str, Any]) -> str:
@@ -265,7 +255,7 @@ def _with_words(code: str, words: dict[str, Any]) -> str:
 
 
 def _camera(shown: Float[np.ndarray, "k 3"], viewer: np.ndarray) -> list[float]:
-    """Returns position, target, upwards: both ends of the motion show."""
+    """Returns position, target, upwards of a camera that sees both ends of the motion."""
     axes = np.stack(view_axes(viewer))
     seen = shown.astype(float) @ axes.T
     low, high = seen.min(axis=0), seen.max(axis=0)
@@ -380,7 +370,7 @@ def _close(drawn: Any) -> None:
 
 
 def _pixels(drawn: Any, view: Any) -> UInt8[np.ndarray, "h w 3"]:
-    """Returns the pixels of what was drawn, and closes it."""
+    """Renders, and closes what was drawn."""
     if isinstance(drawn, Axes):
         (xlim, ylim), size, dpi = view
         drawn.set(xlim=xlim, ylim=ylim)

@@ -20,7 +20,6 @@ NOTHING = "there is nothing to draw: the plane cuts no cell."
 
 
 def pyvista() -> Any:
-    """Imports the package; the `ImportError` names what to install."""
     try:
         import pyvista
     except ImportError as error:
@@ -33,7 +32,7 @@ def lines_of(points: Any, ids: np.ndarray) -> Any:
 
 
 def outlines(section: Any) -> Any:
-    """Returns a section's cell edges for pyvista, without edges between two pieces of a cell."""
+    """Lists a section's edges, without those between two pieces of a cell."""
     cells = section.cast_to_unstructured_grid().GetCells()
     labels, starts = (pyvista().convert_array(part()) for part in (cells.GetConnectivityArray, cells.GetOffsetsArray))
     after = np.roll(labels, -1)
@@ -65,7 +64,6 @@ def outside(mesh: jm.Mesh, points: Any, values: Any, patch: str | None) -> Any:
 
 
 def skin(grid: Any) -> Any:
-    """Returns the outer faces by VTK's own filter: pyvista has called it by several names."""
     from vtkmodules.vtkFiltersGeometry import vtkGeometryFilter
 
     boundary = vtkGeometryFilter()
@@ -120,7 +118,6 @@ def _curved_faces(mesh: jm.Mesh, points: Any, values: Any, on_patch: np.ndarray 
 
 
 def near_plane(mesh: jm.Mesh, points: Any, values: Any, normal: np.ndarray, origin: np.ndarray) -> Any:
-    """Returns pieces of the curved cells that a plane may cut."""
     x, chosen, number, first = _places(mesh, points), {}, [], 0
     above = (x - origin) @ normal
     for kind, ids in mesh.cells.items():

@@ -58,8 +58,10 @@ LABEL = 0.3
 UNLABELLED = 0.775
 """The part of a figure's width that axes have until their labels are laid out."""
 
-FOUR_CORNERS = {"line": [0, 1, 1, 0], "triangle": [0, 1, 2, 2], "quad": [0, 1, 2, 3]}
+STEPS = 1, 2, 2.5, 5, 10
+"""Steps between round numbers, times powers of ten."""
 
+FOUR_CORNERS = {"line": [0, 1, 1, 0], "triangle": [0, 1, 2, 2], "quad": [0, 1, 2, 3]}
 
 ROOM = 0.4
 """Margin of a picture around the bodies, relative to their extent, unless a window is given."""
@@ -186,7 +188,7 @@ def graph(
     simplices = nodes[Delaunay(points[nodes]).simplices]
     if u is not None:
         points = np.asarray(jm.deform(plan, finite_array("u", u, (plan.n_moving, 2))))
-    window = _round(points[moving], points) if window is None else window
+    window = window_round(points[moving], points) if window is None else window
     ax = show(given_or_new(ax, window, above=0.35), window)
     if interior:
         ax.plot(*np.delete(points, nodes, axis=0).T, ".", color=GREY, markersize=2, zorder=1)
@@ -233,7 +235,6 @@ class Cells:
 
     @property
     def outlines(self) -> Float[np.ndarray, "k c 2"]:
-        """Places once round each cell: the corners of a straight one."""
         return self.sides[:, :, :-1].reshape(len(self.ids), -1, 2)
 
     @property
@@ -243,7 +244,6 @@ class Cells:
         return np.abs(np.sum(a * d - b * c, axis=1)) / 2
 
     def inside(self, window: Window) -> Int[np.ndarray, " s"]:
-        """Lists the cells that may be seen."""
         return seen_in(self.outlines, window)
 
     def drawn(self, window: Window | None) -> Int[np.ndarray, " s"]:
@@ -307,7 +307,6 @@ def fill(ax: Axes, outlines: Float[np.ndarray, "k c 2"], **style: Any) -> PolyCo
 def draw_lines(
     ax: Axes, cells: Cells, seen: Int[np.ndarray, " s"], window: Window, colour: str, least: float | int = 0
 ) -> None:
-    """Draws lines between cells, thinner where these are thin, none below `least`."""
     edges, _, narrowest = cells.edges(seen)
     to_points = 72 * ax.get_window_extent().width / ax.figure.dpi / (window[0][1] - window[0][0])
     chosen = narrowest * to_points >= least
@@ -317,14 +316,14 @@ def draw_lines(
 
 
 def draw_walls(ax: Axes, cells: Cells, colour: str) -> None:
-    """Draws edges with a cell on one side: an odd count, for a line's cell has it twice."""
+    # an edge with a cell on one side has an odd count: a line's cell has it twice
     edges, counts, _ = cells.edges(np.arange(len(cells.ids)))
     lines = list(edges[counts % 2 == 1])
     ax.add_collection(LineCollection(lines, colors=colour, linewidths=WALL, capstyle="round"), autolim=False)
 
 
 def given_or_new(ax: Axes | None, window: Window | None = None, *, bar: bool = False, above: float = 0.1) -> Axes:
-    """Returns the given axes, or new ones of their window's shape, `above` inches on top."""
+    """Makes axes of their window's shape, with `above` inches on top, unless some are given."""
     if ax is not None:
         return ax
     if window is None:
@@ -335,36 +334,37 @@ def given_or_new(ax: Axes | None, window: Window | None = None, *, bar: bool = F
     size = scale * width + beside, max(scale * height + below, 1.5)
     ax = plt.subplots(figsize=size, layout="constrained")[1]
     for axis, length in ((ax.xaxis, scale * width), (ax.yaxis, scale * height)):
-        axis.set_major_locator(MaxNLocator(int(np.clip(length / LABEL, 2, 7)), steps=(1, 2, 2.5, 5, 10)))
+        axis.set_major_locator(MaxNLocator(int(np.clip(length / LABEL, 2, 7)), steps=STEPS))
     return ax
+
+
+def round_numbers(low: float, high: float, count: int) -> list[float]:
+    """Lists up to about `count` round numbers from `low` to `high`."""
+    values = np.asarray(MaxNLocator(count, steps=STEPS).tick_values(low, high))
+    return values[(low <= values) & (values <= high)].tolist()
 
 
 def legend_above(ax: Axes, handles: Sequence[Any] | None = None) -> None:
     """Puts the legend above the axes, in as few rows as the figure's width has room for."""
     handles = ax.get_legend_handles_labels()[0] if handles is None else handles
-    size, count = plt.rcParams["font.size"], len(handles)
-    widths = [
-        2.8 * size + TextPath((0, 0), str(handle.get_label()), size=size).get_extents().width for handle in handles
-    ]
-    room = 72 / ax.figure.dpi * ax.figure.bbox.width * min(ax.get_position().width / UNLABELLED, 1) - size
-    # a column holds the entries of `rows` places in a row, and is as wide as its widest
-    rows = 1
-    while rows < count and sum(max(widths[k : k + rows]) for k in range(0, count, rows)) > room:
-        rows += 1
+    size, figure = plt.rcParams["font.size"], ax.figure
+    room = figure.bbox.width * min(ax.get_position().width / UNLABELLED, 1) - size * figure.dpi / 72
     tight: dict[str, Any] = {"handlelength": 1.2, "handletextpad": 0.4, "columnspacing": 1.0, "frameon": False}
-    columns = -(-count // rows)
-    ax.legend(handles=handles, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=columns, fontsize=size, **tight)
+    for columns in range(len(handles), 0, -1):
+        legend = ax.legend(
+            handles=handles, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=columns, fontsize=size, **tight
+        )
+        if legend.get_window_extent().width <= room:
+            return
 
 
 def show(ax: Axes, window: Window) -> Axes:
-    """Shows a window of the plane, and names its axes unless they have names."""
     ax.set(xlim=window[0], ylim=window[1], aspect="equal")
     ax.set(xlabel=ax.get_xlabel() or "x", ylabel=ax.get_ylabel() or "y")
     return ax
 
 
 def in_dimension(points: Any, dimension: int = 2) -> Float[np.ndarray, "n d"]:
-    """Checks the shape of points; the `ValueError` names the functions of both dimensions."""
     points = finite(points)
     if points.ndim != 2 or points.shape[1] != dimension:
         raise ValueError(
@@ -398,11 +398,10 @@ def _bodies(mesh: jm.Mesh, *states: Any) -> Window:
     everything, nodes = np.concatenate(states), bodies(base, mesh.patches)
     if not len(nodes):
         return whole(everything)
-    return _round(np.concatenate([points[nodes] for points in states]), everything)
+    return window_round(np.concatenate([points[nodes] for points in states]), everything)
 
 
-def _round(body: Float[np.ndarray, "k 2"], points: Float[np.ndarray, "n 2"]) -> Window:
-    """Returns the window round a body with some room, and no larger than all points need."""
+def window_round(body: Float[np.ndarray, "k 2"], points: Float[np.ndarray, "n 2"]) -> Window:
     low, high = body.min(axis=0), body.max(axis=0)
     room = ROOM * (high - low).max()
     low, high = np.maximum(low - room, points.min(axis=0)), np.minimum(high + room, points.max(axis=0))

@@ -142,7 +142,6 @@ def _picture(surface: Any, reduction: jm.AbstractReduction | None, fixed: bool, 
 
 
 def radial_basis_functions(plan: jm.Plan) -> jm.RBF:
-    """Returns the plan's RBF; `ValueError` where it has none."""
     method = plan.method
     while isinstance(method, jm.SurfaceReconstruction):
         method = method.coarse
@@ -166,7 +165,6 @@ def of_plan(plan: jm.Plan, fixed: bool = True) -> tuple[list[tuple[np.ndarray, j
 
 
 def _wires(boxes: Float[np.ndarray, "l 2 3"]) -> Any:
-    """Draws the twelve edges of each box as pyvista's lines."""
     corners = np.array([*itertools.product((0, 1), repeat=3)])
     edges = [(i, j) for i, j in itertools.combinations(range(8), 2) if np.abs(corners[i] - corners[j]).sum() == 1]
     points = boxes[:, corners, range(3)].reshape(-1, 3)

@@ -11,7 +11,7 @@ import jaxmorph as jm
 
 from .._host.package.arguments import checked
 from ._outside import NOTHING, grid_of, near_plane, outlines, outside, pyvista, skin
-from ._plane import ROOM, MaxNLocator, TextPath, findfont, plt
+from ._plane import ROOM, TextPath, findfont, plt, round_numbers
 from ._style import BLUE, DARK, GREY, ORANGE, STILL, Limits, Values, bodies, scale_of
 
 LIT = {"ambient": 0.4, "diffuse": 0.7}
@@ -23,11 +23,8 @@ VIEWER = -1.0, -2.5, 1.8
 AIMED: weakref.WeakKeyDictionary[Any, tuple[Any, Any, Any]] = weakref.WeakKeyDictionary()
 """The view that `aim` gave each plotter, its direction, and the window."""
 
-WINDOW = 1200, 900
-"""Width of a picture in pixels, and its largest height."""
-
-TEXT = 30
-"""Height of letters in pixels."""
+WINDOW, TEXT = (1200, 900), 30
+"""Width and largest height of a picture, height of letters in pixels."""
 
 ALONG = 0.97
 """Cosine between an axis and the view from which the axis is a point, and has no name."""
@@ -152,7 +149,6 @@ def cut(
 
 
 def _cropped(section: Any, body: np.ndarray | None, axes: Sequence[np.ndarray]) -> Any:
-    """Crops a section to a body and some room round it; without a body it stays whole."""
     if body is None:
         return section
     room = ROOM * max(np.ptp(body @ axis) for axis in axes)
@@ -171,28 +167,32 @@ def _draw(
     lighting: bool = True,
     show_edges: bool = True,
 ) -> Any:
-    """Draws faces, with colours and a bar where they have values."""
     if part.n_cells == 0:
         raise ValueError(NOTHING)
-    has_values = "values" in part.cell_data
+    has_values, ends = "values" in part.cell_data, {}
     if label is not None and not has_values:
         raise ValueError(f"there are no `values` that are {label!r}.")
-    style: dict[str, Any] = {"color": GREY if lighting else "white"}
-    ends: list[tuple[str, str]] = []
+    # light would change the colours, and not those of the bar
+    style: dict[str, Any] = LIT if lighting and not has_values else {"lighting": False}
+    style = style | {"color": GREY if lighting else "white"}
     if has_values:
-        values, sizes = part.cell_data["values"], part.compute_cell_sizes(length=False, volume=False).cell_data["Area"]
-        colours, limits, below, above = scale_of(values, sizes, limits)
-        ends = [("below", "<")] * below + [("above", ">")] * above
-        style = {"scalars": "values", "cmap": colours, "clim": limits}
-        style |= {f"{side}_color": plt.get_cmap(colours)(float(side == "above")) for side, _ in ends}
+        style, ends = _scaled(part, limits)
     new, plotter = plotter is None, new_plotter() if plotter is None else plotter
-    light = LIT if lighting and not has_values else {"lighting": False}  # it would change the colours, and the bar not
-    _add_faces(plotter, part, show_edges, show_scalar_bar=False, **light, **style)
+    _add_faces(plotter, part, show_edges, show_scalar_bar=False, **style)
     if has_values and bar:
-        add_bar(plotter, label or "", limits, {f"{side}_label": sign for side, sign in ends})
+        add_bar(plotter, label or "", style["clim"], {f"{side}_label": sign for side, sign in ends.items()})
     if new:
         aim(plotter, viewer_of(part))
     return plotter
+
+
+def _scaled(part: Any, limits: Limits | None) -> tuple[dict[str, Any], dict[str, str]]:
+    """Returns settings of faces coloured by their values, and the signs of values beyond."""
+    values, sizes = part.cell_data["values"], part.compute_cell_sizes(length=False, volume=False).cell_data["Area"]
+    colours, limits, *beyond = scale_of(values, sizes, limits)
+    ends = {side: sign for side, sign, is_so in zip(("below", "above"), "<>", beyond, strict=True) if is_so}
+    style: dict[str, Any] = {"scalars": "values", "cmap": colours, "clim": limits, "lighting": False}
+    return style | {f"{side}_color": plt.get_cmap(colours)(float(side == "above")) for side in ends}, ends
 
 
 def _add_faces(plotter: Any, faces: Any, show_edges: bool, **style: Any) -> None:
@@ -206,7 +206,6 @@ def _add_faces(plotter: Any, faces: Any, show_edges: bool, **style: Any) -> None
 
 
 def _in_front(actor: Any) -> None:
-    """Draws lines in front of the faces that they lie on, from either side."""
     actor.mapper.SetResolveCoincidentTopologyToPolygonOffset()
     actor.mapper.SetRelativeCoincidentTopologyLineOffsetParameters(0, -200)
 
@@ -237,16 +236,12 @@ def viewer_of(part: Any, motion: np.ndarray | None = None) -> np.ndarray:
 
 
 def add_bar(plotter: Any, label: str, limits: tuple[float | int, float | int], beyond: dict[str, str]) -> None:
-    """Draws a colour bar with round numbers at the right.
-
-    `_add_axes` places it above the bar of a length.
-    """
+    """Draws a colour bar with round numbers; `_add_axes` places it at the right."""
     title = label.replace("|", "\u2223")  # VTK begins a column at an ASCII bar
     bar = plotter.add_scalar_bar(f"{title}\n", vertical=True, fmt="%.6g", color=DARK, width=0.05, **beyond)
     bar.SetUnconstrainedFontSize(True)
-    ticks = np.asarray(MaxNLocator(6, steps=(1, 2, 2.5, 5, 10)).tick_values(*limits))
     bar.SetUseCustomLabels(True)
-    bar.SetCustomLabels(pyvista().convert_array(ticks[(limits[0] <= ticks) & (ticks <= limits[1])]))
+    bar.SetCustomLabels(pyvista().convert_array(np.array(round_numbers(*limits, 6))))
     bar.SetTextPad(8)
     for text in (bar.GetTitleTextProperty(), bar.GetLabelTextProperty(), bar.GetAnnotationTextProperty()):
         text.SetFontSize(TEXT)
@@ -254,7 +249,6 @@ def add_bar(plotter: Any, label: str, limits: tuple[float | int, float | int], b
 
 
 def _in_font(text: Any) -> None:
-    """Sets text in the font of the pictures in 2-D."""
     text.SetFontFamily(4)  # VTK's number for a font from a file
     text.SetFontFile(findfont("DejaVu Sans"))
     text.SetBold(False)
@@ -272,10 +266,7 @@ def new_plotter() -> Any:
 
 
 def _add_axes(plotter: Any) -> None:
-    """Draws the directions of x, y and z, and a bar of a round length: both follow the camera.
-
-    In perspective no bar.
-    """
+    """Draws the directions of x, y and z, and, unless in perspective, a bar of a round length."""
     axes = plotter.add_axes(xlabel="x", ylabel="y", zlabel="z", color=DARK, line_width=3)
     captions = [getattr(axes, f"Get{name}AxisCaptionActor2D")() for name in "XYZ"]
     for caption in captions:
@@ -313,7 +304,6 @@ def _add_axes(plotter: Any) -> None:
 
 
 def _scale() -> Any:
-    """Makes the bar of a round length, without numbers."""
     from vtkmodules.vtkRenderingAnnotation import vtkAxisActor2D
 
     scale = vtkAxisActor2D()
@@ -328,13 +318,12 @@ def _scale() -> Any:
 
 
 def _round_length(largest: float) -> float:
-    """Returns the largest of 1, 2 and 5 times a power of ten that is not above a length."""
+    """Rounds down to 1, 2 or 5 times a power of ten."""
     power = 10 ** np.floor(np.log10(largest))
     return float(power * max(factor for factor in (1, 2, 5) if factor * power <= largest * (1 + 1e-9)))
 
 
 def aim(plotter: Any, viewer: Sequence[float] | np.ndarray = VIEWER) -> None:
-    """Turns the camera to all that is drawn, and gives the window its shape."""
     shown = content(plotter)
     plotter.window_size = fitted_window(plotter, shown, viewer)
     set_view(plotter, whole_view(shown, plotter.window_size, viewer, margins(plotter)))
@@ -351,7 +340,6 @@ def aim_again(plotter: Any) -> None:
 def fitted_window(
     plotter: Any, points: Float[np.ndarray, "k 3"], viewer: Sequence[float] | np.ndarray
 ) -> tuple[int, int]:
-    """Chooses width and height in pixels of a picture of points, so that little is white."""
     width, height = np.ptp(points @ np.stack(view_axes(viewer)[1:]).T, axis=0)
     left, right, below, above = margins(plotter)
     tall = (1 - left - right) * height / max(width, 1e-9 * height) + below + above
@@ -363,7 +351,7 @@ def content(plotter: Any) -> Float[np.ndarray, "k 3"]:
 
 
 def margins(plotter: Any) -> tuple[float, float, float, float]:
-    """Returns what is left free at the left and right, below and above, relative to the width."""
+    """Returns the margins left, right, below and above, relative to the width."""
     has_legend = any(name.startswith("legend") for name in plotter.actors)
     return EDGE, BAR if len(plotter.scalar_bars) else EDGE, BELOW, LEGEND if has_legend else EDGE
 
@@ -374,10 +362,9 @@ def whole_view(
     viewer: Sequence[float] | np.ndarray,
     free: tuple[float, float, float, float],
 ) -> Float[np.ndarray, " 10"]:
-    """Places a camera: its position, what it looks at, upwards, half the height that it sees.
+    """Places a camera without perspective: position, target, upwards, half the height that it sees.
 
-    It has no perspective. All points are in a window of this width and height, within the margins
-    that are left free.
+    All points are in a window of this width and height, within the margins.
     """
     axes, tall = np.stack(view_axes(viewer)), window[1] / window[0]
     seen, (left, right, below, above) = points @ axes.T, free
@@ -391,7 +378,6 @@ def whole_view(
 
 
 def view_of(plotter: Any) -> Float[np.ndarray, " 10"]:
-    """Returns the view (10,) of the plotter's camera as it is now."""
     return np.array([*np.ravel(list(plotter.camera_position)), plotter.camera.parallel_scale])
 
 
@@ -410,7 +396,6 @@ def view_axes(viewer: Sequence[float] | np.ndarray = VIEWER) -> tuple[np.ndarray
 
 
 def add_legend(plotter: Any, entries: Sequence[tuple[str, str]]) -> None:
-    """Writes names, each in its colour, in a row above the picture."""
     place = EDGE
     for k, (name, colour) in enumerate(entries):
         text = plotter.add_text(name, color=colour, viewport=True, name=f"legend {k}", position=(place, 0.0))
