@@ -64,7 +64,6 @@ _NAMES = {
     "._methods.rbf.fitted": "FittedRBF",
     "._methods.rbf.rbf": "Direct Iterative RBF",
     "._methods.reconstruction": "SurfaceReconstruction",
-    "._methods.rigid": "RigidBlend",
     "._methods.surface": "Surface",
     "._plan.deform": "deform pullback velocity",
     "._plan.halves": "SurfaceHalf prepare_in_chunks prepare_surface",

@@ -72,7 +72,6 @@ from ._methods.rbf.rbf import RBF as RBF
 from ._methods.rbf.rbf import Direct as Direct
 from ._methods.rbf.rbf import Iterative as Iterative
 from ._methods.reconstruction import SurfaceReconstruction as SurfaceReconstruction
-from ._methods.rigid import RigidBlend as RigidBlend
 from ._methods.surface import Surface as Surface
 from ._plan.deform import deform as deform
 from ._plan.deform import pullback as pullback

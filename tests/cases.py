@@ -149,13 +149,6 @@ CASES = [
         dimensions=(2,),
         faces=True,
     ),
-    Case(
-        "rigid-blend",
-        lambda length: jm.SurfaceReconstruction(jm.RigidBlend(0.1 * length, 3 * length), jm.DelaunayGraph()),
-        affine=False,
-        translates=False,
-        dimensions=(3,),
-    ),
     Case("compact", lambda length: jm.CompactRBF(2 * length), affine=False, translates=False),
     Case(
         "compact-automatic",

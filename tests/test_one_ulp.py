@@ -88,7 +88,6 @@ METHODS = {
     "Multiscale": lambda x: jm.Multiscale(),
     "corrected": lambda x: jm.SurfaceReconstruction(jm.RBF(reduction=jm.KDTree(8)), jm.Multiscale()),
     "LocalCorrection": lambda x: jm.SurfaceReconstruction(jm.RBF(reduction=jm.KDTree(8)), jm.LocalCorrection()),
-    "RigidBlend": lambda x: jm.SurfaceReconstruction(jm.RigidBlend(0.1, 0.5), jm.NearWall()),
     "DelaunayGraph": lambda x: jm.DelaunayGraph(),
 }
 

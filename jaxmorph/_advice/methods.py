@@ -27,13 +27,6 @@ class Lengths:
         """The extent of the moving nodes."""
         return float((self.moving.max(axis=0) - self.moving.min(axis=0)).max())
 
-    @property
-    def gap(self) -> float:
-        """The distance from moving to fixed nodes; 20 times the size without fixed nodes."""
-        from .._host.package.rounding import Tree  # SciPy: the command line reads this list before
-
-        return float(Tree(self.moving).query(self.fixed)[0].min()) if len(self.fixed) else 20 * self.size
-
 
 @dataclasses.dataclass(frozen=True)
 class Entry:
@@ -50,7 +43,6 @@ class Entry:
     - `is_cure`: True where `jaxmorph deform` tries it after the default has inverted cells.
     - `title`: its name in tables of the benchmarks, where that is not `name`.
     - `numbers`, `options`: what it is called with, the numbers from the lengths of a boundary.
-    - `is_coarse`: True for a field that `NearWall` corrects.
     """
 
     name: str
@@ -63,14 +55,10 @@ class Entry:
     title: str = ""
     numbers: Callable[[Lengths], tuple[float, ...]] = lambda wall: ()
     options: Mapping[str, Any] = dataclasses.field(default_factory=dict)
-    is_coarse: bool = False
 
     def make(self, wall: Lengths) -> "AbstractMethod":
         """Makes the method for the lengths of a boundary, and imports its module."""
-        method = _constructor(self.path)(*self.numbers(wall), **self.options)
-        if self.is_coarse:
-            return _constructor("reconstruction.SurfaceReconstruction")(method, _constructor("nearwall.NearWall")())
-        return method
+        return _constructor(self.path)(*self.numbers(wall), **self.options)
 
 
 def _constructor(path: str) -> Any:
@@ -103,8 +91,6 @@ METHODS = (
           sources="all", title="inverse distance"),
     Entry("turning", "inverse_distance.InverseDistance", "inverse distances, with nodes that turn",
           sources="all", is_tried=True, title="inverse distance, turning", options={"rotations": True}),
-    Entry("rigid", "rigid.RigidBlend", "a rigid motion that fades + near-wall correction",
-          numbers=lambda wall: (0.25 * wall.size, wall.gap), is_coarse=True, is_tried=True),
     Entry("compact", "rbf.compact.CompactRBF", "radial basis functions of compact support",
           sources="all", title="compact RBF"),
 )
