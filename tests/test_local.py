@@ -9,6 +9,7 @@ from runs import runs
 
 import jaxmorph as jm
 from jaxmorph import shapes
+from jaxmorph._methods.local import LocalFactors
 from jaxmorph._methods.sparse import Reach
 
 
@@ -56,7 +57,7 @@ def test_nothing_is_corrected_where_every_node_is_a_source():
     nodes = Reach(jnp.zeros(1, int), jnp.ones(1, bool))
 
     def weight(x, radius, surface):
-        return jm.LocalCorrection().place(x, nodes, (radius, jnp.array(True)), surface).weights.sum()
+        return jm.LocalCorrection().place(x, nodes, LocalFactors(radius, jnp.array(True)), surface).weights.sum()
 
     for x in np.eye(2):
         value, slopes = jax.value_and_grad(weight, (0, 1, 2))(jnp.asarray(x), jnp.zeros(1), jnp.asarray([[1.0, 0.0]]))

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._host.linear.products import determinant
+from .._host.linear.products import cofactors, dot
 from .._host.package.cores import Beside
 from .._host.surface.graph import Graph, graph_of, locate
 from .._kernels.values import as_jax
@@ -69,14 +69,9 @@ def _begun(surface: Surface) -> Beside[Graph]:
 
 
 def barycentric(x: Float[Array, " d"], corners: list[Float[Array, " d"]], at_node) -> list[Float[Array, ""]]:
-    """Computes barycentric coordinates e of x in closed form; (1, 0, ...) `at_node`.
-
-    These are eqs. 6 and 7, and their like in 3-D.
-    """
+    """Computes barycentric coordinates e of x (eqs. 6 and 7) in closed form; (1, 0, ...) `at_node`."""
     edges = [corner - corners[0] for corner in corners[1:]]
-    inner = x - corners[0]
-    whole = determinant(edges)
-    whole = jnp.where(at_node, 1, whole)
-    parts = [determinant([*edges[:k], inner, *edges[k + 1 :]]) / whole for k in range(len(edges))]
-    parts = [jnp.where(at_node, 0, part) for part in parts]
+    rows = cofactors(edges)
+    whole = jnp.where(at_node, 1, dot(rows[0], edges[0]))
+    parts = [jnp.where(at_node, 0, dot(row, x - corners[0]) / whole) for row in rows]
     return [1 - sum(parts, start=jnp.zeros_like(whole)), *parts]

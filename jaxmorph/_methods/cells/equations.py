@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..base import check_kind, number
-from .cells import AbstractCellMethod, all_pairs
+from .cells import AbstractCellMethod
 from .stiffness import AbstractStiffness, ByDistance, ByVolume, gradients, stiffness
 
 
@@ -32,9 +32,6 @@ class Laplacian(AbstractCellMethod):
     def __check_init__(self):
         check_kind(self.diffusivity, AbstractStiffness, "diffusivity", "jm.ByDistance(2)")
 
-    def pairs(self, kind):
-        return all_pairs(kind)
-
     def entries(self, kind, corners, distance):
         gradient, volume = gradients(kind, corners)
         stiff = volume * stiffness(self.diffusivity, kind, volume, distance)
@@ -52,9 +49,6 @@ class Biharmonic(AbstractCellMethod):
     **Raises:** `prepare` raises a `ValueError` for points without cells, and for cells without
     volume.
     """
-
-    def pairs(self, kind):
-        return all_pairs(kind)
 
     def entries(self, kind, corners, distance):
         return _products(*gradients(kind, corners), self.pairs(kind))
@@ -97,13 +91,10 @@ class LinearElasticity(AbstractCellMethod):
     """
 
     stiffening: AbstractStiffness = eqx.field(default_factory=ByVolume)
-    poisson: Float[Array, ""] = eqx.field(converter=number("poisson", -1, 0.5), default_factory=lambda: np.asarray(0.3))
+    poisson: Float[Array, ""] = eqx.field(converter=number("poisson", -1, 0.5), default=0.3)
 
     def __check_init__(self):
         check_kind(self.stiffening, AbstractStiffness, "stiffening", "jm.ByVolume(1)")
-
-    def pairs(self, kind):
-        return all_pairs(kind)
 
     def entries(self, kind, corners, distance):
         gradient, volume = gradients(kind, corners)

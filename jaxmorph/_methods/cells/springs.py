@@ -22,7 +22,7 @@ class SpringAnalogy(AbstractCellMethod):
     **Raises:** `prepare` raises a `ValueError` for points without cells.
     """
 
-    exponent: Float[Array, ""] = eqx.field(converter=number("exponent"), default_factory=lambda: np.asarray(2.0))
+    exponent: Float[Array, ""] = eqx.field(converter=number("exponent"), default=2.0)
 
     def pairs(self, kind):
         return EDGES[kind] if kind != "triangle" else all_pairs(kind)
@@ -52,12 +52,7 @@ class TorsionalSprings(AbstractCellMethod):
     **Raises:** `prepare` raises a `ValueError` for points without cells.
     """
 
-    lineal: Float[Array, ""] = eqx.field(
-        converter=number("lineal", 0, ends="[)"), default_factory=lambda: np.asarray(0.1)
-    )
-
-    def pairs(self, kind):
-        return all_pairs(kind)
+    lineal: Float[Array, ""] = eqx.field(converter=number("lineal", 0, ends="[)"), default=0.1)
 
     def entries(self, kind, corners, distance):
         place = {pair: k for k, pair in enumerate(self.pairs(kind))}

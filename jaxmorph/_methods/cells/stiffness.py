@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..._host.linear.products import cofactors, dot
 from ..._kernels.module import Module
 from ..._kernels.values import largest
 from ..base import number
@@ -37,7 +38,7 @@ class ByVolume(AbstractStiffness):
     - `exponent`: default 1. With 0 all cells are equally stiff.
     """
 
-    exponent: Float[Array, ""] = eqx.field(converter=number("exponent"), default_factory=lambda: np.asarray(1.0))
+    exponent: Float[Array, ""] = eqx.field(converter=number("exponent"), default=1.0)
 
     def __call__(self, volume, distance):
         return volume ** -self.exponent.astype(volume.dtype)
@@ -58,7 +59,7 @@ class ByDistance(AbstractStiffness):
     - `exponent`: default 1.
     """
 
-    exponent: Float[Array, ""] = eqx.field(converter=number("exponent"), default_factory=lambda: np.asarray(1.0))
+    exponent: Float[Array, ""] = eqx.field(converter=number("exponent"), default=1.0)
 
     def __call__(self, volume, distance):
         return distance ** -self.exponent.astype(distance.dtype)
@@ -102,20 +103,13 @@ def stiffness(
 
 def _inverse(matrix: Float[Array, "q d d"]) -> tuple[Float[Array, "q d d"], Float[Array, " q"], Float[Array, " q"]]:
     """Inverts matrices in closed form; returns determinants, and divisors that are not zero."""
-    rows = [matrix[:, k] for k in range(matrix.shape[1])]
-    if len(rows) == 2:
-        (a, b), (c, d) = (row.T for row in rows)
-        determinant = a * d - b * c
-        adjugate = jnp.stack([jnp.stack([d, -b], axis=1), jnp.stack([-c, a], axis=1)], axis=1)
-    else:
-        first, second, third = rows
-        columns = [jnp.cross(second, third), jnp.cross(third, first), jnp.cross(first, second)]
-        determinant = jnp.sum(first * columns[0], axis=1)
-        adjugate = jnp.stack(columns, axis=2)
+    columns = list(jnp.moveaxis(matrix, 0, 2).swapaxes(0, 1))
+    rows = cofactors(columns)
+    determinant = dot(rows[0], columns[0])
     size = jnp.sum(matrix**2, axis=(1, 2)) ** (len(rows) / 2)
     least = float(jnp.finfo(matrix.dtype).eps) * jnp.where(size > 0, size, 1)
     safe = jnp.where(jnp.abs(determinant) > least, determinant, least)
-    return adjugate / safe[:, None, None], determinant, safe
+    return jnp.moveaxis(jnp.stack([jnp.stack(row) for row in rows]), 2, 0) / safe[:, None, None], determinant, safe
 
 
 _CUBE = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)])
