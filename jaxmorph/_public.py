@@ -40,8 +40,8 @@ from ._methods.cells.cells import AbstractCellMethod as AbstractCellMethod
 from ._methods.cells.equations import Biharmonic as Biharmonic
 from ._methods.cells.equations import Laplacian as Laplacian
 from ._methods.cells.equations import LinearElasticity as LinearElasticity
-from ._methods.cells.springs import SpringAnalogy as SpringAnalogy
-from ._methods.cells.springs import TorsionalSprings as TorsionalSprings
+from ._methods.cells.equations import SpringAnalogy as SpringAnalogy
+from ._methods.cells.equations import TorsionalSprings as TorsionalSprings
 from ._methods.cells.stiffness import AbstractStiffness as AbstractStiffness
 from ._methods.cells.stiffness import ByDistance as ByDistance
 from ._methods.cells.stiffness import ByVolume as ByVolume

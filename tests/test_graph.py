@@ -8,7 +8,6 @@ from cases import body, motion
 from meshes import lattice, sphere
 from runs import runs
 from scipy.interpolate import LinearNDInterpolator
-from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 import jaxmorph as jm
@@ -241,17 +240,3 @@ def test_coordinates_in_single_precision():
     exact = jm.deform(jm.prepare(mesh.points, moving, far, method=jm.DelaunayGraph()), u)
     np.testing.assert_allclose(moved, exact, atol=2e-5)
     assert int(jm.quality(mesh, moved.astype(float)).inverted) == 0
-
-
-def test_points_near_walls_are_found_inwards_or_along_the_curve():
-    """The order of the search does not matter: each point is what its simplex makes of its corners."""
-    mesh = jm_cases.naca0015(points=2000)
-    surface = mesh.points[np.concatenate([mesh.patch("airfoil"), mesh.patch("farfield")])]
-    wanted = np.setdiff1d(np.arange(len(mesh.points)), np.concatenate(list(mesh.patches.values())))
-    near = wanted[::2]
-    nearest = KDTree(surface).query(mesh.points[near])[1]
-    for vertices in (locate(surface, mesh.points, wanted, each).vertices for each in (None, (near, nearest))):
-        corners = surface[vertices]
-        system = np.concatenate([np.swapaxes(corners, 1, 2), np.ones((len(wanted), 1, 3))], axis=1)
-        targets = np.concatenate([mesh.points[wanted], np.ones((len(wanted), 1))], axis=1)
-        assert np.linalg.solve(system, targets[..., None]).min() > -1e-6

@@ -33,18 +33,6 @@ def test_the_weights_are_lukes(far, near):
     np.testing.assert_allclose(moved[mesh.inner], expected, rtol=0, atol=1e-12)
 
 
-def test_one_point_moves_as_among_all():
-    mesh, rng = body(2), np.random.default_rng(0)
-    plan = jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=jm.InverseDistance())
-    surface, u = plan.surface, rng.normal(size=(len(mesh.moving), 2))
-    own = jnp.zeros_like(surface.points).at[: plan.n_moving].set(u)
-    field = plan.method.field(surface.ids, surface.factors, surface.points, own[surface.images.rows])
-    node = mesh.inner[7]
-    ids = jax.tree.map(lambda leaf: leaf[node], plan.volume.ids)
-    moved = np.asarray(jm.deform(plan, u))[node] - mesh.points[node]
-    np.testing.assert_allclose(field(plan.points[node], ids), moved, rtol=0, atol=1e-13)
-
-
 @pytest.mark.parametrize("dimension", runs([3], nightly=[2]))
 def test_a_turning_body_turns_the_points_near_it(dimension):
     """Each of a body's nodes says the same rigid motion, so the mean is that motion; without rotations it is not.

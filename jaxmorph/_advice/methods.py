@@ -33,8 +33,8 @@ class Entry:
     """One method of the list.
 
     - `name`: its name as a word, for flags and the table of `compare`.
-    - `path`: the class, or its constructor, in `_methods`: `cells.springs.TorsionalSprings` stands
-      in `cells/springs.py`.
+    - `path`: the class, or its constructor, in `_methods`: `cells.equations.Laplacian` stands in
+      `cells/equations.py`.
     - `sentence`: what it is, for help and the output of commands.
     - `needs_cells`: True where it solves on the mesh's cells.
     - `sources`: which nodes of the wall are sources: `some` (then the number is free), `all` or
@@ -84,8 +84,8 @@ METHODS = (
     Entry("biharmonic", "cells.equations.Biharmonic", "the biharmonic equation", needs_cells=True, is_tried=True),
     Entry("elasticity", "cells.equations.LinearElasticity", "linear elasticity, stiff by 1/volume",
           needs_cells=True, is_tried=True, is_cure=True, title="elasticity 1/V"),
-    Entry("springs", "cells.springs.SpringAnalogy", "springs along the edges", needs_cells=True, title="springs 1/l^2"),
-    Entry("torsional", "cells.springs.TorsionalSprings", "torsional springs",
+    Entry("springs", "cells.equations.SpringAnalogy", "springs along the edges", needs_cells=True, title="springs 1/l^2"),
+    Entry("torsional", "cells.equations.TorsionalSprings", "torsional springs",
           needs_cells=True, is_tried=True, is_cure=True, title="torsional springs"),
     Entry("inverse-distance", "inverse_distance.InverseDistance", "inverse distances",
           sources="all", title="inverse distance"),

@@ -5,11 +5,10 @@ import dataclasses
 from collections.abc import Callable
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, PyTree
+from jaxtyping import Array, Float, PyTree
 
 from .._host.package.arguments import between
 from .._kernels.module import Module
@@ -18,13 +17,6 @@ from .surface import Surface
 
 BLOCK = 512
 """Points that are evaluated together: memory, also of derivatives, is that of one block."""
-
-
-class Located(eqx.Module):
-    """Counts of wrong answers of the graph, `repaired`, and of points `outside` by round-off."""
-
-    repaired: Int[Array, ""]
-    outside: Int[Array, ""]
 
 
 def _no_rows() -> np.ndarray:

@@ -8,8 +8,7 @@ from jaxtyping import Array, Float
 from .._host.linear.products import cofactors, dot
 from .._host.package.cores import Beside
 from .._host.surface.graph import Graph, graph_of, locate
-from .._kernels.values import as_jax
-from .base import AbstractMethod, AbstractPlacing, Located
+from .base import AbstractMethod, AbstractPlacing
 from .sparse import InterpolatedField, Interpolation
 from .surface import Surface
 
@@ -34,11 +33,9 @@ class DelaunayGraph(AbstractPlacing):
         rows = surface.rows(len(points))
         vertices = np.repeat(rows[:, None], points.shape[1] + 1, axis=1)  # a node of the surface: itself, d + 1 times
         inside = np.flatnonzero(rows == len(surface.points))
-        repaired = outside = 0
         if inside.size:
-            location = locate(_begun(surface).result(), points, inside, surface.near)
-            vertices[inside], repaired, outside = location.vertices, location.repaired, location.outside
-        return Located(*as_jax((np.int32(repaired), np.int32(outside)))), vertices
+            vertices[inside] = locate(_begun(surface).result(), points, inside).vertices
+        return None, vertices
 
     def fit(self, ids, surface, points):
         return None
@@ -48,14 +45,11 @@ class DelaunayGraph(AbstractPlacing):
         return Interpolation(ids, jnp.stack(e))
 
     def field(self, ids, factors, surface, u):
-        return InterpolatedField(self, factors, surface, u)
+        return InterpolatedField(u)
 
 
 def begin_graph(method: AbstractMethod, surface: Surface, count: int) -> None:
-    """Begins a surface's graph beside what comes next, where a method is or has a `DelaunayGraph`.
-
-    It does nothing unless some of the `count` points are off the surface.
-    """
+    """Begins the graph in the background if a method has one, and some points are off the surface."""
 
     def is_graph(leaf: object) -> bool:
         return isinstance(leaf, DelaunayGraph)

@@ -100,7 +100,7 @@ class LocalCorrection(AbstractPlacing):
         return ids.weighted(jnp.where(fades, weights, 0), lost)
 
     def field(self, ids, factors, surface, u):
-        return InterpolatedField(self, factors, surface, u)
+        return InterpolatedField(u)
 
     def _radius(self, extent: Extent, surface):
         width = layer_width(self.radius, extent, surface)

@@ -81,8 +81,7 @@ class Multiscale(AbstractPlacing):
 
     def field(self, ids: "Hierarchy", factors: "MultiscaleFactors", surface, u):
         has_function = ids.nearest != jnp.arange(len(ids.nearest))
-        coefficients = ids.solve(factors.entries, jnp.where(has_function[:, None], u, 0))
-        return InterpolatedField(self, factors, surface, coefficients)
+        return InterpolatedField(ids.solve(factors.entries, jnp.where(has_function[:, None], u, 0)))
 
 
 class Sweep(eqx.Module):

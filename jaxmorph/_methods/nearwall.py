@@ -82,7 +82,6 @@ class NearWall(AbstractPlacing):
         inside = np.flatnonzero(~reached)
         wall = np.asarray(extent.wall)
         near, rows = near_walls(surface.points, wall, 1.25 * width, points[inside], NEIGHBOURS + 1, surface.once)
-        surface = surface.altered(near=(inside[near], rows[:, 0]))
         correction, correction_at_points = self.correction.connect(surface, points)
         # a node of the surface has itself alone
         nodes = np.where(reached, row_of_point, 0)[:, None].repeat(NEIGHBOURS + 2, axis=1)
@@ -99,15 +98,15 @@ class NearWall(AbstractPlacing):
 
     def place(self, x, ids, factors, surface):
         correction = place(self.correction, x, ids.correction, factors.correction, surface)
-        return Layer(correction, *_blend(x, ids.wall, factors.wall, surface))
+        return WallPlace(correction, *_blend(x, ids.wall, factors.wall, surface))
 
     def carry_place(self, x, ids, factors, surface, placed):
         correction = carry_place(self.correction, x, ids.correction, factors.correction, surface, placed.correction)
-        return Layer(correction, *_blend(x, ids.wall, factors.wall, surface))
+        return WallPlace(correction, *_blend(x, ids.wall, factors.wall, surface))
 
     def field(self, ids, factors, surface, u):
-        field = self.correction.field(ids.correction, factors.correction, surface, u)
-        return NearWallField(self, field, InterpolatedField(self, factors, surface, u))
+        correction = self.correction.field(ids.correction, factors.correction, surface, u)
+        return NearWallField(correction, InterpolatedField(u))
 
     def check(self, ids, factors, u):
         self.correction.check(ids.correction, factors.correction, u)
@@ -120,7 +119,7 @@ class Layered(eqx.Module):
     wall: PyTree
 
 
-class Layer(eqx.Module):
+class WallPlace(eqx.Module):
     """A point's place: its place in the correction, the wall's part of it, and the share outside."""
 
     correction: PyTree
@@ -188,7 +187,6 @@ class WallRow(eqx.Module):
 
 
 class NearWallField(AbstractField):
-    method: NearWall
     correction: AbstractField
     wall: InterpolatedField
 
@@ -196,12 +194,10 @@ class NearWallField(AbstractField):
     def block_size(self) -> None:
         return None  # the correction makes its own blocks
 
-    def __call__(self, x, ids):
-        if isinstance(ids, Layered):
-            ids = self.method.place(x, ids, self.wall.factors, self.wall.surface)
+    def __call__(self, x, ids: WallPlace):
         return self.wall(x, ids.wall) + ids.outside * self.correction(x, ids.correction)
 
-    def evaluate(self, points, ids):
+    def evaluate(self, points, ids: WallPlace):
         correction = map_points(self.correction, points, ids.correction)
         return map_points(self.wall, points, ids.wall) + ids.outside[:, None] * correction
 

@@ -11,12 +11,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, PyTree
+from jaxtyping import Array, Bool, Float, Int
 from scipy.sparse import csr_array
 
 from .._kernels.linear import linear_primitive
 from .._kernels.values import as_jax
-from .base import AbstractField, AbstractPlacing
+from .base import AbstractField
 
 WIDTH = 16
 """Entries in a row of the table."""
@@ -113,21 +113,17 @@ class Reach(eqx.Module):
 class InterpolatedField(AbstractField):
     """Interpolates displacements between surface nodes (eq. 8)."""
 
-    method: AbstractPlacing
-    factors: PyTree
-    surface: Float[Array, "b d"]
     u: Float[Array, "b d"]
 
     @property
     def block_size(self) -> None:
         return None
 
-    def __call__(self, x: Float[Array, " d"], ids: Interpolation | PyTree) -> Float[Array, " d"]:
-        at = ids if isinstance(ids, Interpolation) else self.method.place(x, ids, self.factors, self.surface)
-        return sum((at.weights[k] * self.u[i] for k, i in enumerate(at.nodes)), start=jnp.zeros_like(x))
+    def __call__(self, x, ids: Interpolation):
+        return sum((ids.weights[k] * self.u[i] for k, i in enumerate(ids.nodes)), start=jnp.zeros_like(x))
 
-    def evaluate(self, points, ids):
-        return weighted_sum(ids, self.u) if isinstance(ids, Interpolation) else super().evaluate(points, ids)
+    def evaluate(self, points, ids: Interpolation):
+        return weighted_sum(ids, self.u)
 
 
 def weighted_sum(rows: Interpolation, values: Float[Array, "b c"]) -> Float[Array, "n c"]:

@@ -41,8 +41,8 @@ class Graph:
 
     `graph_of` makes it.
 
-    - `unit` (b, d): the surface's nodes relative to `centre`, over `size`.
-    - `unique` (k,), `nodes` (k, d): ids of the distinct nodes, and their places.
+    - `unique` (k,), `nodes` (k, d): ids of the distinct nodes, and their places relative to
+      `centre`, over `size`.
     - `delaunay`: the simplices between the distinct nodes.
     - `flat`: the height below which a simplex holds no point; `slack`: round-off of the
       coordinates.
@@ -50,7 +50,6 @@ class Graph:
 
     centre: np.ndarray
     size: float
-    unit: np.ndarray
     unique: np.ndarray
     nodes: np.ndarray
     delaunay: Delaunay
@@ -94,7 +93,7 @@ def graph_of(surface: np.ndarray) -> Graph:
             f"a Delaunay graph in {dimension}-D needs {dimension + 1} distinct surface nodes, got {len(nodes)}."
         )
     flat = FLAT * roundoff(surface) / size
-    return Graph(centre, size, unit, unique, nodes, _graph(nodes, flat), flat, slack)
+    return Graph(centre, size, unique, nodes, _graph(nodes, flat), flat, slack)
 
 
 class _Graph(Delaunay):
@@ -128,17 +127,12 @@ def _graph(nodes: np.ndarray, flat: float) -> Delaunay:
         with contextlib.suppress(QhullError):
             graph = _Graph(_jittered(snapped, phase), qhull_options=OPTIONS)
             break
-    if graph is None or not _has_volume(nodes, graph.simplices, flat):
+    if graph is None or not (smallest_height(nodes[graph.simplices]) > flat).any():
         raise ValueError(
             f"the {len(nodes)} surface nodes lie in one {'line' if nodes.shape[1] == 2 else 'plane'}, so no Delaunay graph "
             "spans the mesh. Add the other boundaries (far field, walls) as fixed nodes."
         )
     return graph
-
-
-def _has_volume(nodes: np.ndarray, simplices: np.ndarray, flat: float) -> bool:
-    parts = np.split(simplices, range(4096, len(simplices), 4096))
-    return any(bool((smallest_height(nodes[part]) > flat).any()) for part in parts)
 
 
 def _without_coincident(unit: np.ndarray, closest: float) -> np.ndarray:
@@ -188,12 +182,7 @@ class Location:
     outside: int = 0
 
 
-def locate(
-    surface: np.ndarray | Graph,
-    points: np.ndarray,
-    wanted: np.ndarray,
-    near: tuple[np.ndarray, np.ndarray] | None = None,
-) -> Location:
+def locate(surface: np.ndarray | Graph, points: np.ndarray, wanted: np.ndarray) -> Location:
     """Finds the surface nodes whose simplex holds a point, for all `wanted` points.
 
     Coordinates in single precision count as exact numbers, except for points on the hull.
@@ -203,7 +192,6 @@ def locate(
     - `surface`: the surface nodes (b, d), or their graph.
     - `points`: all points (n, d).
     - `wanted`: ids (w,) of the points to locate.
-    - `near`: ids of points near a wall, and their nearest surface nodes. Location is then faster.
 
     **Raises:** `MeshError` for points outside of the surface's convex hull, with their number, the
     worst point and its distance. `ValueError` for a surface without extent in some direction.
@@ -212,8 +200,6 @@ def locate(
     points = points.astype(np.float64, copy=False)
     targets = (points[wanted] - graph.centre) / graph.size
     order = morton_order(targets)
-    if near is not None:
-        order = _inwards(order, *_among(wanted, *near, len(points)), targets, graph.unit)
     simplex = np.empty(len(targets), dtype=np.int64)
 
     def find(part: slice) -> None:  # parts do not follow the cores: a point on a face may have several answers
@@ -235,57 +221,19 @@ def locate(
     return Location(vertices[simplex], len(poor), outside)
 
 
-def _among(wanted: np.ndarray, ids: np.ndarray, nodes: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
-    node = np.full(n, -1, dtype=np.int64)
-    node[ids] = nodes
-    place = np.flatnonzero(node[wanted] >= 0)
-    return place, node[wanted[place]]
-
-
-def _inwards(
-    order: np.ndarray, near: np.ndarray, nodes: np.ndarray, points: np.ndarray, surface: np.ndarray
-) -> np.ndarray:
-    """Moves the points `near` walls to the end of an order: by node, from afar to the wall."""
-    # A search begins in the simplex of the point before. A walk along a wall would pass through all
-    # flat simplices in between; a walk from outside takes half as long.
-    height = np.linalg.norm(points[near] - surface[nodes], axis=1)
-    rank = np.empty(len(surface), dtype=np.int64)
-    rank[morton_order(surface)] = np.arange(len(surface))
-    far = np.ones(len(order), dtype=bool)
-    far[near] = False
-    return np.concatenate([order[far[order]], near[np.lexsort((-height, rank[nodes]))]])
-
-
 def _repair(graph: Graph, points: np.ndarray, simplex: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    # A point is inside of a simplex if its smallest weight is not negative, so that the best
-    # simplex has the largest one. First a point moves a little towards the middle, out of the flat
-    # simplices along a plane side of the hull, and is searched again. Then a point without a good
-    # simplex walks from simplex to neighbour as long as its weight grows.
+    # A point moves a little towards the middle, out of the flat simplices along a plane side of the
+    # hull, and is searched again. The best simplex has the largest smallest weight.
     simplex = np.maximum(simplex, 0)
-    best = graph.smallest_weight(simplex, points)
-    middle = graph.nodes.mean(axis=0)
+    best, middle = graph.smallest_weight(simplex, points), graph.nodes.mean(axis=0)
     for step in (1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2):
         left = np.flatnonzero(~(best >= -TOLERANCE))
         if not left.size:
-            return simplex, best
+            break
         candidate = graph.delaunay.find_simplex(points[left] + step * (middle - points[left]))
         weight = graph.smallest_weight(candidate, points[left])
         better = weight > best[left]
         simplex[left[better]], best[left[better]] = candidate[better], weight[better]
-    active, neighbors = np.flatnonzero(~(best >= -TOLERANCE)), graph.delaunay.neighbors
-    for _ in range(32):
-        if not active.size:
-            break
-        around = neighbors[simplex[active]]
-        rings = np.concatenate([around, neighbors[around].reshape(len(active), -1)], axis=1)
-        repeated = np.repeat(points[active], rings.shape[1], axis=0)
-        weight = graph.smallest_weight(rings.ravel(), repeated).reshape(rings.shape)
-        pick = weight.argmax(axis=1)
-        value = weight[np.arange(len(active)), pick]
-        better = value > best[active]
-        simplex[active[better]] = rings[np.flatnonzero(better), pick[better]]
-        best[active[better]] = value[better]
-        active = active[better & (value < -1e-12)]
     return simplex, best
 
 

@@ -27,9 +27,9 @@ class CellIds(eqx.Module):
     """Ids of k cells of one type.
 
     - `corners`: node ids.
-    - `entry`: for each pair of corners its number in the list of pairs. It is the number of pairs
-      where the two corners are one node.
-    - `flipped`: True where the pair's first corner is the entry's second node.
+    - `entry`: the number of each pair of corners in the list of pairs; the list's length for
+      corners that are one node.
+    - `flipped`: whether the pair's first corner is the entry's second node.
     """
 
     corners: Int[Array, "k c"]
@@ -107,7 +107,7 @@ def _turned(blocks: Float[Array, "e ..."]) -> Float[Array, "e ..."]:
 class AbstractCellMethod(AbstractMethod):
     """Solves a linear system for all inner nodes, made of one small matrix for each cell.
 
-    The matrix is symmetric, and its rows add to zero, so a translation is reproduced. Nodes at one
+    The matrix is symmetric, and its rows add to zero: a translation is reproduced. Nodes at one
     place are one node. Nodes on a symmetry plane slide in it. Nodes in no cell rest, and so do
     cells without a connection to a moving or fixed node.
 
@@ -127,7 +127,7 @@ class AbstractCellMethod(AbstractMethod):
     ) -> Float[Array, "p"] | Float[Array, "p d d"]:
         """Computes a cell's entries: numbers, or blocks of rows of the first corner. Traced.
 
-        `distance` is the distance of each corner from the nearest moving node.
+        `distance` is that of each corner from the nearest moving node.
         """
 
     def masses(self, ids: NodeIds, places: Float[Array, "n d"]) -> Float[Array, " q"]:
@@ -142,7 +142,8 @@ class AbstractCellMethod(AbstractMethod):
         cells = surface.cells
         assert cells is not None  # the driver asks `needs_cells`
         n = len(cells.on_plane)
-        rows = np.flatnonzero((surface.nodes >= 0) & (surface.nodes < n))
+        present = np.flatnonzero(surface.nodes >= 0)
+        rows = present[surface.nodes[present] < n]  # images lie beyond: the surface alone has them
         nodes = surface.nodes[rows]
         stands = systems.coincident(points[:n], nodes)
         corners = {kind: stands[ids] for kind, ids in cells.corners.items()}
@@ -156,14 +157,10 @@ class AbstractCellMethod(AbstractMethod):
         slides = [cells.on_plane[:, np.abs(cells.normals @ axis) > 0.5].any(axis=1) for axis in frame.T]
         free = is_free[:, None] & ~np.stack(slides, axis=1)
         systems.check_solver(int(free.sum()), points.shape[1])
-        volume = stands.copy()
-        volume[nodes] = n + rows
-        beyond = np.flatnonzero(surface.nodes >= n)  # images: the surface alone has them
-        last = np.zeros(len(points) - n, dtype=np.int64)
-        last[surface.nodes[beyond] - n] = n + beyond
+        volume = np.concatenate([stands, np.zeros(len(points) - n, stands.dtype)]).astype(np.int32)
+        volume[surface.nodes[present]] = n + present
         pairs, wall, rows, nodes = (ids.astype(np.int32) for ids in (pairs, wall, rows, nodes))
-        node_ids = NodeIds(of_kind, *as_jax((pairs, frame, free, wall, rows, nodes)))
-        return node_ids, np.concatenate([volume, last]).astype(np.int32)
+        return NodeIds(of_kind, *as_jax((pairs, frame, free, wall, rows, nodes))), volume
 
     def _numbered(self, corners: Mapping[str, np.ndarray], n: int) -> tuple[np.ndarray, dict[str, CellIds]]:
         """Numbers the pairs of nodes (e, 2), and finds each cell's entries."""
@@ -172,9 +169,8 @@ class AbstractCellMethod(AbstractMethod):
         # place get the number beyond the list.
         both = {kind: np.moveaxis(cells[:, np.array(self.pairs(kind))], 2, 0) for kind, cells in corners.items()}
         keys = {kind: np.minimum(i, j) * n + np.maximum(i, j) for kind, (i, j) in both.items()}
-        ordered = np.sort(
-            np.concatenate([np.zeros(0, np.int64), *(keys[kind][i != j] for kind, (i, j) in both.items())])
-        )
+        real = [keys[kind][i != j] for kind, (i, j) in both.items()]
+        ordered = np.sort(np.concatenate([np.zeros(0, np.int64), *real]))
         unique = ordered[np.diff(ordered, prepend=-1) > 0]  # NumPy's own takes a table of hashes, and ten times as long
         ids = {}
         for kind, (i, j) in both.items():
@@ -194,6 +190,7 @@ class AbstractCellMethod(AbstractMethod):
     def _of_cells(self, kind: str, ids: NodeIds, places, distance):
         cells = ids.cells[kind]
 
+        @jax.vmap
         @jax.checkpoint
         def entries(corners, flipped):
             values = self.entries(kind, places[corners], distance[corners])
@@ -202,10 +199,10 @@ class AbstractCellMethod(AbstractMethod):
 
         def add(total, rows):
             corners, entry, flipped = rows
-            return total.at[entry].add(jax.vmap(entries)(corners, flipped))
+            return total.at[entry].add(entries(corners, flipped))
 
-        one = jax.eval_shape(lambda: entries(cells.corners[0], cells.flipped[0]))
-        none = jnp.zeros((len(ids.pairs), *one.shape[1:]), one.dtype)
+        every = jax.eval_shape(entries, cells.corners, cells.flipped)
+        none = jnp.zeros((len(ids.pairs), *every.shape[2:]), every.dtype)
         return fold_rows(add, none, (cells.corners, cells.entry, cells.flipped), CELLS)
 
     def field(self, ids: NodeIds, factors: NodeFactors, surface, u):

@@ -1,4 +1,6 @@
-"""Laplace's, the biharmonic and the elastic equation, by linear finite elements on the cells."""
+"""Equations on cells: finite elements, springs along edges, springs against closing angles."""
+
+import itertools
 
 import equinox as eqx
 import jax
@@ -6,8 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..._host.cells.topology import EDGES, FRAMES
+from ..._host.linear.products import determinant
 from ..base import check_kind, number
-from .cells import AbstractCellMethod
+from .cells import AbstractCellMethod, all_pairs
 from .stiffness import AbstractStiffness, ByDistance, ByVolume, gradients, stiffness
 
 
@@ -15,16 +19,13 @@ class Laplacian(AbstractCellMethod):
     """Smooths each component of the displacement by Laplace's equation, of linear finite elements.
 
     Löhner and Yang made the diffusivity depend on the distance from the body (Communications in
-    Numerical Methods in Engineering 12, 1996). It needs the mesh's cells. Components do not know of
-    each other: a rotation shears the cells.
+    Numerical Methods in Engineering 12, 1996). Components do not know of each other: a rotation
+    shears the cells. `prepare` needs cells, and refuses those without volume.
 
     **Arguments:**
 
     - `diffusivity`: of a cell: `ByDistance(exponent)` or `ByVolume(exponent)`. Default
       `ByDistance(2)`, which OpenFOAM calls `quadratic inverseDistance`.
-
-    **Raises:** `prepare` raises a `ValueError` for points without cells, and for cells without
-    volume.
     """
 
     diffusivity: AbstractStiffness = eqx.field(default_factory=lambda: ByDistance(2.0))
@@ -39,15 +40,11 @@ class Laplacian(AbstractCellMethod):
 
 
 class Biharmonic(AbstractCellMethod):
-    """Smooths each component by the biharmonic equation (Helenbrook 2003).
-
-    The equation is in its mixed form, with linear finite elements.
+    """Smooths each component by the biharmonic equation, in its mixed form (Helenbrook 2003).
 
     The displacement's derivative across the surface is zero: first cells keep their height, and
-    follow the wall's translation, not its rotation. It needs the mesh's cells.
-
-    **Raises:** `prepare` raises a `ValueError` for points without cells, and for cells without
-    volume.
+    follow the wall's translation, not its rotation. Finite elements are linear. `prepare` needs
+    cells, and refuses those without volume.
     """
 
     def entries(self, kind, corners, distance):
@@ -71,14 +68,10 @@ def _products(gradient, volume, pairs):
 class LinearElasticity(AbstractCellMethod):
     """Moves the mesh like an elastic solid, of linear finite elements (in 2-D in plane strain).
 
-    A quad is the mean of the two ways to cut it into triangles.
-
-    Small cells are stiff, as Johnson and Tezduyar proposed (Computer Methods in Applied Mechanics
-    and Engineering 119, 1994).
-
-    It needs the mesh's cells. Symmetry planes are planes in which nodes slide freely. Translations,
-    and small rotations, are reproduced; a large rotation of everything is not, for the equation is
-    linear.
+    A quad is the mean of the two ways to cut it into triangles. Small cells are stiff, as Johnson
+    and Tezduyar proposed (Computer Methods in Applied Mechanics and Engineering 119, 1994).
+    Translations, and small rotations, are reproduced; a large rotation of everything is not, for
+    the equation is linear. `prepare` needs cells, and refuses those without volume.
 
     **Arguments:**
 
@@ -86,8 +79,7 @@ class LinearElasticity(AbstractCellMethod):
       Default `ByVolume(1)`.
     - `poisson`: Poisson's ratio, between -1 and 0.5. Default 0.3.
 
-    **Raises:** `ValueError` for another ratio. `prepare` raises it for points without cells, and
-    for cells without volume.
+    **Raises:** `ValueError` for another ratio.
     """
 
     stiffening: AbstractStiffness = eqx.field(default_factory=ByVolume)
@@ -107,3 +99,84 @@ class LinearElasticity(AbstractCellMethod):
         trace = jnp.trace(outer, axis1=1, axis2=2)
         isotropic = trace[:, None, None] * jnp.eye(corners.shape[1], dtype=corners.dtype)[None]
         return dilation * outer + shear * (jnp.swapaxes(outer, 1, 2) + isotropic)
+
+
+class SpringAnalogy(AbstractCellMethod):
+    """Holds each edge by a spring that acts in all directions (Batina 1990).
+
+    `prepare` needs cells, and takes their edges alone.
+
+    **Arguments:**
+
+    - `exponent`: a spring is as stiff as 1 / length^exponent. Default 2.
+    """
+
+    exponent: Float[Array, ""] = eqx.field(converter=number("exponent"), default=2.0)
+
+    def pairs(self, kind):
+        return EDGES[kind] if kind != "triangle" else all_pairs(kind)
+
+    def entries(self, kind, corners, distance):
+        i, j = np.array(self.pairs(kind)).T
+        squared = jnp.sum((corners[j] - corners[i]) ** 2, axis=1)
+        has_length = squared > 0
+        stiff = jnp.where(has_length, squared, 1) ** (-self.exponent.astype(corners.dtype) / 2)
+        return -jnp.where(has_length, stiff, jnp.inf)
+
+
+class TorsionalSprings(AbstractCellMethod):
+    """Holds each edge by a spring, and each angle by a spring that grows stiff as it closes.
+
+    `prepare` needs cells. In 2-D it is the method of Farhat et al. (1998): springs against
+    changes of the angles of each triangle. A quad has the triangles at its four corners. In 3-D it
+    is the semi-torsional method (Zeng and Ethier 2005). An edge of a tetrahedron is as stiff as 1 /
+    sin^2 of the angle between the two faces that do not hold it. Other cells have the tetrahedra at
+    their corners.
+
+    **Arguments:**
+
+    - `lineal`: stiffness of the springs along edges, times 1 / length^2, so that scaling the mesh
+      changes nothing. Farhat et al. have 1 / length. Default 0.1.
+    """
+
+    lineal: Float[Array, ""] = eqx.field(converter=number("lineal", 0, ends="[)"), default=0.1)
+
+    def entries(self, kind, corners, distance):
+        simplices, element = np.array(FRAMES[kind]), _triangle if corners.shape[1] == 2 else _tetrahedron
+        blocks = jax.vmap(lambda corners: element(corners, self.lineal.astype(corners.dtype)))(corners[simplices])
+        total = jnp.zeros((len(corners), len(corners), *blocks.shape[3:]), corners.dtype)
+        i, j = np.array(self.pairs(kind)).T
+        return total.at[simplices[:, :, None], simplices[:, None]].add(blocks)[i, j]
+
+
+def _triangle(corners: Float[Array, "3 2"], lineal: Float[Array, ""]) -> Float[Array, "3 3 2 2"]:
+    """Computes the blocks of a triangle's three torsional and three lineal springs, off the diagonal."""
+
+    def angles(corners):
+        (ax, ay), (bx, by) = ((jnp.roll(corners, -k, axis=0) - corners).T for k in (1, 2))
+        return jnp.arctan2(ax * by - ay * bx, ax * bx + ay * by)
+
+    edges = corners[None] - corners[:, None]
+    squared = jnp.sum(edges**2, axis=2) + jnp.eye(3, dtype=corners.dtype)
+    area = determinant([*edges[0, 1:]])
+    stiff = jnp.stack([squared[0, 1] * squared[0, 2], squared[1, 2] * squared[1, 0], squared[2, 0] * squared[2, 1]])
+    rates = jax.jacfwd(angles)(corners)
+    turning = jnp.einsum("k,kia,kjb->ijab", stiff / area**2, rates, rates, precision="highest")  # 1 / sin^2
+    return turning - lineal * edges[..., None] * edges[..., None, :] / squared[..., None, None] ** 2
+
+
+_ENDS = np.array([(i, j, *sorted({0, 1, 2, 3} - {i, j})) for i, j in itertools.permutations(range(4), 2)]).T
+"""The two corners of each edge of a tetrahedron, then the two other corners."""
+
+
+def _tetrahedron(corners: Float[Array, "4 3"], lineal: Float[Array, ""]) -> Float[Array, "4 4"]:
+    """Computes the stiffness of a tetrahedron's edges, off the diagonal.
+
+    It has a lineal part, and a part by the angle between the faces opposite to the ends.
+    """
+    i, j, k, m = (corners[ends] for ends in _ENDS)
+    normal_i, normal_j = jnp.cross(m - k, i - k), jnp.cross(m - k, j - k)  # both faces have the edge k m
+    both = jnp.sum(normal_i**2, axis=1) * jnp.sum(normal_j**2, axis=1)
+    sine = jnp.sum(jnp.cross(normal_i, normal_j) ** 2, axis=1)
+    stiff = (lineal + both / sine) / jnp.sum((j - i) ** 2, axis=1)
+    return jnp.zeros((4, 4), corners.dtype).at[_ENDS[0], _ENDS[1]].set(-stiff)

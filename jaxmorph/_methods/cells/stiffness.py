@@ -21,10 +21,9 @@ class AbstractStiffness(Module):
 
     @abc.abstractmethod
     def __call__(self, volume: Float[Array, ""], distance: Float[Array, ""]) -> Float[Array, ""]:
-        """Computes the stiffness of one cell. Traced.
+        """Computes a cell's stiffness by its volume and its corners' mean distance. Traced.
 
-        `volume` is the cell's (area in 2-D), `distance` its corners' mean distance from the moving
-        nodes.
+        Volumes are areas in 2-D, distances those from the nearest moving node.
         """
 
 
@@ -45,14 +44,11 @@ class ByVolume(AbstractStiffness):
 
 
 class ByDistance(AbstractStiffness):
-    """Makes a cell as stiff as 1 / distance^exponent.
+    """Makes a cell as stiff as 1 / distance^exponent, by its corners' mean distance.
 
-    The distance is that of its corners from the nearest moving node, in the mean.
-
-    A quad has a stiffness at each corner, with the mean distance of the corner and its two
-    neighbours.
-
-    OpenFOAM calls it `inverseDistance`, with the exponent 2 `quadratic inverseDistance`.
+    The distance is that from the nearest moving node. A quad has a stiffness at each corner, with
+    the mean of the corner and its two neighbours. OpenFOAM calls it `inverseDistance`, with the
+    exponent 2 `quadratic inverseDistance`.
 
     **Arguments:**
 
@@ -70,11 +66,9 @@ SLIVER = 1e-6
 
 
 def gradients(kind: str, corners: Float[Array, "c d"]) -> tuple[Float[Array, "q c d"], Float[Array, " q"]]:
-    """Computes the shape functions' gradients and the volumes at the quadrature points. Traced.
-
-    A point whose Jacobian is small beside the cell's largest Jacobian fades out. It belongs to a
-    triangle at a straight corner, or between two corners at one place.
-    """
+    """Computes the shape functions' gradients and the volumes at the quadrature points. Traced."""
+    # a point whose Jacobian is small beside the cell's largest fades out: it belongs to a triangle
+    # at a straight corner, or between two corners at one place
     reference, weights = (jnp.asarray(table, corners.dtype) for table in quadrature(kind))
     jacobian = jnp.einsum("qca,cb->qab", reference, corners, precision="highest")  # d place / d reference, transposed
     inverse, determinant, safe = _inverse(jacobian)
@@ -90,10 +84,8 @@ def stiffness(
 ) -> Float[Array, " q"]:
     """Computes the stiffness at the points of a cell's quadrature. Traced.
 
-    `distance` is that of the corners from the moving nodes.
-
-    A point takes the mean of the corners whose shape functions vary there. Where all corners move,
-    nothing depends on the stiffness.
+    A point takes the mean distance of the corners whose shape functions vary there. Where all
+    corners move, nothing depends on the stiffness.
     """
     share = np.any(quadrature(kind)[0] != 0, axis=2).astype(float)
     share = jnp.asarray(share / share.sum(axis=1, keepdims=True), distance.dtype)
@@ -124,11 +116,11 @@ _COLLAPSED = {
 
 @functools.cache
 def quadrature(kind: str) -> tuple[np.ndarray, np.ndarray]:
-    """Computes derivatives (q, corners, d) of the shape functions, and weights (q,).
+    """Computes reference derivatives (q, corners, d) of the shape functions, and weights (q,).
 
-    Derivatives are by the reference coordinates. A simplex has one point. A quad has its four
-    corners, with the linear triangles of the corners and their neighbours: the mean of both ways to
-    cut the quad. Other types have two Gauss points in every direction.
+    A simplex has one point. A quad has its four corners, with the linear triangles of the corners
+    and their neighbours: the mean of both ways to cut it. Other types have two Gauss points in
+    every direction.
     """
     if kind in ("triangle", "tetra"):
         d = 2 if kind == "triangle" else 3

@@ -43,10 +43,7 @@ class AbstractBasis(Module):
 
 
 class ThinPlateSpline(AbstractBasis):
-    """Evaluates phi(r) = r^2 log r (Duchon 1977).
-
-    It is global, has no parameter, and needs a linear polynomial.
-    """
+    """Evaluates phi(r) = r^2 log r, without a parameter (Duchon 1977); needs a linear polynomial."""
 
     min_degree = 1
     scale_free = True
@@ -56,10 +53,7 @@ class ThinPlateSpline(AbstractBasis):
 
 
 class LinearSpline(AbstractBasis):
-    """Evaluates phi(r) = r, with a cone at each source (Duchon 1977).
-
-    It has no parameter, and needs a constant polynomial.
-    """
+    """Evaluates phi(r) = r, with a cone at each source (Duchon 1977); needs a constant polynomial."""
 
     min_degree = 0
     scale_free = True
@@ -69,10 +63,7 @@ class LinearSpline(AbstractBasis):
 
 
 class CubicSpline(AbstractBasis):
-    """Evaluates phi(r) = r^3, the smoothest interpolation in 3-D (Duchon 1977).
-
-    It has no parameter, and needs a linear polynomial.
-    """
+    """Evaluates phi(r) = r^3, the smoothest in 3-D (Duchon 1977); needs a linear polynomial."""
 
     min_degree = 1
     scale_free = True
@@ -82,13 +73,10 @@ class CubicSpline(AbstractBasis):
 
 
 class AbstractScaledBasis(AbstractBasis):
-    """A function of (r / R)^2 on the whole space.
+    """A function of (r / R)^2 on the whole space, of a `radius` R in the mesh's units.
 
-    **Arguments:**
-
-    - `radius`: R in the mesh's units. A wide function makes the matrix ill-conditioned.
-
-    **Raises:** `ValueError` for a radius that is not positive and finite.
+    A wide function makes the matrix ill-conditioned. The constructor raises `ValueError` for a
+    radius that is not positive and finite.
     """
 
     radius: Float[Array, ""] = eqx.field(converter=number("radius", 0))
@@ -98,17 +86,14 @@ class AbstractScaledBasis(AbstractBasis):
 
 
 class Gaussian(AbstractScaledBasis):
-    """Evaluates phi(r) = exp(-r^2 / R^2), of a `radius` R in the mesh's units; positive definite."""
+    """Evaluates phi(r) = exp(-r^2 / R^2), of a `radius` R; positive definite."""
 
     def __call__(self, r2):
         return jnp.exp(-self.relative(r2))
 
 
 class Multiquadric(AbstractScaledBasis):
-    """Evaluates phi(r) = sqrt(1 + r^2 / R^2), of a `radius` R in the mesh's units (Hardy 1971).
-
-    It needs a constant polynomial.
-    """
+    """Evaluates phi(r) = sqrt(1 + r^2 / R^2), of a `radius` R; needs a constant polynomial."""
 
     min_degree = 0
 
@@ -117,20 +102,14 @@ class Multiquadric(AbstractScaledBasis):
 
 
 class InverseMultiquadric(AbstractScaledBasis):
-    """Evaluates phi(r) = 1 / sqrt(1 + r^2 / R^2), of a `radius` R in the mesh's units.
-
-    It is positive definite.
-    """
+    """Evaluates phi(r) = 1 / sqrt(1 + r^2 / R^2), of a `radius` R; positive definite."""
 
     def __call__(self, r2):
         return 1 / jnp.sqrt(1 + self.relative(r2))
 
 
 class InverseQuadratic(AbstractScaledBasis):
-    """Evaluates phi(r) = 1 / (1 + r^2 / R^2), of a `radius` R in the mesh's units.
-
-    It is positive definite.
-    """
+    """Evaluates phi(r) = 1 / (1 + r^2 / R^2), of a `radius` R; positive definite."""
 
     def __call__(self, r2):
         return 1 / (1 + self.relative(r2))
@@ -140,14 +119,7 @@ class AbstractCompactBasis(AbstractBasis):
     """A function of xi = r / R that is zero from xi = 1 on; positive definite in 2-D and 3-D.
 
     It is given by `value`, phi(xi), and `slope`, phi'(xi) / (2 xi), for 0 < xi < 1: by a derivative
-    of phi alone, the slope would not be right at a source.
-
-    **Arguments:**
-
-    - `support_radius`: R in the mesh's units. A larger radius gives a smoother motion, and a worse
-      condition.
-
-    **Raises:** `ValueError` for a radius that is not positive and finite.
+    of phi alone, the slope would not be right at a source. R is `support_radius`.
     """
 
     support_radius: Float[Array, ""] = eqx.field(converter=number("support_radius", 0))
@@ -186,9 +158,6 @@ def _compact_jvp(kind, primals, tangents):
     return _compact(kind, r2, support_radius), slope * (r2_dot - 2 * r2 / support_radius * radius_dot)
 
 
-# All of them take a `support_radius` R, in the mesh's units; xi is r / R
-
-
 class WendlandC0(AbstractCompactBasis):
     """Evaluates phi = (1 - xi)^2, with xi = r / `support_radius`: a cone at each source."""
 
@@ -199,12 +168,8 @@ class WendlandC0(AbstractCompactBasis):
 class WendlandC2(AbstractCompactBasis):
     """Evaluates phi(r) = (1 - r/R)^4 (4 r/R + 1) for r < R, and 0 beyond (Wendland 1995).
 
-    **Arguments:**
-
-    - `support_radius`: R in the mesh's units. A larger radius gives a smoother motion, and a worse
-      condition.
-
-    **Raises:** `ValueError` for a radius that is not positive and finite.
+    R is `support_radius`, in the mesh's units. A larger radius gives a smoother motion, and a worse
+    condition. The constructor raises `ValueError` for a radius that is not positive and finite.
     """
 
     @staticmethod

@@ -7,7 +7,6 @@ import numpy as np
 from jax import dtypes
 from jaxtyping import Array, Bool, Float, Int
 
-from ..._host.package.errors import warn
 from ..._host.package.rounding import Tree, roundoff
 from ..._host.sources.hierarchy import overlaps, padded
 from ..._host.sources.reduction import drop_close
@@ -18,7 +17,7 @@ from ..cells.cells import NodeFactors
 from ..sparse import SLACK, InterpolatedField, Reach, Searched, squared_distance
 from ..surface import Surface
 from .basis import WendlandC2
-from .conditioning import USELESS, is_noticeable, warn_of_close
+from .expansion import is_sound, warn_of_close
 
 NEIGHBOURS = 200
 """Nodes that the automatic radius reaches from half of the moving nodes."""
@@ -157,20 +156,18 @@ class CompactRBF(AbstractPlacing):
 
     def field(self, ids: CompactIds, factors: CompactFactors, surface, u):
         free = jnp.broadcast_to(ids.has_function[:, None], u.shape)
-        return InterpolatedField(self, factors, surface, factors.matrix.solve(ids.pairs, free, ids.at_functions(u)))
+        return InterpolatedField(factors.matrix.solve(ids.pairs, free, ids.at_functions(u)))
 
     def check(self, ids: CompactIds, factors: CompactFactors, u):
         error, dtype = float(_missed(self, ids, factors, u)), factors.matrix.values.dtype
         nodes = np.asarray(ids.searched.surface, dtype=float)[np.asarray(ids.has_function)]
-        if is_noticeable(error, dtype):
-            fault = f"ill-conditioned: rounding changes the displacements by {error:.1g} of their size"
-            message = (
-                f"the matrix of CompactRBF, of {len(nodes)} nodes and radius {float(factors.radius):.3g}, is "
-                f"{fault if np.isfinite(error) else 'not positive, or no solve converged'}. Try a smaller radius."
-            )
-            if not error <= USELESS:
-                raise ValueError(message)
-            warn(message)
+        matrix = f"the matrix of CompactRBF, of {len(nodes)} nodes and radius {float(factors.radius):.3g}"
+        is_sound(
+            error,
+            dtype,
+            lambda fault: f"{matrix}, is {fault}. Try a smaller radius.",
+            "not positive, or no solve converged",
+        )
         warn_of_close(nodes, float(factors.radius), "CompactRBF")
 
 
