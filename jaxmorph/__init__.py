@@ -49,8 +49,8 @@ _NAMES = {
     "._mesh.mesh": "Mesh elevate",
     "._methods.base": "AbstractField AbstractMethod AbstractPlacing Control",
     "._methods.cells.cells": "AbstractCellMethod",
-    "._methods.cells.equations": "Biharmonic Laplacian LinearElasticity SpringAnalogy TorsionalSprings",
-    "._methods.cells.stiffness": "AbstractStiffness ByDistance ByVolume",
+    "._methods.cells.equations": "AbstractStiffness Biharmonic ByDistance ByVolume Laplacian LinearElasticity "
+    "SpringAnalogy TorsionalSprings",
     "._methods.delaunay": "DelaunayGraph",
     "._methods.inverse_distance": "InverseDistance",
     "._methods.local": "LocalCorrection",

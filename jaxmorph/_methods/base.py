@@ -43,7 +43,7 @@ class AbstractField(Module):
 
     @abc.abstractmethod
     def __call__(self, x: Float[Array, " d"], ids: PyTree) -> Float[Array, " d"]:
-        """Computes the displacement at `x`; `ids` is what `connect` or `place` made for the point."""
+        """Computes the displacement at `x`; `ids` are what `connect` or `place` made for it."""
 
     def evaluate(self, points: Float[Array, "c d"], ids: PyTree) -> Float[Array, "c d"]:
         """Computes the displacements of a block of c points; leaves of `ids` have a row for each.

@@ -21,7 +21,7 @@ FEW = 64
 
 
 def map_points(field: AbstractField, points: Float[Array, "n d"], ids: PyTree) -> Float[Array, "n d"]:
-    """Evaluates the field at every point. For derivatives each block is computed again, not stored."""
+    """Evaluates the field at every point; for derivatives blocks are computed again, not stored."""
     if field.block_size is None:
         return field.evaluate(points, ids)
     return map_rows(jax.checkpoint(lambda part: field.evaluate(*part)), (points, ids), field.block_size)
@@ -42,7 +42,7 @@ def carry_points(
     factors: PyTree,
     surface: Float[Array, "b d"],
 ) -> PyTree:
-    """Changes every point's place by the method's `carry_place`; rows are points, ids and places."""
+    """Changes every point's place by `carry_place`; `rows` are points, ids and places."""
     points, ids, placed = rows
     if not isinstance(method, AbstractPlacing) or not jax.tree.leaves(ids):
         return placed
@@ -61,7 +61,7 @@ def _placed(function: Callable[..., PyTree], rows: tuple) -> PyTree:
 def map_rows(function: Callable[[PyTree], PyTree], rows: PyTree, block: int) -> PyTree:
     """Applies a function to blocks of `block` rows, and joins its results, which have as many rows.
 
-    Nothing is padded: the last block may be shorter. On a platform that is no CPU blocks are larger.
+    Nothing is padded: the last block may be shorter. Blocks are larger on other platforms.
     """
 
     def mapped(rows, block):

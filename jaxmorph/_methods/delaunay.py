@@ -49,7 +49,7 @@ class DelaunayGraph(AbstractPlacing):
 
 
 def begin_graph(method: AbstractMethod, surface: Surface, count: int) -> None:
-    """Begins the graph in the background if a method has one, and some points are off the surface."""
+    """Begins a method's graph in the background, if it has one and points are off the surface."""
 
     def is_graph(leaf: object) -> bool:
         return isinstance(leaf, DelaunayGraph)
@@ -63,7 +63,7 @@ def _begun(surface: Surface) -> Beside[Graph]:
 
 
 def barycentric(x: Float[Array, " d"], corners: list[Float[Array, " d"]], at_node) -> list[Float[Array, ""]]:
-    """Computes barycentric coordinates e of x (eqs. 6 and 7) in closed form; (1, 0, ...) `at_node`."""
+    """Computes barycentric coordinates (eqs. 6 and 7) in closed form; (1, 0, ...) `at_node`."""
     edges = [corner - corners[0] for corner in corners[1:]]
     rows = cofactors(edges)
     whole = jnp.where(at_node, 1, dot(rows[0], edges[0]))

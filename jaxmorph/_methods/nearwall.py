@@ -120,7 +120,7 @@ class Layered(eqx.Module):
 
 
 class WallPlace(eqx.Module):
-    """A point's place: its place in the correction, the wall's part of it, and the share outside."""
+    """A point's place in the correction, the wall's part of its motion, and the share outside."""
 
     correction: PyTree
     wall: Interpolation
@@ -164,7 +164,7 @@ class Extent(eqx.Module):
 
 
 def layer_width(width: Float[Either, ""] | None, extent: Extent, surface: Float[Either, "b d"]) -> Float[Either, " b"]:
-    """Computes the layer's width over each surface node, one for each wall, unless `width` is set."""
+    """Computes the layer's width over each surface node: of its wall, unless `width` is set."""
     xp = namespace(surface)
     if width is not None:
         return xp.full(len(surface), xp.asarray(width, surface.dtype))

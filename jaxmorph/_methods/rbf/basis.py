@@ -43,7 +43,7 @@ class AbstractBasis(Module):
 
 
 class ThinPlateSpline(AbstractBasis):
-    """Evaluates phi(r) = r^2 log r, without a parameter (Duchon 1977); needs a linear polynomial."""
+    """Evaluates phi(r) = r^2 log r (Duchon 1977); without parameter, with a linear polynomial."""
 
     min_degree = 1
     scale_free = True
@@ -53,7 +53,7 @@ class ThinPlateSpline(AbstractBasis):
 
 
 class LinearSpline(AbstractBasis):
-    """Evaluates phi(r) = r, with a cone at each source (Duchon 1977); needs a constant polynomial."""
+    """Evaluates phi(r) = r, a cone at each source (Duchon 1977); with a constant polynomial."""
 
     min_degree = 0
     scale_free = True

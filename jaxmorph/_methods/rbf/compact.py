@@ -55,7 +55,7 @@ class CompactIds(eqx.Module):
 
 
 class CompactFactors(eqx.Module):
-    """The radius, the matrix, rows with functions, and whether their neighbours were surely found."""
+    """The radius, the matrix, rows with functions, and whether all neighbours were surely found."""
 
     radius: Float[Array, ""]
     matrix: NodeFactors

@@ -113,7 +113,7 @@ class Expansion(Module):
         return kernel + self.at_sources * jnp.eye(len(kernel), dtype=kernel.dtype) if self.ridge else kernel
 
     def factored(self, sources, scale):
-        """Factors the dense system of some sources; also returns the rows as the pivots have them."""
+        """Factors the dense system of some sources; returns also the rows in the pivots' order."""
         tail = polynomial(sources, self.degree)
         # One reduction, not a sum of d terms: XLA's CPU backend (jaxlib 0.10.2) merges d terms
         # wrongly with the transposition that LAPACK asks for, and the jitted gradient with respect
@@ -176,7 +176,7 @@ class Expansion(Module):
         return self._with_ridge(map_rows(jax.checkpoint(of_block), sources, block_size(len(sources))), beta)
 
     def _times_kernel_quickly(self, factors: RBFFactors, beta: Float[Array, "s k"]) -> Float[Array, "s k"]:
-        """Multiplies by the kernel's matrix; on a CPU each function of two sources is computed once."""
+        """Multiplies by the kernel's matrix, on a CPU by half of its entries."""
 
         def of_pairs(factors, beta):
             product = symmetric_kernel_sum(Radial(self.basis, factors.scale), factors.sources, beta.T).T

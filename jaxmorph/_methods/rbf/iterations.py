@@ -20,13 +20,13 @@ STALLED = 0.5
 """Share of the residual that another solve must take away: the rest is the product's rounding."""
 
 MISSED, NOTICEABLE = 1e3, 1e-3
-"""Tolerances, and share of the displacement, beyond which a field that misses its sources is NaN."""
+"""Tolerances, and share of the displacement, by which a field misses its sources that is NaN."""
 
 ROUNDINGS = 100
 """Units of rounding below which no tolerance goes: what single precision can reach."""
 
 GIVE = 1e-10
-"""Corner of a small system, relative to its kernel: neighbours in one plane determine no polynomial."""
+"""Corner of a small system, relative to its kernel, for neighbours that lie in one plane."""
 
 Product = Callable[[Float[Array, "s k"]], Float[Array, "s k"]]
 
@@ -52,7 +52,7 @@ class Cardinals(eqx.Module):
 def local_weights(
     phi: Callable, sources: Float[Array, "s d"], earlier: Int[Array, "r q"], degree: int | None, sign: int
 ) -> Float[Array, "r q"]:
-    """Computes the functions' coefficients; `sign` is that of `phi` as a definite function. Traced."""
+    """Computes the functions' coefficients; `sign` is that of `phi` as a definite function."""
     count = earlier.shape[1]
 
     def of_one(ids):
@@ -77,7 +77,7 @@ def local_weights(
 
 
 def precondition(rows: Cardinals, solve_first: Callable, residual: Float[Array, "s k"]) -> Float[Array, "s k"]:
-    """Applies sum_l w_l (w_l . r) / w_ll, and the inverse of the dense part for the first sources."""
+    """Applies sum_l w_l (w_l . r) / w_ll, and the dense inverse for the first sources."""
     first = len(residual) - len(rows.earlier)
     columns = rows.earlier.T, rows.weights.T
 

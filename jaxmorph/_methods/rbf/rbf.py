@@ -175,7 +175,7 @@ class RBF(AbstractMethod):
         return OrderedIds(jnp.asarray(sources[order]), jnp.asarray(earlier)), None
 
     def chosen(self, surface: Surface) -> np.ndarray:
-        """Chooses rows that are sources; raises `ValueError` if they determine no polynomial. Host."""
+        """Chooses sources on the host; raises `ValueError` if they determine no polynomial."""
         sources = surface.reduced(self.reduction, self.fixed_reduction)
         sources = drop_close(surface.points, sources, roundoff(surface.points))
         self._check_spread(surface.points[sources])

@@ -104,7 +104,7 @@ class Radial(eqx.Module):
 
 
 def is_fused(phi: Radial, dtype: Any) -> bool:
-    """Checks whether a weighted sum can be one operation: on a GPU, of a function for its kernel."""
+    """Checks whether a sum can be one operation: on a GPU, of a function for its kernel."""
     if is_for_cpu() or not has_kernels() or dtype not in (jnp.float32, jnp.float64):
         return False
     return all(jnp.ndim(leaf) == 0 for leaf in jax.tree.leaves(phi)) and is_elementwise(phi, dtype)
