@@ -61,7 +61,7 @@ def _placed(function: Callable[..., PyTree], rows: tuple) -> PyTree:
 def map_rows(function: Callable[[PyTree], PyTree], rows: PyTree, block: int) -> PyTree:
     """Applies a function to blocks of `block` rows, and joins its results, which have as many rows.
 
-    Nothing is padded: the last block may be shorter. Blocks are larger on other platforms.
+    Nothing is padded: the last block may be shorter. GPUs get larger blocks.
     """
 
     def mapped(rows, block):
