@@ -178,7 +178,15 @@ class RBF(AbstractMethod):
         """Chooses sources on the host; raises `ValueError` if they determine no polynomial."""
         sources = surface.reduced(self.reduction, self.fixed_reduction)
         sources = drop_close(surface.points, sources, roundoff(surface.points))
-        self._check_spread(surface.points[sources])
+        if len(sources) == 0:
+            raise ValueError("there are no sources: `moving` is empty.")
+        places, dimension = surface.points[sources], surface.points.shape[1]
+        spread = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
+        if self.degree == 1 and (len(sources) <= dimension or spread[-1] <= 1e-10 * spread[0]):
+            raise ValueError(
+                f"the {len(sources)} sources do not span {dimension} dimensions, so a linear polynomial is not determined. "
+                "Add fixed nodes (far field), more leaves, or use RBF(degree=0) with a basis that allows it."
+            )
         return sources.astype(np.int32)
 
     def iterative(self, count: int) -> Iterative | None:
@@ -186,16 +194,6 @@ class RBF(AbstractMethod):
         if self.solver is None:
             return Iterative() if count > MANY else None
         return self.solver if isinstance(self.solver, Iterative) else None
-
-    def _check_spread(self, sources: np.ndarray) -> None:
-        if len(sources) == 0:
-            raise ValueError("there are no sources: `moving` is empty.")
-        dimension, spread = sources.shape[1], np.linalg.svd(sources - sources.mean(axis=0), compute_uv=False)
-        if self.degree == 1 and (len(sources) <= dimension or spread[-1] <= 1e-10 * spread[0]):
-            raise ValueError(
-                f"the {len(sources)} sources do not span {dimension} dimensions, so a linear polynomial is not determined. "
-                "Add fixed nodes (far field), more leaves, or use RBF(degree=0) with a basis that allows it."
-            )
 
     def control(self, ids):
         sources = np.asarray(_rows(ids))
