@@ -22,7 +22,6 @@ METHODS: dict[str, Callable[[], jm.AbstractMethod]] = {
     "classic RBF": lambda: jm.RBF.classic(),
     "elasticity": lambda: jm.LinearElasticity(),
     "torsional": lambda: jm.TorsionalSprings(),
-    "rigid blend": lambda: jm.SurfaceReconstruction(jm.RigidBlend(0.25, 15.0), jm.NearWall()),
 }
 IMPROVED = ("default",)
 """Methods whose last mesh is improved too."""

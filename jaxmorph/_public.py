@@ -37,14 +37,14 @@ from ._methods.base import AbstractMethod as AbstractMethod
 from ._methods.base import AbstractPlacing as AbstractPlacing
 from ._methods.base import Control as Control
 from ._methods.cells.cells import AbstractCellMethod as AbstractCellMethod
+from ._methods.cells.equations import AbstractStiffness as AbstractStiffness
 from ._methods.cells.equations import Biharmonic as Biharmonic
+from ._methods.cells.equations import ByDistance as ByDistance
+from ._methods.cells.equations import ByVolume as ByVolume
 from ._methods.cells.equations import Laplacian as Laplacian
 from ._methods.cells.equations import LinearElasticity as LinearElasticity
-from ._methods.cells.springs import SpringAnalogy as SpringAnalogy
-from ._methods.cells.springs import TorsionalSprings as TorsionalSprings
-from ._methods.cells.stiffness import AbstractStiffness as AbstractStiffness
-from ._methods.cells.stiffness import ByDistance as ByDistance
-from ._methods.cells.stiffness import ByVolume as ByVolume
+from ._methods.cells.equations import SpringAnalogy as SpringAnalogy
+from ._methods.cells.equations import TorsionalSprings as TorsionalSprings
 from ._methods.delaunay import DelaunayGraph as DelaunayGraph
 from ._methods.inverse_distance import InverseDistance as InverseDistance
 from ._methods.local import LocalCorrection as LocalCorrection
@@ -72,7 +72,6 @@ from ._methods.rbf.rbf import RBF as RBF
 from ._methods.rbf.rbf import Direct as Direct
 from ._methods.rbf.rbf import Iterative as Iterative
 from ._methods.reconstruction import SurfaceReconstruction as SurfaceReconstruction
-from ._methods.rigid import RigidBlend as RigidBlend
 from ._methods.surface import Surface as Surface
 from ._plan.deform import deform as deform
 from ._plan.deform import pullback as pullback

@@ -80,52 +80,38 @@ def extension():
     return module
 
 
+FIXED_AXES, ALONE = {"turns": False}, {"affine": False, "translates": False}
+
+
+def reconstruction(coarse, correction):
+    return lambda length: jm.SurfaceReconstruction(coarse, correction)
+
+
 CASES = [
-    Case("default", lambda length: jm.SurfaceReconstruction(), turns=False),
-    Case("default with faces", lambda length: jm.SurfaceReconstruction(), turns=False, faces=True),
-    Case("published", lambda length: jm.SurfaceReconstruction.published(), turns=False, dimensions=(2,)),
-    Case("few-sources", lambda length: jm.SurfaceReconstruction(few(), jm.DelaunayGraph()), turns=False),
-    Case(
-        "farthest",
-        lambda length: jm.SurfaceReconstruction(farthest(), jm.DelaunayGraph()),
-        turns=False,
-        dimensions=(2,),
-    ),
-    Case("near-wall", lambda length: jm.SurfaceReconstruction(few(), jm.NearWall(width=0.3 * length)), turns=False),
-    Case("near-wall-alone", lambda length: jm.NearWall(), affine=False, turns=False, dimensions=(2,)),
-    Case("multiscale", lambda length: jm.SurfaceReconstruction(few(), jm.Multiscale()), turns=False),
-    Case("multiscale-whole", lambda length: jm.Multiscale.whole(2 * length, 0.2), affine=False, translates=False),
-    Case("multiscale-alone", lambda length: jm.Multiscale(), affine=False, translates=False, dimensions=(2,)),
-    Case("local", lambda length: jm.SurfaceReconstruction(few(), jm.LocalCorrection()), turns=False),
-    Case(
-        "local-alone",
-        lambda length: jm.LocalCorrection(2 * length),
-        affine=False,
-        translates=False,
-        dimensions=(2,),
-    ),
+    Case("default", lambda length: jm.SurfaceReconstruction(), **FIXED_AXES),
+    Case("default with faces", lambda length: jm.SurfaceReconstruction(), **FIXED_AXES, faces=True),
+    Case("published", lambda length: jm.SurfaceReconstruction.published(), **FIXED_AXES, dimensions=(2,)),
+    Case("few-sources", reconstruction(few(), jm.DelaunayGraph()), **FIXED_AXES),
+    Case("farthest", reconstruction(farthest(), jm.DelaunayGraph()), **FIXED_AXES, dimensions=(2,)),
+    Case("near-wall", lambda length: jm.SurfaceReconstruction(few(), jm.NearWall(width=0.3 * length)), **FIXED_AXES),
+    Case("near-wall-alone", lambda length: jm.NearWall(), affine=False, **FIXED_AXES, dimensions=(2,)),
+    Case("multiscale", reconstruction(few(), jm.Multiscale()), **FIXED_AXES),
+    Case("multiscale-whole", lambda length: jm.Multiscale.whole(2 * length, 0.2), **ALONE),
+    Case("multiscale-alone", lambda length: jm.Multiscale(), **ALONE, dimensions=(2,)),
+    Case("local", reconstruction(few(), jm.LocalCorrection()), **FIXED_AXES),
+    Case("local-alone", lambda length: jm.LocalCorrection(2 * length), **ALONE, dimensions=(2,)),
     Case("delaunay", lambda length: jm.DelaunayGraph()),
-    Case(
-        "delaunay-coarse",
-        lambda length: jm.SurfaceReconstruction(jm.DelaunayGraph(), jm.DelaunayGraph()),
-        dimensions=(2,),
-    ),
+    Case("delaunay-coarse", reconstruction(jm.DelaunayGraph(), jm.DelaunayGraph()), dimensions=(2,)),
     Case(
         "fitted",
         lambda length: jm.FittedRBF(few(), ell=0.2 * length, mu=0.1 * length),
+        **FIXED_AXES,
         exact=False,
-        turns=False,
         faces=True,
     ),
-    Case("reduced", lambda length: few(), exact=False, turns=False),
+    Case("reduced", lambda length: few(), **FIXED_AXES, exact=False),
     Case("thin-plate-1", lambda length: full(jm.ThinPlateSpline(), 1), dimensions=(3,)),
-    Case(
-        "wendland-none",
-        lambda length: full(jm.WendlandC2(2 * length), None),
-        affine=False,
-        translates=False,
-        dimensions=(2,),
-    ),
+    Case("wendland-none", lambda length: full(jm.WendlandC2(2 * length), None), **ALONE, dimensions=(2,)),
     Case("notebook's basis", lambda length: full(extension().Cubic(), 1), dimensions=(3,)),
     Case("notebook's method", lambda length: extension().Shepard(), affine=False, dimensions=(2,)),
     Case("elasticity", lambda length: jm.LinearElasticity(), affine=False),
@@ -137,8 +123,8 @@ CASES = [
     Case(
         "laplacian-near-wall",
         lambda length: jm.SurfaceReconstruction(jm.Laplacian(), jm.NearWall()),
+        **FIXED_AXES,
         affine=False,
-        turns=False,
         dimensions=(2,),
     ),
     Case("inverse-distance", lambda length: jm.InverseDistance(), affine=False),
@@ -149,32 +135,14 @@ CASES = [
         dimensions=(2,),
         faces=True,
     ),
-    Case(
-        "rigid-blend",
-        lambda length: jm.SurfaceReconstruction(jm.RigidBlend(0.1 * length, 3 * length), jm.DelaunayGraph()),
-        affine=False,
-        translates=False,
-        dimensions=(3,),
-    ),
-    Case("compact", lambda length: jm.CompactRBF(2 * length), affine=False, translates=False),
-    Case(
-        "compact-automatic",
-        lambda length: jm.SurfaceReconstruction(few(), jm.CompactRBF()),
-        turns=False,
-        dimensions=(2,),
-    ),
-    Case(
-        "ridge",
-        lambda length: jm.RBF(jm.ThinPlateSpline(), jm.AllPoints(), jm.AllPoints(), ridge=1e-4),
-        exact=False,
-        dimensions=(2,),
-    ),
+    Case("compact", lambda length: jm.CompactRBF(2 * length), **ALONE),
+    Case("compact-automatic", reconstruction(few(), jm.CompactRBF()), **FIXED_AXES, dimensions=(2,)),
+    Case("ridge", lambda length: dataclasses.replace(jm.RBF.classic(), ridge=1e-4), exact=False, dimensions=(2,)),
     Case("iterative", lambda length: iterative(jm.ThinPlateSpline())),
     Case(
         "iterative-wendland-none",
         lambda length: iterative(jm.WendlandC2(2 * length), degree=None),
-        affine=False,
-        translates=False,
+        **ALONE,
         dimensions=(2,),
     ),
     Case("gaussian-1", lambda length: full(jm.Gaussian(0.1 * length), 1), dimensions=(2,)),
@@ -235,6 +203,15 @@ def body(dimension: int) -> Body:
     order = rng.permutation(len(points))
     place = np.argsort(order)
     return Body((points + scatter)[order], place[:k], place[-k:])
+
+
+def planned(mesh: Body, method=None) -> jm.Plan:
+    return jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=method)
+
+
+def moved_by(mesh: Body, method, u) -> np.ndarray:
+    """Points (n, d) after a displacement of the body by a method."""
+    return np.asarray(jm.deform(planned(mesh, method), u))
 
 
 def motion(points: np.ndarray) -> np.ndarray:

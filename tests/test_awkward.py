@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from oracles import corner_areas
 from runs import runs
 
 import jaxmorph as jm
@@ -12,15 +11,20 @@ STORE = {"wing": (-2.0, 2.0, 1.0, 1.5), "store": (-0.5, 0.5, 0.0, 0.5)}
 PASSING = {"upper": (-4.0, -3.0, 1.0, 2.0), "lower": (-0.5, 0.5, -2.0, -1.0)}
 
 
-def marched(mesh, moving, displacement, steps):
-    """The moved mesh's report, after the surface was found where it was sent."""
+def least_ratio(mesh, moving, path):
+    """The smallest Jacobian ratio at the end of a path on which nothing inverts, and the surface goes where it is sent."""
     nodes = mesh.patch(moving)
     rest = np.setdiff1d(mesh.patch(*mesh.patches), nodes)
-    path = np.linspace(0, 1, steps + 1)[1:, None, None] * displacement
-    points = jm.march(jm.prepare(mesh, nodes, rest), path)[1]
-    assert (np.asarray(points)[nodes] == np.asarray(mesh.points)[nodes] + path[-1]).all()
-    assert (np.asarray(points)[rest] == np.asarray(mesh.points)[rest]).all()
-    return jm.quality(mesh, points)
+    points = np.asarray(jm.march(jm.prepare(mesh, nodes, rest), path)[1])
+    np.testing.assert_allclose(points[nodes], mesh.points[nodes] + path[-1], rtol=0, atol=1e-12)
+    assert (points[rest] == mesh.points[rest]).all()
+    report = jm.quality(mesh, points)
+    assert int(report.inverted) == 0
+    return float(report.min_jacobian_ratio)
+
+
+def straight(displacement, steps):
+    return np.linspace(0, 1, steps + 1)[1:, None, None] * displacement
 
 
 @pytest.mark.nightly
@@ -30,7 +34,7 @@ def test_a_body_that_is_held_far_away_has_sources_of_its_own():
     plan = jm.prepare(mesh, "upper", ("lower", "farfield"))
     assert 4 <= np.isin(mesh.patch("lower"), plan.sources).sum() <= 16
     u = np.broadcast_to([0.2, 0.0], (plan.n_moving, 2))
-    later = jm.march(plan, np.linspace(0, 1, 18)[1:, None, None] * np.broadcast_to([3.4, 0.0], u.shape))[0][-1]
+    later = jm.march(plan, straight(np.broadcast_to([3.4, 0.0], u.shape), 17))[0][-1]
     off = np.linalg.norm(np.asarray(later.offset(u)), axis=1)
     assert off[np.isin(np.asarray(later.surface_nodes), mesh.patch("lower"))].max() < 0.02 * 0.2
 
@@ -43,9 +47,8 @@ def test_a_body_that_is_held_far_away_has_sources_of_its_own():
 )
 def test_bodies_pass_and_leave(boxes, moving, way, steps, least):
     mesh = cases.bodies(boxes)
-    report = marched(mesh, moving, np.broadcast_to(way, (len(mesh.patch(moving)), 2)), steps)
-    assert int(report.inverted) == 0
-    assert float(report.min_jacobian_ratio) > least
+    path = straight(np.broadcast_to(way, (len(mesh.patch(moving)), 2)), steps)
+    assert least_ratio(mesh, moving, path) > least
 
 
 @pytest.mark.nightly
@@ -55,9 +58,7 @@ def test_horns_of_ice_grow_on_an_airfoil():
     x, y = np.asarray(mesh.points)[mesh.patch("airfoil")].T
     s = np.sign(y) * np.sqrt(np.maximum(x, 0))
     horn = 0.05 * (np.exp(-(((s - 0.12) / 0.03) ** 2)) + 0.6 * np.exp(-(((s + 0.1) / 0.04) ** 2)))
-    report = marched(mesh, "airfoil", np.stack([-0.8 * horn, 0.6 * np.sign(y) * horn], axis=1), 5)
-    assert int(report.inverted) == 0
-    assert float(report.min_jacobian_ratio) > 0.8
+    assert least_ratio(mesh, "airfoil", straight(np.stack([-0.8 * horn, 0.6 * np.sign(y) * horn], axis=1), 5)) > 0.8
 
 
 @pytest.mark.parametrize(
@@ -71,11 +72,4 @@ def test_a_wide_flap_and_a_half_turn_in_steps(degrees, centre, blend):
     angle = np.deg2rad(degrees) * share**2 * (3 - 2 * share)
     turn = np.exp(-1j * np.linspace(0, 1, 7)[1:, None] * angle[None]) - 1
     path = (x - centre + 1j * y)[None] * turn
-    plan = jm.prepare(mesh, "airfoil", "farfield")
-    points = jm.march(plan, np.stack([path.real, path.imag], axis=-1))[1]
-    rest, moved = corner_areas(mesh, mesh.points), corner_areas(mesh, points)
-    assert (np.sign(rest) == np.sign(rest[0, 0])).all()
-    assert (moved * np.sign(rest) > 0).all()
-    tip = int(np.argmax(x))
-    turned = centre + (x[tip] - centre + 1j * y[tip]) * np.exp(-1j * np.deg2rad(degrees))
-    np.testing.assert_allclose(np.asarray(points)[mesh.patch("airfoil")[tip]], [turned.real, turned.imag], atol=1e-12)
+    assert least_ratio(mesh, "airfoil", np.stack([path.real, path.imag], axis=-1)) > 0

@@ -1,6 +1,5 @@
 """De Boer's bases: values and derivatives in 40 digits, at a source and at the edge of the support too; definiteness; radii."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import mpmath
@@ -72,26 +71,6 @@ def test_values_and_derivatives_in_r(basis, form, radius):
     assert (off < 1e-8 * np.abs(curvature) + 1e-9 + 1e-14 * rounding).all()
 
 
-@pytest.mark.parametrize(
-    "kind",
-    runs([jm.WendlandC2, jm.CompactC1], nightly=[kind for kind in TABLE if kind.__name__ not in FAST]),
-    ids=lambda kind: kind.__name__,
-)
-def test_the_two_formulas_of_a_compact_function_agree(kind):
-    """The value, and the slope over twice the argument that derivatives are made of."""
-    mpmath.mp.dps = 40
-    xi = np.array([0.01, 0.3, 0.7, 0.95])
-    value, slope = (
-        [float(each) for each in row] for row in zip(*[_in_digits(TABLE[kind], x) for x in xi], strict=True)
-    )
-    np.testing.assert_allclose(kind.value(xi), value, rtol=1e-10, atol=1e-13)  # they cancel at the edge
-    np.testing.assert_allclose(2 * xi * kind.slope(xi), slope, rtol=1e-10, atol=1e-12)
-
-
-def _in_digits(form, x):
-    return form(mpmath.mpf(float(x))), mpmath.diff(form, mpmath.mpf(float(x)))
-
-
 @every
 def test_at_a_source_and_beyond_the_support(basis, form, radius):
     name, value = type(basis).__name__, basis(jnp.zeros(1))[0]
@@ -111,11 +90,6 @@ def test_at_a_source_and_beyond_the_support(basis, form, radius):
         beyond = jnp.array([R**2 * (1 + 1e-12), 50.0, 1e300])
         assert (basis(beyond) == 0).all()
         assert (jax.vmap(jax.grad(basis))(beyond) == 0).all()
-        slope = jax.jit(jax.grad(lambda radius, r2: type(basis)(radius)(r2)))
-        assert float(slope(R, 4 * R**2)) == 0
-        radius_dot = slope(R, 0.09)
-        difference = (type(basis)(R + 1e-6)(0.09 * jnp.ones(())) - type(basis)(R - 1e-6)(0.09 * jnp.ones(()))) / 2e-6
-        np.testing.assert_allclose(radius_dot, difference, rtol=1e-6)
 
 
 @every
@@ -139,17 +113,13 @@ def test_dtype_and_shape_follow_the_distances(basis, form, radius):
     np.testing.assert_allclose(found, basis(r2), rtol=1e-5, atol=1e-5)  # terms of 80 cancel at the edge
 
 
-@pytest.mark.parametrize("make", runs([jm.WendlandC2], nightly=[jm.Gaussian, jm.Multiquadric]))
+@pytest.mark.parametrize(
+    "make", runs([jm.WendlandC2], nightly=[kind for kind in TABLE | GLOBAL if kind is not jm.WendlandC2])
+)
 def test_derivative_in_the_radius(make):
-    r2 = np.array([0.0, 1e-6, 0.1, 0.5, 0.9])
-    (name,) = vars(make(R))
-
-    def of_radius(radius):
-        return eqx.tree_at(lambda basis: getattr(basis, name), make(R), radius)(r2)
-
-    h = 1e-6
-    difference = (of_radius(jnp.asarray(R + h)) - of_radius(jnp.asarray(R - h))) / (2 * h)
-    np.testing.assert_allclose(jax.jacfwd(of_radius)(jnp.asarray(R)), difference, rtol=1e-7, atol=1e-9)
+    r2 = np.array([0.0, 1e-6, 0.1, 0.5, 0.9, 4 * R**2])
+    difference = (make(R + 1e-6)(r2) - make(R - 1e-6)(r2)) / 2e-6
+    np.testing.assert_allclose(jax.jacfwd(lambda radius: make(radius)(r2))(R), difference, rtol=1e-6, atol=1e-8)
 
 
 @pytest.mark.parametrize("make", runs([jm.WendlandC2], nightly=[jm.Gaussian, jm.Multiquadric]))

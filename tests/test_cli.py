@@ -100,7 +100,6 @@ def test_the_wall_and_the_overshoot_stand_in_the_table(here, capsys):
 
 BY_NAME = {
     "elasticity": jm.LinearElasticity(),
-    "rigid": jm.SurfaceReconstruction(jm.RigidBlend(0.5, 4.0), jm.NearWall()),
     "inverse-distance": jm.InverseDistance(),
     "turning": jm.InverseDistance(rotations=True),
     "multiscale": jm.Multiscale.whole(4.0, 0.1),
@@ -108,7 +107,7 @@ BY_NAME = {
 """Methods for the ring, whose wall has the radius 1 and the far field 5."""
 
 
-@pytest.mark.parametrize("name", runs(slow=[name for name in BY_NAME if name != "rigid"], nightly=["rigid"]))
+@pytest.mark.parametrize("name", runs(slow=list(BY_NAME)))
 def test_methods_by_name(here, name):
     assert deform("by_name.su2", "--rotate", "20", "--method", name) == 0
     before, after = io.read("ring.su2"), io.read("by_name.su2")

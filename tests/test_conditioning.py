@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from cases import body, full, motion, surface_values
+from cases import body, full, motion, moved_by, planned, surface_values
 from oracles import dense, wendland
 from runs import runs
 
@@ -25,7 +25,7 @@ def test_bases_too_wide_for_their_sources_are_refused(basis, degree, dimension):
     mesh = body(dimension)
     text = rf"{len(mesh.boundary)} sources is ill-conditioned: rounding changes .* the nearest two sources, \(.*\) and \(.*, are"
     with pytest.raises(ValueError, match=text):
-        jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=full(basis, degree))
+        planned(mesh, full(basis, degree))
     method, ids = full(basis, degree), jnp.arange(len(mesh.boundary))
     sources, values = mesh.points[mesh.boundary], surface_values(mesh)[1]
     field = method.field(ids, method.fit(ids, jnp.asarray(sources), jnp.asarray(sources)), sources, jnp.asarray(values))
@@ -35,17 +35,12 @@ def test_bases_too_wide_for_their_sources_are_refused(basis, degree, dimension):
 def test_between_good_and_useless_is_a_warning():
     """Wendland's function of 2000 lengths of the body: the values at the sources are still right to about 1e-6."""
     mesh = body(3)
-    u, _ = surface_values(mesh)
-    with pytest.warns(
-        UserWarning,
-        match=r"rounding changes the displacements by \de-0[56] of their size.*a smaller `support_radius` of the basis",
-    ):
-        jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=full(jm.WendlandC2(2000.0), None))
-    plan = jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=full(jm.WendlandC2(200.0), None))
-    moved, expected = (
-        jm.deform(plan, u),
-        dense(mesh.points, mesh.points[mesh.boundary], surface_values(mesh)[1], lambda r: wendland(r, 200.0), None),
-    )
+    u, values = surface_values(mesh)
+    told = r"rounding changes the displacements by \de-0[56] of their size.*a smaller `support_radius` of the basis"
+    with pytest.warns(UserWarning, match=told):
+        planned(mesh, full(jm.WendlandC2(2000.0), None))
+    moved = moved_by(mesh, full(jm.WendlandC2(200.0), None), u)
+    expected = dense(mesh.points, mesh.points[mesh.boundary], values, lambda r: wendland(r, 200.0), None)
     np.testing.assert_allclose(moved - mesh.points, expected, rtol=0, atol=1e-7)
 
 

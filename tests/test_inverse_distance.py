@@ -1,4 +1,4 @@
-"""Inverse distances and rigid blends: closed forms, rotations in full, derivatives at rest."""
+"""Inverse distances: closed forms, rotations in full, derivatives at rest."""
 
 import jax
 import jax.numpy as jnp
@@ -31,18 +31,6 @@ def test_the_weights_are_lukes(far, near):
     expected = weights @ np.concatenate([u, np.zeros((len(mesh.fixed), 2))]) / weights.sum(axis=1)[:, None]
     moved = jm.deform(plan, u) - mesh.points
     np.testing.assert_allclose(moved[mesh.inner], expected, rtol=0, atol=1e-12)
-
-
-def test_one_point_moves_as_among_all():
-    mesh, rng = body(2), np.random.default_rng(0)
-    plan = jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=jm.InverseDistance())
-    surface, u = plan.surface, rng.normal(size=(len(mesh.moving), 2))
-    own = jnp.zeros_like(surface.points).at[: plan.n_moving].set(u)
-    field = plan.method.field(surface.ids, surface.factors, surface.points, own[surface.images.rows])
-    node = mesh.inner[7]
-    ids = jax.tree.map(lambda leaf: leaf[node], plan.volume.ids)
-    moved = np.asarray(jm.deform(plan, u))[node] - mesh.points[node]
-    np.testing.assert_allclose(field(plan.points[node], ids), moved, rtol=0, atol=1e-13)
 
 
 @pytest.mark.parametrize("dimension", runs([3], nightly=[2]))
@@ -85,68 +73,12 @@ def test_derivatives_of_turning_nodes_at_rest():
     assert (jm.deform(plan, 0 * v) == mesh.points).all()
 
 
-@pytest.mark.parametrize("dimension", [2, pytest.param(3, marks=pytest.mark.slow)])
-def test_rigid_blend_is_rigid_near_the_body(dimension):
-    mesh = body(dimension)
-    middle = mesh.points[mesh.moving].mean(axis=0)
-    frame = ROTATION if dimension == 3 else np.array([[-0.99, -((1 - 0.99**2) ** 0.5)], [(1 - 0.99**2) ** 0.5, -0.99]])
-    shift = np.array([0.3, -0.1, 0.2])[:dimension]
-    motion = (mesh.points - middle) @ frame.T + middle + shift - mesh.points
-    plan = jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=jm.RigidBlend(0.6, 2.0))
-    moved = np.asarray(jm.deform(plan, motion[mesh.moving]) - mesh.points)
-    apart = np.linalg.norm(mesh.points[:, None] - mesh.points[mesh.moving][None], axis=2).min(axis=1)
-    np.testing.assert_allclose(moved[apart < 0.6], motion[apart < 0.6], rtol=0, atol=1e-10)
-    assert (moved[apart > 2.0] == 0).all()
-    v = 0.01 * np.sin(5 * mesh.points[mesh.moving])
-    for u in (0 * v, motion[mesh.moving]):
-        pushed = jax.jvp(lambda u: jm.deform(plan, u), (jnp.asarray(u),), (jnp.asarray(v),))[1]
-        difference = (jm.deform(plan, u + 1e-5 * v) - jm.deform(plan, u - 1e-5 * v)) / 2e-5
-        np.testing.assert_allclose(pushed, difference, rtol=0, atol=1e-8)
-
-
-@pytest.mark.slow
-def test_rigid_blend_turns_an_airfoil_by_171_degrees_in_one_step():
-    """Cells grow with their distance, and so does the width over which the rotation fades."""
-    mesh = cases.naca0015(points=1200)
-    method = jm.SurfaceReconstruction(jm.RigidBlend(0.25, 19.5), jm.NearWall())
-    plan = jm.prepare(mesh, "airfoil", "farfield", method=method)
-    wall = plan.points[plan.moving]
-    turned = jm.shapes.rotate(wall, np.deg2rad(-171.0), about=(0.25, 0.0))
-    assert int(jm.quality(mesh, jm.deform(plan, turned - wall)).inverted) == 0
-
-
 def test_wrong_arguments_are_told():
     mesh = body(2)
     with pytest.raises(ValueError, match=r"`near` must be a real number above 0 and finite, not -1.0"):
         jm.InverseDistance(near=-1.0)
     with pytest.raises(ValueError, match=r"needs the boundary faces: pass the mesh"):
         jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=jm.InverseDistance(rotations=True))
-    with pytest.raises(ValueError, match=r"0 < inner < outer, not 2.0 and 1.0"):
-        jm.RigidBlend(2.0, 1.0)
-
-
-@pytest.mark.parametrize("angle", [0.5, np.pi])
-@pytest.mark.parametrize("shape", runs(["cube"], nightly=["flat"]))
-def test_rigid_blend_finds_the_rotation_of_flat_and_even_bodies(shape, angle):
-    corners = np.array(np.meshgrid([-1, 1.0], [-1, 1.0], [0.0] if shape == "flat" else [-1, 1.0])).reshape(3, -1).T
-    points = np.concatenate([corners, [[1.2, 1.0, 0.3]]])
-    plan = jm.prepare(points, np.arange(len(corners)), method=jm.RigidBlend(5.0, 9.0))
-    frame = Rotation.from_rotvec([0.6 * angle, 0.8 * angle, 0]).as_matrix()
-    u = corners @ frame.T - corners
-    np.testing.assert_allclose(jm.deform(plan, u)[-1], frame @ points[-1], rtol=0, atol=1e-9)
-    rng = np.random.default_rng(6)
-    v, w = rng.normal(size=corners.shape), rng.normal(size=points.shape)
-    for at in (0 * u, 0.1 * u):
-        difference = (jm.deform(plan, at + 1e-5 * v) - jm.deform(plan, at - 1e-5 * v)) / 2e-5
-        np.testing.assert_allclose(np.vdot(jm.pullback(plan, at, w), v), np.vdot(w, difference), rtol=1e-7)
-
-
-def test_a_body_without_extent_has_no_rotation():
-    points = np.array([[0.0, 0, 0], [1, 1, 1], [3, 0, 1]])
-    with pytest.raises(ValueError, match="of 2 moving nodes on one line"):
-        jm.prepare(points, [0, 1], method=jm.RigidBlend(0.1, 1.0))
-    with pytest.raises(ValueError, match="of 1 moving nodes at one place"):
-        jm.prepare(points[:, :2], [0], method=jm.RigidBlend(0.1, 1.0))
 
 
 def test_steep_weights_stay_finite_in_float32():

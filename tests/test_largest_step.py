@@ -96,11 +96,10 @@ def test_cells_that_arrive_folded_end_no_step_and_are_no_proof():
 def test_a_plan_that_is_not_linear_is_refused_and_judged_step_by_step(tmp_path):
     """Its cells invert elsewhere than on straight lines: `largest_step` would promise what the mesh does not keep."""
     mesh = write_ring(tmp_path / "ring.su2")
-    blend = jm.SurfaceReconstruction(jm.RigidBlend(0.1, 4.0), jm.NearWall())
-    plan = jm.prepare(mesh, "wall", "far", method=blend)
+    plan = jm.prepare(mesh, "wall", "far", method=jm.InverseDistance(rotations=True))
     base = np.asarray(plan.moving_points)
     u = np.asarray(jm.shapes.rotate(base, np.deg2rad(170), [0.0, 0.0])) - base
-    with pytest.raises(ValueError, match=r"RigidBlend is not\. Its nodes leave straight lines.*fewest_steps"):
+    with pytest.raises(ValueError, match=r"InverseDistance is not\. Its nodes leave straight lines.*fewest_steps"):
         jm.largest_step(plan, 0 * u, u, mesh)
     search = jm.ValidSteps(plan, mesh, lambda step: step * u)
     for step in (0.1, 0.3, 0.5, 0.7):

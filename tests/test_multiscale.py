@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from cases import body, few, motion, whole_and_part
+from cases import body, few, motion, planned, surface_values, whole_and_part
 from runs import runs
 
 import jaxmorph as jm
@@ -32,12 +32,10 @@ def by_hand(surface, sources, values, points):
 @pytest.mark.parametrize("dimension", [2, pytest.param(3, marks=pytest.mark.nightly)])
 def test_as_the_paper_tells_it(dimension):
     mesh = body(dimension)
-    method = jm.SurfaceReconstruction(few(), jm.Multiscale())
-    plan = jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=method)
-    u = motion(mesh.points[mesh.moving])
-    coarse_plan = jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=few())
+    plan, coarse_plan = planned(mesh, jm.SurfaceReconstruction(few(), jm.Multiscale())), planned(mesh, few())
+    u, values = surface_values(mesh)
     coarse = np.asarray(jm.deform(coarse_plan, u)) - mesh.points
-    missed = np.concatenate([u, np.zeros((len(mesh.fixed), dimension))]) - coarse[mesh.boundary]
+    missed = values - coarse[mesh.boundary]
     order, sources = np.asarray(plan.images.rows), np.asarray(coarse_plan.surface.ids)  # a method's rows go by place
     missed, surface = missed[order], mesh.points[mesh.boundary][order]
     missed[sources] = 0
@@ -144,7 +142,7 @@ def test_nodes_that_coincide():
 def test_steps_along_a_path_keep_the_field():
     """A turn in steps: the correction goes on standing on the undeformed mesh, with coefficients that fit it."""
     mesh = body(2)
-    plan = jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=jm.SurfaceReconstruction(few(), jm.Multiscale()))
+    plan = planned(mesh, jm.SurfaceReconstruction(few(), jm.Multiscale()))
     u = motion(mesh.points[mesh.moving])
     path = np.stack([0.4 * u, u])
     plans, points = jm.march(plan, path)
@@ -152,12 +150,3 @@ def test_steps_along_a_path_keep_the_field():
     correction = plans[1].surface.factors[2]
     np.testing.assert_array_equal(correction.squared, plan.surface.factors[2].squared)
     assert np.isfinite(points).all()
-
-
-def test_points_outside_of_the_hull():
-    """There is no hull: a graph refuses these points."""
-    mesh = body(2)
-    points = np.concatenate([mesh.points, [[9.0, 0.0]]])
-    method = jm.SurfaceReconstruction(few(), jm.Multiscale())
-    moved = jm.deform(jm.prepare(points, mesh.moving, mesh.fixed, method=method), motion(points[mesh.moving]))
-    assert np.isfinite(moved).all()

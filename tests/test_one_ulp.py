@@ -88,7 +88,6 @@ METHODS = {
     "Multiscale": lambda x: jm.Multiscale(),
     "corrected": lambda x: jm.SurfaceReconstruction(jm.RBF(reduction=jm.KDTree(8)), jm.Multiscale()),
     "LocalCorrection": lambda x: jm.SurfaceReconstruction(jm.RBF(reduction=jm.KDTree(8)), jm.LocalCorrection()),
-    "RigidBlend": lambda x: jm.SurfaceReconstruction(jm.RigidBlend(0.1, 0.5), jm.NearWall()),
     "DelaunayGraph": lambda x: jm.DelaunayGraph(),
 }
 
@@ -126,22 +125,18 @@ def test_the_default(name, alone):
     assert change(name, "default", alone) < LEAST
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("method", [name for name in METHODS if name != "default"])
-def test_every_choice_on_a_wedge(method):
-    assert change("wedge", method, True, seeds=(0,)) < LEAST
+EVERY = [("wedge", method) for method in METHODS if method != "default"]
+FEW = {
+    "body": ("KDTree", "KDTree by size", "extremes", "Graded", "Multiscale"),
+    "cube": ("extremes", "motions", "Multiscale", "LocalCorrection"),
+}
 
 
-@pytest.mark.nightly
-@pytest.mark.parametrize("method", ["KDTree", "KDTree by size", "extremes", "Graded", "Multiscale"])
-def test_every_choice_beside_a_square(method):
-    assert change("body", method, True, seeds=(0,)) < LEAST
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize("method", ["extremes", "motions", "Multiscale", "LocalCorrection"])
-def test_every_choice_beside_a_cube(method):
-    assert change("cube", method, True, seeds=(0,)) < LEAST
+@pytest.mark.parametrize(
+    ("name", "method"), runs(slow=EVERY, nightly=[(name, method) for name in FEW for method in FEW[name]])
+)
+def test_every_choice(name, method):
+    assert change(name, method, True, seeds=(0,)) < LEAST
 
 
 @pytest.mark.slow

@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from cases import body, full, surface_values
+from cases import body, full, moved_by, planned, surface_values
 from oracles import dense, wendland
 from runs import runs
 from scipy.interpolate import RBFInterpolator
@@ -29,7 +29,7 @@ SCIPY = [  # SciPy writes phi(epsilon r), with epsilon = 1 / R, and its multiqua
 def test_full_interpolation_equals_scipys(basis, degree, options, dimension):
     mesh = body(dimension)
     u, values = surface_values(mesh)
-    moved = jm.deform(jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=full(basis, degree)), u)
+    moved = moved_by(mesh, full(basis, degree), u)
     expected = RBFInterpolator(mesh.points[mesh.boundary], values, smoothing=0, **options)(mesh.points)
     np.testing.assert_allclose(moved - mesh.points, expected, rtol=0, atol=1e-11)
 
@@ -38,7 +38,7 @@ def test_full_interpolation_equals_scipys(basis, degree, options, dimension):
 def test_wendland_equals_a_dense_solve(degree):
     mesh = body(2)
     u, values = surface_values(mesh)
-    moved = jm.deform(jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=full(jm.WendlandC2(1.7), degree)), u)
+    moved = moved_by(mesh, full(jm.WendlandC2(1.7), degree), u)
     expected = dense(mesh.points, mesh.points[mesh.boundary], values, lambda r: wendland(r, 1.7), degree)
     np.testing.assert_allclose(moved - mesh.points, expected, rtol=0, atol=1e-11)
 
@@ -49,7 +49,7 @@ def test_refitted_steps_equal_dense_solves_on_the_moved_mesh(steps):
     mesh = body(2)
     u, values = surface_values(mesh)
     path = np.linspace(0, 1, steps + 1)[1:, None, None] * 5 * u
-    plan = jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=full(jm.WendlandC2(1.7), None))
+    plan = planned(mesh, full(jm.WendlandC2(1.7), None))
     _, moved = jm.march(plan, path)
     expected = mesh.points
     for _ in range(steps):
@@ -63,9 +63,7 @@ def test_a_reduced_interpolation_is_one_of_its_sources():
     mesh = body(3)
     u, values = surface_values(mesh)
     moving, fixed = jm.KDTree(3), jm.KDTree(2, jm.GaussPoints())
-    moved = jm.deform(
-        jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=jm.RBF(reduction=moving, fixed_reduction=fixed)), u
-    )
+    moved = moved_by(mesh, jm.RBF(reduction=moving, fixed_reduction=fixed), u)
     chosen = np.concatenate([moving(mesh.points[mesh.moving]), len(mesh.moving) + fixed(mesh.points[mesh.fixed])])
     assert 8 < len(chosen) < len(mesh.boundary) / 2
     sources = mesh.points[mesh.boundary][chosen]
@@ -77,7 +75,7 @@ def test_far_from_the_origin_and_in_other_units():
     mesh = body(2)
     u, _ = surface_values(mesh)
     method = full(jm.ThinPlateSpline(), 1)
-    near = jm.deform(jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=method), u) - mesh.points
+    near = moved_by(mesh, method, u) - mesh.points
     for length, shift, allowed in ((1, 1e6, 1e-8), (1e-4, 0, 1e-12), (1e5, 3e5, 1e-12)):
         points = mesh.points * length + shift
         moved = jm.deform(jm.prepare(points, mesh.moving, mesh.fixed, method=method), u * length) - points
@@ -93,7 +91,7 @@ def test_coincident_nodes_do_not_make_the_system_singular():
     method = full(jm.ThinPlateSpline(), 1)
     doubled = jm.prepare(points, np.concatenate([mesh.moving, again]), mesh.fixed, method=method)
     moved = jm.deform(doubled, np.concatenate([u, u[:4]]))
-    plain = jm.deform(jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=method), u)
+    plain = moved_by(mesh, method, u)
     np.testing.assert_allclose(moved[: len(plain)], plain, rtol=0, atol=1e-12)
     np.testing.assert_allclose(moved[len(plain) :], plain[mesh.moving[:4]], rtol=0, atol=1e-12)
 
@@ -102,7 +100,7 @@ def test_coincident_nodes_do_not_make_the_system_singular():
 def test_derivative_in_the_support_radius():
     mesh = body(2)
     u, _ = surface_values(mesh)
-    plan = jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=full(jm.WendlandC2(1.5), None))
+    plan = planned(mesh, full(jm.WendlandC2(1.5), None))
     weights = np.random.default_rng(0).normal(size=mesh.points.shape)
 
     def objective(radius):
@@ -119,9 +117,7 @@ def test_jitted_gradients_in_3d():
     """With respect to the base points, each coordinate apart: a compiler has merged the sum of three squares wrongly."""
     mesh = body(3)
     u, _ = surface_values(mesh)
-    plan = jm.prepare(
-        mesh.points, mesh.moving, mesh.fixed, method=jm.RBF(reduction=jm.KDTree(2), fixed_reduction=jm.KDTree(1))
-    )
+    plan = planned(mesh, jm.RBF(reduction=jm.KDTree(2), fixed_reduction=jm.KDTree(1)))
 
     @jax.jit
     @jax.value_and_grad

@@ -14,45 +14,20 @@ from benchmarks import faults
 ROOT = pathlib.Path(__file__).parents[1]
 
 KNOWN = {
-    ("C-grid 0015", "bump"),
-    ("C-grid 0015", "stretch"),
-    ("C-grid 4412, thin cells", "thickness"),
-    ("C-grid 4412, thin cells", "bump"),
-    ("C-grid 4412, thin cells", "nose droop"),
-    ("C-grid 0012, sharp", "bump"),
-    ("C-grid 0006, sharp", "bump"),
-    ("C-grid 0006, sharp", "nose droop"),
-    ("triangles, sharp airfoil", "bump"),
-    ("triangles, sharp airfoil", "nose droop"),
-    ("extruded section, sharp", "bump"),
+    "C-grid 0015": ("bump", "stretch"),
+    "C-grid 4412, thin cells": ("thickness", "bump", "nose droop"),
+    "C-grid 0012, sharp": ("bump",),
+    "C-grid 0006, sharp": ("bump", "nose droop"),
+    "triangles, sharp airfoil": ("bump", "nose droop"),
+    "extruded section, sharp": ("bump",),
 }
 """Large changes of one side of a thin section, with cells known: a default that leaves the other side alone is short there."""
 
 FLAT = (
-    *(
-        "C-grid 0015",
-        "C-grid 4412, thin cells",
-        "C-grid 0012, sharp",
-        "C-grid 0006, sharp",
-        "O-grid, sharp",
-        "O-grid, circle",
-    ),
-    *(
-        "three round bodies",
-        "a round body beside a held one",
-        "pins between walls",
-        "rod in a sleeve",
-        "channel",
-        "cascade",
-    ),
-    *(
-        "nozzle, axis held",
-        "nozzle, axis slides",
-        "flap on a wall",
-        "hinged tail",
-        "thin plate",
-        "triangles, sharp airfoil",
-    ),
+    *("C-grid 0015", "C-grid 4412, thin cells", "C-grid 0012, sharp", "C-grid 0006, sharp", "O-grid, sharp"),
+    *("O-grid, circle", "three round bodies", "a round body beside a held one", "pins between walls"),
+    *("rod in a sleeve", "channel", "cascade", "nozzle, axis held", "nozzle, axis slides", "flap on a wall"),
+    *("hinged tail", "thin plate", "triangles, sharp airfoil"),
 )
 SOLID = ("extruded circle, 3 over 1", "wing", "box, tetra", "sphere", "rod on a held floor")
 OFTEN = ("C-grid 0015", "box, tetra")
@@ -85,7 +60,7 @@ def test_the_default_never_loses(rows, name):
         warnings.simplefilter("ignore")
         found = list(rows.rows_of(named(rows, name), np.random.default_rng([0, *name.encode()])))
     short = {(row.case, row.motion): row.ratios for row in found if row.is_short}
-    assert not set(short) - KNOWN, short
+    assert all(motion in KNOWN.get(case, ()) for case, motion in short), short
 
 
 @pytest.mark.nightly

@@ -148,18 +148,6 @@ def test_a_bump_stays_on_its_side():
     assert judged(mesh, points)[0] == 0
 
 
-@pytest.mark.nightly
-def test_a_channel_whose_walls_touch():
-    """One wall's bump takes half of the gap."""
-    mesh = faults.channel(columns=40, rows=20)
-    base = mesh.points[mesh.patch("inner")]
-    bump = 0.1 * np.exp(-(((base[:, 0] - 0.5) / 0.1) ** 2)) * 16 * (base[:, 0] * (1 - base[:, 0])) ** 2
-    plan = jm.prepare(mesh, "inner", ["outer", "inlet", "outlet"])
-    inverted, ratio = judged(mesh, jm.deform(plan, up(base, bump)))
-    assert inverted == 0
-    assert ratio > 0.4
-
-
 def test_edges_and_chord_of_a_circle():
     """With faces and without: each node has two edges, and half of the length is the chord."""
     points = np.concatenate([circle(60), 5 * circle(40)])

@@ -103,10 +103,10 @@ def compare(
 
     By default these are tried: the default method, `interpolated` (the same without the fit:
     `SurfaceReconstruction(RBF(reduction=KDTree(64, extremes=True)))`), `DelaunayGraph`,
-    `Multiscale.whole`, `Biharmonic`, `LinearElasticity`, `TorsionalSprings`,
-    `InverseDistance(rotations=True)` and `RigidBlend` with `NearWall`. The last two are not linear
-    in `u`. Methods on the cells are left out beyond 100,000 points in 2-D and 40,000 in 3-D, and
-    inverse distances beyond 3e8 pairs of a point and a node of the surface. The table says so.
+    `Multiscale.whole`, `Biharmonic`, `LinearElasticity`, `TorsionalSprings` and
+    `InverseDistance(rotations=True)`. The last one is not linear in `u`. Methods on the cells are
+    left out beyond 100,000 points in 2-D and 40,000 in 3-D, and inverse distances beyond 3e8 pairs
+    of a point and a node of the surface. The table says so.
 
     **Arguments:**
 

@@ -26,21 +26,14 @@ class Lengths:
     def size(self) -> float:
         return float((self.moving.max(axis=0) - self.moving.min(axis=0)).max())
 
-    @property
-    def gap(self) -> float:
-        """The distance from moving to fixed nodes; 20 times the size without fixed nodes."""
-        from .._host.package.rounding import Tree  # SciPy: the command line reads this list before
-
-        return float(Tree(self.moving).query(self.fixed)[0].min()) if len(self.fixed) else 20 * self.size
-
 
 @dataclasses.dataclass(frozen=True)
 class Entry:
     """One method of the list.
 
     - `name`: its name as a word, for flags and the table of `compare`.
-    - `path`: the class, or its constructor, in `_methods`: `cells.springs.TorsionalSprings` stands
-      in `cells/springs.py`.
+    - `path`: the class, or its constructor, in `_methods`: `cells.equations.Laplacian` stands in
+      `cells/equations.py`.
     - `sentence`: what it is, for help and the output of commands.
     - `needs_cells`: True where it solves on the mesh's cells.
     - `sources`: which nodes of the wall are sources: `some` (then the number is free), `all` or
@@ -49,7 +42,6 @@ class Entry:
     - `is_cure`: True where `jaxmorph deform` tries it after the default has inverted cells.
     - `title`: its name in tables of the benchmarks, where that is not `name`.
     - `numbers`, `options`: what it is called with, the numbers from the lengths of a boundary.
-    - `is_coarse`: True for a field that `NearWall` corrects.
     """
 
     name: str
@@ -62,13 +54,9 @@ class Entry:
     title: str = ""
     numbers: Callable[[Lengths], tuple[float, ...]] = lambda wall: ()
     options: Mapping[str, Any] = dataclasses.field(default_factory=dict)
-    is_coarse: bool = False
 
     def make(self, wall: Lengths) -> "AbstractMethod":
-        method = _constructor(self.path)(*self.numbers(wall), **self.options)
-        if self.is_coarse:
-            return _constructor("reconstruction.SurfaceReconstruction")(method, _constructor("nearwall.NearWall")())
-        return method
+        return _constructor(self.path)(*self.numbers(wall), **self.options)
 
 
 def _constructor(path: str) -> Any:
@@ -94,15 +82,13 @@ METHODS = (
     Entry("biharmonic", "cells.equations.Biharmonic", "the biharmonic equation", needs_cells=True, is_tried=True),
     Entry("elasticity", "cells.equations.LinearElasticity", "linear elasticity, stiff by 1/volume",
           needs_cells=True, is_tried=True, is_cure=True, title="elasticity 1/V"),
-    Entry("springs", "cells.springs.SpringAnalogy", "springs along the edges", needs_cells=True, title="springs 1/l^2"),
-    Entry("torsional", "cells.springs.TorsionalSprings", "torsional springs",
+    Entry("springs", "cells.equations.SpringAnalogy", "springs along the edges", needs_cells=True, title="springs 1/l^2"),
+    Entry("torsional", "cells.equations.TorsionalSprings", "torsional springs",
           needs_cells=True, is_tried=True, is_cure=True, title="torsional springs"),
     Entry("inverse-distance", "inverse_distance.InverseDistance", "inverse distances",
           sources="all", title="inverse distance"),
     Entry("turning", "inverse_distance.InverseDistance", "inverse distances, with nodes that turn",
           sources="all", is_tried=True, title="inverse distance, turning", options={"rotations": True}),
-    Entry("rigid", "rigid.RigidBlend", "a rigid motion that fades + near-wall correction",
-          numbers=lambda wall: (0.25 * wall.size, wall.gap), is_coarse=True, is_tried=True),
     Entry("compact", "rbf.compact.CompactRBF", "radial basis functions of compact support",
           sources="all", title="compact RBF"),
 )

@@ -5,11 +5,10 @@ import dataclasses
 from collections.abc import Callable
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, PyTree
+from jaxtyping import Array, Float, PyTree
 
 from .._host.package.arguments import between
 from .._kernels.module import Module
@@ -17,20 +16,11 @@ from .._kernels.values import is_known
 from .surface import Surface
 
 BLOCK = 512
-"""Points that are evaluated together.
-
-Memory, also for derivatives, is that of one block, whatever the size of the mesh.
-"""
+"""Points that are evaluated together: memory, also of derivatives, is that of one block."""
 
 
-class Located(eqx.Module):
-    """Counts of how points were located.
-
-    `repaired` answers of the graph were wrong, and points lie `outside` of it by round-off.
-    """
-
-    repaired: Int[Array, ""]
-    outside: Int[Array, ""]
+def _no_rows() -> np.ndarray:
+    return np.zeros(0, dtype=np.int32)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,8 +33,8 @@ class Control:
     - `reach`: how far from the surface the field reaches.
     """
 
-    sources: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=np.int32))
-    matched: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=np.int32))
+    sources: np.ndarray = dataclasses.field(default_factory=_no_rows)
+    matched: np.ndarray = dataclasses.field(default_factory=_no_rows)
     reach: float = float("inf")
 
 
@@ -53,17 +43,12 @@ class AbstractField(Module):
 
     @abc.abstractmethod
     def __call__(self, x: Float[Array, " d"], ids: PyTree) -> Float[Array, " d"]:
-        """Computes the displacement at `x`.
-
-        `ids` is what `connect` chose for this point, or `place` made of it.
-        """
+        """Computes the displacement at `x`; `ids` are what `connect` or `place` made for it."""
 
     def evaluate(self, points: Float[Array, "c d"], ids: PyTree) -> Float[Array, "c d"]:
-        """Computes the displacements of a block of c points.
+        """Computes the displacements of a block of c points; leaves of `ids` have a row for each.
 
-        The result is that of the mapped one-point form. The function exists for speed alone.
-
-        A leaf of `ids` has one row a point.
+        By default it maps the one-point form. To override it is for speed alone.
         """
         return jax.vmap(self)(points, ids)
 
@@ -134,23 +119,13 @@ class AbstractMethod(Module):
         return True
 
 
-def check_kind(value: Any, kind: type, name: str, example: str, *, optional: bool = False) -> None:
-    """Raises `ValueError` for an argument that is not an object of its kind."""
-    if isinstance(value, kind) or (optional and value is None):
-        return
-    what = kind.__name__.removeprefix("Abstract").lower()
-    if isinstance(value, type):
-        raise ValueError(f"`{name}` is the class {value.__name__}: call it, {name}={value.__name__}().")
-    raise ValueError(f"`{name}` must be a {what} object such as {name}={example}, not {value!r}.")
-
-
 class AbstractPlacing(AbstractMethod):
     """A method that computes something for each point once per base mesh: its place.
 
-    Arguments are as in `AbstractMethod`. In `place` and `carry_place`, `ids` is what `connect`
-    returned for the point. The field gets the point's place as its `ids`. `carry` and `carry_place`
-    say what changes on the mesh after a step of `march`. By default the solve is new and points
-    keep their places, for a graph stands on the undeformed mesh.
+    In `place` and `carry_place`, `ids` is what `connect` returned for the point. The field gets the
+    point's place as its `ids`. `carry` and `carry_place` say what changes on the mesh after a step
+    of `march`. By default the solve is new and points keep their places, for a graph stands on the
+    undeformed mesh.
     """
 
     @abc.abstractmethod
@@ -171,32 +146,29 @@ class AbstractPlacing(AbstractMethod):
         return placed
 
 
-def place(
-    method: AbstractMethod, x: Float[Array, " d"], ids: PyTree, factors: PyTree, surface: Float[Array, "b d"]
-) -> PyTree:
-    """Computes a point's place by any method: its ids where the method needs no more."""
-    return method.place(x, ids, factors, surface) if isinstance(method, AbstractPlacing) else ids
+# The three functions of an `AbstractPlacing`, with its arguments, for any method
 
 
-def carry(
-    method: AbstractMethod, ids: PyTree, factors: PyTree, surface: Float[Array, "b d"], points: Float[Array, "n d"]
-) -> PyTree:
-    """Computes any method's factors on the mesh after a step of `march`."""
-    if isinstance(method, AbstractPlacing):
-        return method.carry(ids, factors, surface, points)
-    return method.fit(ids, surface, points)
+def place(method: AbstractMethod, x: Float[Array, " d"], ids: PyTree, *data: PyTree) -> PyTree:
+    return method.place(x, ids, *data) if isinstance(method, AbstractPlacing) else ids
 
 
-def carry_place(
-    method: AbstractMethod,
-    x: Float[Array, " d"],
-    ids: PyTree,
-    factors: PyTree,
-    surface: Float[Array, "b d"],
-    placed: PyTree,
-) -> PyTree:
-    """Changes a point's place by any method, on the mesh after a step of `march`."""
-    return method.carry_place(x, ids, factors, surface, placed) if isinstance(method, AbstractPlacing) else placed
+def carry(method: AbstractMethod, ids: PyTree, factors: PyTree, *data: Any) -> PyTree:
+    return method.carry(ids, factors, *data) if isinstance(method, AbstractPlacing) else method.fit(ids, *data)
+
+
+def carry_place(method: AbstractMethod, x: Float[Array, " d"], *data: PyTree) -> PyTree:
+    return method.carry_place(x, *data) if isinstance(method, AbstractPlacing) else data[-1]
+
+
+def check_kind(value: Any, kind: type, name: str, example: str, *, optional: bool = False) -> None:
+    """Raises `ValueError` for an argument that is not an object of its kind."""
+    if isinstance(value, kind) or (optional and value is None):
+        return
+    if isinstance(value, type):
+        raise ValueError(f"`{name}` is the class {value.__name__}: call it, {name}={value.__name__}().")
+    what = kind.__name__.removeprefix("Abstract").lower()
+    raise ValueError(f"`{name}` must be a {what} object such as {name}={example}, not {value!r}.")
 
 
 def number(name: str, low: float | int = -np.inf, high: float | int = np.inf, ends: str = "()") -> Callable[[Any], Any]:
@@ -214,12 +186,7 @@ def number(name: str, low: float | int = -np.inf, high: float | int = np.inf, en
     return convert
 
 
-def length(name: str) -> Callable[[Any], Any]:
-    """Returns a converter to a length, which is positive and finite."""
-    return number(name, 0)
-
-
 def length_or_none(name: str) -> Callable[[Any], Any]:
-    """Returns a converter to a length that leaves None as it is."""
-    convert = length(name)
+    """Returns a converter to a length, positive and finite, that leaves None as it is."""
+    convert = number(name, 0)
     return lambda value: None if value is None else convert(value)

@@ -5,11 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._host.linear.products import determinant
+from .._host.linear.products import cofactors, dot
 from .._host.package.cores import Beside
 from .._host.surface.graph import Graph, graph_of, locate
-from .._kernels.values import as_jax
-from .base import AbstractMethod, AbstractPlacing, Located
+from .base import AbstractMethod, AbstractPlacing
 from .sparse import InterpolatedField, Interpolation
 from .surface import Surface
 
@@ -34,11 +33,9 @@ class DelaunayGraph(AbstractPlacing):
         rows = surface.rows(len(points))
         vertices = np.repeat(rows[:, None], points.shape[1] + 1, axis=1)  # a node of the surface: itself, d + 1 times
         inside = np.flatnonzero(rows == len(surface.points))
-        repaired = outside = 0
         if inside.size:
-            location = locate(_begun(surface).result(), points, inside)
-            vertices[inside], repaired, outside = location.vertices, location.repaired, location.outside
-        return Located(*as_jax((np.int32(repaired), np.int32(outside)))), vertices
+            vertices[inside] = locate(_begun(surface).result(), points, inside).vertices
+        return None, vertices
 
     def fit(self, ids, surface, points):
         return None
@@ -48,14 +45,11 @@ class DelaunayGraph(AbstractPlacing):
         return Interpolation(ids, jnp.stack(e))
 
     def field(self, ids, factors, surface, u):
-        return InterpolatedField(self, factors, surface, u)
+        return InterpolatedField(u)
 
 
 def begin_graph(method: AbstractMethod, surface: Surface, count: int) -> None:
-    """Begins a surface's graph beside what comes next, where a method is or has a `DelaunayGraph`.
-
-    It does nothing unless some of the `count` points are off the surface.
-    """
+    """Begins a method's graph in the background, if it has one and points are off the surface."""
 
     def is_graph(leaf: object) -> bool:
         return isinstance(leaf, DelaunayGraph)
@@ -69,14 +63,9 @@ def _begun(surface: Surface) -> Beside[Graph]:
 
 
 def barycentric(x: Float[Array, " d"], corners: list[Float[Array, " d"]], at_node) -> list[Float[Array, ""]]:
-    """Computes barycentric coordinates e of x in closed form; (1, 0, ...) `at_node`.
-
-    These are eqs. 6 and 7, and their like in 3-D.
-    """
+    """Computes barycentric coordinates (eqs. 6 and 7) in closed form; (1, 0, ...) `at_node`."""
     edges = [corner - corners[0] for corner in corners[1:]]
-    inner = x - corners[0]
-    whole = determinant(edges)
-    whole = jnp.where(at_node, 1, whole)
-    parts = [determinant([*edges[:k], inner, *edges[k + 1 :]]) / whole for k in range(len(edges))]
-    parts = [jnp.where(at_node, 0, part) for part in parts]
+    rows = cofactors(edges)
+    whole = jnp.where(at_node, 1, dot(rows[0], edges[0]))
+    parts = [jnp.where(at_node, 0, dot(row, x - corners[0]) / whole) for row in rows]
     return [1 - sum(parts, start=jnp.zeros_like(whole)), *parts]

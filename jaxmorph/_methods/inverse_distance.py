@@ -9,13 +9,27 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from .._host.package.arguments import between, check_fields
-from .._kernels.values import largest, norm, root
+from .._kernels.values import as_jax, largest, norm, root
 from .base import AbstractField, AbstractMethod, number
 from .rbf.system import block_size, squared_distances
 from .surface import Surface
 
 SMALLEST = 1e-12
 """Distance, relative to the surface's extent, below which a point is at a node."""
+
+Faces = Mapping[str, Int[Array, "k c"]]
+
+
+class InverseDistanceIds(eqx.Module):
+    faces: Faces
+    moving: Int[Array, ""]
+
+
+class InverseDistanceFactors(eqx.Module):
+    """Each node's share of the boundary faces, and the length L."""
+
+    area: Float[Array, " b"]
+    extent: Float[Array, ""]
 
 
 class InverseDistance(AbstractMethod):
@@ -45,7 +59,7 @@ class InverseDistance(AbstractMethod):
 
     far: float = eqx.field(static=True, default=3.0)
     near: float = eqx.field(static=True, default=5.0)
-    alpha: Float[Array, ""] = eqx.field(converter=number("alpha", 0), default_factory=lambda: np.asarray(0.25))
+    alpha: Float[Array, ""] = eqx.field(converter=number("alpha", 0), default=0.25)
     rotations: bool = eqx.field(static=True, default=False)
 
     def __check_init__(self):
@@ -63,30 +77,26 @@ class InverseDistance(AbstractMethod):
             raise ValueError(
                 "InverseDistance(rotations=True) needs the boundary faces: pass the mesh, prepare(mesh, ...), not points."
             )
-        return (faces, np.int32(surface.moving)), None
+        return InverseDistanceIds(*as_jax((faces, np.int32(surface.moving)))), None
 
     def fit(self, ids, surface, points):
-        faces, moving = ids
-        count = jnp.arange(len(surface)) < moving
-        middle = jnp.sum(jnp.where(count[:, None], surface, 0), axis=0) / moving
+        moves = jnp.arange(len(surface)) < ids.moving
+        middle = jnp.sum(jnp.where(moves[:, None], surface, 0), axis=0) / ids.moving
         extent = root(largest(jnp.sum((surface - middle[None]) ** 2, axis=1)))
         extent = jnp.where(extent > 0, extent, 1)  # all nodes at one place: any length serves
-        return _areas(faces, surface) if faces else jnp.ones(len(surface), surface.dtype), extent
+        area = _areas(ids.faces, surface) if ids.faces else jnp.ones(len(surface), surface.dtype)
+        return InverseDistanceFactors(area, extent)
 
     def field(self, ids, factors, surface, u):
-        turns = None
-        if self.rotations:
-            turns = _turns(_normals(ids[0], surface), _changes(ids[0], surface, u))
-        area, extent = factors
-        return InverseDistanceField(self, area, extent, surface, u, turns)
+        turns = _turns(ids.faces, surface, u) if self.rotations else None
+        return InverseDistanceField(self, factors, surface, u, turns)
 
 
 class InverseDistanceField(AbstractField):
     """Evaluates the weighted mean; `turns` are the nodes' rotations less the identity."""
 
     method: InverseDistance
-    area: Float[Array, " b"]
-    extent: Float[Array, ""]
+    factors: InverseDistanceFactors
     surface: Float[Array, "b d"]
     u: Float[Array, "b d"]
     turns: Float[Array, "b d d"] | None
@@ -104,19 +114,19 @@ class InverseDistanceField(AbstractField):
             return jnp.matmul(weights, self.u, precision="highest")
         about = self.u - jnp.einsum("bij,bj->bi", self.turns, self.surface, precision="highest")
         turn = jnp.einsum("kb,bij->kij", weights, self.turns, precision="highest")
-        return jnp.matmul(weights, about, precision="highest") + jnp.einsum(
-            "kij,kj->ki", turn, points, precision="highest"
-        )
+        turned = jnp.einsum("kij,kj->ki", turn, points, precision="highest")
+        return jnp.matmul(weights, about, precision="highest") + turned
 
     def _weights(self, points: Float[Array, "k d"]) -> Float[Array, "k b"]:
         far, near, alpha = self.method.far, self.method.near, self.method.alpha.astype(points.dtype)
-        squared = jnp.maximum(squared_distances(points, self.surface), (SMALLEST * self.extent) ** 2)
+        extent = self.factors.extent
+        squared = jnp.maximum(squared_distances(points, self.surface), (SMALLEST * extent) ** 2)
         least = jax.lax.stop_gradient(squared.min(axis=1, keepdims=True))
         ratio = least / squared
         largest = float(jnp.finfo(points.dtype).max) ** 0.25  # squared in derivatives, and added up
         bound = largest ** (2 / (near - far)) if near > far else jnp.inf
-        local = alpha**near * jnp.minimum(self.extent**2 / least, bound) ** ((near - far) / 2)
-        weights = self.area[None] * (_power(ratio, far) + local * _power(ratio, near))
+        local = alpha**near * jnp.minimum(extent**2 / least, bound) ** ((near - far) / 2)
+        weights = self.factors.area[None] * (_power(ratio, far) + local * _power(ratio, near))
         return weights / weights.sum(axis=1, keepdims=True)
 
 
@@ -133,55 +143,41 @@ def _vectors(corners: Float[Array, "k c d"]) -> Float[Array, "k d"]:
     if corners.shape[1] == 2:
         edge = corners[:, 1] - corners[:, 0]
         return jnp.stack([edge[:, 1], -edge[:, 0]], axis=1)
-    return jnp.cross(*_diagonals(corners)) / 2
+    return jnp.cross(corners[:, 2] - corners[:, 0], corners[:, -1] - corners[:, 1]) / 2
 
 
-def _diagonals(corners: Float[Array, "k c 3"]) -> tuple[Float[Array, "k 3"], Float[Array, "k 3"]]:
-    return corners[:, 2] - corners[:, 0], corners[:, -1] - corners[:, 1]
-
-
-def _normals(faces: Mapping[str, Int[Array, "k c"]], surface: Float[Array, "b d"]) -> Float[Array, "b d"]:
+def _normals(faces: Faces, surface: Float[Array, "b d"]) -> Float[Array, "b d"]:
     total = jnp.zeros_like(surface)
     for ids in faces.values():
         total = total.at[ids].add(_vectors(surface[ids])[:, None])
     return total
 
 
-def _areas(faces: Mapping[str, Int[Array, "k c"]], surface: Float[Array, "b d"]) -> Float[Array, " b"]:
+def _areas(faces: Faces, surface: Float[Array, "b d"]) -> Float[Array, " b"]:
     """Computes each node's share of its faces; a node without any has the mean share."""
     total = jnp.zeros(len(surface), surface.dtype)
     for ids in faces.values():
-        size = norm(_vectors(surface[ids]))
-        total = total.at[ids].add(size[:, None] / ids.shape[1])
+        total = total.at[ids].add(norm(_vectors(surface[ids]))[:, None] / ids.shape[1])
     return jnp.where(total > 0, total, total.mean())
 
 
-def _changes(
-    faces: Mapping[str, Int[Array, "k c"]], surface: Float[Array, "b d"], u: Float[Array, "b d"]
-) -> Float[Array, "b d"]:
-    """Computes how `_normals` change by a displacement: zero, bit for bit, where there is none."""
-    total = jnp.zeros_like(surface)
-    for ids in faces.values():
-        change = _vectors(u[ids])
-        if ids.shape[1] > 2:
-            before, after = (_diagonals(rows[ids]) for rows in (surface, u))
-            change = change + (jnp.cross(before[0], after[1]) + jnp.cross(after[0], before[1])) / 2
-        total = total.at[ids].add(change[:, None])
-    return total
-
-
-def _turns(before: Float[Array, "b d"], change: Float[Array, "b d"]) -> Float[Array, "b d d"]:
+def _turns(faces: Faces, surface: Float[Array, "b d"], u: Float[Array, "b d"]) -> Float[Array, "b d d"]:
     """Computes the least rotations from normals to changed normals, less the identity."""
-    squared = jnp.sum(before**2, axis=1) * jnp.sum((before + change) ** 2, axis=1)
-    scale = jnp.where(squared > 0, 1 / jnp.sqrt(jnp.where(squared > 0, squared, 1)), 0)
-    cosine = jnp.where(squared > 0, jnp.sum(before * (before + change), axis=1) * scale, 1)
-    least = float(jnp.finfo(before.dtype).eps) ** 0.5
-    opposite = 1 / jnp.maximum(1 + cosine, least)
+    # Normals are linear in 2-D, and quadratic in 3-D: N(x + u) = N(x) + N'(x) u + N(u). So their
+    # change is zero, bit for bit, where u is.
+    before, change = jax.jvp(lambda places: _normals(faces, places), (surface,), (u,))
+    if surface.shape[1] == 3:
+        change = change + _normals(faces, u)
+    after = before + change
+    squared = jnp.sum(before**2, axis=1) * jnp.sum(after**2, axis=1)
+    is_known = squared > 0
+    scale = jnp.where(is_known, 1 / jnp.sqrt(jnp.where(is_known, squared, 1)), 0)
+    cosine = jnp.where(is_known, jnp.sum(before * after, axis=1) * scale, 1)
+    opposite = 1 / jnp.maximum(1 + cosine, float(jnp.finfo(before.dtype).eps) ** 0.5)
     if before.shape[1] == 2:
         sine = (before[:, 0] * change[:, 1] - before[:, 1] * change[:, 0]) * scale
         less = jnp.where(cosine > 0, -(sine**2) * opposite, cosine - 1)
         return jnp.stack([jnp.stack([less, -sine], axis=1), jnp.stack([sine, less], axis=1)], axis=1)
-    x, y, z = (jnp.cross(before, change) * scale[:, None]).T
-    zero = jnp.zeros_like(x)
-    skew = jnp.stack([jnp.stack(row, axis=1) for row in ((zero, -z, y), (z, zero, -x), (-y, x, zero))], axis=1)
+    axis = jnp.cross(before, change) * scale[:, None]
+    skew = jnp.cross(axis[:, None], jnp.eye(3, dtype=axis.dtype)[None]).swapaxes(1, 2)
     return skew + jnp.matmul(skew, skew, precision="highest") * opposite[:, None, None]

@@ -4,7 +4,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from .._host.package.rounding import Tree, nearest_of
 from .._kernels.values import as_jax
@@ -24,6 +24,18 @@ SPACING = 2.0
 """The automatic radius, relative to the width of the layer of `NearWall`."""
 
 
+class LocalIds(eqx.Module):
+    extent: Extent
+    searched: Searched
+
+
+class LocalFactors(eqx.Module):
+    """The radius over each node, and whether the nearest nodes were surely found."""
+
+    radius: Float[Array, " b"]
+    is_certain: Bool[Array, ""]
+
+
 class LocalCorrection(AbstractPlacing):
     """Moves a point with the nearest surface node, by a share that fades with distance.
 
@@ -41,8 +53,7 @@ class LocalCorrection(AbstractPlacing):
 
     - `radius`: R, in the mesh's units. Default None: for each wall the largest distance from one of
       its nodes to the nearest source, or half of the mean chord of a wall without sources. Rendall
-      and Allen take a multiple of the largest offset, which would not be linear in the
-      displacement.
+      and Allen take a multiple of the largest offset, which would not be linear in `u`.
 
     **Raises:** `ValueError` for a radius that is not positive and finite. `refit` raises it where
     another node has come within the radius of a point, and is nearer than the point's own node by a
@@ -55,41 +66,41 @@ class LocalCorrection(AbstractPlacing):
         extent = Extent.seen(surface)
         distance = REACH * self._radius(jax.tree.map(np.asarray, extent), np.asarray(surface.points)).max()
         to_surface = Tree(surface.points).query(points, distance_upper_bound=distance or np.inf)[0]
-        reached, nearest = np.isfinite(to_surface), np.zeros(len(points), dtype=np.int64)
-        nearest[reached] = nearest_of(points[reached], surface.points, np.arange(len(surface.points)))
-        row_of_point = surface.rows(len(points))
-        on_surface = row_of_point < len(surface.points)
-        nodes = np.where(on_surface, row_of_point, nearest).astype(np.int32)
+        reached, nodes = np.isfinite(to_surface), np.zeros(len(points), dtype=np.int32)
+        nodes[reached] = nearest_of(points[reached], surface.points, np.arange(len(surface.points)))
+        rows = surface.rows(len(points))
+        on_surface = rows < len(surface.points)
+        nodes[on_surface] = rows[on_surface]
         searched = Searched(*as_jax((points, surface.points, np.asarray(distance))))
-        return (extent, searched), Reach(*as_jax((nodes[:, None], (reached | on_surface)[:, None])))
+        return LocalIds(extent, searched), Reach(*as_jax((nodes[:, None], (reached | on_surface)[:, None])))
 
     def control(self, ids):
         return Control() if self.radius is None else Control(reach=float(self.radius))
 
-    def fit(self, ids, surface, points):
-        radius = self._radius(ids[0], surface)
-        return radius, ids[1].certain(radius.max(), surface, points)
+    def fit(self, ids: LocalIds, surface, points):
+        radius = self._radius(ids.extent, surface)
+        return LocalFactors(radius, ids.searched.certain(radius.max(), surface, points))
 
     def carry(self, ids, factors, surface, points):
         return factors
 
-    def place(self, x, ids: Reach, factors, surface):
-        radius = factors[0][ids.nodes]
+    def place(self, x, ids: Reach, factors: LocalFactors, surface):
+        radius = factors.radius[ids.nodes]
         fades = radius > 0
-        arms = surface[ids.nodes] - x[None]
 
         def is_lost():
-            squared, reaches = squared_distance(x[None], surface), jax.lax.stop_gradient(factors[0])
+            squared, reaches = squared_distance(x[None], surface), jax.lax.stop_gradient(factors.radius)
             nearest = jnp.where(squared < reaches**2, jnp.sqrt(squared) + (REACH - 1) * reaches, jnp.inf).min()
             listed = jnp.sqrt(squared_distance(x[None], surface[ids.nodes]))[0]
             return nearest < jnp.where(ids.reached[0], listed, jnp.inf)
 
-        lost = jax.lax.cond(factors[1], lambda: jnp.array(False), is_lost)
-        weights = WendlandC2(1.0)(jnp.sum(arms**2, axis=1) / jnp.where(fades, radius, 1) ** 2)
-        return ids.weighted(jnp.where(lost, jnp.nan, jnp.where(fades, weights, 0)))
+        lost = jax.lax.cond(factors.is_certain, lambda: jnp.array(False), is_lost)
+        squared = jnp.sum((surface[ids.nodes] - x[None]) ** 2, axis=1)
+        weights = WendlandC2(1.0)(squared / jnp.where(fades, radius, 1) ** 2)
+        return ids.weighted(jnp.where(fades, weights, 0), lost)
 
     def field(self, ids, factors, surface, u):
-        return InterpolatedField(self, factors, surface, u)
+        return InterpolatedField(u)
 
     def _radius(self, extent: Extent, surface):
         width = layer_width(self.radius, extent, surface)

@@ -63,12 +63,10 @@ class Multiscale(AbstractPlacing):
         rank[order] = np.arange(len(order))
         row, column = overlaps(nodes, order, radius, nodes)
         below = (radius[row] > 0) & (rank[row] > rank[column])
-        row, column = row[below].astype(np.int32), column[below].astype(np.int32)
+        nearest, row, column = (ids.astype(np.int32) for ids in (nearest, row[below], column[below]))
         forward, backward = (Sweep(*as_jax(sweep)) for sweep in sweeps(row, column, len(nodes)))
-        nearest, row, column = as_jax((nearest.astype(np.int32), row, column))
-        ids = Hierarchy(nearest, row, column, forward, backward)
         reach = padded(*overlaps(nodes, order, radius, points.astype(float)), len(points))
-        return ids, Reach(*as_jax(reach))
+        return Hierarchy(*as_jax((nearest, row, column)), forward=forward, backward=backward), Reach(*as_jax(reach))
 
     def fit(self, ids: "Hierarchy", surface, points):
         squared = _squared(surface - surface[ids.nearest])
@@ -79,13 +77,11 @@ class Multiscale(AbstractPlacing):
         return factors
 
     def place(self, x, ids: Reach, factors: "MultiscaleFactors", surface):
-        weights = _wendland(_squared(surface[ids.nodes] - x[None]), factors.squared[ids.nodes])
-        return ids.weighted(weights)
+        return ids.weighted(_wendland(_squared(surface[ids.nodes] - x[None]), factors.squared[ids.nodes]))
 
     def field(self, ids: "Hierarchy", factors: "MultiscaleFactors", surface, u):
         has_function = ids.nearest != jnp.arange(len(ids.nearest))
-        coefficients = _solve(ids, factors.entries, jnp.where(has_function[:, None], u, 0))
-        return InterpolatedField(self, factors, surface, coefficients)
+        return InterpolatedField(ids.solve(factors.entries, jnp.where(has_function[:, None], u, 0)))
 
 
 class Sweep(eqx.Module):
@@ -93,6 +89,20 @@ class Sweep(eqx.Module):
 
     entries: Int[Array, "s r w"]
     owner: Int[Array, "s r"]
+
+    def substituted(
+        self, source: Int[Array, " e"], entries: Float[Array, " e"], values: Float[Array, "b d"]
+    ) -> Float[Array, "b d"]:
+        used = self.entries >= 0
+        weights = jnp.where(used, entries[self.entries], 0)
+        nodes = jnp.where(used, source[self.entries], 0)
+
+        def step(c, rows):
+            nodes, weights, owner = rows
+            known = sum(weights[:, k, None] * c[nodes[:, k]] for k in range(nodes.shape[1]))
+            return c.at[owner].add(-known), None
+
+        return jax.lax.scan(step, values, (nodes, weights, self.owner))[0]
 
 
 class Hierarchy(eqx.Module):
@@ -107,6 +117,18 @@ class Hierarchy(eqx.Module):
     forward: Sweep
     backward: Sweep
 
+    def solve(self, entries: Float[Array, " e"], values: Float[Array, "b d"]) -> Float[Array, "b d"]:
+        def product(c):
+            reached = entries[:, None] * c[self.column]
+            return c + jax.ops.segment_sum(reached, self.row, len(c), indices_are_sorted=True)
+
+        return jax.lax.custom_linear_solve(
+            product,
+            values,
+            lambda _, values: self.forward.substituted(self.column, entries, values),
+            lambda _, values: self.backward.substituted(self.row, entries, values),
+        )
+
 
 class MultiscaleFactors(eqx.Module):
     """Squared radii of the functions, and entries of the matrix below its diagonal of ones."""
@@ -115,39 +137,8 @@ class MultiscaleFactors(eqx.Module):
     entries: Float[Array, " e"]
 
 
-def _solve(ids: Hierarchy, entries: Float[Array, " e"], values: Float[Array, "b d"]) -> Float[Array, "b d"]:
-
-    def product(c):
-        reached = entries[:, None] * c[ids.column]
-        return c + jax.ops.segment_sum(reached, ids.row, len(c), indices_are_sorted=True)
-
-    def forward(_, values):
-        return _swept(ids.forward, ids.column, entries, values)
-
-    def backward(_, values):
-        return _swept(ids.backward, ids.row, entries, values)
-
-    return jax.lax.custom_linear_solve(product, values, forward, backward)
-
-
-def _swept(
-    sweep: Sweep, source: Int[Array, " e"], entries: Float[Array, " e"], values: Float[Array, "b d"]
-) -> Float[Array, "b d"]:
-    used = sweep.entries >= 0
-    weights = jnp.where(used, entries[sweep.entries], 0)
-    nodes = jnp.where(used, source[sweep.entries], 0)
-
-    def step(c, rows):
-        nodes, weights, owner = rows
-        known = sum(weights[:, k, None] * c[nodes[:, k]] for k in range(nodes.shape[1]))
-        return c.at[owner].add(-known), None
-
-    return jax.lax.scan(step, values, (nodes, weights, sweep.owner))[0]
-
-
 def _wendland(squared_distance: Float[Array, "..."], squared_radius: Float[Array, "..."]) -> Float[Array, "..."]:
-    positive = squared_radius > 0
-    return WendlandC2(1.0)(squared_distance / jnp.where(positive, squared_radius, 1))
+    return WendlandC2(1.0)(squared_distance / jnp.where(squared_radius > 0, squared_radius, 1))
 
 
 def _squared(vectors: Float[Array, "*n d"]) -> Float[Array, "*n"]:

@@ -4,7 +4,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from .._host.package.rounding import first_largest, nearest_of
 from .._host.surface.neighbours import digest, near_walls
@@ -28,7 +28,6 @@ REACH = 0.5
 CHORD = 0.25
 """Width of the layer of a wall without sources that are matched, relative to its mean chord."""
 
-
 SLIGHTLY = 1e-6
 """Relative difference that keeps the maximum of equal lengths from having a kink."""
 
@@ -47,8 +46,8 @@ class NearWall(AbstractPlacing):
 
     By default the width is half of the largest distance from a wall's node to the nearest matched
     node of its wall. Matched nodes are sources at which the coarse field takes the displacement.
-    For a wall without matched nodes, the width is a quarter of the mean chord. The mean chord is
-    half of the wall's length, in 3-D half of its area over its span.
+    For a wall without matched nodes, the width is a quarter of the mean chord: of half of the
+    wall's length, in 3-D half of its area over its span.
 
     **Arguments:**
 
@@ -78,53 +77,65 @@ class NearWall(AbstractPlacing):
     def connect(self, surface: Surface, points):
         extent = Extent.seen(surface)
         width = layer_width(self.width, jax.tree.map(np.asarray, extent), np.asarray(surface.points))
-        wall = np.asarray(extent.wall)
         row_of_point = surface.rows(len(points))
-        inside = np.flatnonzero(row_of_point == len(surface.points))
+        reached = row_of_point < len(surface.points)
+        inside = np.flatnonzero(~reached)
+        wall = np.asarray(extent.wall)
         near, rows = near_walls(surface.points, wall, 1.25 * width, points[inside], NEIGHBOURS + 1, surface.once)
         correction, correction_at_points = self.correction.connect(surface, points)
-        nodes = np.repeat(row_of_point[:, None], NEIGHBOURS + 2, axis=1)  # a node of the surface: itself
-        nodes[inside] = 0
-        nodes[inside[near]] = rows
-        reached = row_of_point < len(surface.points)
-        reached[inside[near]] = True
-        return (correction, extent), (correction_at_points, WallRow(*as_jax((nodes, reached))))
+        # a node of the surface has itself alone
+        nodes = np.where(reached, row_of_point, 0)[:, None].repeat(NEIGHBOURS + 2, axis=1)
+        nodes[inside[near]], reached[inside[near]] = rows, True
+        return Layered(correction, extent), Layered(correction_at_points, WallRow(*as_jax((nodes, reached))))
 
     def fit(self, ids, surface, points):
-        correction, extent = ids
-        return self.correction.fit(correction, surface, points), layer_width(self.width, extent, surface)
+        width = layer_width(self.width, ids.wall, surface)
+        return Layered(self.correction.fit(ids.correction, surface, points), width)
 
     def carry(self, ids, factors, surface, points):
-        return carry(self.correction, ids[0], factors[0], surface, points), factors[1]
+        correction = carry(self.correction, ids.correction, factors.correction, surface, points)
+        return Layered(correction, factors.wall)
 
     def place(self, x, ids, factors, surface):
-        return self._layered(x, ids, factors, surface, place(self.correction, x, ids[0], factors[0], surface))
+        correction = place(self.correction, x, ids.correction, factors.correction, surface)
+        return WallPlace(correction, *_blend(x, ids.wall, factors.wall, surface))
 
     def carry_place(self, x, ids, factors, surface, placed):
-        correction = carry_place(self.correction, x, ids[0], factors[0], surface, placed[0])
-        return self._layered(x, ids, factors, surface, correction)
-
-    def _layered(self, x, ids, factors, surface, correction):
-        chi, weights = _blend(x, ids[1], factors[1], surface)
-        follow = Interpolation(ids[1].nodes[:NEIGHBOURS], chi * weights, ids[1].reached)
-        return correction, follow, 1 - chi
+        correction = carry_place(self.correction, x, ids.correction, factors.correction, surface, placed.correction)
+        return WallPlace(correction, *_blend(x, ids.wall, factors.wall, surface))
 
     def field(self, ids, factors, surface, u):
-        field = self.correction.field(ids[0], factors[0], surface, u)
-        return NearWallField(self, field, InterpolatedField(self, factors, surface, u))
+        correction = self.correction.field(ids.correction, factors.correction, surface, u)
+        return NearWallField(correction, InterpolatedField(u))
 
     def check(self, ids, factors, u):
-        self.correction.check(ids[0], factors[0], u)
+        self.correction.check(ids.correction, factors.correction, u)
+
+
+class Layered(eqx.Module):
+    """Ids or factors of the correction, and those of the wall: `Extent`, `WallRow`, or widths."""
+
+    correction: PyTree
+    wall: PyTree
+
+
+class WallPlace(eqx.Module):
+    """A point's place in the correction, the wall's part of its motion, and the share outside."""
+
+    correction: PyTree
+    wall: Interpolation
+    outside: Float[Array, "*n"]
 
 
 class Extent(eqx.Module):
     """Walls, as rows of the surface.
 
-    `wall` is each row's wall, `matched` its nearest matched row of that wall, or itself. `ends` are
-    two ends of each wall, `share` its mean chord.
-
-    `widest` is each wall's row that is farthest from its matched row. The mean chord is relative to
-    the distance of the ends, and zero where the wall has matched rows.
+    - `wall`: each row's wall.
+    - `matched`: each row's nearest matched row of its wall, or itself.
+    - `ends`: two ends of each wall.
+    - `widest`: each wall's row that is farthest from its matched row.
+    - `share`: each wall's mean chord, relative to the distance of its ends; zero where it has
+      matched rows.
     """
 
     wall: Int[Array, " b"]
@@ -141,26 +152,19 @@ class Extent(eqx.Module):
     @classmethod
     def _searched(cls, surface: Surface) -> "Extent":
         wall, ends, share = surface.walls
-        share = share.copy()
-        matched = np.arange(len(wall))
-        for label in np.unique(wall[surface.matched]):
-            here = np.flatnonzero(wall == label)
-            chosen = surface.matched[wall[surface.matched] == label]
-            matched[here] = nearest_of(surface.points[here], surface.points[chosen], chosen)
-            share[label] = 0
-        widest = np.zeros(len(ends), dtype=np.int64)
-        gap = np.linalg.norm(surface.points - surface.points[matched], axis=1)
+        share, points = share.copy(), surface.points
+        matched, widest = np.arange(len(wall)), np.zeros(len(ends), dtype=np.int64)
         for label in np.unique(wall):
-            here = np.flatnonzero(wall == label)
-            widest[label] = here[first_largest(gap[here])]
+            here, chosen = np.flatnonzero(wall == label), surface.matched[wall[surface.matched] == label]
+            if len(chosen):
+                matched[here] = nearest_of(points[here], points[chosen], chosen)
+                share[label] = 0
+            widest[label] = here[first_largest(np.linalg.norm(points[here] - points[matched[here]], axis=1))]
         return cls(*as_jax([*(ids.astype(np.int32) for ids in (wall, matched, ends, widest)), share]))
 
 
 def layer_width(width: Float[Either, ""] | None, extent: Extent, surface: Float[Either, "b d"]) -> Float[Either, " b"]:
-    """Computes the layer's width over each surface node, one width for each wall.
-
-    `width` takes its place where it is set.
-    """
+    """Computes the layer's width over each surface node: of its wall, unless `width` is set."""
     xp = namespace(surface)
     if width is not None:
         return xp.full(len(surface), xp.asarray(width, surface.dtype))
@@ -183,7 +187,6 @@ class WallRow(eqx.Module):
 
 
 class NearWallField(AbstractField):
-    method: NearWall
     correction: AbstractField
     wall: InterpolatedField
 
@@ -191,16 +194,18 @@ class NearWallField(AbstractField):
     def block_size(self) -> None:
         return None  # the correction makes its own blocks
 
-    def __call__(self, x, ids):
-        if isinstance(ids[1], WallRow):
-            ids = self.method.place(x, ids, self.wall.factors, self.wall.surface)
-        return self.wall(x, ids[1]) + ids[2] * self.correction(x, ids[0])
+    def __call__(self, x, ids: WallPlace):
+        return self.wall(x, ids.wall) + ids.outside * self.correction(x, ids.correction)
 
-    def evaluate(self, points, ids):
-        return map_points(self.wall, points, ids[1]) + ids[2][:, None] * map_points(self.correction, points, ids[0])
+    def evaluate(self, points, ids: WallPlace):
+        correction = map_points(self.correction, points, ids.correction)
+        return map_points(self.wall, points, ids.wall) + ids.outside[:, None] * correction
 
 
-def _blend(x: Float[Array, " d"], row: WallRow, width: Float[Array, " b"], surface: Float[Array, "b d"]):
+def _blend(
+    x: Float[Array, " d"], row: WallRow, width: Float[Array, " b"], surface: Float[Array, "b d"]
+) -> tuple[Interpolation, Float[Array, ""]]:
+    """Computes the wall's part at x, chi u_wall, and 1 - chi."""
     nearest, other = row.nodes[:-1], row.nodes[-1]
     distance = norm(surface[nearest] - x[None])
     # the last node was the farthest when it was found: of nodes as far as it is, it alone decides,
@@ -216,5 +221,5 @@ def _blend(x: Float[Array, " d"], row: WallRow, width: Float[Array, " b"], surfa
     halfway = jnp.where(alone, 0, 2 * distance[0] / (distance[0] + jnp.where(alone, 1, gap)))  # 1 between two walls
     # the layer ends at its width or half way, whichever is nearer, without a kink
     fourth = (distance[0] / layer) ** 4 + halfway**4
-    chi = WendlandC2(1.0)(root(fourth))
-    return jnp.where(row.reached & (width[nearest[0]] > 0), chi, 0), weights / weights.sum()
+    chi = jnp.where(row.reached & (width[nearest[0]] > 0), WendlandC2(1.0)(root(fourth)), 0)
+    return Interpolation(nearest[:-1], chi * (weights / weights.sum()), row.reached), 1 - chi

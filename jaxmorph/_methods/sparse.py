@@ -4,18 +4,22 @@ XLA transposes a gather into a scatter, which is many times slower on a CPU. A l
 two forms, each the transpose of the other, avoids that.
 """
 
+import dataclasses
 import weakref
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, PyTree
+from jaxtyping import Array, Bool, Float, Int
 from scipy.sparse import csr_array
 
 from .._kernels.linear import linear_primitive
 from .._kernels.values import as_jax
-from .base import AbstractField, AbstractPlacing
+from .base import AbstractField
+
+WIDTH = 16
+"""Entries in a row of the table."""
 
 
 class Table(eqx.Module):
@@ -44,10 +48,7 @@ class Interpolation(eqx.Module):
     table: Table | None = None
 
     def with_table(self, count: int, parts: int) -> "Interpolation":
-        """Adds a table for `count` surface nodes; the rows lie in `parts` equal shares. Host.
-
-        A share's table has positions within the share. All tables have equally many rows.
-        """
+        """Adds a table for `count` surface nodes; the rows lie in `parts` equal shares. Host."""
         if self.table is not None:
             return self
         # An interpolation is remade by each `jit` boundary, its array of weights is not. So the
@@ -56,49 +57,39 @@ class Interpolation(eqx.Module):
         key = id(self.weights), count, parts
         if key not in _made:
             _made[key] = self._tabled(count, parts), weakref.ref(self.weights, lambda _: _made.pop(key, None))
-        return Interpolation(self.nodes, self.weights, self.reached, _made[key][0])
+        return dataclasses.replace(self, table=_made[key][0])
 
     def _tabled(self, count: int, parts: int) -> Table:
-        nodes = np.asarray(self.nodes)
+        # A share's table has positions within the share. The last share overlaps the one before it.
+        # All tables get one length: rows that are added hold no entry, and belong to the last
+        # column.
+        nodes, weights = np.asarray(self.nodes), np.asarray(self.weights)
         reached = np.ones(len(nodes), dtype=bool) if self.reached is None else np.asarray(self.reached)
         size = -(-len(nodes) // parts)
-        starts = [min(k * size, len(nodes) - size) for k in range(parts)]  # the last share overlaps the one before it
+        starts = [min(k * size, len(nodes) - size) for k in range(parts)]
         shares = [slice(start, start + size) for start in starts]
         tables = [tabulate(nodes[share], reached[share], count) for share in shares]
-        # all shares get tables of one length: rows that are added hold no entry, and belong to the
-        # last column
         longest = _rounded(max(len(owner) for _, owner in tables))
         entries = [np.pad(table, ((0, longest - len(table)), (0, 0)), constant_values=-1) for table, _ in tables]
         owners = [np.pad(owner, (0, longest - len(owner)), constant_values=count - 1) for _, owner in tables]
-        weights = np.asarray(self.weights)
         gathered = [np.where(at < 0, 0, weights[share].ravel()[at]) for at, share in zip(entries, shares, strict=True)]
         with jax.ensure_compile_time_eval():  # also where JAX traces a call with a plan that is known
             return Table(*as_jax([np.concatenate(part) for part in (entries, owners, gathered)]))
 
     def without_table(self) -> "Interpolation":
-        return Interpolation(self.nodes, self.weights, self.reached)
+        return dataclasses.replace(self, table=None)
 
     def with_table_of(self, old: "Interpolation") -> "Interpolation":
         """Takes over the table of rows with equal ids, with the weights of these rows. Traced."""
         table = old.table
-        if table is not None:
-            gathered = jnp.where(table.entries < 0, 0, self.weights.ravel()[table.entries])
-            table = Table(table.entries, table.owner, gathered)
-        return Interpolation(self.nodes, self.weights, self.reached, table)
+        if table is None:
+            return self.without_table()
+        gathered = jnp.where(table.entries < 0, 0, self.weights.ravel()[table.entries])
+        return dataclasses.replace(self, table=dataclasses.replace(table, weights=gathered))
 
 
 _made: dict[tuple[int, int, int], tuple[Table, weakref.ref]] = {}
 """Tables by the weights that they are of, each as long as these exist."""
-
-
-class Reach(eqx.Module):
-    """The nodes whose functions reach a point; an entry that is not `reached` is empty."""
-
-    nodes: Int[Array, "*n k"]
-    reached: Bool[Array, "*n k"]
-
-    def weighted(self, weights: Float[Array, " k"]) -> Interpolation:
-        return Interpolation(self.nodes, jnp.where(self.reached, weights, 0), self.reached)
 
 
 def _rounded(rows: int) -> int:
@@ -107,24 +98,32 @@ def _rounded(rows: int) -> int:
     return -(-rows // step) * step
 
 
+class Reach(eqx.Module):
+    """The nodes whose functions reach a point; an entry that is not `reached` is empty."""
+
+    nodes: Int[Array, "*n k"]
+    reached: Bool[Array, "*n k"]
+
+    def weighted(self, weights: Float[Array, " k"], is_lost: Bool[Array, ""] | bool = False) -> Interpolation:
+        """Gives weights to the nodes; NaN where a node `is_lost`, which would belong to them."""
+        weights = jnp.where(is_lost, jnp.nan, weights)
+        return Interpolation(self.nodes, jnp.where(self.reached, weights, 0), self.reached)
+
+
 class InterpolatedField(AbstractField):
     """Interpolates displacements between surface nodes (eq. 8)."""
 
-    method: AbstractPlacing
-    factors: PyTree
-    surface: Float[Array, "b d"]
     u: Float[Array, "b d"]
 
     @property
     def block_size(self) -> None:
         return None
 
-    def __call__(self, x: Float[Array, " d"], ids: Interpolation | PyTree) -> Float[Array, " d"]:
-        at = ids if isinstance(ids, Interpolation) else self.method.place(x, ids, self.factors, self.surface)
-        return sum((at.weights[k] * self.u[i] for k, i in enumerate(at.nodes)), start=jnp.zeros_like(x))
+    def __call__(self, x, ids: Interpolation):
+        return sum((ids.weights[k] * self.u[i] for k, i in enumerate(ids.nodes)), start=jnp.zeros_like(x))
 
-    def evaluate(self, points, ids):
-        return weighted_sum(ids, self.u) if isinstance(ids, Interpolation) else super().evaluate(points, ids)
+    def evaluate(self, points, ids: Interpolation):
+        return weighted_sum(ids, self.u)
 
 
 def weighted_sum(rows: Interpolation, values: Float[Array, "b c"]) -> Float[Array, "n c"]:
@@ -138,10 +137,7 @@ def weighted_sum(rows: Interpolation, values: Float[Array, "b c"]) -> Float[Arra
 
 
 def _sum(values, weights, *table, turned: bool, count: int):
-    """Sums weights[i, k] values[nodes[i, k]] over k for each row i.
-
-    `turned`, it computes the transpose, for each column j.
-    """
+    """Sums weights[i, k] values[nodes[i, k]] over k for each row i; `turned`, the transpose."""
     # The transpose by a scatter adds each entry to its column one by one. With a table, `tabulate`
     # has sorted the entries by column, in rows of fixed width. Each row is summed by gathers. The
     # rows of one column are neighbours, so that one sum over sorted segments adds them. Empty
@@ -171,10 +167,6 @@ _sum_p = linear_primitive(
 )
 
 
-WIDTH = 16
-"""Entries in a row of the table."""
-
-
 def tabulate(nodes: np.ndarray, used: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Sorts the entries of a sparse operator by column, into rows of `WIDTH` entries.
 
@@ -189,30 +181,19 @@ def tabulate(nodes: np.ndarray, used: np.ndarray, count: int) -> tuple[np.ndarra
 
     **Raises:** `ValueError` for more entries than 32 bits count.
     """
-    # Used entries are sorted by column. A column of s entries fills ceil(s / WIDTH) rows of the
-    # table; its last row is padded. The shift of an entry is the padding of all columns before its
-    # own.
-    k = nodes.shape[1]
-    if len(nodes) * k >= 2**31:
+    # SciPy's counting sort orders the entries by column, faster than `numpy.argsort`. A column of s
+    # entries fills ceil(s / WIDTH) rows of the table; its last row is padded. The shift of an entry
+    # is the padding of all columns before its own.
+    if nodes.size >= 2**31:
         raise ValueError(f"{len(nodes)} points are too many for one device; lay the plan over several with `shard`.")
     entries = np.flatnonzero(np.broadcast_to(used.reshape(len(nodes), -1), nodes.shape)).astype(np.int32)
-    columns = nodes.ravel()[entries]
-    order = _stable_order(columns, count)
-    entries = entries[order]
-    sizes = np.bincount(columns, minlength=count)
+    row = csr_array((entries, nodes.ravel()[entries], np.array([0, len(entries)], np.int32)), shape=(1, count)).tocsc()
+    sizes = np.diff(row.indptr)
     lengths = -(-sizes // WIDTH)
-    owner = np.repeat(np.arange(count, dtype=np.int32), lengths)
-    first_row, first_entry = np.cumsum(lengths) - lengths, np.cumsum(sizes) - sizes
-    table = np.full(len(owner) * WIDTH, -1, dtype=np.int32)
-    table[np.arange(len(order)) + np.repeat(WIDTH * first_row - first_entry, sizes)] = entries
-    return table.reshape(-1, WIDTH), owner
-
-
-def _stable_order(columns: np.ndarray, count: int) -> np.ndarray:
-    """Sorts small integers stably by SciPy's counting sort, faster than `numpy.argsort`."""
-    places = np.arange(len(columns), dtype=np.int32)
-    row = csr_array((places, columns, np.array([0, len(columns)], dtype=np.int32)), shape=(1, count))
-    return row.tocsc().data
+    padding = WIDTH * lengths - sizes
+    table = np.full(WIDTH * lengths.sum(), -1, dtype=np.int32)
+    table[np.arange(len(entries)) + np.repeat(np.cumsum(padding) - padding, sizes)] = row.data
+    return table.reshape(-1, WIDTH), np.repeat(np.arange(count, dtype=np.int32), lengths)
 
 
 SLACK = 0.05
@@ -244,7 +225,5 @@ class Searched(eqx.Module):
 
 
 def squared_distance(a: Float[Array, "*k d"], b: Float[Array, "*m d"]) -> Float[Array, "*n"]:
-    """Computes squared distances without a derivative, component by component."""
-    a, b = jax.lax.stop_gradient((a, b))
-    first, *others = ((a[..., axis] - b[..., axis]) ** 2 for axis in range(a.shape[-1]))
-    return sum(others, start=first)
+    """Computes squared distances without a derivative."""
+    return jnp.sum(jax.lax.stop_gradient(a - b) ** 2, axis=-1)

@@ -46,10 +46,8 @@ class Surface:
       without cells.
     - `is_open`: whether boundary faces of the mesh are neither moving, fixed nor on a symmetry
       plane, or None without cells.
-    - `cells`: the mesh's cells and symmetry planes, or None where they are not known: points alone,
-      or a part of a mesh.
-    - `in_planes` (b,): the rows that lie in a symmetry plane and are neither moving nor fixed, or
-      None without any.
+    - `cells`: the mesh's cells and symmetry planes, or None for points alone, or a part of a mesh.
+    - `in_planes` (b,): the rows that lie in a symmetry plane and are neither moving nor fixed.
     - `listed` (b,): for each row its place among the nodes as the caller lists them, or None where
       rows go in that order. A reduction sees points so: `motions` of `Greedy` have a row for each.
     - `values`: what was made `once`, by key.
@@ -77,9 +75,7 @@ class Surface:
         return wall, *chords(self.points, wall, self.faces)
 
     def once(self, key: Any, make: Callable[[], T]) -> T:
-        """Makes a value that depends on the surface alone, once.
-
-        All surfaces that are `altered` from this surface share it.
+        """Makes a value once for all surfaces that are `altered` from this one.
 
         `key` names the value, with all that it depends on beside the surface.
         """
@@ -92,22 +88,17 @@ class Surface:
         return dataclasses.replace(self, **fields)
 
     def reduced(self, moving: AbstractReduction, fixed: AbstractReduction) -> np.ndarray:
-        """Chooses sources among the moving nodes, then among the fixed ones, with mirror images.
-
-        No two of them are too close.
-        """
+        """Chooses sources among moving, then fixed nodes, with images; no two are too close."""
         first, closest = self._chosen(moving, np.arange(self.moving), self.points[self.moving :])
         rows = np.arange(self.moving, len(self.points))
         second, closest_fixed = self._chosen(fixed, rows, self.points[first])
         return np.concatenate([first, drop_near(self.points, second, first, min(closest, closest_fixed))])
 
     def _chosen(self, reduction: AbstractReduction, rows: np.ndarray, others: np.ndarray) -> tuple[np.ndarray, float]:
-        """Chooses rows by a reduction, with images; returns also how close two of them may come.
-
-        A source too close to its own image gives way to the nearest node that is not too close, one
-        on the plane if there is any. Two sources that are not too close are farther from each
-        other's images: all nodes lie on one side of a plane.
-        """
+        """Chooses rows by a reduction, with images; returns also how close two of them may come."""
+        # A source too close to its own image gives way to the nearest node that is not too close,
+        # one on the plane if there is any. Two sources that are not too close are farther from each
+        # other's images: all nodes lie on one side of a plane.
         originals = rows[self.images[rows] == rows]
         closest = reduction.closest(self.points[originals])
         listed = originals if self.listed is None else originals[np.argsort(self.listed[originals])]
@@ -126,11 +117,9 @@ class Surface:
         return rows[np.isin(self.images[rows], chosen)], closest
 
     def _on_far_walls(self, reduction: AbstractReduction, rows: np.ndarray, others: np.ndarray) -> np.ndarray:
-        """Chooses rows of each wall that is farther from the `others` (s, d) than it is long.
+        """Chooses rows of walls that are farther from the `others` (s, d) than they are long.
 
-        The reduction then chooses as if there were no others.
-
-        It chooses none where they would be too many, and where the walls are unknown without faces.
+        A wall's rows are chosen as if it were alone. There are none where they would be too many.
         """
         chosen = [rows[:0]]
         if not reduction.most_on_far_walls or self.faces is None or not len(rows):
@@ -144,14 +133,8 @@ class Surface:
         return np.concatenate(chosen) if sum(map(len, chosen)) <= reduction.most_on_far_walls else chosen[0]
 
     def among(self, points: np.ndarray) -> tuple["Surface", np.ndarray]:
-        """Returns the surface with all of its rows among the points.
-
-        Mirror images, which are not, are added at the end.
-        """
-        absent = np.flatnonzero(self.nodes < 0)
-        if not absent.size:
-            return self, points
-        nodes = self.nodes.copy()
+        """Returns the surface with all of its rows among the points: images are added to them."""
+        absent, nodes = np.flatnonzero(self.nodes < 0), self.nodes.copy()
         nodes[absent] = len(points) + np.arange(len(absent))
         return self.altered(nodes=nodes), np.concatenate([points, self.points[absent]])
 

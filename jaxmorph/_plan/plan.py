@@ -16,8 +16,8 @@ from .._boundary.tracks import Track
 from .._host.package.arguments import checked
 from .._kernels.compile import compiled
 from .._kernels.module import Module
-from .._kernels.values import as_jax, is_known, on_host, taken
-from .._methods.base import AbstractField, AbstractMethod, Located
+from .._kernels.values import as_jax, on_host, taken
+from .._methods.base import AbstractField, AbstractMethod
 from .._methods.blocks import map_points
 from .._methods.reconstruction import SurfaceReconstruction
 from .devices import Layout, over_points, rows_here
@@ -233,11 +233,6 @@ class Plan(Module):
             fixed = nodes.shape[-1] - self.n_moving - self.n_guided
             guided = [f"{self.n_guided} guided"] if self.n_guided else []
             parts = [f"{n} points in {d}-D", *parts, f"{fixed} fixed", *guided, f"{points.dtype}"]
-        for located in jax.tree.leaves(self.surface.ids, is_leaf=_is_located):
-            counts = (located.repaired, located.outside) if _is_located(located) else ()
-            if counts and all(map(eqx.is_array, counts)) and is_known(counts):
-                repaired, outside = (int(count.sum()) for count in counts)
-                parts.append(f"{repaired} repaired in location, {outside} outside by round-off")
         return f"Plan({', '.join(parts)}, {self.method})"
 
 
@@ -254,10 +249,6 @@ def _offset(plan: Plan, u: Any) -> Float[Array, "o d"]:
 def _rows_of_originals(images: Images, count: int) -> Int[Array, " b"]:
     """Finds the own row of every row of the surface; `count` for images."""
     return jnp.where(images.kind > 0, count, images.rows)
-
-
-def _is_located(leaf: Any) -> bool:
-    return isinstance(leaf, Located)
 
 
 def extended(plan: Plan, u: Any) -> Float[Array, "o d"]:

@@ -27,9 +27,9 @@ class CellIds(eqx.Module):
     """Ids of k cells of one type.
 
     - `corners`: node ids.
-    - `entry`: for each pair of corners its number in the list of pairs. It is the number of pairs
-      where the two corners are one node.
-    - `flipped`: True where the pair's first corner is the entry's second node.
+    - `entry`: the number of each pair of corners in the list of pairs; the list's length for
+      corners that are one node.
+    - `flipped`: whether the pair's first corner is the entry's second node.
     """
 
     corners: Int[Array, "k c"]
@@ -58,64 +58,56 @@ class NodeIds(eqx.Module):
 
 
 class NodeFactors(eqx.Module):
-    """The matrix as `systems.solve` takes it, and the nodes' places in the frame."""
+    """A symmetric matrix of numbers or blocks as `systems.solve` takes it, and places in the frame.
+
+    It has an entry for each pair of nodes, and one for each node. With `masses` M it is K M^-1 K.
+    """
 
     values: Float[Array, "e ..."]
     diagonal: Float[Array, "n ..."]
     masses: Float[Array, " q"]
     places: Float[Array, "n d"]
 
+    def times(self, pairs: Int[Array, "e 2"], x: Float[Array, "n d"]) -> Float[Array, "n d"]:
+        i, j = pairs.T
 
-def product(ids: NodeIds, factors: NodeFactors, x: Float[Array, "n d"]) -> Float[Array, "n d"]:
-    once = symmetric_product(ids.pairs, factors.values, factors.diagonal, x)
-    if not len(factors.masses):
-        return once
-    return symmetric_product(ids.pairs, factors.values, factors.diagonal, once / factors.masses[:, None])
+        def scaled(a, b):
+            return a[:, None] * b if a.ndim == 1 else jnp.einsum("eab,eb->ea", a, b, precision="highest")
+
+        def once(x):
+            below = jax.ops.segment_sum(scaled(self.values, x[j]), i, len(x))
+            above = jax.ops.segment_sum(scaled(_turned(self.values), x[i]), j, len(x))
+            return scaled(self.diagonal, x) + (below + above)
+
+        return once(once(x) / self.masses[:, None]) if len(self.masses) else once(x)
+
+    def solve(
+        self, pairs: Int[Array, "e 2"], free: Bool[Array, "n d"], right: Float[Array, "n d"]
+    ) -> Float[Array, "n d"]:
+        """Solves for the free unknowns on the host, within traced code; the others are zero."""
+        leaves = (pairs, self.values, self.diagonal, self.masses, free)
+
+        def times(x):
+            return jnp.where(free, self.times(pairs, jnp.where(free, x, 0)), x)
+
+        def on_host(*system):
+            return systems.solve(*system, multigrid=self.places.shape[1] > 0)
+
+        def solve(_, right):
+            shape = jax.ShapeDtypeStruct(right.shape, right.dtype)
+            return host_call(on_host, shape, *jax.lax.stop_gradient(leaves), right)
+
+        return jax.lax.custom_linear_solve(times, jnp.where(free, right, 0), solve, symmetric=True)
 
 
-def symmetric_product(pairs, values, diagonal, x: Float[Array, "n d"]) -> Float[Array, "n d"]:
-    """Multiplies by a symmetric matrix of numbers or blocks. Traced.
-
-    The matrix has an entry for each pair of nodes, and an entry for each node.
-    """
-    i, j = pairs.T
-
-    def scaled(a, b):
-        return a[:, None] * b if a.ndim == 1 else jnp.einsum("eab,eb->ea", a, b, precision="highest")
-
-    turned = values if values.ndim == 1 else jnp.swapaxes(values, 1, 2)
-    there = jax.ops.segment_sum(scaled(values, x[j]), i, len(x)) + jax.ops.segment_sum(scaled(turned, x[i]), j, len(x))
-    return scaled(diagonal, x) + there
-
-
-def solve(ids: NodeIds, factors: NodeFactors, right: Float[Array, "n d"]) -> Float[Array, "n d"]:
-    """Solves for the free unknowns on the host."""
-    free = ids.free
-
-    def times(x):
-        return jnp.where(free, product(ids, factors, jnp.where(free, x, 0)), x)
-
-    return solved_on_host(times, ids.pairs, factors, free, jnp.where(free, right, 0))
-
-
-def solved_on_host(times, pairs, factors: NodeFactors, free, right: Float[Array, "n d"]) -> Float[Array, "n d"]:
-    """Solves a symmetric system on the host; `times` multiplies by its matrix. Traced."""
-    leaves = (pairs, factors.values, factors.diagonal, factors.masses, free)
-
-    def on_host(*system):
-        return systems.solve(*system, multigrid=factors.places.shape[1] > 0)
-
-    def solve(_, right):
-        shape = jax.ShapeDtypeStruct(right.shape, right.dtype)
-        return host_call(on_host, shape, *jax.lax.stop_gradient(leaves), right)
-
-    return jax.lax.custom_linear_solve(times, right, solve, symmetric=True)
+def _turned(blocks: Float[Array, "e ..."]) -> Float[Array, "e ..."]:
+    return blocks if blocks.ndim == 1 else jnp.swapaxes(blocks, 1, 2)
 
 
 class AbstractCellMethod(AbstractMethod):
     """Solves a linear system for all inner nodes, made of one small matrix for each cell.
 
-    The matrix is symmetric, and its rows add to zero, so a translation is reproduced. Nodes at one
+    The matrix is symmetric, and its rows add to zero: a translation is reproduced. Nodes at one
     place are one node. Nodes on a symmetry plane slide in it. Nodes in no cell rest, and so do
     cells without a connection to a moving or fixed node.
 
@@ -125,9 +117,9 @@ class AbstractCellMethod(AbstractMethod):
     stay in memory. The transpose costs as much as the solve.
     """
 
-    @abc.abstractmethod
     def pairs(self, kind: str) -> tuple[tuple[int, int], ...]:
-        """Lists the pairs of corners of a type of cells that have an entry."""
+        """Lists the pairs of corners of a type of cells that have an entry, by default all."""
+        return all_pairs(kind)
 
     @abc.abstractmethod
     def entries(
@@ -135,7 +127,7 @@ class AbstractCellMethod(AbstractMethod):
     ) -> Float[Array, "p"] | Float[Array, "p d d"]:
         """Computes a cell's entries: numbers, or blocks of rows of the first corner. Traced.
 
-        `distance` is the distance of each corner from the nearest moving node.
+        `distance` is that of each corner from the nearest moving node.
         """
 
     def masses(self, ids: NodeIds, places: Float[Array, "n d"]) -> Float[Array, " q"]:
@@ -150,14 +142,14 @@ class AbstractCellMethod(AbstractMethod):
         cells = surface.cells
         assert cells is not None  # the driver asks `needs_cells`
         n = len(cells.on_plane)
-        rows = np.flatnonzero((surface.nodes >= 0) & (surface.nodes < n))
+        present = np.flatnonzero(surface.nodes >= 0)
+        rows = present[surface.nodes[present] < n]  # images lie beyond: the surface alone has them
         nodes = surface.nodes[rows]
         stands = systems.coincident(points[:n], nodes)
         corners = {kind: stands[ids] for kind, ids in cells.corners.items()}
-        pairs, ids = self._numbered(corners, n)
+        pairs, of_kind = self._numbered(corners, n)
         wall = nodes[rows < surface.moving]
         wall = nearest_of(points[:n], points[wall], wall)
-        of_kind = {kind: _of_kind(corners[kind], *ids[kind]) for kind in corners}
         known = np.zeros(n, dtype=bool)
         known[nodes] = True
         is_free = systems.reached(pairs, known) & ~known & (np.bincount(pairs.ravel(), minlength=n) > 0)
@@ -165,72 +157,59 @@ class AbstractCellMethod(AbstractMethod):
         slides = [cells.on_plane[:, np.abs(cells.normals @ axis) > 0.5].any(axis=1) for axis in frame.T]
         free = is_free[:, None] & ~np.stack(slides, axis=1)
         systems.check_solver(int(free.sum()), points.shape[1])
-        volume = stands.copy()
-        volume[nodes] = n + rows
-        beyond = np.flatnonzero(surface.nodes >= n)  # images: the surface alone has them
-        last = np.zeros(len(points) - n, dtype=np.int64)
-        last[surface.nodes[beyond] - n] = n + beyond
+        volume = np.concatenate([stands, np.zeros(len(points) - n, stands.dtype)]).astype(np.int32)
+        volume[surface.nodes[present]] = n + present
         pairs, wall, rows, nodes = (ids.astype(np.int32) for ids in (pairs, wall, rows, nodes))
-        node_ids = NodeIds(of_kind, *as_jax((pairs, frame, free, wall, rows, nodes)))
-        return node_ids, np.concatenate([volume, last]).astype(np.int32)
+        return NodeIds(of_kind, *as_jax((pairs, frame, free, wall, rows, nodes))), volume
 
-    def _numbered(
-        self, corners: Mapping[str, np.ndarray], n: int
-    ) -> tuple[np.ndarray, dict[str, tuple[np.ndarray, np.ndarray]]]:
-        """Numbers the pairs of nodes (e, 2), and finds each cell's entries (k, p).
-
-        The third array marks the flipped entries.
-        """
+    def _numbered(self, corners: Mapping[str, np.ndarray], n: int) -> tuple[np.ndarray, dict[str, CellIds]]:
+        """Numbers the pairs of nodes (e, 2), and finds each cell's entries."""
         # A pair of nodes is one integer, smaller id times n plus larger id. Sorted and without
         # copies they are the list of pairs, so a search finds each cell's entries. Corners at one
         # place get the number beyond the list.
-        both = {kind: np.array(self.pairs(kind)).T for kind in corners}
-        first = {kind: corners[kind][:, i] for kind, (i, _) in both.items()}
-        second = {kind: corners[kind][:, j] for kind, (_, j) in both.items()}
-        keys = {
-            kind: np.minimum(first[kind], second[kind]) * n + np.maximum(first[kind], second[kind]) for kind in both
-        }
-        real = {kind: first[kind] != second[kind] for kind in both}
-        ordered = np.sort(np.concatenate([np.zeros(0, np.int64), *(keys[kind][real[kind]] for kind in both)]))
+        both = {kind: np.moveaxis(cells[:, np.array(self.pairs(kind))], 2, 0) for kind, cells in corners.items()}
+        keys = {kind: np.minimum(i, j) * n + np.maximum(i, j) for kind, (i, j) in both.items()}
+        real = [keys[kind][i != j] for kind, (i, j) in both.items()]
+        ordered = np.sort(np.concatenate([np.zeros(0, np.int64), *real]))
         unique = ordered[np.diff(ordered, prepend=-1) > 0]  # NumPy's own takes a table of hashes, and ten times as long
-        entry = {kind: np.where(real[kind], np.searchsorted(unique, keys[kind]), len(unique)) for kind in both}
-        return np.stack(np.divmod(unique, n), axis=1), {k: (entry[k], first[k] > second[k]) for k in both}
+        ids = {}
+        for kind, (i, j) in both.items():
+            entry = np.where(i != j, np.searchsorted(unique, keys[kind]), len(unique))
+            ids[kind] = CellIds(*as_jax((corners[kind].astype(np.int32), entry.astype(np.int32), i > j)))
+        return np.stack(np.divmod(unique, n), axis=1), ids
 
     def fit(self, ids: NodeIds, surface, points):
         places = jnp.matmul(points, ids.frame.astype(points.dtype), precision="highest")
         n, distance = len(places), norm(places - places[ids.wall])
         first, *others = [self._of_cells(kind, ids, places, distance) for kind in ids.cells]
         values = sum(others, start=first)
-        turned = jnp.swapaxes(values, 1, 2) if values.ndim == 3 else values
         i, j = ids.pairs.T
-        diagonal = -jax.ops.segment_sum(values, i, n) - jax.ops.segment_sum(turned, j, n)
+        diagonal = -jax.ops.segment_sum(values, i, n) - jax.ops.segment_sum(_turned(values), j, n)
         return NodeFactors(values, diagonal, self.masses(ids, places), places)
 
     def _of_cells(self, kind: str, ids: NodeIds, places, distance):
         cells = ids.cells[kind]
 
+        @jax.vmap
         @jax.checkpoint
         def entries(corners, flipped):
             values = self.entries(kind, places[corners], distance[corners])
-            if values.ndim == 1:
-                return values
-            return jnp.where(flipped[:, None, None], jnp.swapaxes(values, 1, 2), values)
+            flipped = flipped.reshape(-1, *(1,) * (values.ndim - 1))
+            return jnp.where(flipped, _turned(values), values)
 
         def add(total, rows):
             corners, entry, flipped = rows
-            return total.at[entry].add(jax.vmap(entries)(corners, flipped))
+            return total.at[entry].add(entries(corners, flipped))
 
-        one = jax.eval_shape(
-            entries, *(jax.ShapeDtypeStruct(rows.shape[1:], rows.dtype) for rows in (cells.corners, cells.flipped))
-        )
-        none = jnp.zeros((len(ids.pairs), *one.shape[1:]), one.dtype)
+        every = jax.eval_shape(entries, cells.corners, cells.flipped)
+        none = jnp.zeros((len(ids.pairs), *every.shape[2:]), every.dtype)
         return fold_rows(add, none, (cells.corners, cells.entry, cells.flipped), CELLS)
 
     def field(self, ids: NodeIds, factors: NodeFactors, surface, u):
         frame = ids.frame.astype(u.dtype)
         turned = jnp.matmul(u, frame, precision="highest")
         boundary = jnp.zeros(factors.places.shape, u.dtype).at[ids.nodes].set(turned[ids.rows])
-        moved = boundary + solve(ids, factors, -product(ids, factors, boundary))
+        moved = boundary + factors.solve(ids.pairs, ids.free, -factors.times(ids.pairs, boundary))
         return NodeField(jnp.concatenate([jnp.matmul(moved, frame.T, precision="highest"), u]))
 
     def check(self, ids: NodeIds, factors: NodeFactors, u):
@@ -260,11 +239,6 @@ class NodeField(AbstractField):
 
     def __call__(self, x, ids):
         return self.values[ids]
-
-
-def _of_kind(corners, entry, flipped) -> CellIds:
-    corners, entry = (np.asarray(ids).astype(np.int32) for ids in (corners, entry))
-    return CellIds(*as_jax((corners, entry, flipped)))
 
 
 def _frame(normals: np.ndarray) -> np.ndarray:

@@ -1,4 +1,8 @@
-"""Laplace's, the biharmonic and the elastic equation, by linear finite elements on the cells."""
+"""Equations on cells: finite elements, springs along edges, springs against closing angles."""
+
+import abc
+import functools
+import itertools
 
 import equinox as eqx
 import jax
@@ -6,34 +10,152 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..._host.cells.topology import EDGES, FRAMES
+from ..._host.linear.products import cofactors, determinant, dot
+from ..._kernels.module import Module
+from ..._kernels.values import largest
 from ..base import check_kind, number
 from .cells import AbstractCellMethod, all_pairs
-from .stiffness import AbstractStiffness, ByDistance, ByVolume, gradients, stiffness
+
+
+class AbstractStiffness(Module):
+    """Gives each cell a stiffness, or a diffusivity."""
+
+    @abc.abstractmethod
+    def __call__(self, volume: Float[Array, ""], distance: Float[Array, ""]) -> Float[Array, ""]:
+        """Computes a cell's stiffness by its volume and its corners' mean distance. Traced.
+
+        Volumes are areas in 2-D, distances those from the nearest moving node.
+        """
+
+
+class ByVolume(AbstractStiffness):
+    """Makes a cell as stiff as 1 / volume^exponent: small cells keep their shape.
+
+    OpenFOAM calls it `inverseVolume`.
+
+    **Arguments:**
+
+    - `exponent`: default 1. With 0 all cells are equally stiff.
+    """
+
+    exponent: Float[Array, ""] = eqx.field(converter=number("exponent"), default=1.0)
+
+    def __call__(self, volume, distance):
+        return volume ** -self.exponent.astype(volume.dtype)
+
+
+class ByDistance(AbstractStiffness):
+    """Makes a cell as stiff as 1 / distance^exponent, by its corners' mean distance.
+
+    The distance is that from the nearest moving node. A quad has a stiffness at each corner, with
+    the mean of the corner and its two neighbours. OpenFOAM calls it `inverseDistance`, with the
+    exponent 2 `quadratic inverseDistance`.
+
+    **Arguments:**
+
+    - `exponent`: default 1.
+    """
+
+    exponent: Float[Array, ""] = eqx.field(converter=number("exponent"), default=1.0)
+
+    def __call__(self, volume, distance):
+        return distance ** -self.exponent.astype(distance.dtype)
+
+
+SLIVER = 1e-6
+"""Share of a cell's largest Jacobian below which a point of its quadrature fades out."""
+
+
+def gradients(kind: str, corners: Float[Array, "c d"]) -> tuple[Float[Array, "q c d"], Float[Array, " q"]]:
+    """Computes the shape functions' gradients and the volumes at the quadrature points. Traced."""
+    # a point whose Jacobian is small beside the cell's largest fades out: it belongs to a triangle
+    # at a straight corner, or between two corners at one place
+    reference, weights = (jnp.asarray(table, corners.dtype) for table in quadrature(kind))
+    jacobian = jnp.einsum("qca,cb->qab", reference, corners, precision="highest")  # d place / d reference, transposed
+    inverse, determinant, safe = _inverse(jacobian)
+    volume = jnp.abs(determinant)
+    top = largest(volume)
+    share = jnp.where(top > 0, jnp.minimum(volume / (SLIVER * jnp.where(top > 0, top, 1)), 1) ** 2, 1)
+    gradient = jnp.einsum("qba,qca->qcb", inverse * share[:, None, None], reference, precision="highest")
+    return gradient, weights * jnp.where(top > 0, volume, jnp.abs(safe))
+
+
+def stiffness(
+    of_cell: AbstractStiffness, kind: str, volume: Float[Array, " q"], distance: Float[Array, " c"]
+) -> Float[Array, " q"]:
+    """Computes the stiffness at the points of a cell's quadrature. Traced.
+
+    A point takes the mean distance of the corners whose shape functions vary there. Where all
+    corners move, nothing depends on the stiffness.
+    """
+    share = np.any(quadrature(kind)[0] != 0, axis=2).astype(float)
+    share = jnp.asarray(share / share.sum(axis=1, keepdims=True), distance.dtype)
+    mean = jnp.matmul(share, distance, precision="highest")
+    return jax.vmap(lambda mean: of_cell(volume.sum(), mean))(jnp.where(mean > 0, mean, 1))
+
+
+def _inverse(matrix: Float[Array, "q d d"]) -> tuple[Float[Array, "q d d"], Float[Array, " q"], Float[Array, " q"]]:
+    """Inverts matrices in closed form; returns determinants, and divisors that are not zero."""
+    columns = list(jnp.moveaxis(matrix, 0, 2).swapaxes(0, 1))
+    rows = cofactors(columns)
+    determinant = dot(rows[0], columns[0])
+    size = jnp.sum(matrix**2, axis=(1, 2)) ** (len(rows) / 2)
+    least = float(jnp.finfo(matrix.dtype).eps) * jnp.where(size > 0, size, 1)
+    safe = jnp.where(jnp.abs(determinant) > least, determinant, least)
+    return jnp.moveaxis(jnp.stack([jnp.stack(row) for row in rows]), 2, 0) / safe[:, None, None], determinant, safe
+
+
+_CUBE = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)])
+_COLLAPSED = {
+    "quad": (0, 1, 2, 3),
+    "hexahedron": (0, 1, 2, 3, 4, 5, 6, 7),
+    "wedge": (0, 1, 2, 2, 3, 4, 5, 5),
+    "pyramid": (0, 1, 2, 3, 4, 4, 4, 4),
+}
+"""Corner of the cell at each corner of a square or cube: pairs make a wedge, four a pyramid."""
+
+
+@functools.cache
+def quadrature(kind: str) -> tuple[np.ndarray, np.ndarray]:
+    """Computes reference derivatives (q, corners, d) of the shape functions, and weights (q,).
+
+    A simplex has one point. A quad has its four corners, with the linear triangles of the corners
+    and their neighbours: the mean of both ways to cut it. Other types have two Gauss points in
+    every direction.
+    """
+    if kind in ("triangle", "tetra"):
+        d = 2 if kind == "triangle" else 3
+        return np.concatenate([-np.ones((1, d)), np.eye(d)])[None], np.array([1 / (2 if d == 2 else 6)])
+    target = np.array(_COLLAPSED[kind])
+    d = 2 if kind == "quad" else 3
+    corners = _CUBE[: len(target), :d]
+    gauss = 0.5 - 12**-0.5, 0.5 + 12**-0.5
+    places = corners.astype(float) if kind == "quad" else np.array(list(itertools.product(gauss, repeat=d)))
+    factors = np.where(corners[None] == 1, places[:, None], 1 - places[:, None])  # (q, corners, d)
+    signs = np.where(corners == 1, 1.0, -1.0)
+    derivatives = np.stack([signs[:, i] * np.delete(factors, i, axis=2).prod(axis=2) for i in range(d)], axis=2)
+    summed = np.einsum("qcd,ca->qad", derivatives, np.eye(target.max() + 1)[target])
+    return summed, np.full(len(places), 1 / len(places))
 
 
 class Laplacian(AbstractCellMethod):
     """Smooths each component of the displacement by Laplace's equation, of linear finite elements.
 
     Löhner and Yang made the diffusivity depend on the distance from the body (Communications in
-    Numerical Methods in Engineering 12, 1996). It needs the mesh's cells. Components do not know of
-    each other: a rotation shears the cells.
+    Numerical Methods in Engineering 12, 1996). Components do not know of each other: a rotation
+    shears the cells. `prepare` needs cells, and refuses those without volume.
 
     **Arguments:**
 
     - `diffusivity`: of a cell: `ByDistance(exponent)` or `ByVolume(exponent)`. Default
       `ByDistance(2)`, which OpenFOAM calls `quadratic inverseDistance`.
-
-    **Raises:** `prepare` raises a `ValueError` for points without cells, and for cells without
-    volume.
     """
 
     diffusivity: AbstractStiffness = eqx.field(default_factory=lambda: ByDistance(2.0))
 
     def __check_init__(self):
         check_kind(self.diffusivity, AbstractStiffness, "diffusivity", "jm.ByDistance(2)")
-
-    def pairs(self, kind):
-        return all_pairs(kind)
 
     def entries(self, kind, corners, distance):
         gradient, volume = gradients(kind, corners)
@@ -42,19 +164,12 @@ class Laplacian(AbstractCellMethod):
 
 
 class Biharmonic(AbstractCellMethod):
-    """Smooths each component by the biharmonic equation (Helenbrook 2003).
-
-    The equation is in its mixed form, with linear finite elements.
+    """Smooths each component by the biharmonic equation, in its mixed form (Helenbrook 2003).
 
     The displacement's derivative across the surface is zero: first cells keep their height, and
-    follow the wall's translation, not its rotation. It needs the mesh's cells.
-
-    **Raises:** `prepare` raises a `ValueError` for points without cells, and for cells without
-    volume.
+    follow the wall's translation, not its rotation. Finite elements are linear. `prepare` needs
+    cells, and refuses those without volume.
     """
-
-    def pairs(self, kind):
-        return all_pairs(kind)
 
     def entries(self, kind, corners, distance):
         return _products(*gradients(kind, corners), self.pairs(kind))
@@ -77,14 +192,10 @@ def _products(gradient, volume, pairs):
 class LinearElasticity(AbstractCellMethod):
     """Moves the mesh like an elastic solid, of linear finite elements (in 2-D in plane strain).
 
-    A quad is the mean of the two ways to cut it into triangles.
-
-    Small cells are stiff, as Johnson and Tezduyar proposed (Computer Methods in Applied Mechanics
-    and Engineering 119, 1994).
-
-    It needs the mesh's cells. Symmetry planes are planes in which nodes slide freely. Translations,
-    and small rotations, are reproduced; a large rotation of everything is not, for the equation is
-    linear.
+    A quad is the mean of the two ways to cut it into triangles. Small cells are stiff, as Johnson
+    and Tezduyar proposed (Computer Methods in Applied Mechanics and Engineering 119, 1994).
+    Translations, and small rotations, are reproduced; a large rotation of everything is not, for
+    the equation is linear. `prepare` needs cells, and refuses those without volume.
 
     **Arguments:**
 
@@ -92,18 +203,14 @@ class LinearElasticity(AbstractCellMethod):
       Default `ByVolume(1)`.
     - `poisson`: Poisson's ratio, between -1 and 0.5. Default 0.3.
 
-    **Raises:** `ValueError` for another ratio. `prepare` raises it for points without cells, and
-    for cells without volume.
+    **Raises:** `ValueError` for another ratio.
     """
 
     stiffening: AbstractStiffness = eqx.field(default_factory=ByVolume)
-    poisson: Float[Array, ""] = eqx.field(converter=number("poisson", -1, 0.5), default_factory=lambda: np.asarray(0.3))
+    poisson: Float[Array, ""] = eqx.field(converter=number("poisson", -1, 0.5), default=0.3)
 
     def __check_init__(self):
         check_kind(self.stiffening, AbstractStiffness, "stiffening", "jm.ByVolume(1)")
-
-    def pairs(self, kind):
-        return all_pairs(kind)
 
     def entries(self, kind, corners, distance):
         gradient, volume = gradients(kind, corners)
@@ -116,3 +223,84 @@ class LinearElasticity(AbstractCellMethod):
         trace = jnp.trace(outer, axis1=1, axis2=2)
         isotropic = trace[:, None, None] * jnp.eye(corners.shape[1], dtype=corners.dtype)[None]
         return dilation * outer + shear * (jnp.swapaxes(outer, 1, 2) + isotropic)
+
+
+class SpringAnalogy(AbstractCellMethod):
+    """Holds each edge by a spring that acts in all directions (Batina 1990).
+
+    `prepare` needs cells, and takes their edges alone.
+
+    **Arguments:**
+
+    - `exponent`: a spring is as stiff as 1 / length^exponent. Default 2.
+    """
+
+    exponent: Float[Array, ""] = eqx.field(converter=number("exponent"), default=2.0)
+
+    def pairs(self, kind):
+        return EDGES[kind] if kind != "triangle" else all_pairs(kind)
+
+    def entries(self, kind, corners, distance):
+        i, j = np.array(self.pairs(kind)).T
+        squared = jnp.sum((corners[j] - corners[i]) ** 2, axis=1)
+        has_length = squared > 0
+        stiff = jnp.where(has_length, squared, 1) ** (-self.exponent.astype(corners.dtype) / 2)
+        return -jnp.where(has_length, stiff, jnp.inf)
+
+
+class TorsionalSprings(AbstractCellMethod):
+    """Holds each edge by a spring, and each angle by a spring that grows stiff as it closes.
+
+    `prepare` needs cells. In 2-D it is the method of Farhat et al. (1998): springs against
+    changes of the angles of each triangle. A quad has the triangles at its four corners. In 3-D it
+    is the semi-torsional method (Zeng and Ethier 2005). An edge of a tetrahedron is as stiff as 1 /
+    sin^2 of the angle between the two faces that do not hold it. Other cells have the tetrahedra at
+    their corners.
+
+    **Arguments:**
+
+    - `lineal`: stiffness of the springs along edges, times 1 / length^2, so that scaling the mesh
+      changes nothing. Farhat et al. have 1 / length. Default 0.1.
+    """
+
+    lineal: Float[Array, ""] = eqx.field(converter=number("lineal", 0, ends="[)"), default=0.1)
+
+    def entries(self, kind, corners, distance):
+        simplices, element = np.array(FRAMES[kind]), _triangle if corners.shape[1] == 2 else _tetrahedron
+        blocks = jax.vmap(lambda corners: element(corners, self.lineal.astype(corners.dtype)))(corners[simplices])
+        total = jnp.zeros((len(corners), len(corners), *blocks.shape[3:]), corners.dtype)
+        i, j = np.array(self.pairs(kind)).T
+        return total.at[simplices[:, :, None], simplices[:, None]].add(blocks)[i, j]
+
+
+def _triangle(corners: Float[Array, "3 2"], lineal: Float[Array, ""]) -> Float[Array, "3 3 2 2"]:
+    """Computes the blocks of a triangle's torsional and lineal springs, off the diagonal."""
+
+    def angles(corners):
+        (ax, ay), (bx, by) = ((jnp.roll(corners, -k, axis=0) - corners).T for k in (1, 2))
+        return jnp.arctan2(ax * by - ay * bx, ax * bx + ay * by)
+
+    edges = corners[None] - corners[:, None]
+    squared = jnp.sum(edges**2, axis=2) + jnp.eye(3, dtype=corners.dtype)
+    area = determinant([*edges[0, 1:]])
+    stiff = jnp.stack([squared[0, 1] * squared[0, 2], squared[1, 2] * squared[1, 0], squared[2, 0] * squared[2, 1]])
+    rates = jax.jacfwd(angles)(corners)
+    turning = jnp.einsum("k,kia,kjb->ijab", stiff / area**2, rates, rates, precision="highest")  # 1 / sin^2
+    return turning - lineal * edges[..., None] * edges[..., None, :] / squared[..., None, None] ** 2
+
+
+_ENDS = np.array([(i, j, *sorted({0, 1, 2, 3} - {i, j})) for i, j in itertools.permutations(range(4), 2)]).T
+"""The two corners of each edge of a tetrahedron, then the two other corners."""
+
+
+def _tetrahedron(corners: Float[Array, "4 3"], lineal: Float[Array, ""]) -> Float[Array, "4 4"]:
+    """Computes the stiffness of a tetrahedron's edges, off the diagonal.
+
+    It has a lineal part, and a part by the angle between the faces opposite to the ends.
+    """
+    i, j, k, m = (corners[ends] for ends in _ENDS)
+    normal_i, normal_j = jnp.cross(m - k, i - k), jnp.cross(m - k, j - k)  # both faces have the edge k m
+    both = jnp.sum(normal_i**2, axis=1) * jnp.sum(normal_j**2, axis=1)
+    sine = jnp.sum(jnp.cross(normal_i, normal_j) ** 2, axis=1)
+    stiff = (lineal + both / sine) / jnp.sum((j - i) ** 2, axis=1)
+    return jnp.zeros((4, 4), corners.dtype).at[_ENDS[0], _ENDS[1]].set(-stiff)

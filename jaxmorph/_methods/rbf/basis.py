@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 from ..._kernels.log import half_x_log_x
 from ..._kernels.module import Module
 from ..._kernels.values import root
-from ..base import length
+from ..base import number
 
 
 class AbstractBasis(Module):
@@ -43,121 +43,94 @@ class AbstractBasis(Module):
 
 
 class ThinPlateSpline(AbstractBasis):
-    """Evaluates phi(r) = r^2 log r (Duchon 1977).
+    """Evaluates phi(r) = r^2 log r (Duchon 1977); without parameter, with a linear polynomial."""
 
-    It is global, has no parameter, and needs a linear polynomial.
-    """
-
-    min_degree: ClassVar[int | None] = 1
-    scale_free: ClassVar[bool] = True
+    min_degree = 1
+    scale_free = True
 
     def __call__(self, r2):
         return half_x_log_x(r2)
 
 
 class LinearSpline(AbstractBasis):
-    """Evaluates phi(r) = r, with a cone at each source (Duchon 1977).
+    """Evaluates phi(r) = r, a cone at each source (Duchon 1977); with a constant polynomial."""
 
-    It has no parameter, and needs a constant polynomial.
-    """
-
-    min_degree: ClassVar[int | None] = 0
-    scale_free: ClassVar[bool] = True
+    min_degree = 0
+    scale_free = True
 
     def __call__(self, r2):
         return root(r2)
 
 
 class CubicSpline(AbstractBasis):
-    """Evaluates phi(r) = r^3, the smoothest interpolation in 3-D (Duchon 1977).
+    """Evaluates phi(r) = r^3, the smoothest in 3-D (Duchon 1977); needs a linear polynomial."""
 
-    It has no parameter, and needs a linear polynomial.
-    """
-
-    min_degree: ClassVar[int | None] = 1
-    scale_free: ClassVar[bool] = True
+    min_degree = 1
+    scale_free = True
 
     def __call__(self, r2):
         return r2 * root(r2)
 
 
-class Gaussian(AbstractBasis):
-    """Evaluates phi(r) = exp(-r^2 / R^2).
+class AbstractScaledBasis(AbstractBasis):
+    """A function of (r / R)^2 on the whole space, of a `radius` R in the mesh's units.
 
-    **Arguments:**
-
-    - `radius`: R in the mesh's units. A wide function makes the matrix ill-conditioned.
-
-    **Raises:** `ValueError` for a radius that is not positive and finite.
+    A wide function makes the matrix ill-conditioned. The constructor raises `ValueError` for a
+    radius that is not positive and finite.
     """
 
-    radius: Float[Array, ""] = eqx.field(converter=length("radius"))
+    radius: Float[Array, ""] = eqx.field(converter=number("radius", 0))
+
+    def relative(self, r2):
+        return r2 * (1 / self.radius.astype(r2.dtype) ** 2)
+
+
+class Gaussian(AbstractScaledBasis):
+    """Evaluates phi(r) = exp(-r^2 / R^2), of a `radius` R; positive definite."""
 
     def __call__(self, r2):
-        return jnp.exp(r2 * (-1 / self.radius.astype(r2.dtype) ** 2))
+        return jnp.exp(-self.relative(r2))
 
 
-class Multiquadric(AbstractBasis):
-    """Evaluates phi(r) = sqrt(1 + r^2 / R^2) (Hardy 1971); needs a constant polynomial.
+class Multiquadric(AbstractScaledBasis):
+    """Evaluates phi(r) = sqrt(1 + r^2 / R^2), of a `radius` R; needs a constant polynomial."""
 
-    **Arguments:**
-
-    - `radius`: R in the mesh's units. A wide function makes the matrix ill-conditioned.
-
-    **Raises:** `ValueError` for a radius that is not positive and finite.
-    """
-
-    min_degree: ClassVar[int | None] = 0
-    radius: Float[Array, ""] = eqx.field(converter=length("radius"))
+    min_degree = 0
 
     def __call__(self, r2):
-        return jnp.sqrt(1 + r2 * (1 / self.radius.astype(r2.dtype) ** 2))
+        return jnp.sqrt(1 + self.relative(r2))
 
 
-class InverseMultiquadric(AbstractBasis):
-    """Evaluates phi(r) = 1 / sqrt(1 + r^2 / R^2); positive definite.
-
-    R is `radius`, a length in the mesh's units (de Boer, van der Schoot and Bijl 2007).
-    """
-
-    radius: Float[Array, ""] = eqx.field(converter=length("radius"))
+class InverseMultiquadric(AbstractScaledBasis):
+    """Evaluates phi(r) = 1 / sqrt(1 + r^2 / R^2), of a `radius` R; positive definite."""
 
     def __call__(self, r2):
-        return 1 / jnp.sqrt(1 + r2 * (1 / self.radius.astype(r2.dtype) ** 2))
+        return 1 / jnp.sqrt(1 + self.relative(r2))
 
 
-class InverseQuadratic(AbstractBasis):
-    """Evaluates phi(r) = 1 / (1 + r^2 / R^2); positive definite.
-
-    R is `radius`, a length in the mesh's units (de Boer, van der Schoot and Bijl 2007).
-    """
-
-    radius: Float[Array, ""] = eqx.field(converter=length("radius"))
+class InverseQuadratic(AbstractScaledBasis):
+    """Evaluates phi(r) = 1 / (1 + r^2 / R^2), of a `radius` R; positive definite."""
 
     def __call__(self, r2):
-        return 1 / (1 + r2 * (1 / self.radius.astype(r2.dtype) ** 2))
+        return 1 / (1 + self.relative(r2))
 
 
 class AbstractCompactBasis(AbstractBasis):
-    """A function of xi = r / R that is zero from xi = 1 on.
+    """A function of xi = r / R that is zero from xi = 1 on; positive definite in 2-D and 3-D.
 
-    It is given with its slope, so that both are right at a source.
-
-    The radius R is in the mesh's units. All are positive definite, in 2-D and 3-D: no polynomial is
-    needed.
+    It is given by `value`, phi(xi), and `slope`, phi'(xi) / (2 xi), for 0 < xi < 1: by a derivative
+    of phi alone, the slope would not be right at a source. R is `support_radius`.
     """
 
-    support_radius: Float[Array, ""] = eqx.field(converter=length("support_radius"))
+    support_radius: Float[Array, ""] = eqx.field(converter=number("support_radius", 0))
 
     @staticmethod
     @abc.abstractmethod
-    def value(xi: Float[Array, "..."]) -> Float[Array, "..."]:
-        """Computes phi(xi) for 0 < xi < 1."""
+    def value(xi: Float[Array, "..."]) -> Float[Array, "..."]: ...
 
     @staticmethod
     @abc.abstractmethod
-    def slope(xi: Float[Array, "..."]) -> Float[Array, "..."]:
-        """Computes phi'(xi) / (2 xi) for 0 < xi < 1."""
+    def slope(xi: Float[Array, "..."]) -> Float[Array, "..."]: ...
 
     def __call__(self, r2):
         return _compact(type(self), r2, self.support_radius.astype(r2.dtype))
@@ -186,29 +159,17 @@ def _compact_jvp(kind, primals, tangents):
 
 
 class WendlandC0(AbstractCompactBasis):
-    """Evaluates phi = (1 - xi)^2: continuous alone, with a cone at each source.
+    """Evaluates phi = (1 - xi)^2, with xi = r / `support_radius`: a cone at each source."""
 
-    xi is the distance over `support_radius`, a length in the mesh's units (Wendland 1995).
-    """
-
-    @staticmethod
-    def value(xi):
-        return (1 - xi) ** 2
-
-    @staticmethod
-    def slope(xi):
-        return -(1 - xi) / xi
+    value = staticmethod(lambda xi: (1 - xi) ** 2)
+    slope = staticmethod(lambda xi: -(1 - xi) / xi)
 
 
 class WendlandC2(AbstractCompactBasis):
     """Evaluates phi(r) = (1 - r/R)^4 (4 r/R + 1) for r < R, and 0 beyond (Wendland 1995).
 
-    **Arguments:**
-
-    - `support_radius`: R in the mesh's units. A larger radius gives a smoother motion, and a worse
-      condition.
-
-    **Raises:** `ValueError` for a radius that is not positive and finite.
+    R is `support_radius`, in the mesh's units. A larger radius gives a smoother motion, and a worse
+    condition. The constructor raises `ValueError` for a radius that is not positive and finite.
     """
 
     @staticmethod
@@ -216,106 +177,61 @@ class WendlandC2(AbstractCompactBasis):
         inner = 1 - xi
         return (inner * inner) * (inner * inner) * (4 * xi + 1)
 
-    @staticmethod
-    def slope(xi):
-        return -10 * (1 - xi) ** 3
+    slope = staticmethod(lambda xi: -10 * (1 - xi) ** 3)
 
 
 class WendlandC4(AbstractCompactBasis):
-    """Evaluates phi = (1 - xi)^6 (35/3 xi^2 + 6 xi + 1): four continuous derivatives.
+    """Evaluates phi = (1 - xi)^6 (35/3 xi^2 + 6 xi + 1), with xi = r / `support_radius`.
 
-    xi is the distance over `support_radius`, a length in the mesh's units (Wendland 1995).
+    It has four continuous derivatives (Wendland 1995).
     """
 
-    @staticmethod
-    def value(xi):
-        return (1 - xi) ** 6 * (35 / 3 * xi**2 + 6 * xi + 1)
-
-    @staticmethod
-    def slope(xi):
-        return -28 / 3 * (1 - xi) ** 5 * (5 * xi + 1)
+    value = staticmethod(lambda xi: (1 - xi) ** 6 * (35 / 3 * xi**2 + 6 * xi + 1))
+    slope = staticmethod(lambda xi: -28 / 3 * (1 - xi) ** 5 * (5 * xi + 1))
 
 
 class WendlandC6(AbstractCompactBasis):
-    """Evaluates phi = (1 - xi)^8 (32 xi^3 + 25 xi^2 + 8 xi + 1): six continuous derivatives.
+    """Evaluates phi = (1 - xi)^8 (32 xi^3 + 25 xi^2 + 8 xi + 1), with xi = r / `support_radius`.
 
-    xi is the distance over `support_radius`, a length in the mesh's units (Wendland 1995).
+    It has six continuous derivatives (Wendland 1995).
     """
 
-    @staticmethod
-    def value(xi):
-        return (1 - xi) ** 8 * (32 * xi**3 + 25 * xi**2 + 8 * xi + 1)
-
-    @staticmethod
-    def slope(xi):
-        return -11 * (1 - xi) ** 7 * (16 * xi**2 + 7 * xi + 1)
+    value = staticmethod(lambda xi: (1 - xi) ** 8 * (32 * xi**3 + 25 * xi**2 + 8 * xi + 1))
+    slope = staticmethod(lambda xi: -11 * (1 - xi) ** 7 * (16 * xi**2 + 7 * xi + 1))
 
 
 class CompactC0(AbstractCompactBasis):
-    """Evaluates phi = (1 - xi)^5, de Boer's CTPS C0: continuous alone.
+    """Evaluates phi = (1 - xi)^5, de Boer's CTPS C0, with xi = r / `support_radius` (Wu 1995)."""
 
-    xi is the distance over `support_radius`, a length in the mesh's units (Wu 1995; de Boer, van
-    der Schoot and Bijl 2007).
-    """
-
-    @staticmethod
-    def value(xi):
-        return (1 - xi) ** 5
-
-    @staticmethod
-    def slope(xi):
-        return -2.5 * (1 - xi) ** 4 / xi
+    value = staticmethod(lambda xi: (1 - xi) ** 5)
+    slope = staticmethod(lambda xi: -2.5 * (1 - xi) ** 4 / xi)
 
 
 class CompactC1(AbstractCompactBasis):
-    """Evaluates de Boer's CTPS C1.
+    """Evaluates de Boer's CTPS C1, with xi = r / `support_radius` (Wu 1995).
 
     phi = 1 + 80/3 xi^2 - 40 xi^3 + 15 xi^4 - 8/3 xi^5 + 20 xi^2 log xi.
-
-    xi is the distance over `support_radius`, a length in the mesh's units (Wu 1995; de Boer, van
-    der Schoot and Bijl 2007).
     """
 
-    @staticmethod
-    def value(xi):
-        return 1 + xi**2 * (80 / 3 - 40 * xi + 15 * xi**2 - 8 / 3 * xi**3 + 20 * jnp.log(xi))
-
-    @staticmethod
-    def slope(xi):
-        return 110 / 3 - 60 * xi + 30 * xi**2 - 20 / 3 * xi**3 + 20 * jnp.log(xi)
+    value = staticmethod(lambda xi: 1 + xi**2 * (80 / 3 - 40 * xi + 15 * xi**2 - 8 / 3 * xi**3 + 20 * jnp.log(xi)))
+    slope = staticmethod(lambda xi: 110 / 3 - 60 * xi + 30 * xi**2 - 20 / 3 * xi**3 + 20 * jnp.log(xi))
 
 
 class CompactC2a(AbstractCompactBasis):
-    """Evaluates de Boer's CTPS C2a.
+    """Evaluates de Boer's CTPS C2a, with xi = r / `support_radius` (Wu 1995).
 
     phi = 1 - 30 xi^2 - 10 xi^3 + 45 xi^4 - 6 xi^5 - 60 xi^3 log xi.
-
-    xi is the distance over `support_radius`, a length in the mesh's units (Wu 1995; de Boer, van
-    der Schoot and Bijl 2007).
     """
 
-    @staticmethod
-    def value(xi):
-        return 1 - xi**2 * (30 + 10 * xi - 45 * xi**2 + 6 * xi**3 + 60 * xi * jnp.log(xi))
-
-    @staticmethod
-    def slope(xi):
-        return -30 - 45 * xi + 90 * xi**2 - 15 * xi**3 - 90 * xi * jnp.log(xi)
+    value = staticmethod(lambda xi: 1 - xi**2 * (30 + 10 * xi - 45 * xi**2 + 6 * xi**3 + 60 * xi * jnp.log(xi)))
+    slope = staticmethod(lambda xi: -30 - 45 * xi + 90 * xi**2 - 15 * xi**3 - 90 * xi * jnp.log(xi))
 
 
 class CompactC2b(AbstractCompactBasis):
-    """Evaluates de Boer's CTPS C2b.
+    """Evaluates de Boer's CTPS C2b, with xi = r / `support_radius` (Wu 1995).
 
     phi = 1 - 20 xi^2 + 80 xi^3 - 45 xi^4 - 16 xi^5 + 60 xi^4 log xi.
-
-    xi is the distance over `support_radius`, a length in the mesh's units (Wu 1995; de Boer, van
-    der Schoot and Bijl 2007).
     """
 
-    @staticmethod
-    def value(xi):
-        return 1 - xi**2 * (20 - 80 * xi + 45 * xi**2 + 16 * xi**3 - 60 * xi**2 * jnp.log(xi))
-
-    @staticmethod
-    def slope(xi):
-        return -20 + 120 * xi - 60 * xi**2 - 40 * xi**3 + 120 * xi**2 * jnp.log(xi)
+    value = staticmethod(lambda xi: 1 - xi**2 * (20 - 80 * xi + 45 * xi**2 + 16 * xi**3 - 60 * xi**2 * jnp.log(xi)))
+    slope = staticmethod(lambda xi: -20 + 120 * xi - 60 * xi**2 - 40 * xi**3 + 120 * xi**2 * jnp.log(xi))

@@ -7,18 +7,17 @@ import numpy as np
 from jax import dtypes
 from jaxtyping import Array, Bool, Float, Int
 
-from ..._host.package.errors import warn
 from ..._host.package.rounding import Tree, roundoff
 from ..._host.sources.hierarchy import overlaps, padded
 from ..._host.sources.reduction import drop_close
 from ..._kernels.compile import compiled
 from ..._kernels.values import as_jax
 from ..base import AbstractPlacing, Control, length_or_none
-from ..cells.cells import NodeFactors, solved_on_host, symmetric_product
+from ..cells.cells import NodeFactors
 from ..sparse import SLACK, InterpolatedField, Reach, Searched, squared_distance
 from ..surface import Surface
 from .basis import WendlandC2
-from .conditioning import USELESS, is_noticeable, warn_of_close
+from .expansion import is_sound, warn_of_close
 
 NEIGHBOURS = 200
 """Nodes that the automatic radius reaches from half of the moving nodes."""
@@ -46,41 +45,45 @@ class CompactIds(eqx.Module):
 
     @property
     def has_function(self) -> Bool[Array, " b"]:
-        """Marks the rows that own a basis function."""
         return self.stands == jnp.arange(len(self.stands))
+
+    def at_functions(self, u: Float[Array, "b d"]) -> Float[Array, "b d"]:
+        """Computes each function's displacement, the mean of rows that speak there; 0 elsewhere."""
+        count = jax.ops.segment_sum(self.speaks.astype(u.dtype), self.stands, len(u))
+        total = jax.ops.segment_sum(jnp.where(self.speaks[:, None], u, 0), self.stands, len(u))
+        return jnp.where(self.has_function[:, None], total / jnp.maximum(count, 1)[:, None], 0)
 
 
 class CompactFactors(eqx.Module):
-    """The radius, the matrix, and marks of rows with functions (b,).
-
-    `is_certain` is True where all nodes within the radius were surely found.
-    """
+    """The radius, the matrix, rows with functions, and whether all neighbours were surely found."""
 
     radius: Float[Array, ""]
     matrix: NodeFactors
     has_function: Bool[Array, " b"]
     is_certain: Bool[Array, ""]
 
-    def near(self, x: Float[Array, " d"], surface: Float[Array, "b d"]) -> Bool[Array, " b"]:
-        """Marks the functions that reach a point; at the very end of the reach they do not."""
-        return self.has_function & (squared_distance(x[None], surface) < INSIDE * self.radius**2)
+    def reaches(self, x: Float[Array, "*k d"], y: Float[Array, "*m d"]) -> Bool[Array, "*n"]:
+        """Checks whether a function at y reaches x; at the very end of the reach it does not."""
+        return squared_distance(x, y) < INSIDE * self.radius**2
+
+    def count(self, x: Float[Array, " d"], surface: Float[Array, "b d"]) -> Int[Array, ""]:
+        """Counts the functions that reach a point."""
+        return (self.has_function & self.reaches(x[None], surface)).sum()
 
 
 class CompactRBF(AbstractPlacing):
-    """Interpolates with a Wendland C2 function at every surface node: a sparse system.
+    """Interpolates with a Wendland C2 function of one radius at every surface node.
 
-    All functions have one radius.
+    The system is sparse. The field is exact at the nodes, and zero beyond the radius from all
+    nodes. It has no polynomial, so alone it does not even reproduce a translation. It may be a
+    correction too. Cells fold where the motion is a good part of the radius, so take a radius of
+    several times the largest displacement. Memory is that of the pairs of nodes within the radius.
 
-    The field is exact at the nodes, and zero beyond the radius from all nodes. It has no
-    polynomial, so alone it does not even reproduce a translation. It may be a correction too. Cells
-    fold where the motion is a good part of the radius, so take a radius of several times the
-    largest displacement. Memory is that of the pairs of nodes within the radius.
-
-    Nodes at one place have one function. One place is a distance of 1.5e-8 (3.5e-4 in float32)
-    times the radius or the extent of the surface, whichever is less. In the matrix such nodes are
-    equal. The function takes the mean of their displacements, of moving nodes alone where fixed
-    nodes are among them. Each node still goes where `u` sends it. The field is one-valued, so it
-    does not follow the two sides of a crack that opens. `LinearElasticity`, which sees cells, does.
+    Nodes at one place have one function: within 1.5e-8 (3.5e-4 in float32) times the radius or the
+    extent of the surface, whichever is less, they are equal in the matrix. The function takes the
+    mean of their displacements, of moving nodes alone where fixed nodes are among them. Each node
+    still goes where `u` sends it. The field is one-valued, so it does not follow the two sides of a
+    crack that opens. `LinearElasticity`, which sees cells, does.
 
     **Arguments:**
 
@@ -107,10 +110,11 @@ class CompactRBF(AbstractPlacing):
             radius = float(self.radius)
         # there 1 - phi is a few units of rounding
         indistinct = float(np.sqrt(np.finfo(dtype).eps)) * min(radius, float(np.ptp(nodes, axis=0).max()))
-        stands = _standing(nodes, max(roundoff(surface.points), indistinct))
+        owners = drop_close(nodes, np.arange(len(nodes)), max(roundoff(surface.points), indistinct))
+        stands = owners[np.asarray(Tree(nodes[owners]).query(nodes)[1])]
         moves = np.arange(len(nodes)) < surface.moving
         speaks = moves | (np.bincount(stands, moves, minlength=len(nodes)) == 0)[stands]
-        owners, distance = np.unique(stands), (1 + SLACK) * radius
+        distance = (1 + SLACK) * radius
         pairs = np.asarray(Tree(nodes[owners]).query_pairs(distance, output_type="ndarray"), np.int32).reshape(-1, 2)
         near = overlaps(nodes, owners, np.full(len(nodes), distance), points.astype(float))
         reach = Reach(*as_jax(padded(*near, len(points))))
@@ -131,12 +135,11 @@ class CompactRBF(AbstractPlacing):
         factors = CompactFactors(radius, matrix, ids.has_function, is_certain)
 
         def is_lost():
-            count = jax.lax.map(lambda row: factors.near(surface[row], surface).sum() * factors.has_function[row], rows)
-            listed = squared_distance(surface[i], surface[j]) < INSIDE * radius**2
-            return count.sum() > 2 * listed.sum() + factors.has_function.sum()
+            count = jax.lax.map(lambda x: factors.count(x, surface), surface)
+            listed = factors.reaches(surface[i], surface[j]).sum()
+            return jnp.sum(count * ids.has_function) > 2 * listed + ids.has_function.sum()
 
-        rows = jnp.arange(len(surface))
-        lost = jax.lax.cond(jax.lax.stop_gradient(is_certain), lambda: jnp.array(False), is_lost)
+        lost = jax.lax.cond(is_certain, lambda: jnp.array(False), is_lost)
         return eqx.tree_at(lambda factors: factors.matrix.values, factors, jnp.where(lost, jnp.nan, values))
 
     def carry(self, ids, factors, surface, points):
@@ -144,57 +147,33 @@ class CompactRBF(AbstractPlacing):
 
     def place(self, x, ids: Reach, factors: CompactFactors, surface):
         def is_lost():
-            listed = squared_distance(x[None], surface[ids.nodes]) < INSIDE * factors.radius**2
-            return factors.near(x, surface).sum() > (listed & ids.reached).sum()
+            listed = factors.reaches(x[None], surface[ids.nodes])
+            return factors.count(x, surface) > (listed & ids.reached).sum()
 
         lost = jax.lax.cond(factors.is_certain, lambda: jnp.array(False), is_lost)
         weights = WendlandC2(factors.radius)(jnp.sum((surface[ids.nodes] - x[None]) ** 2, axis=1))
-        return ids.weighted(jnp.where(lost, jnp.nan, weights))
+        return ids.weighted(weights, lost)
 
     def field(self, ids: CompactIds, factors: CompactFactors, surface, u):
-        right = jnp.where(ids.has_function[:, None], _at_places(ids, u), 0)
         free = jnp.broadcast_to(ids.has_function[:, None], u.shape)
-        product = _product(ids, factors)
-        return InterpolatedField(
-            self, factors, surface, solved_on_host(product, ids.pairs, factors.matrix, free, right)
-        )
+        return InterpolatedField(factors.matrix.solve(ids.pairs, free, ids.at_functions(u)))
 
     def check(self, ids: CompactIds, factors: CompactFactors, u):
         error, dtype = float(_missed(self, ids, factors, u)), factors.matrix.values.dtype
         nodes = np.asarray(ids.searched.surface, dtype=float)[np.asarray(ids.has_function)]
-        if is_noticeable(error, dtype):
-            fault = f"ill-conditioned: rounding changes the displacements by {error:.1g} of their size"
-            message = (
-                f"the matrix of CompactRBF, of {len(nodes)} nodes and radius {float(factors.radius):.3g}, is "
-                f"{fault if np.isfinite(error) else 'not positive, or no solve converged'}. Try a smaller radius."
-            )
-            if not error <= USELESS:
-                raise ValueError(message)
-            warn(message)
+        matrix = f"the matrix of CompactRBF, of {len(nodes)} nodes and radius {float(factors.radius):.3g}"
+        is_sound(
+            error,
+            dtype,
+            lambda fault: f"{matrix}, is {fault}. Try a smaller radius.",
+            "not positive, or no solve converged",
+        )
         warn_of_close(nodes, float(factors.radius), "CompactRBF")
-
-
-def _standing(nodes: Float[np.ndarray, "b d"], closest: float) -> Int[np.ndarray, " b"]:
-    """Finds the row that has the function for each row: the first within a distance."""
-    owners = drop_close(nodes, np.arange(len(nodes)), closest)
-    return owners[np.asarray(Tree(nodes[owners]).query(nodes)[1])]
-
-
-def _at_places(ids: CompactIds, u: Float[Array, "b d"]) -> Float[Array, "b d"]:
-    """Computes the mean displacement of the rows that speak at each row's place."""
-    count = jax.ops.segment_sum(ids.speaks.astype(u.dtype), ids.stands, len(u))
-    total = jax.ops.segment_sum(jnp.where(ids.speaks[:, None], u, 0), ids.stands, len(u))
-    return total / jnp.maximum(count, 1)[:, None]
-
-
-def _product(ids: CompactIds, factors: CompactFactors):
-    matrix = factors.matrix
-    return lambda x: symmetric_product(ids.pairs, matrix.values, matrix.diagonal, x)
 
 
 @compiled
 def _missed(method: CompactRBF, ids: CompactIds, factors: CompactFactors, u: Float[Array, "b d"]) -> Float[Array, ""]:
     """Computes what the field misses of displacements at its nodes, relative to their size."""
-    reached = _product(ids, factors)(method.field(ids, factors, u, u).u)
-    missed = jnp.where(ids.has_function[:, None], _at_places(ids, u) - reached, 0)
+    reached = factors.matrix.times(ids.pairs, method.field(ids, factors, u, u).u)
+    missed = jnp.where(ids.has_function[:, None], ids.at_functions(u) - reached, 0)
     return jnp.abs(missed).max() / jnp.abs(u).max()

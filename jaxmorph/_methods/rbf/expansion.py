@@ -1,16 +1,23 @@
 """The expansion of a field in radial functions and a polynomial (eqs. 1, 3 and 4)."""
 
+from collections.abc import Callable
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.lax.linalg import triangular_solve
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
+from ..._host.package.errors import place_of, warn
+from ..._host.package.rounding import Tree
+from ..._host.surface.neighbours import nearly_coincident
+from ..._kernels.compile import compiled
 from ..._kernels.module import Module
 from ..base import AbstractField
 from ..blocks import map_rows
 from .basis import AbstractBasis
-from .iterations import Cardinals, ConjugateGradients, precondition
+from .iterations import Cardinals, ConjugateGradients, precondition, times
 from .system import (
     Radial,
     block_size,
@@ -38,13 +45,18 @@ class RBFFactors(eqx.Module):
     order: Int[Array, " t"]
     cardinals: Cardinals | None = None
 
+    @property
+    def places(self) -> Float[Array, "s d"]:
+        """The sources in the mesh's coordinates."""
+        return self.sources / self.scale + self.centre[None]
+
     def solve(self, values: Float[Array, "t k"]) -> Float[Array, "t k"]:
         half = triangular_solve(self.lu, values[self.order], left_side=True, lower=True, unit_diagonal=True)
         return triangular_solve(self.lu, half, left_side=True, lower=False)
 
 
 class RBFField(AbstractField):
-    """Evaluates eq. (4) at one point."""
+    """Evaluates eq. (4)."""
 
     basis: AbstractBasis
     degree: int | None = eqx.field(static=True)
@@ -55,10 +67,7 @@ class RBFField(AbstractField):
     alpha: Float[Array, "k p"]
 
     def __call__(self, x, ids):
-        x = (x - self.centre) * self.scale
-        phi = self._phi(squared_distances(self.sources, x[None])[:, 0])
-        terms = polynomial(x[None], self.degree)[0]
-        return jnp.matmul(self.beta, phi, precision="highest") + jnp.matmul(self.alpha, terms, precision="highest")
+        return self.evaluate(x[None], ids)[0]
 
     @property
     def block_size(self) -> int | None:
@@ -104,10 +113,7 @@ class Expansion(Module):
         return kernel + self.at_sources * jnp.eye(len(kernel), dtype=kernel.dtype) if self.ridge else kernel
 
     def factored(self, sources, scale):
-        """Factors the dense system of some sources.
-
-        It returns the factors, and the rows in the order of the pivots.
-        """
+        """Factors the dense system of some sources; returns also the rows in the pivots' order."""
         tail = polynomial(sources, self.degree)
         # One reduction, not a sum of d terms: XLA's CPU backend (jaxlib 0.10.2) merges d terms
         # wrongly with the transposition that LAPACK asks for, and the jitted gradient with respect
@@ -138,8 +144,7 @@ class Expansion(Module):
 
         def product(x):
             beta, alpha = x[:count], x[count:]
-            top = self._times_kernel(factors, beta) + jnp.matmul(tail, alpha, precision="highest")
-            return jnp.concatenate([top, jnp.matmul(tail.T, beta, precision="highest")])
+            return jnp.concatenate([self._times_kernel(factors, beta) + times(tail, alpha), times(tail.T, beta)])
 
         constant, constant_factors = jax.lax.stop_gradient((self, factors))
         iterations = constant.iterations(constant_factors)
@@ -148,11 +153,9 @@ class Expansion(Module):
     def iterations(self, factors: RBFFactors) -> ConjugateGradients:
         cardinals = factors.cardinals
         assert cardinals is not None
-        first = len(factors.sources) - len(cardinals.earlier)
 
         def inverse_of_first(values):
-            padded = jnp.pad(values, ((0, len(factors.lu) - first), (0, 0)))
-            return factors.solve(padded)[:first]
+            return factors.solve(jnp.pad(values, ((0, len(factors.lu) - len(values)), (0, 0))))[: len(values)]
 
         return ConjugateGradients(
             lambda beta: self._times_kernel_quickly(factors, beta),
@@ -169,20 +172,92 @@ class Expansion(Module):
             return kernel_sum(phi, sources, beta.T, in_rows(points, jnp.ones((), points.dtype))).T
 
         if is_fused(phi, sources.dtype):
-            product = fused(phi, sources, beta, sources)
-        else:
-            product = map_rows(jax.checkpoint(of_block), sources, block_size(len(sources)))
-        return product + self.at_sources * beta if self.ridge else product
+            return self._with_ridge(fused(phi, sources, beta, sources), beta)
+        return self._with_ridge(map_rows(jax.checkpoint(of_block), sources, block_size(len(sources))), beta)
 
     def _times_kernel_quickly(self, factors: RBFFactors, beta: Float[Array, "s k"]) -> Float[Array, "s k"]:
-        """Multiplies by the kernel's matrix in half the time on a CPU.
-
-        It evaluates each function of two sources once.
-        """
+        """Multiplies by the kernel's matrix, on a CPU by half of its entries."""
 
         def of_pairs(factors, beta):
-            phi = Radial(self.basis, factors.scale)
-            product = symmetric_kernel_sum(phi, factors.sources, beta.T).T
-            return product + self.at_sources * beta if self.ridge else product
+            product = symmetric_kernel_sum(Radial(self.basis, factors.scale), factors.sources, beta.T).T
+            return self._with_ridge(product, beta)
 
         return jax.lax.platform_dependent(factors, beta, cpu=of_pairs, default=self._times_kernel)
+
+    def _with_ridge(self, product, beta):
+        return product + self.at_sources * beta if self.ridge else product
+
+
+USELESS, NOTICEABLE, NOTICEABLE_SINGLE = 3e-2, 1e-6, 1e-3
+"""Relative changes of displacements by rounding: an error, a warning, one in float32."""
+
+NEAR = 1e-3
+"""Distance of two sources, relative to the distance of sources around, that is worth a warning."""
+
+
+def is_sound(error: float, dtype, message: Callable[[str], str], otherwise: str) -> bool:
+    """Raises or warns where rounding changes displacements by an `error` relative to their size.
+
+    `message` is that of a fault; `otherwise` is the fault of an error that is not finite.
+    """
+    if error <= (NOTICEABLE if jnp.finfo(dtype).bits == 64 else NOTICEABLE_SINGLE):
+        return True
+    fault = f"ill-conditioned: rounding changes the displacements by {error:.1g} of their size"
+    text = message(fault if np.isfinite(error) else otherwise)
+    if not error <= USELESS:  # NaN too
+        raise ValueError(text)
+    warn(text)
+    return False
+
+
+@compiled
+def rounding(expansion: Expansion, factors: RBFFactors, values: Float[Array, "s k"]) -> Float[Array, ""]:
+    """Measures how much rounding changes the interpolation, at the sources and between them.
+
+    It takes one step of iterative refinement: the field of what the first field misses at the
+    sources. It is infinite for a system without a solution.
+    """
+    sources, count = factors.sources, len(values)
+
+    def weights(values):
+        return factors.solve(jnp.pad(values, ((0, len(factors.lu) - count), (0, 0))))
+
+    def field(weights, points):
+        def of_block(part):
+            return times(expansion.rows(sources, factors.scale, part), weights)
+
+        return map_rows(of_block, points, 1024)
+
+    first = weights(values)
+    missed = values - field(first, sources) - expansion.at_sources * first[:count]
+    between = [(sources + jnp.roll(sources, shift, axis=0)) / 2 for shift in (1, 1 + count // 2)]
+    moved = field(weights(missed), jnp.concatenate([sources, *between]))
+    change = jnp.abs(jnp.concatenate([missed, moved])).max()
+    return jnp.where(jnp.diagonal(factors.lu).all(), change, jnp.inf)
+
+
+@compiled
+def is_solved(expansion: Expansion, factors: RBFFactors, values: Float[Array, "s k"]) -> Bool[Array, ""]:
+    """Checks whether the iterations converge for the values."""
+    return jnp.isfinite(expansion.field(factors, values, values.dtype).beta).all()
+
+
+def nearest_two(sources: np.ndarray) -> str:
+    """Describes the two sources that are nearest to each other, as the end of a sentence."""
+    if len(sources) < 2:
+        return ""
+    distance, nearest = map(np.asarray, Tree(sources).query(sources, k=2))
+    first = distance[:, 1].argmin()
+    pair = " and ".join(str(tuple(float(f"{x:.6g}") for x in sources[i])) for i in (first, nearest[first, 1]))
+    return f"; the nearest two sources, {pair}, are {distance[first, 1]:.3g} apart"
+
+
+def warn_of_close(nodes: Float[np.ndarray, "s d"], radius: float, method: str) -> None:
+    first, second = nearly_coincident(nodes, radius, NEAR)
+    if len(first):
+        distance = np.linalg.norm(nodes[first[0]] - nodes[second[0]])
+        warn(
+            f"{len(first)} surface nodes nearly coincide with others, the nearest two {distance:.3g} apart near "
+            f"({place_of(nodes[first[0]])}). Where such nodes move differently, {method} moves nodes around them by "
+            f"{1 / NEAR:.0f} times the difference, or more. Merge them, or check the motion by jm.inspect.",
+        )

@@ -17,32 +17,16 @@ ROUNDS = 3
 """Solves for what rounding leaves of the residual."""
 
 STALLED = 0.5
-"""Share of the residual that another solve must take away.
-
-Where less goes, the rest is rounding of the product itself.
-"""
-
-TRIAL, PROMISING = 6, 1e-2
-"""Products after which `prepare` judges the convergence.
-
-It judges earlier at an error of `PROMISING`, relative to the start.
-"""
+"""Share of the residual that another solve must take away: the rest is the product's rounding."""
 
 MISSED, NOTICEABLE = 1e3, 1e-3
-"""Tolerances, and share of the displacement, by which a field may miss its sources.
-
-A field that misses them by more is NaN.
-"""
+"""Tolerances, and share of the displacement, by which a field misses its sources that is NaN."""
 
 ROUNDINGS = 100
 """Units of rounding below which no tolerance goes: what single precision can reach."""
 
-
 GIVE = 1e-10
-"""Corner of a small system, relative to its kernel.
-
-It leaves a polynomial undetermined where neighbours lie in one plane.
-"""
+"""Corner of a small system, relative to its kernel, for neighbours that lie in one plane."""
 
 Product = Callable[[Float[Array, "s k"]], Float[Array, "s k"]]
 
@@ -68,10 +52,7 @@ class Cardinals(eqx.Module):
 def local_weights(
     phi: Callable, sources: Float[Array, "s d"], earlier: Int[Array, "r q"], degree: int | None, sign: int
 ) -> Float[Array, "r q"]:
-    """Computes the coefficients of the functions. Traced.
-
-    `sign` is that of `phi` as a definite function.
-    """
+    """Computes the functions' coefficients; `sign` is that of `phi` as a definite function."""
     count = earlier.shape[1]
 
     def of_one(ids):
@@ -96,10 +77,7 @@ def local_weights(
 
 
 def precondition(rows: Cardinals, solve_first: Callable, residual: Float[Array, "s k"]) -> Float[Array, "s k"]:
-    """Applies the approximate inverse.
-
-    It is sum_l w_l (w_l . r) / w_ll, and the inverse of the dense part for the first sources.
-    """
+    """Applies sum_l w_l (w_l . r) / w_ll, and the dense inverse for the first sources."""
     first = len(residual) - len(rows.earlier)
     columns = rows.earlier.T, rows.weights.T
 
@@ -138,21 +116,16 @@ class ConjugateGradients:
     tolerance: Float[Array, ""]
 
     def coefficients(self, values: Float[Array, "s k"]) -> Float[Array, "p k"]:
-        return self._moments(_times(self.tail.T, values))
+        return self._moments(times(self.tail.T, values))
 
     def _moments(self, moments):
         if not self.tail.shape[1]:
             return moments
-        lower = jnp.linalg.cholesky(_times(self.tail.T, self.tail))
+        lower = jnp.linalg.cholesky(times(self.tail.T, self.tail))
         return jax.scipy.linalg.cho_solve((lower, True), moments)
 
     def without_polynomial(self, values: Float[Array, "s k"]) -> Float[Array, "s k"]:
-        return values - _times(self.tail, self.coefficients(values))
-
-    def begin(self, residual: Float[Array, "s k"], energy: Float[Array, " k"]) -> Progress:
-        direction = self.without_polynomial(self.inverse(residual))
-        left = jnp.sum(residual * direction, axis=0)
-        return Progress(jnp.zeros_like(residual), residual, direction, left, energy, jnp.zeros((), int))
+        return values - times(self.tail, self.coefficients(values))
 
     def step(self, now: Progress) -> Progress:
         product = self.product(now.direction)
@@ -169,25 +142,22 @@ class ConjugateGradients:
         beyond = jnp.abs(now.left) > self.tolerance**2 * jnp.abs(now.energy)
         return (jnp.abs(now.residual).max() > self.tolerance * size) | beyond.any()
 
-    def improve(
-        self, residual: Float[Array, "s k"], size: Float[Array, ""], most: int, energy: Float[Array, " k"] | None = None
-    ) -> Progress:
-        """Takes at most `most` steps from zero.
-
-        `energy` is that of the solutions so far, to which the error is relative.
-        """
-        energy = jnp.zeros_like(residual[0]) if energy is None else energy
+    def improve(self, residual: Float[Array, "s k"], size: Float[Array, ""], energy: Float[Array, " k"]) -> Progress:
+        """Takes steps from zero; the error is relative to the `energy` so far."""
 
         def is_unfinished(now):
-            return (now.count < most) & ((now.count == 0) | self.is_far(now, size))
+            return (now.count < LIMIT) & ((now.count == 0) | self.is_far(now, size))
 
-        return jax.lax.while_loop(is_unfinished, self.step, self.begin(residual, energy))
+        direction = self.without_polynomial(self.inverse(residual))
+        left = jnp.sum(residual * direction, axis=0)
+        start = Progress(jnp.zeros_like(residual), residual, direction, left, energy, jnp.zeros((), int))
+        return jax.lax.while_loop(is_unfinished, self.step, start)
 
     def solve(self, right: Float[Array, "t k"]) -> Float[Array, "t k"]:
         """Solves for the weights of functions and polynomial; NaN where it does not converge."""
         count = len(self.tail)
         values, moments = right[:count], right[count:]
-        beta = _times(self.tail, self._moments(moments))
+        beta = times(self.tail, self._moments(moments))
         rest = jax.lax.cond((moments != 0).any(), lambda: values - self.product(beta), lambda: values)
         size = jnp.abs(rest).max()
 
@@ -201,29 +171,20 @@ class ConjugateGradients:
 
         def once_more(state):
             beta, rest, energy, rounds, _ = state
-            more = self.improve(self.without_polynomial(rest), size, LIMIT, energy)
+            more = self.improve(self.without_polynomial(rest), size, energy)
             beta = beta + more.beta
             return beta, values - self.product(beta), more.energy, rounds + 1, missed(rest)
 
         start = beta, rest, jnp.zeros_like(beta[0]), 0, jnp.full_like(size, jnp.inf)
         beta, rest, *_ = jax.lax.while_loop(is_unfinished, once_more, start)
         solved = jnp.concatenate([beta, self.coefficients(rest)])
-        return jnp.where(missed(rest) <= self.allowed * size, solved, jnp.nan)
-
-    @property
-    def allowed(self) -> Float[Array, ""]:
-        """Share of the displacement by which a field may miss its sources without being NaN."""
-        return jnp.minimum(MISSED * self.tolerance, jnp.maximum(self.tolerance, NOTICEABLE))
-
-    def rounding(self, now: Progress, residual: Float[Array, "s k"]) -> Float[Array, ""]:
-        """Measures by another product what rounding has made of the residual."""
-        again = self.without_polynomial(residual - self.product(now.beta))
-        return jnp.abs(again - now.residual).max()
+        allowed = jnp.minimum(MISSED * self.tolerance, jnp.maximum(self.tolerance, NOTICEABLE))
+        return jnp.where(missed(rest) <= allowed * size, solved, jnp.nan)
 
 
 def _ratio(a, b):
     return jnp.where(b == 0, 0, a / jnp.where(b == 0, 1, b))
 
 
-def _times(a: Float[Array, "m k"], b: Float[Array, "k n"]) -> Float[Array, "m n"]:
+def times(a: Float[Array, "m k"], b: Float[Array, "k *n"]) -> Float[Array, "m *n"]:
     return jnp.matmul(a, b, precision="highest")

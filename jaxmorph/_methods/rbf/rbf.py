@@ -6,6 +6,7 @@ reduced its sources.
 """
 
 import dataclasses
+import functools
 from typing import Any
 
 import equinox as eqx
@@ -20,43 +21,36 @@ from ..._host.package.rounding import roundoff
 from ..._host.sources.farthest import Graded, far_to_near
 from ..._host.sources.reduction import AbstractReduction, AllPoints, KDTree, drop_close
 from ..._kernels.module import Module
-from ..._kernels.values import largest
+from ..._kernels.values import as_jax, largest
 from ..base import AbstractMethod, Control, check_kind, number
 from ..surface import Surface
 from .basis import AbstractBasis, ThinPlateSpline
-from .conditioning import USELESS, fault_of_iterations, is_noticeable, nearest_two, rounding, warn_of_close_sources
-from .expansion import Expansion, RBFFactors
+from .expansion import Expansion, RBFFactors, is_solved, is_sound, nearest_two, rounding, warn_of_close
 from .iterations import ROUNDINGS, Cardinals, OrderedIds, local_weights
 
 MANY = 8192
 """Sources beyond which the system is solved by iterations."""
 
-
 DENSE, SHARE = (1000, 6000), 6
-"""Least and greatest number of sources that are solved densely by default.
-
-Between them it is one source of every `SHARE`.
-"""
+"""Least and greatest number of sources solved densely by default; between, one of every `SHARE`."""
 
 
 class Direct(Module):
-    """Factors the dense system once per plan.
+    """Factors the dense system once per plan: 8 s^2 bytes for s sources, and a time with s^3.
 
-    It takes 8 s^2 bytes and a time proportional to s^3 for s sources: 0.5 GB for 8,000. Each
-    displacement then costs little.
+    That is 0.5 GB for 8,000. Each displacement then costs little.
     """
 
 
 class Iterative(Module):
     """Solves by conjugate gradients without the matrix.
 
-    For s sources the memory grows with s, the time with s^2.
-
-    A displacement takes 10 to 20 products with the kernel, and so does a gradient. The
-    preconditioner is a sparse factor of the inverse (Faul, Goodsell and Powell, IMA Journal of
-    Numerical Analysis 25, 2005). Sources are ordered from far apart to close (Schaefer, Katzfuss
-    and Owhadi, SIAM Journal on Scientific Computing 43, 2021). A source carries the function that
-    is 1 at its place and 0 at the nearest sources before it. The first sources are solved densely.
+    For s sources the memory grows with s, the time with s^2. A displacement takes 10 to 20 products
+    with the kernel, and so does a gradient. The preconditioner is a sparse factor of the inverse
+    (Faul, Goodsell and Powell, IMA Journal of Numerical Analysis 25, 2005). Sources are ordered
+    from far apart to close (Schaefer, Katzfuss and Owhadi, SIAM Journal on Scientific Computing 43,
+    2021). A source carries the function that is 1 at its place and 0 at the nearest sources before
+    it. The first sources are solved densely.
 
     The system is symmetric, so its solve serves derivatives too. `prepare` finds sources and
     neighbours, and `refit` does not change them. Where no solve converges, `prepare` raises. A
@@ -103,7 +97,7 @@ class RBF(AbstractMethod):
 
     **Arguments:**
 
-    - `basis`: the function phi. Default `ThinPlateSpline()`, which has no parameter.
+    - `basis`: the function phi. Default `ThinPlateSpline()`.
     - `reduction`, `fixed_reduction`: choose the sources among the moving and among the fixed nodes.
       Defaults `KDTree(64)` and `Graded()`. More sources follow the surface more closely, and cost
       more.
@@ -120,12 +114,9 @@ class RBF(AbstractMethod):
     displacements by more than 1 %, because the radius is wide or sources nearly coincide. It warns
     from 1e-6 on (1e-3 without x64).
 
-    The system (eq. 3) is solved in float64 if JAX's x64 mode is on. The effect of rounding on the
-    dense solve is measured. A smooth motion is interpolated, and so is what the result misses at
-    the sources. The largest value of this second field, at the sources and between them, is the
-    error. A condition number would not do, and scaling the mesh changes it. Its reciprocal is 1e-15
-    for a sound Wendland C2 function of the size of an airfoil's mesh (error 3e-7), and also for a
-    useless Gaussian (error 0.1).
+    The system (eq. 3) is solved in float64 if JAX's x64 mode is on. The effect of rounding is the
+    largest value, at the sources and between them, of the field that interpolates what the first
+    solve of a smooth motion misses.
     """
 
     basis: AbstractBasis = eqx.field(default_factory=ThinPlateSpline)
@@ -136,27 +127,24 @@ class RBF(AbstractMethod):
     solver: Direct | Iterative | None = None
 
     def __check_init__(self):
-        if not (self.solver is None or isinstance(self.solver, Direct | Iterative)):
+        if not isinstance(self.solver, Direct | Iterative | None):
             raise ValueError(f"`solver` must be jm.Direct() or jm.Iterative(), not {shown(self.solver)}.")
         check_kind(self.basis, AbstractBasis, "basis", "jm.ThinPlateSpline()")
         check_kind(self.reduction, AbstractReduction, "reduction", "jm.KDTree(64)")
         check_kind(self.fixed_reduction, AbstractReduction, "fixed_reduction", "jm.KDTree(16)")
-        if not (self.degree is None or (type(self.degree) is int and self.degree in (0, 1))):
+        if self.degree is not None and (type(self.degree) is not int or self.degree not in (0, 1)):
             raise ValueError(f"`degree` of the polynomial is None, 0 or 1, not {self.degree!r}.")
         between("ridge", self.ridge, 0, ends="[)")
         if self._below_min_degree:
-            warn(
-                f"{type(self.basis).__name__} without a polynomial of degree {self.basis.min_degree} may give a singular system.",
-            )
+            needed = f"a polynomial of degree {self.basis.min_degree}"
+            warn(f"{type(self.basis).__name__} without {needed} may give a singular system.")
 
     @classmethod
     @checked
     def classic(cls, basis: AbstractBasis | None = None, *, degree: int | None = 1) -> "RBF":
         """Returns the classic method: every surface node is a source (de Boer et al. 2007).
 
-        The surface is then exact.
-
-        It takes one dense solve of as many unknowns as there are surface nodes.
+        The surface is exact, by one dense solve of as many unknowns as it has nodes.
 
         **Arguments:**
 
@@ -169,8 +157,8 @@ class RBF(AbstractMethod):
 
     @property
     def _below_min_degree(self) -> bool:
-        order = {None: -1, 0: 0, 1: 1}
-        return order[self.degree] < order[self.basis.min_degree]
+        lowest = self.basis.min_degree
+        return lowest is not None and (self.degree is None or self.degree < lowest)
 
     @property
     def exact(self) -> bool:
@@ -187,13 +175,18 @@ class RBF(AbstractMethod):
         return OrderedIds(jnp.asarray(sources[order]), jnp.asarray(earlier)), None
 
     def chosen(self, surface: Surface) -> np.ndarray:
-        """Chooses the surface's rows that are sources, on the host.
-
-        It raises `ValueError` if they do not determine the polynomial.
-        """
+        """Chooses sources on the host; raises `ValueError` if they determine no polynomial."""
         sources = surface.reduced(self.reduction, self.fixed_reduction)
         sources = drop_close(surface.points, sources, roundoff(surface.points))
-        self._check_spread(surface.points[sources])
+        if len(sources) == 0:
+            raise ValueError("there are no sources: `moving` is empty.")
+        places, dimension = surface.points[sources], surface.points.shape[1]
+        spread = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
+        if self.degree == 1 and (len(sources) <= dimension or spread[-1] <= 1e-10 * spread[0]):
+            raise ValueError(
+                f"the {len(sources)} sources do not span {dimension} dimensions, so a linear polynomial is not determined. "
+                "Add fixed nodes (far field), more leaves, or use RBF(degree=0) with a basis that allows it."
+            )
         return sources.astype(np.int32)
 
     def iterative(self, count: int) -> Iterative | None:
@@ -201,21 +194,6 @@ class RBF(AbstractMethod):
         if self.solver is None:
             return Iterative() if count > MANY else None
         return self.solver if isinstance(self.solver, Iterative) else None
-
-    def _check_spread(self, sources: np.ndarray) -> None:
-        if len(sources) == 0:
-            raise ValueError("there are no sources: `moving` is empty.")
-        if self.degree != 1:
-            return
-        dimension = sources.shape[1]
-        spread = (
-            np.linalg.svd(sources - sources.mean(axis=0), compute_uv=False) if len(sources) > dimension else np.zeros(1)
-        )
-        if len(sources) <= dimension or spread[-1] <= 1e-10 * spread[0]:
-            raise ValueError(
-                f"the {len(sources)} sources do not span {dimension} dimensions, so a linear polynomial is not determined. "
-                "Add fixed nodes (far field), more leaves, or use RBF(degree=0) with a basis that allows it."
-            )
 
     def control(self, ids):
         sources = np.asarray(_rows(ids))
@@ -250,32 +228,27 @@ class RBF(AbstractMethod):
 
     @property
     def expansion(self) -> Expansion:
-        """The functions and the polynomial, without sources."""
         return Expansion(self.basis, self.degree, self.ridge)
 
     def check(self, ids, factors: RBFFactors, u):
         values = np.asarray(u, factors.lu.dtype)[self.control(ids).sources]
+        unusable = functools.partial(self._unusable, factors)
         if factors.cardinals is not None:
-            fault = fault_of_iterations(self.expansion, factors, values)
-            if fault:
-                raise ValueError(self._unusable(factors, fault))
+            if not is_solved(self.expansion, factors, as_jax(values)):
+                raise ValueError(unusable("too ill-conditioned for Iterative()"))
             return
-        error = float(rounding(self.expansion, factors, values) / np.abs(u).max())
-        if not is_noticeable(error, factors.lu.dtype):
-            if not self.ridge:
-                warn_of_close_sources(type(self).__name__, factors, values)
-            return
-        fault = f"ill-conditioned: rounding changes the displacements by {error:.1g} of their size"
-        message = self._unusable(factors, fault if np.isfinite(error) else "singular")
-        if not error <= USELESS:  # NaN too
-            raise ValueError(message)
-        warn(message)
+        error = float(rounding(self.expansion, factors, as_jax(values)) / np.abs(u).max())
+        if is_sound(error, factors.lu.dtype, unusable, "singular") and not self.ridge:
+            nodes = np.asarray(factors.places)
+            body = nodes[values.any(axis=1)]
+            extent = float(np.linalg.norm(np.ptp(body, axis=0))) if len(body) else 0.0
+            warn_of_close(nodes, extent, type(self).__name__)
 
     def field(self, ids, factors: RBFFactors, surface, u):
         return self.expansion.field(factors, u[_rows(ids)].astype(factors.lu.dtype), u.dtype)
 
     def _unusable(self, factors: RBFFactors, fault: str) -> str:
-        sources = np.asarray(factors.sources / factors.scale + factors.centre[None])
+        sources = np.asarray(factors.places)
         *hints, last = self._hints(factors.cardinals is not None, single=sources.dtype != np.float64)
         return (
             f"the interpolation matrix of {len(sources)} sources is {fault}{nearest_two(sources)}. "
@@ -284,16 +257,17 @@ class RBF(AbstractMethod):
 
     def _hints(self, iterates: bool, single: bool) -> list[str]:
         lengths = [field.name for field in dataclasses.fields(self.basis) if "radius" in field.name]
-        hints = [*(f"a smaller `{name}` of the basis" for name in lengths), "a `ridge` of RBF such as 1e-6"]
-        if all(hasattr(reduction, "separation") for reduction in (self.reduction, self.fixed_reduction)):
-            hints += ["fewer sources", "a larger `separation` in both reductions"]
-        else:
-            hints += ["fewer sources by a `reduction` and a `fixed_reduction` such as jm.KDTree(64)"]
-        if self.basis.min_degree != 1 or self._below_min_degree:
-            hints += ["another `degree` of the polynomial"]
-        if iterates and not single:
-            hints += ["a larger `tolerance` of Iterative"]
-        return [*hints, "x64 mode of JAX"] if single else hints
+        separates = all(hasattr(reduction, "separation") for reduction in (self.reduction, self.fixed_reduction))
+        hints = {
+            "a `ridge` of RBF such as 1e-6": True,
+            "fewer sources": separates,
+            "a larger `separation` in both reductions": separates,
+            "fewer sources by a `reduction` and a `fixed_reduction` such as jm.KDTree(64)": not separates,
+            "another `degree` of the polynomial": self.basis.min_degree != 1 or self._below_min_degree,
+            "a larger `tolerance` of Iterative": iterates and not single,
+            "x64 mode of JAX": single,
+        }
+        return [*(f"a smaller `{name}` of the basis" for name in lengths), *(hint for hint in hints if hints[hint])]
 
 
 def _rows(ids: Any) -> Any:

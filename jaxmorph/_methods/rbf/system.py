@@ -25,6 +25,9 @@ from .basis import AbstractBasis
 KERNEL_BLOCK = 2**17
 """Elements of the kernel in a block of points: 1 MiB in float64, for a core's own cache."""
 
+MOST_FUSED = 48
+"""Columns of weights beyond which a product of matrices is faster than the GPU's kernel."""
+
 SQUARE = 256
 """Sources along each side of a block of the symmetric product: 512 KiB in float64."""
 
@@ -44,12 +47,10 @@ def block_size(count: int) -> int:
 
 
 def in_rows(points: Float[Array, "c d"], scale: Float[Array, ""]) -> Float[Array, "d c"]:
-    """Scales points, and lays each coordinate in a row of its own, for `kernel_sum`.
-
-    A product of matrices does it. The compiler does not merge it into the loop along the points, as
-    it would a transposition. The barrier keeps it from making the transposed product of it, which
-    it does in programs for several devices.
-    """
+    """Scales points, and lays each coordinate in a row of its own, for `kernel_sum`."""
+    # A product of matrices does it. The compiler does not merge it into the loop along the points,
+    # as it would a transposition. The barrier keeps it from making the transposed product of it,
+    # which it does in programs for several devices.
     matrix = scale * jnp.eye(points.shape[1], dtype=points.dtype)
     return jax.lax.optimization_barrier(jnp.matmul(matrix, points.T, precision="highest"))
 
@@ -57,22 +58,16 @@ def in_rows(points: Float[Array, "c d"], scale: Float[Array, ""]) -> Float[Array
 def kernel_sum(
     phi: Callable, sources: Float[Array, "s d"], weights: Float[Array, "k s"], points: Float[Array, "d c"]
 ) -> Float[Array, "k c"]:
-    """Sums weighted functions at points that `in_rows` laid out; `phi` takes squared distances.
-
-    It computes distances and kernel in one loop along the points, then a product with the weights.
-    The compiler makes vector instructions of the loop only if each coordinate lies in a row of its
-    own.
-    """
+    """Sums weighted functions at points that `in_rows` laid out; `phi` takes squared distances."""
+    # one loop along the points for distances and kernel, then a product with the weights; the
+    # compiler makes vector instructions of it only if each coordinate lies in a row of its own
     return few_rows_times(weights, phi(squared_distances(sources, points.T)))
 
 
 def symmetric_kernel_sum(
     phi: Callable, sources: Float[Array, "s d"], weights: Float[Array, "k s"]
 ) -> Float[Array, "k s"]:
-    """Sums weighted functions at the sources themselves.
-
-    Each block of the kernel is made once, and serves for its mirror image too.
-    """
+    """Sums weighted functions at the sources themselves, with half of the kernel's blocks."""
     # The sources are padded to whole blocks by copies of the last one, which have the weight 0. A
     # scan goes over the blocks (i, j) with i <= j: a block gives sums of columns j and, transposed,
     # of columns i.
@@ -98,10 +93,6 @@ def symmetric_kernel_sum(
     return total.reshape(columns, -1)[:, :count]
 
 
-MOST_FUSED = 48
-"""Columns of weights beyond which a product of matrices is faster."""
-
-
 class Radial(eqx.Module):
     """A basis as a function of squared distances that are in units of the sources' extent."""
 
@@ -113,10 +104,7 @@ class Radial(eqx.Module):
 
 
 def is_fused(phi: Radial, dtype: Any) -> bool:
-    """Checks whether a weighted sum can be one operation.
-
-    A GPU must be able to run it, and its kernel must be able to contain the function.
-    """
+    """Checks whether a sum can be one operation: on a GPU, of a function for its kernel."""
     if is_for_cpu() or not has_kernels() or dtype not in (jnp.float32, jnp.float64):
         return False
     return all(jnp.ndim(leaf) == 0 for leaf in jax.tree.leaves(phi)) and is_elementwise(phi, dtype)
@@ -134,30 +122,28 @@ def fused(
 
 def _by_blocks(weights, sources, points, *leaves, structure):
     phi = jax.tree.unflatten(structure, leaves)
-    if len(sources) <= len(points):
 
-        def at_points(part):
-            return few_rows_times(weights.T, phi(squared_distances(sources, part))).T
-
-        return map_rows(jax.checkpoint(at_points), points, block_size(len(sources)))
+    def at_points(part):
+        return few_rows_times(weights.T, phi(squared_distances(sources, part))).T
 
     def of_sources(total, rows):
         places, weights = rows
         return total + few_rows_times(weights.T, phi(squared_distances(places, points)))
 
+    if len(sources) <= len(points):
+        return map_rows(jax.checkpoint(at_points), points, block_size(len(sources)))
     start = jnp.zeros((weights.shape[1], len(points)), points.dtype)
     return fold_rows(jax.checkpoint(of_sources), start, (sources, weights), block_size(len(points))).T
 
 
 def _in_kernel(weights, sources, points, *leaves, structure):
-    columns = weights.shape[1]
-    if columns > MOST_FUSED:
+    if weights.shape[1] > MOST_FUSED:
         return _by_blocks(weights, sources, points, *leaves, structure=structure)
 
     def phi(r2, *leaves):
         return jax.tree.unflatten(structure, leaves)(r2)
 
-    groups = [weights[:, start : start + MOST_ROWS] for start in range(0, columns, MOST_ROWS)]
+    groups = [weights[:, start : start + MOST_ROWS] for start in range(0, weights.shape[1], MOST_ROWS)]
     return jnp.concatenate([fused_sum(phi, group, sources, points, leaves) for group in groups], axis=1)
 
 
