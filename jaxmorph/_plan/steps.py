@@ -23,18 +23,16 @@ def march(
 ) -> tuple[tuple[Plan, ...], Float[Array, "n d"]]:
     """Follows a path of total displacements; refits the plan on the moved mesh before each step.
 
-    Radial basis functions are solved for anew at every step. A Delaunay graph stays on the
-    undeformed mesh.
+    Sources are solved for anew at every step; a Delaunay graph stays on the undeformed mesh.
 
     **Arguments:**
 
     - `plan`: what `prepare` returned.
-    - `path`: displacements (k, m, d) in the mesh's unit. `path[j]` displaces the moving nodes from
-      the plan's base coordinates to the end of step j. So a rotation is a path of rotated
-      positions, not a straight line.
+    - `path`: displacements (k, m, d) in the mesh's unit. `path[j]` leads from the plan's base
+      coordinates to the end of step j: a rotation is a path of rotated positions.
     - `rebuild`: choose the ids (sources, graph) again before every step, as the paper does. Default
       False. The result then jumps, by as much as a step, wherever the graph of the moved surface
-      changes. A line search or a finite difference meets cliffs.
+      changes: a line search or a finite difference meets cliffs.
     - `mesh`: the plan's mesh, for `rebuild`: methods see its cells and boundary faces again.
       Default: points alone, which methods on cells refuse.
 
@@ -66,10 +64,10 @@ def march(
 
 @checked
 def replay(plans: Sequence[Plan], path: Real[ArrayLike, "k m d"] | Sequence[Any]) -> Float[Array, "n d"]:
-    """Repeats the steps of a `march` with the recorded ids.
+    """Repeats the steps of a `march` with the recorded ids: the points are equal.
 
-    Traced and differentiable; the points are equal. It is differentiable with respect to `path`,
-    and to the base coordinates through `refit(plans[0], points)`.
+    Traced; differentiable with respect to `path`, and to the base coordinates through
+    `refit(plans[0], points)`.
 
     **Arguments:**
 
@@ -99,7 +97,7 @@ def replay(plans: Sequence[Plan], path: Real[ArrayLike, "k m d"] | Sequence[Any]
 
 
 def _targets(plan: Plan, path) -> Float[Array, "k o d"]:
-    """Computes the places of the surface's own rows at the end of every step."""
+    """Computes the places (k, o, d) of the surface's own rows at the end of every step."""
     path = jnp.asarray(path, plan.points.dtype)
     m, d = plan.n_moving, plan.points.shape[1]
     if path.ndim != 3 or path.shape[1:] != (m, d):
