@@ -30,8 +30,8 @@ _EMPTY |= dict.fromkeys(("mesh", "faces", "left", "is_open", "cells"))
 class Boundary:
     """What moves, stays, slides and repeats on the boundary of a mesh, checked once.
 
-    `prepare`, `prepare_surface` and `prepare_in_chunks` take it. It is immutable, and holds no
-    method: several plans may share it.
+    `prepare`, `prepare_surface` and `prepare_in_chunks` take it. It is immutable; several plans may
+    share it.
 
     **Arguments:**
 
@@ -42,12 +42,10 @@ class Boundary:
       patches decide: symmetry planes slide, all others are fixed. A warning names them.
     - `symmetry`: planes, or names of patches that lie in one or several planes. Nodes on a plane
       stay in it, also moving nodes.
-    - `periodic`: pairs of patches of which one repeats the other. The two nodes of a pair move
-      alike.
-    - `sliding`: patches whose nodes stay on their surface and move along it. A name stands for the
-      patch's own faces.
-    - `free`: node ids or names of patches whose nodes may follow like inner nodes, without a
-      warning. Default: none.
+    - `periodic`: pairs of patches of which one repeats the other.
+    - `sliding`: patches whose nodes move along their surface. A name stands for the patch's own
+      faces.
+    - `free`: node ids or names of patches whose nodes follow like inner nodes, without a warning.
 
     **Fields:**
 
@@ -58,9 +56,8 @@ class Boundary:
     - `left`: the boundary faces in no list, None where no cells are known.
     - `loose`: ids of the nodes of no cell and in no list, which stay where they are.
 
-    **Raises:** `ValueError` for ids out of range, ids that come twice in `moving`, and coordinates
-    that are not finite. Also for periodic patches that do not match, and sliding patches that do
-    not lie on their surface.
+    **Raises:** `ValueError` for ids out of range or twice in `moving`, coordinates that are not
+    finite, periodic patches that do not match, and sliding patches that leave their surface.
     """
 
     # `pairings`: nodes that move alike; `tracks`: nodes that stay on walls; `faces`: boundary faces
@@ -95,23 +92,15 @@ class Boundary:
         patches = mesh if isinstance(mesh, Mesh) else None
         points = checked_points(mesh.points if isinstance(mesh, Mesh) else mesh)
         if all(isinstance(argument, tuple) and not argument for argument in (fixed, symmetry, sliding, free)):
+            periodic = several("periodic", periodic, Periodic, PAIRS)
             fixed, symmetry = by_kinds(mesh, moving, periodic)
         check_named_once(sliding, fixed=fixed, symmetry=symmetry)
-        moving, fixed, free = (
-            nodes_named(ids, name, patches, len(points))
-            for ids, name in ((moving, "moving"), (fixed, "fixed"), (free, "free"))
-        )
-        if len(repeated := moving[np.bincount(moving, minlength=1)[moving] > 1]):
-            count = len(repeated := np.unique(repeated))
-            raise MeshError(f"{count} nodes are named more than once in `moving`, first node {{node}}.", repeated)
-        fixed = fixed[np.sort(np.unique(fixed, return_index=True)[1])]  # each once, where it comes first
-        fixed = fixed[~np.isin(fixed, moving)]
+        moving, fixed, free = _listed(points, patches, moving=moving, fixed=fixed, free=free)
         planes = planes_named(symmetry, points, patches)
         check_dimension(planes, points.shape[1])
         outer = None if patches is None else outer_faces(patches)
         pairings = _pairings(periodic, points, patches)
-        faces = None if patches is None else outer or OuterFaces.numbered(patches.linear.cells)  # or those of a surface
-        walls = _walls(sliding, points, patches, {"fixed": fixed, "moving": moving}, faces)
+        walls = _walls(sliding, points, patches, {"fixed": fixed, "moving": moving}, outer)
         tracks, corners = tracks_of(walls, planes if walls else (), points)
         _check_corners(corners, moving, points)
         check_repeated(tracks, corners, pairings, points, np.isin(np.arange(len(points)), fixed, invert=True))
@@ -151,7 +140,6 @@ class Boundary:
         return {kind: corners[(corners >= 0).all(axis=1)] for kind, corners in rows.items()}
 
     def warn_of_free_faces(self) -> None:
-        """Warns about boundary faces in no list."""
         if self.left:
             warn(f"{self.left} Name them in `fixed`, `moving`, `symmetry` or `free`.")
 
@@ -210,6 +198,15 @@ def with_faces(boundary: Boundary, mesh: Mesh, outer: OuterFaces) -> Boundary:
     return changed(boundary, faces=outer.corners, left=free_faces(mesh, outer, is_listed), is_open=is_open)
 
 
+def _listed(points: np.ndarray, mesh: Mesh | None, **lists: Nodes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    moving, fixed, free = (nodes_named(ids, name, mesh, len(points)) for name, ids in lists.items())
+    unique, counts = np.unique(moving, return_counts=True)
+    if len(twice := unique[counts > 1]):
+        raise MeshError(f"{len(twice)} nodes are named more than once in `moving`, first node {{node}}.", twice)
+    fixed = fixed[np.sort(np.unique(fixed, return_index=True)[1])]  # each once, where it comes first
+    return moving, fixed[~np.isin(fixed, moving)], free
+
+
 def _check_corners(corners: np.ndarray, moving: np.ndarray, points: np.ndarray) -> None:
     wrong = corners[np.isin(corners, moving)]
     if len(wrong):
@@ -232,7 +229,9 @@ def _pairings(periodic: Any, points: np.ndarray, mesh: Mesh | None) -> tuple[Pai
 def _walls(
     sliding: Any, points: np.ndarray, mesh: Mesh | None, lists: Mapping[str, np.ndarray], outer: OuterFaces | None
 ) -> Walls:
-    walls, patches, faces = [], [], None if outer is None else outer.corners
+    walls, patches, faces = [], [], None
+    if mesh is not None:
+        faces = (outer or OuterFaces.numbered(mesh.linear.cells)).corners  # of a surface, its cells
     for slide in slides(sliding):
         nodes = np.unique(nodes_named(slide.patch, "sliding", mesh, len(points)))
         for name, listed in lists.items():
@@ -253,10 +252,7 @@ def _walls(
 def _guided(
     pairings: Sequence[Pairing], tracks: Sequence[Track], moving: np.ndarray, fixed: np.ndarray, points: np.ndarray
 ) -> np.ndarray:
-    """Lists sliding and periodic nodes in no list.
-
-    Raises `ValueError` for a pair whose nodes are in different lists.
-    """
+    """Lists sliding and periodic nodes in no list."""
     role = np.zeros(len(points), dtype=int)
     role[moving], role[fixed] = 1, 2
     for pairing in pairings:
@@ -292,7 +288,7 @@ def renumbered(
 
 
 def _rows(nodes: np.ndarray, n: int) -> np.ndarray:
-    """Finds the row of all n nodes in `nodes`; -1 for a node that is not in it."""
+    """Finds the row of each of n nodes in `nodes`; -1 for an absent node."""
     row = np.full(n, -1, dtype=np.int32)
     row[nodes] = np.arange(len(nodes))
     return row

@@ -1,4 +1,4 @@
-"""Walls made of a patch's own faces, traced: flat, linear, curved, and smooth. They follow the base points."""
+"""Walls made of a patch's own faces, traced, which follow the base points."""
 
 import dataclasses
 import functools
@@ -187,7 +187,7 @@ class CurvedFaces(Faceted):
     kind: str = eqx.field(static=True)
 
     def _normals(self, vertices):
-        return vertices  # unused: a polynomial has its own
+        return vertices  # a polynomial has its own normals
 
     def _nearest(self, x, vertices, normals):
         powers, matrix = polynomials(self.kind)

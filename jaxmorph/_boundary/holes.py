@@ -54,7 +54,7 @@ def _unit(vectors: np.ndarray) -> np.ndarray:
 
 
 def _closed_rims(faces: np.ndarray, moves: np.ndarray) -> list[np.ndarray]:
-    """Lists connected closed rims of moving vertices: edges (r, 2) against the faces beside them."""
+    """Lists closed rims of moving vertices: edges (r, 2) against the faces beside them."""
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     size = int(faces.max()) + 1
     is_rim = ~np.isin(edges @ [1, size], edges @ [size, 1]) & moves[edges].all(axis=1)

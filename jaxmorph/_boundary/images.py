@@ -18,11 +18,10 @@ from .symmetry import Plane, facing, tolerance
 class Images(eqx.Module):
     """The own rows of a surface in canonical order, extended by their images.
 
-    Methods see extended rows alone, and take the first of equals. So no result depends on how nodes
-    are numbered or listed. Extended row i is the image of own row `rows[i]` by the transform
-    `kind[i]`: x -> `matrices` x + `shifts`. Kind 0 is the identity. Own row j lies on plane k where
-    `on_plane[j, k]`. `pairings` pair own rows; `powers[t, q]` is the power of periodic transform q
-    in transform t.
+    Methods see extended rows alone: no result depends on how nodes are numbered. Extended row i is
+    the image of own row `rows[i]` by the transform `kind[i]`: x -> `matrices` x + `shifts`. Kind 0
+    is the identity. Own row j lies on plane k where `on_plane[j, k]`. `pairings` pair own rows;
+    `powers[t, q]` is the power of periodic transform q in transform t.
     """
 
     normals: Float[Array, "p d"]
@@ -126,7 +125,7 @@ def images_of(
     points: Float[np.ndarray, "n d"],
     order: np.ndarray,
 ) -> tuple[Images, Copies]:
-    """Makes the images of `nodes` (o,), and the list of their places; the first `moving` nodes move.
+    """Makes the images of `nodes` (o,), and the list of their places; `moving` nodes come first.
 
     The own rows of the `Copies` are those of `nodes` in an `order` (o,), which keeps moving nodes
     first. Parallel planes make no images. Of several rows and images at one place, one counts. The
@@ -150,10 +149,7 @@ def images_of(
     kind, rows = np.divmod(np.sort(np.unique(places, return_index=True)[1]), len(nodes))
     first = np.argsort(rows >= moving, kind="stable")
     rows, kind = rows[first], kind[first]
-    of_sides = [np.append(side, pairing.alone) for pairing in pairs for side in (pairing.first, pairing.second)]
-    sides = np.zeros((len(nodes), len(of_sides)), dtype=bool)
-    for column, side in enumerate(of_sides):
-        sides[side, column] = True
+    sides = _sides(pairs, len(nodes))
     normals, origins = (
         np.array([getattr(plane, name) for plane in planes]).reshape(-1, points.shape[1])
         for name in ("normal", "origin")
@@ -162,6 +158,11 @@ def images_of(
     images = (normals, origins, on_plane[nodes], order[rows].astype(np.int32), kind.astype(np.int32), matrices, shifts)
     own_pairs = tuple(pairing.renumbered(row) for pairing in pairings)
     return Images(*as_jax((*images, exponents, own_pairs))), Copies(places, roots, rows, kind, matrices, sides)
+
+
+def _sides(pairings: Sequence[Pairing], count: int) -> Bool[np.ndarray, "o s"]:
+    lists = [np.append(side, pairing.alone) for pairing in pairings for side in (pairing.first, pairing.second)]
+    return np.array([np.isin(np.arange(count), side) for side in lists], dtype=bool).reshape(-1, count).T
 
 
 def _numbered(

@@ -1,6 +1,6 @@
 """Checked names of a caller: points, node ids, patches, planes and slides."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -146,7 +146,7 @@ An overset patch lies inside of another grid: its nodes follow.
 """
 
 
-def by_kinds(mesh: Any, moving: Any, periodic: Any) -> tuple[list[str], list[str]]:
+def by_kinds(mesh: Any, moving: Any, periodic: Sequence[Periodic]) -> tuple[list[str], list[str]]:
     """Chooses fixed and symmetry patches by their kinds in the file, if only moving ones are named.
 
     Symmetry patches that lie in planes slide; all other outer patches with a kind are fixed. A
@@ -155,27 +155,32 @@ def by_kinds(mesh: Any, moving: Any, periodic: Any) -> tuple[list[str], list[str
     names = names_in(moving)
     if not isinstance(mesh, Mesh) or names is None:
         return [], []
-    pairs = [periodic] if isinstance(periodic, Periodic) else periodic if isinstance(periodic, Iterable) else ()
-    sides = [side for pair in pairs if isinstance(pair, Periodic) for side in (pair.patch, pair.partner)]
-    elsewhere = {*mesh.patch_names(*names), *(side for side in sides if isinstance(side, str))}
+    sides = [side for pair in periodic for side in (pair.patch, pair.partner) if isinstance(side, str)]
+    elsewhere = {*mesh.patch_names(*names), *sides}
     kinds = {name: kind for name, kind in mesh.kinds.items() if name not in elsewhere and len(mesh.patches[name])}
     fixed = [name for name, kind in kinds.items() if kind not in SYMMETRY and not kind.startswith(INSIDE)]
-    symmetry, planes = [], []
-    for name in (name for name, kind in kinds.items() if kind in SYMMETRY):
+    symmetry = _in_planes(mesh, [name for name in kinds if kinds[name] in SYMMETRY])
+    clauses = _clauses(kinds, fixed=fixed, symmetry=symmetry)
+    if clauses:
+        warn(
+            f"No patches beside `moving` are named. By their kinds in the file {clauses}. Name the patches to choose otherwise."
+        )
+    return fixed, symmetry
+
+
+def _clauses(kinds: Mapping[str, str], **lists: list[str]) -> str:
+    shown = {name: ", ".join(f"{patch!r} ({kinds[patch]})" for patch in patches) for name, patches in lists.items()}
+    return " and ".join(f"`{name}` are {patches}" for name, patches in shown.items() if patches)
+
+
+def _in_planes(mesh: Mesh, names: list[str]) -> list[str]:
+    """Lists the patches that lie in planes; the caller must name a bent one."""
+    flat, planes = [], []
+    for name in names:
         try:
             more = [*planes, *planes_of(mesh, name)]
             check_planes(more, np.asarray(mesh.points))
-        except ValueError:  # a bent patch: the caller must name it
+        except ValueError:
             continue
-        symmetry, planes = [*symmetry, name], more
-    clauses = [
-        f"{what} are " + ", ".join(f"{name!r} ({kinds[name]})" for name in patches)
-        for what, patches in (("`fixed`", fixed), ("`symmetry`", symmetry))
-        if patches
-    ]
-    if clauses:
-        warn(
-            f"No patches beside `moving` are named. By their kinds in the file {' and '.join(clauses)}. Name the patches to "
-            "choose otherwise."
-        )
-    return fixed, symmetry
+        flat, planes = [*flat, name], more
+    return flat

@@ -250,9 +250,27 @@ def _paired(
     if not len(first) or not len(second):
         raise ValueError(f"{periodic.name}: one of them has no nodes.")
     matrix, shift, angle = _transform(periodic, exact[first].mean(axis=0), exact[second].mean(axis=0))
-    images = exact[first] @ matrix.T + shift
-    distance, nearest = map(np.asarray, Tree(exact[second]).query(images))
-    gaps = np.minimum(spacing(exact[second]), np.ptp(exact, axis=0).max())
+    partner = _partners(periodic, first, second, points, exact[first] @ matrix.T + shift)
+    is_alone = first == partner
+    sectors = 2 * np.pi / abs(angle) if angle else 0
+    turn = round(sectors) if abs(sectors - round(sectors)) < 1e-6 * sectors else 0
+    copies = periodic.copies if turn or not angle else max(1, min(periodic.copies, int((sectors - 1) / 2)))
+    pairs = first[~is_alone].astype(np.int32), partner[~is_alone].astype(np.int32)
+    keeps = np.eye(len(shift))
+    if periodic.is_rotation:  # the direction of the axis alone
+        keeps = keeps - _generator(periodic.axis, len(shift))[1]
+    elif periodic.translation is None:
+        shift = _sharp(np.median(exact[pairs[1]] - exact[pairs[0]], axis=0))  # most pairs have it bit for bit
+    return Pairing(*pairs, first[is_alone].astype(np.int32), matrix, shift, keeps, turn, copies, periodic.is_rotation)
+
+
+def _partners(
+    periodic: Periodic, first: np.ndarray, second: np.ndarray, points: np.ndarray, images: np.ndarray
+) -> np.ndarray:
+    """Finds the second node at the image of each first node; each once."""
+    exact = points[second].astype(float)
+    distance, nearest = map(np.asarray, Tree(exact).query(images))
+    gaps = np.minimum(spacing(exact), np.ptp(points.astype(float), axis=0).max())
     allowed = np.maximum(MISMATCH * gaps[nearest], 2 * tolerance(points))
     unmatched = worst_first(distance, allowed)
     if unmatched.size:
@@ -270,35 +288,18 @@ def _paired(
             f"{{node}} at ({place_of(points[single[0]])}). Both patches need equal nodes: mesh one as the copy of the other.",
             single,
         )
-    is_alone = first == second[nearest]
-    sectors = 2 * np.pi / abs(angle) if angle else 0
-    turn = round(sectors) if abs(sectors - round(sectors)) < 1e-6 * sectors else 0
-    copies = periodic.copies if turn or not angle else max(1, min(periodic.copies, int((sectors - 1) / 2)))
-    pairs = first[~is_alone].astype(np.int32), second[nearest][~is_alone].astype(np.int32)
-    if not periodic.is_rotation and periodic.translation is None:
-        shift = _sharp(np.median(exact[pairs[1]] - exact[pairs[0]], axis=0))  # most pairs have it bit for bit
-    keeps = np.eye(len(shift))
-    if periodic.is_rotation:  # the direction of the axis alone
-        keeps = keeps - _generator(periodic.axis, len(shift))[1]
-    return Pairing(*pairs, first[is_alone].astype(np.int32), matrix, shift, keeps, turn, copies, periodic.is_rotation)
+    return second[nearest]
 
 
 def _transform(periodic: Periodic, middle: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     """Returns matrix, shift and angle of the transform: 0 for a translation."""
     dimension = len(middle)
-    for name in ("translation", "about", "axis"):
-        value = getattr(periodic, name)
-        if value is not None and value.shape != (dimension,):
-            raise ValueError(f"{periodic.name}: `{name}` has shape {value.shape}; the mesh has {dimension} dimensions.")
+    _check_vectors(periodic, dimension)
     if not periodic.is_rotation:
         shift = _sharp(other - middle) if periodic.translation is None else periodic.translation
         if not np.abs(shift).max() > 0:
             raise ValueError(f"{periodic.name}: the translation is zero; give `rotation`, `about` or `axis`.")
         return np.eye(dimension), shift, 0.0
-    if dimension == 3 and (periodic.axis is None or not np.linalg.norm(periodic.axis) > 0):
-        raise ValueError(f"{periodic.name}: a rotation in 3-D needs an `axis` that is not zero.")
-    if dimension == 2 and periodic.axis is not None:
-        raise ValueError(f"{periodic.name}: a rotation in 2-D has no `axis`; give `about`.")
     about = np.zeros(dimension) if periodic.about is None else periodic.about
     cross, plane = _generator(periodic.axis, dimension)
     angle = periodic.rotation
@@ -309,6 +310,17 @@ def _transform(periodic: Periodic, middle: np.ndarray, other: np.ndarray) -> tup
         raise ValueError(f"{periodic.name}: the angle of the rotation is zero.")
     matrix = np.eye(dimension) + np.sin(angle) * cross + (1 - np.cos(angle)) * (cross @ cross)
     return matrix, about - matrix @ about, angle
+
+
+def _check_vectors(periodic: Periodic, dimension: int) -> None:
+    for name in ("translation", "about", "axis"):
+        value = getattr(periodic, name)
+        if value is not None and value.shape != (dimension,):
+            raise ValueError(f"{periodic.name}: `{name}` has shape {value.shape}; the mesh has {dimension} dimensions.")
+    if dimension == 2 and periodic.axis is not None:
+        raise ValueError(f"{periodic.name}: a rotation in 2-D has no `axis`; give `about`.")
+    if dimension == 3 and periodic.is_rotation and (periodic.axis is None or not periodic.axis.any()):
+        raise ValueError(f"{periodic.name}: a rotation in 3-D needs an `axis` that is not zero.")
 
 
 def _sharp(shift: np.ndarray) -> np.ndarray:

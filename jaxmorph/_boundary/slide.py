@@ -67,8 +67,8 @@ class Slide:
     """Lets the nodes of a patch move along its surface.
 
     Examples are blade tips along a shroud, and a body along the sides of its box. Nodes between two
-    sliding patches, or between a patch and a symmetry plane, stay on both. Corners of the mesh, the
-    apex of a cone, and fixed nodes do not move. Moving nodes of the patch stay on it.
+    sliding patches, or a patch and a symmetry plane, stay on both. Corners of the mesh, the apex of
+    a cone, and fixed nodes do not move. Moving nodes of the patch stay on it.
 
     On a plane, a cylinder and other given surfaces the motion is smooth. On the patch's own faces
     the motion has a kink where a node crosses an edge. Nodes of curved cells follow the polynomials
@@ -94,7 +94,6 @@ class Slide:
 
     @property
     def name(self) -> str:
-        """Names the patch for a message."""
         return f"the sliding patch {self.patch!r}" if isinstance(self.patch, str) else "a sliding patch"
 
 
@@ -146,22 +145,29 @@ def _of_revolution(slide: Slide, on: Revolution, patch: np.ndarray) -> Round:
     axis = np.zeros(dimension) if on.axis is None else on.axis / np.linalg.norm(on.axis)
     profile = on.profile
     if profile is None:
-        arm, size = patch - origin, np.ptp(patch, axis=0).max()
-        along = arm @ axis
-        profile = np.stack([along, np.linalg.norm(arm - along[:, None] * axis, axis=1)], axis=1)
-        middle, normal = profile.mean(axis=0), np.array([0.0, 1.0])
-        if dimension == 3 and np.ptp(profile) > 0 and np.ptp(profile[:, 1]) > 1e-9 * size:
-            normal = np.linalg.svd(profile - middle, full_matrices=False)[2][-1]
-        if np.abs((profile - middle) @ normal).max() <= DEVIATION * size or dimension == 2:
-            return Round(axis, origin, np.array([*normal, middle @ normal]))
-        profile = profile[np.argsort(profile[:, 0], kind="stable")]
-        profile = profile[np.append(True, np.diff(profile[:, 0]) > 1e-6 * size)]
-    elif len(profile) == 1:
-        return Round(axis, origin, np.array([0, 1, profile[0, 1]]))
+        line, profile = _line_or_profile(patch, axis, origin)
+    else:
+        line = None if len(profile) > 1 else np.array([0, 1, profile[0, 1]])
+    if line is not None:
+        return Round(axis, origin, line)
     from scipy.interpolate import CubicSpline  # here: it would take a tenth of the time of all imports
 
     spline = CubicSpline(*profile.T, bc_type="natural" if len(profile) > 2 else "not-a-knot")
     return Round(axis, origin, np.array([0.0, 1.0, 0.0]), spline.x, spline.c)
+
+
+def _line_or_profile(patch: np.ndarray, axis: np.ndarray, origin: np.ndarray) -> tuple[np.ndarray | None, np.ndarray]:
+    """Finds the line (3,) of a `Round` through nodes, or None, and their profile (k, 2)."""
+    arm, size = patch - origin, np.ptp(patch, axis=0).max()
+    along = arm @ axis
+    profile = np.stack([along, np.linalg.norm(arm - along[:, None] * axis, axis=1)], axis=1)
+    middle, normal, is_solid = profile.mean(axis=0), np.array([0.0, 1.0]), patch.shape[1] == 3
+    if is_solid and np.ptp(profile) > 0 and np.ptp(profile[:, 1]) > 1e-9 * size:
+        normal = np.linalg.svd(profile - middle, full_matrices=False)[2][-1]
+    is_line = not is_solid or np.abs((profile - middle) @ normal).max() <= DEVIATION * size
+    profile = profile[np.argsort(profile[:, 0], kind="stable")]
+    profile = profile[np.append(True, np.diff(profile[:, 0]) > 1e-6 * size)]
+    return np.array([*normal, middle @ normal]) if is_line else None, profile
 
 
 def _of_faces(

@@ -106,26 +106,33 @@ def planes_through(
     try:
         return (Plane.through(points, nodes),)
     except MeshError as error:
-        remaining = np.zeros(len(points), dtype=bool)
-        remaining[nodes] = True
-        sides = [np.asarray(corners)[remaining[corners].all(axis=1)][:, : points.shape[1]] for corners in faces]
-        planes: list[Plane] = []
-        first: list[Plane] = []
-        while remaining.any():
-            candidates = _candidates(points.astype(float), sides, remaining) if len(planes) < MOST else []
-            counts = np.array([remaining[plane.holds(points)].sum() for plane in candidates], dtype=int)
-            if not len(counts) or counts.max() < points.shape[1]:
-                raise error from None
-            best = [candidates[k] for k in np.flatnonzero(counts == counts.max())]
-            first = first or best
-            chosen = best[0].holds(points)
-            on = nodes[chosen[nodes]]
-            planes.append(Plane.through(points, on))
-            remaining[on] = False
-            sides = [corners[~chosen[corners].all(axis=1)] for corners in sides]
-        if not all(any(plane.equals(other, points) for other in planes) for plane in first):
+        planes, first = _largest_first(points, nodes, faces)
+        if not planes or not all(any(plane.equals(other, points) for other in planes) for plane in first):
             raise error from None  # one cell wide and high: nodes do not decide which sides are meant
         return tuple(planes)
+
+
+def _largest_first(
+    points: Float[np.ndarray, "n d"], nodes: Int[np.ndarray, " k"], faces: Iterable[Int[np.ndarray, "_ c"]]
+) -> tuple[list[Plane], list[Plane]]:
+    """Lists planes that hold all nodes, none without such; also those with most nodes at first."""
+    remaining = np.zeros(len(points), dtype=bool)
+    remaining[nodes] = True
+    sides = [np.asarray(corners)[remaining[corners].all(axis=1)][:, : points.shape[1]] for corners in faces]
+    planes, first = [], []
+    while remaining.any():
+        candidates = _candidates(points.astype(float), sides, remaining) if len(planes) < MOST else []
+        counts = np.array([remaining[plane.holds(points)].sum() for plane in candidates], dtype=int)
+        if counts.max(initial=0) < points.shape[1]:
+            return [], first
+        best = [candidates[k] for k in np.flatnonzero(counts == counts.max())]
+        first = first or best
+        chosen = best[0].holds(points)
+        on = nodes[chosen[nodes]]
+        planes.append(Plane.through(points, on))
+        remaining[on] = False
+        sides = [corners[~chosen[corners].all(axis=1)] for corners in sides]
+    return planes, first
 
 
 def _candidates(

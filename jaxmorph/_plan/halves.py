@@ -139,7 +139,7 @@ class SurfaceHalf:
         return surface, on_plane
 
     def _places(self, nodes: Any, points: np.ndarray) -> np.ndarray:
-        """Finds the row in `points` of all nodes (k,) of the half; -1 for an absent node."""
+        """Finds the row (k,) in `points` of each node of the half; -1 for an absent node."""
         ids = as_array("nodes", nodes)
         if ids.shape != (len(points),) or ids.dtype.kind not in "iu":
             raise ValueError(
@@ -185,17 +185,15 @@ def prepare_surface(
 
     **Arguments:**
 
-    - `boundary`: the boundary. All surface nodes must be in its points, and the outermost nodes
-      should be. Other points set tolerances and show free sides. The nodes of two parallel symmetry
-      planes are needed too: they are guided.
+    - `boundary`: the boundary. Its points have all surface nodes, all nodes of parallel symmetry
+      planes, and better the outermost nodes: they set tolerances and show free sides.
     - `nodes`: ids (n,) of the boundary's points in the whole mesh, by which pieces name them; -1
       for points that no piece names. Default: 0 to n - 1.
     - `method`: `SurfaceReconstruction()` by default.
     - `is_open`: whether the whole mesh has a side that is neither moving, fixed nor a symmetry
       plane. Default None: decided by `faces`, or by the points, which must then be all.
     - `faces`: boundary faces (k, corners) of the whole mesh by type, as rows of the points, seen
-      from outside; in 2-D `line`s. With them, pieces move as the whole mesh does. Default None: the
-      faces of the mesh's cells, if it has cells.
+      from outside; in 2-D `line`s. Default None: those of the mesh's cells, if it has cells.
 
     **Returns:** a `SurfaceHalf`.
 
@@ -208,9 +206,7 @@ def prepare_surface(
     if faces is not None:
         mesh = boundary.mesh or Mesh(boundary.points)
         boundary = with_faces(boundary, mesh, OuterFaces.numbered(Mesh(mesh.points, dict(faces)).cells))
-    ids = np.arange(count) if nodes is None else as_array("nodes", nodes)
-    if ids.shape != (count,) or ids.dtype.kind not in "iu" or len(np.unique(ids[ids >= 0])) < (ids >= 0).sum():
-        raise ValueError(f"`nodes` must be {count} ids, one for every point of the boundary; only -1 may come twice.")
+    ids = np.arange(count) if nodes is None else _unique_ids(nodes, count)
     boundary = boundary if is_open is None else changed(boundary, is_open=is_open)
     method = default_for(boundary) if method is None else method
     refuse_cells(method)
@@ -228,6 +224,13 @@ def prepare_surface(
         raise error.renumbered(rows) from None
 
 
+def _unique_ids(nodes: Any, count: int) -> np.ndarray:
+    ids = as_array("nodes", nodes)
+    if ids.shape != (count,) or ids.dtype.kind not in "iu" or len(np.unique(ids[ids >= 0])) < (ids >= 0).sum():
+        raise ValueError(f"`nodes` must be {count} ids, one for every point of the boundary; only -1 may come twice.")
+    return ids
+
+
 def has_open_side(boundary: Boundary) -> bool:
     """Checks, by points alone, whether a flat side is free: not moving, fixed or symmetric."""
     surface = surface_of(changed(boundary, pairings=()))[0]
@@ -239,8 +242,7 @@ def prepare_in_chunks(
 ) -> Iterator[tuple[Int[np.ndarray, " c"], Plan]]:
     """Yields the nodes (c,) and the plan of every chunk of a mesh, one chunk after the other.
 
-    The surface is prepared once, and chunks are attached to it. Points move as with a plan of the
-    whole mesh.
+    The surface is prepared once, and chunks are attached to it.
 
     ```python
     points = np.array(mesh.points)

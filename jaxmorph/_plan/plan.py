@@ -110,8 +110,8 @@ class Plan(Module):
     `equinox.tree_serialise_leaves`, and passes through `jit`, `vmap` and `grad` like any array.
 
     The fields `surface` and `volume` belong to the driver. So do `carried` (by a step of `march`)
-    and `layout` (over devices). In a plan of a piece (`SurfaceHalf.attach`), node ids of len(points)
-    and more stand for nodes of other pieces.
+    and `layout` (over devices). In a plan of a piece (`SurfaceHalf.attach`), node ids from
+    len(points) on stand for nodes of other pieces.
     """
 
     method: AbstractMethod

@@ -83,7 +83,7 @@ def plan_of(boundary: Boundary, method: AbstractMethod | None) -> Plan:
     if plan.points.dtype != boundary.points.dtype:
         warn(
             "the points are float64 but JAX's x64 mode is off, so the plan is float32: boundary layers and gradients suffer. "
-            'Call jax.config.update("jax_enable_x64", True) first.',
+            'Call jax.config.update("jax_enable_x64", True) first.'
         )
     return plan
 

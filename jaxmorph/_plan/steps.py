@@ -41,19 +41,7 @@ def march(
     **Raises:** `ValueError` when `path` is not (k, m, d), for a mesh of other points, and where
     `prepare` does.
     """
-    if mesh is not None and tuple(mesh.points.shape) != plan.points.shape:
-        raise ValueError(f"`mesh` has points {tuple(mesh.points.shape)}, the plan {plan.points.shape}.")
-    if mesh is not None and not rebuild:
-        raise ValueError(
-            "`mesh` needs `rebuild=True`. Without it the ids of the plan are kept. Pass rebuild=True, or remove `mesh`."
-        )
-    if rebuild and mesh is None and plan.method.needs_cells:
-        name = type(plan.method).__name__
-        raise ValueError(
-            f"{name} needs the cells of the mesh at each step: march(plan, path, rebuild=True, mesh=mesh)."
-        )
-    if plan.is_piece:
-        _check_piece(plan, rebuild)
+    _check_march(plan, rebuild, mesh)
     points, surface, plans = plan.points, None, []
     for j, target in enumerate(_targets(plan, path)):
         step = plan if j == 0 else _anew(plan, points, mesh) if rebuild else carry(plan, points, surface)
@@ -118,8 +106,20 @@ def _advance(plan: Plan, target: Float[Array, "o d"]) -> tuple[Float[Array, "n d
     return points, moved_surface(plan, vectors) if plan.method.exact else points[plan.surface.nodes]
 
 
-def _check_piece(plan: Plan, rebuild: bool) -> None:
-    if rebuild or (not plan.method.exact and (np.asarray(plan.surface.nodes) >= len(plan.points)).any()):
+def _check_march(plan: Plan, rebuild: bool, mesh: Mesh | None) -> None:
+    if rebuild and mesh is None and plan.method.needs_cells:
+        name = type(plan.method).__name__
+        raise ValueError(
+            f"{name} needs the cells of the mesh at each step: march(plan, path, rebuild=True, mesh=mesh)."
+        )
+    if mesh is not None:
+        if tuple(mesh.points.shape) != plan.points.shape:
+            raise ValueError(f"`mesh` has points {tuple(mesh.points.shape)}, the plan {plan.points.shape}.")
+        if not rebuild:
+            raise ValueError(
+                "`mesh` needs `rebuild=True`. Without it the ids of the plan are kept. Pass rebuild=True, or remove `mesh`."
+            )
+    if plan.is_piece and (rebuild or (not plan.method.exact and int(plan.surface.nodes.max()) >= len(plan.points))):
         raise ValueError(
             "march of a piece needs rebuild=False, and a method that is exact at the surface: other pieces have the rest."
         )
