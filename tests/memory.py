@@ -17,16 +17,16 @@ EMPTIED = [0.5e9]
 
 def drop_compiled() -> None:
     """Drops compiled code where it fills memory."""
-    if _resident() > EMPTIED[0] + MORE:
+    if resident() > EMPTIED[0] + MORE:
         eqx.clear_caches()
         jax.clear_caches()
         gc.collect()
         with contextlib.suppress(OSError, AttributeError):  # glibc alone has it
             ctypes.CDLL(None).malloc_trim(0)
-        EMPTIED[0] = _resident()
+        EMPTIED[0] = resident()
 
 
-def _resident() -> int:
+def resident() -> int:
     """Memory of this process, bytes; 0 where the system does not tell."""
     try:
         pages = pathlib.Path("/proc/self/statm").read_text().split()[1]

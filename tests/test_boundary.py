@@ -6,7 +6,7 @@ from cases import full
 from meshes import box_with_hole, drum, joined, ring, sector
 
 import jaxmorph as jm
-from jaxmorph._boundary.walls import rim
+from jaxmorph._boundary.holes import rim
 
 TPS = full(jm.ThinPlateSpline(), 1)
 AXIS = jm.Revolution((0, 0, 3))
@@ -33,6 +33,13 @@ def on_drum(*lists, **keywords):
 def on_sector(move=slice(None), **keywords):
     points, moving, fixed, sides, _ = sector(2)
     return lambda: jm.prepare(points, moving[move], fixed, periodic=jm.Periodic(*sides, **keywords), method=TPS)
+
+
+def flattened():
+    mesh = box_with_hole()
+    points = np.array(mesh.points)
+    points[mesh.patch("left")] = (-4, 0)
+    return jm.prepare(mesh.moved(points), "hole", sliding="left", method=TPS)
 
 
 def halves(name):
@@ -76,6 +83,45 @@ REFUSED = {
     "fixed by its ids": (
         on_box("hole", box_with_hole().patch("left", "right"), sliding=("left", "top")),
         r"all 9 nodes of the sliding patch 'left' are in `fixed`, first node \d+ at \(-4, .*\): the patch would not slide\.",
+    ),
+    "without partners": (
+        lambda: jm.prepare(*sector(2)[:3], method=TPS, periodic=joined(2, (sector(2)[3][0][1:], sector(2)[3][1]))),
+        "1 of 5 nodes of the second have no partner",
+    ),
+    "a patch that repeats itself": (
+        lambda: jm.prepare(*sector(2)[:3], method=TPS, periodic=jm.Periodic(*sector(2)[3][:1] * 2)),
+        "the translation is zero",
+    ),
+    "turned and moved": (on_sector(translation=(1, 0), rotation=1.0), "a translation or a rotation, not both"),
+    "a name of a pair": (on_box("hole", periodic="lower"), r"pairs such as jm.Periodic\('lower', 'upper'"),
+    "no faces": (
+        lambda: jm.prepare(box_with_hole().points, [0], sliding=jm.Slide([5, 6]), method=TPS),
+        "slides on its faces, but points alone have no faces",
+    ),
+    "on a patch": (
+        lambda: jm.Slide("left", "top"),
+        r"a patch slides on a jm\.Plane, a jm\.Revolution or its own faces",
+    ),
+    "an axis in 2-D": (
+        on_box("hole", sliding=jm.Slide("left", AXIS)),
+        "a surface of revolution has an axis in 3-D, and none in 2-D",
+    ),
+    "moving and sliding": (
+        on_box("hole", sliding="hole"),
+        "all 8 nodes of the sliding patch 'hole' are in `moving`, first node 30 at",
+    ),
+    "twice": (
+        on_box("hole", sliding=["left", jm.Slide("left", jm.Plane((1, 0), (-4, 0)))]),
+        r"the sliding patch 'left' comes twice in `sliding`\. Its nodes slide along one surface",
+    ),
+    "halves of a side": (
+        on_box("hole", sliding=[jm.Slide(box_with_hole().patch("left")[k : k + 5]) for k in (0, 4)]),
+        r"meet at 1 nodes without an edge, the worst is node 4 at \(-4, 0\)",
+    ),
+    "a side in one place": (flattened, r"all 9 nodes of the sliding patch 'left' stand at \(-4, 0\)"),
+    "a profile that goes back": (
+        lambda: jm.Revolution((1, 0, 0), profile=[(1, 1), (0, 1)]),
+        "places along the axis, ascending, and radii",
     ),
     "no edge between": (
         on_drum("hub", ("bottom", "top"), sliding=halves("shroud")),

@@ -1,11 +1,9 @@
 """A thousand motions and adjoints through one plan: no growth, no compilation, the same bits."""
 
-import os
-import pathlib
-
 import jax
 import numpy as np
 import pytest
+from memory import resident
 from meshes import bricks
 
 import jaxmorph as jm
@@ -13,11 +11,7 @@ import jaxmorph as jm
 pytestmark = pytest.mark.slow
 
 
-def resident():
-    return int(pathlib.Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
-
-
-@pytest.mark.skipif(not pathlib.Path("/proc/self/statm").exists(), reason="memory is read as Linux tells it")
+@pytest.mark.skipif(not resident(), reason="memory is read as Linux tells it")
 def test_a_thousand_calls_leave_nothing_behind():
     mesh = bricks(8)
     points = np.asarray(mesh.points)

@@ -1,10 +1,9 @@
 """Periodic patches: nodes of a pair move alike, a sector moves as the whole wheel would, and pairs that are none."""
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from cases import few, full
+from laws import check_base_derivative, check_linear, check_parts, check_steps
 from meshes import joined, lattice, sector, turn
 from runs import runs
 
@@ -35,16 +34,11 @@ def test_laws_with_periodic_sides(dimension, method, tmp_path):
     np.testing.assert_allclose(moved[sides[1]], moved[sides[0]] @ turn(np.pi / 2, dimension).T, rtol=0, atol=3e-15)
     np.testing.assert_allclose(moved[moving], points[moving] + u, rtol=0, atol=1e-16)
     assert (moved[fixed] == points[fixed]).all()
-    assert (jm.deform(plan, 0 * u) == points).all()
     assert set(plan.guided.tolist()) == set(np.concatenate(sides)) - {*moving, *fixed}
-    rng = np.random.default_rng(0)
-    v, w = rng.normal(size=u.shape), rng.normal(size=points.shape)
-    other = jm.deform(plan, v) - points  # a motion that is not periodic is made so
-    np.testing.assert_allclose(jm.deform(plan, 2 * u - v) - points, 2 * (moved - points) - other, rtol=0, atol=1e-11)
+    other = check_linear(plan, u)  # a motion that is not periodic is made so
     np.testing.assert_allclose(
         (points + other)[sides[1]], (points + other)[sides[0]] @ turn(np.pi / 2, dimension).T, atol=1e-13
     )
-    np.testing.assert_allclose(np.vdot(jm.pullback(plan, v, w), v), np.vdot(w, other), rtol=1e-10)
     jm.save(tmp_path / "plan.npz", plan)
     assert (jm.deform(jm.load(tmp_path / "plan.npz"), u) == moved).all()
 
@@ -53,35 +47,23 @@ def test_laws_with_periodic_sides(dimension, method, tmp_path):
 def test_derivatives_by_the_base_with_periodic_sides(dimension, method):
     points, moving, fixed, sides, u = sector(dimension)
     plan = jm.prepare(points, moving, fixed, method=method, periodic=joined(dimension, sides))
-    rng = np.random.default_rng(0)
-    v, w = rng.normal(size=u.shape), rng.normal(size=points.shape)
+    v = np.random.default_rng(0).normal(size=u.shape)
 
-    @jax.jit
-    @jax.value_and_grad
-    def objective(points):
-        return jnp.sum(w * jm.deform(jm.refit(plan, points), v))
+    def alike(step):
+        step[sides[1]] = step[sides[0]] @ turn(np.pi / 2, dimension).T
+        return step
 
-    step = 1e-7 * rng.normal(size=points.shape)
-    step[sides[1]] = step[sides[0]] @ turn(np.pi / 2, dimension).T
-    difference = (objective(points + step)[0] - objective(points - step)[0]) / 2
-    np.testing.assert_allclose(np.vdot(objective(points)[1], step), difference, rtol=1e-5)
+    check_base_derivative(plan, v, alike)
 
 
 @pytest.mark.nightly
 def test_steps_and_parts_of_a_periodic_mesh():
     points, moving, fixed, sides, u = sector(2)
     boundary = jm.Boundary(points, moving, fixed, periodic=joined(2, sides))
-    plan, path = jm.prepare(boundary, method=TPS), np.stack([u, 3 * u])
-    for rebuild in (False, True):
-        plans, end = jm.march(plan, path, rebuild=rebuild)
+    plan = jm.prepare(boundary, method=TPS)
+    for end in check_steps(plan, np.stack([u, 3 * u])):
         np.testing.assert_allclose(end[sides[1]], end[sides[0]] @ turn(np.pi / 2, 2).T, rtol=0, atol=1e-14)
-        np.testing.assert_allclose(jm.replay(plans, path), end, rtol=0, atol=1e-12)
-    chunks, expected = list(jm.prepare_in_chunks(boundary, size=6, method=TPS)), jm.deform(plan, u)
-    assert len(chunks) > 1
-    for nodes, part in chunks:
-        np.testing.assert_allclose(jm.deform(part, u), expected[nodes], rtol=0, atol=1e-12)
-    sharded = jm.shard(plan, jax.devices()[:1])
-    np.testing.assert_allclose(jm.deform(sharded, u), jm.deform(plan, u), rtol=0, atol=1e-12)
+    check_parts(boundary, plan, u, size=6)
 
 
 @pytest.mark.nightly
@@ -117,18 +99,6 @@ def test_a_blade_turns_farther_between_periodic_sides():
     before, after = (jm.quality(mesh, jm.deform(each, u)).min_jacobian_ratio for each in (held, plan))
     assert after > before + 0.1
     assert not jm.inspect(plan, u, mesh=mesh).crossings
-
-
-def test_what_is_not_periodic():
-    points, moving, fixed, sides, _ = sector(2)
-    with pytest.raises(ValueError, match="a translation or a rotation, not both"):
-        jm.Periodic(*sides, translation=(1, 0), rotation=1.0)
-    with pytest.raises(ValueError, match="1 of 5 nodes of the second have no partner"):
-        jm.prepare(points, moving, fixed, method=TPS, periodic=joined(2, (sides[0][1:], sides[1])))
-    with pytest.raises(ValueError, match="the translation is zero"):
-        jm.prepare(points, moving, fixed, method=TPS, periodic=jm.Periodic(sides[0], sides[0]))
-    with pytest.raises(ValueError, match=r"pairs such as jm.Periodic\('lower', 'upper'"):
-        jm.prepare(points, moving, fixed, method=TPS, periodic="lower")
 
 
 @pytest.mark.parametrize("method", runs(slow=[jm.RBF.classic(jm.WendlandC2(1.0))], nightly=[jm.CompactRBF(1.0)]))

@@ -45,13 +45,6 @@ def test_names_and_ids_are_one_plan():
     np.testing.assert_allclose(jm.deform(plan, u), jm.deform(other, u), rtol=0, atol=1e-12)
 
 
-def test_a_node_in_both_moves():
-    mesh = rings()
-    plan = jm.prepare(mesh, ("body", "half"), "far", method=jm.InverseDistance())
-    assert plan.n_moving == 24 + len(mesh.patch("half"))
-    assert len(plan.fixed) == 24 - len(mesh.patch("half"))
-
-
 def with_loose(mesh, places):
     """A mesh with nodes of no cell at `places`, the first ones of the list."""
     cells = {kind: np.asarray(corners) + len(places) for kind, corners in mesh.cells.items()}

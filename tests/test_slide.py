@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from cases import BY_NAME, NAMES, full
+from laws import check_linear, check_parts, check_steps
 from meshes import blocks, box_with_hole, drum, lattice, ring
 from runs import runs
 from scipy.interpolate import CubicSpline
@@ -16,6 +17,7 @@ from benchmarks import faults
 from jaxmorph._boundary.slide import walls_of_patch
 from jaxmorph._boundary.tracks import tracks_of
 from jaxmorph._host.cells.pieces import boundary_faces
+from jaxmorph._host.surface.gaps import closest
 from jaxmorph._kernels.compile import UNTUNED
 
 TPS = full(jm.ThinPlateSpline(), 1)
@@ -38,7 +40,7 @@ def check_derivatives(plan, u, rtol=1e-6):
     """Forward and reverse derivatives against differences and each other."""
     rng = np.random.default_rng(0)
     v, w = rng.normal(size=u.shape), rng.normal(size=plan.points.shape)
-    push = jax.jit(lambda u: jax.jvp(lambda u: jm.deform(plan, u), (u,), (jnp.asarray(v),))[1])
+    push = jax.jit(lambda u: jm.velocity(plan, u, v))
     for at in (u, 0 * u):
         pushed, h = np.asarray(push(jnp.asarray(at))), 1e-6
         difference = (np.asarray(jm.deform(plan, at + h * v)) - np.asarray(jm.deform(plan, at - h * v))) / (2 * h)
@@ -63,13 +65,9 @@ def test_a_block_in_a_box_of_sliding_sides():
     assert set(plan.fixed.tolist()) == set(corners)
     assert (moved[corners] == points[corners]).all()
     assert (moved[plan.moving] == block + u).all()
-    assert (jm.deform(plan, 0 * u) == points).all()
     held = jm.deform(jm.prepare(mesh, "hole", sides, method=TPS), u)
     assert jm.quality(mesh, moved).min_jacobian_ratio > jm.quality(mesh, held).min_jacobian_ratio + 0.05
-    v, w = np.random.default_rng(1).normal(size=(2, *u.shape)), np.random.default_rng(2).normal(size=points.shape)
-    other = jm.deform(plan, v[0]) - points
-    np.testing.assert_allclose(jm.deform(plan, 2 * u - v[0]) - points, 2 * (moved - points) - other, rtol=0, atol=1e-11)
-    np.testing.assert_allclose(np.vdot(jm.pullback(plan, u, w), v[0]), np.vdot(w, other), rtol=1e-10)
+    check_linear(plan, u)
 
 
 @pytest.mark.slow
@@ -138,28 +136,12 @@ def test_the_root_of_a_wing_travels_along_its_body():
 @pytest.mark.nightly
 def test_steps_along_a_shroud():
     mesh = drum()
-    plan = jm.prepare(mesh, "hub", ("bottom", "top"), sliding=jm.Slide("shroud", AXIS), method=TPS)
+    boundary = jm.Boundary(mesh, "hub", ("bottom", "top"), sliding=jm.Slide("shroud", AXIS))
+    plan = jm.prepare(boundary, method=TPS)
     u = wrung(mesh.points, plan.moving)
-    path = np.stack([u / 2, u])
-    for rebuild in (False, True):
-        plans, end = jm.march(plan, path, rebuild=rebuild)
+    for end in check_steps(plan, np.stack([u / 2, u])):
         np.testing.assert_allclose(np.linalg.norm(end[mesh.patch("shroud"), :2], axis=1), 2, rtol=0, atol=1e-12)
-        np.testing.assert_allclose(jm.replay(plans, path), end, rtol=0, atol=1e-12)
-    chunks = jm.prepare_in_chunks(
-        jm.Boundary(mesh, "hub", ("bottom", "top"), sliding=jm.Slide("shroud", AXIS)), method=TPS, size=40
-    )
-    for nodes, part in chunks:
-        np.testing.assert_allclose(jm.deform(part, u), jm.deform(plan, u)[nodes], rtol=0, atol=1e-12)
-    sharded = jm.shard(plan, jax.devices()[:1])
-    np.testing.assert_allclose(jm.deform(sharded, u), jm.deform(plan, u), rtol=0, atol=1e-12)
-
-
-def off_faces(points, corners):
-    """Measures distances (k,) of points from the polygon or polyhedron of faces, by brute force."""
-    first, second = corners[:, 0], corners[:, 1]
-    edge = second - first
-    t = np.clip(np.einsum("kfd,fd->kf", points[:, None] - first[None], edge) / np.sum(edge**2, axis=1), 0, 1)
-    return np.linalg.norm(points[:, None] - first[None] - t[..., None] * edge[None], axis=2).min(axis=1)
+    check_parts(boundary, plan, u, size=40)
 
 
 def similar(points):
@@ -176,7 +158,7 @@ def test_a_polygon_and_a_circle():
     on_faces = jm.prepare(mesh, "inner", sliding="outer", method=TPS)
     moved = np.asarray(jm.deform(on_faces, u))
     polygon = mesh.points[mesh.patch("outer")]
-    off = off_faces(moved[mesh.patch("outer")], np.stack([polygon, np.roll(polygon, -1, axis=0)], axis=1))
+    off = closest(np.stack([polygon, np.roll(polygon, -1, axis=0)], axis=1), moved[mesh.patch("outer")])[2]
     assert off.max() < 1e-14
     assert np.abs(moved - mesh.points)[mesh.patch("outer")].max() > 0.2
     assert (jm.deform(on_faces, 0 * u) == mesh.points).all()
@@ -245,31 +227,6 @@ def test_a_shroud_of_faces():
     )
     assert np.abs(moved - exact).max() < 0.1
     assert (jm.deform(plan, 0 * u) == mesh.points).all()
-
-
-def test_what_does_not_slide():
-    mesh = box_with_hole()
-    with pytest.raises(ValueError, match="slides on its faces, but points alone have no faces"):
-        jm.prepare(mesh.points, mesh.patch("hole"), sliding=jm.Slide(mesh.patch("left")), method=TPS)
-    with pytest.raises(ValueError, match=r"a patch slides on a jm\.Plane, a jm\.Revolution or its own faces"):
-        jm.Slide("left", "top")
-    with pytest.raises(ValueError, match="a surface of revolution has an axis in 3-D, and none in 2-D"):
-        jm.prepare(mesh, "hole", sliding=jm.Slide("left", AXIS), method=TPS)
-    with pytest.raises(ValueError, match="all 8 nodes of the sliding patch 'hole' are in `moving`, first node 30 at"):
-        jm.prepare(mesh, "hole", sliding="hole", method=TPS)
-    with pytest.raises(
-        ValueError, match=r"the sliding patch 'left' comes twice in `sliding`\. Its nodes slide along one surface"
-    ):
-        jm.prepare(mesh, "hole", sliding=["left", jm.Slide("left", jm.Plane((1, 0), (-4, 0)))], method=TPS)
-    halves = [jm.Slide(mesh.patch("left")[part]) for part in (slice(0, 5), slice(4, 9))]
-    with pytest.raises(ValueError, match=r"meet at 1 nodes without an edge, the worst is node 4 at \(-4, 0\)"):
-        jm.prepare(mesh, "hole", sliding=halves, method=TPS)
-    points = np.array(mesh.points)
-    points[mesh.patch("left")] = (-4, 0)
-    with pytest.raises(ValueError, match=r"all 9 nodes of the sliding patch 'left' stand at \(-4, 0\)"):
-        jm.prepare(mesh.moved(points), "hole", sliding="left", method=TPS)
-    with pytest.raises(ValueError, match="places along the axis, ascending, and radii"):
-        jm.Revolution((1, 0, 0), profile=[(1, 1), (0, 1)])
 
 
 @pytest.mark.nightly
@@ -361,11 +318,7 @@ def test_methods_between_sliding_and_periodic_patches(name):
         assert (moved[plan.moving] == points[plan.moving] + u).all()
         assert (d[plan.fixed] == 0).all()
     assert (jm.deform(plan, 0 * u) == points).all()
-    v, w = np.random.default_rng(0).normal(size=u.shape), np.random.default_rng(1).normal(size=points.shape)
-    pushed, h = np.asarray(jm.velocity(plan, u, v)), 1e-6
-    difference = (np.asarray(jm.deform(plan, u + h * v)) - np.asarray(jm.deform(plan, u - h * v))) / (2 * h)
-    np.testing.assert_allclose(pushed, difference, rtol=0, atol=1e-6 * np.abs(pushed).max())
-    np.testing.assert_allclose(np.vdot(jm.pullback(plan, u, w), v), np.vdot(w, pushed), rtol=1e-8)
+    check_derivatives(plan, u)
 
 
 ALIKE = ("few-sources", "thin-plate-1", "notebook's basis", "multiscale-whole")

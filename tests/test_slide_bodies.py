@@ -7,26 +7,11 @@ from meshes import blocks, lattice
 import jaxmorph as jm
 from benchmarks import faults
 from jaxmorph import cases
-from jaxmorph._boundary.walls import filled
+from jaxmorph._boundary.holes import filled
 from jaxmorph._host.cells.pieces import boundary_faces
+from jaxmorph._host.surface.gaps import closest
 
 pytestmark = pytest.mark.nightly
-
-
-def off_triangles(points, triangles):
-    """Measures distances (k,) of points from triangles (f, 3, 3): to the plane where its foot lies within, or to an edge."""
-    first, ab, ac = triangles[:, 0], triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
-    frames = np.stack([ab, ac, np.cross(ab, ac)], axis=2)
-    weights = np.einsum("fij,kfj->kfi", np.linalg.inv(frames), points[:, None] - first[None])
-    within = (weights[..., :2] >= 0).all(axis=2) & (weights[..., :2].sum(axis=2) <= 1)
-    height = np.where(within, np.abs(weights[..., 2]) * np.linalg.norm(frames[None, :, :, 2], axis=2), np.inf)
-    edges = []
-    for k in range(3):
-        start, edge = triangles[:, k], triangles[:, (k + 1) % 3] - triangles[:, k]
-        arm = points[:, None] - start[None]
-        t = np.clip(np.sum(arm * edge[None], axis=2) / np.sum(edge**2, axis=1)[None], 0, 1)
-        edges.append(np.linalg.norm(arm - t[..., None] * edge[None], axis=2))
-    return np.minimum(height, np.min(edges, axis=0)).min(axis=1)
 
 
 def fuselage():
@@ -54,7 +39,7 @@ def test_a_wing_moves_along_a_fuselage_of_faces():
     quads = boundary_faces(cells, len(points))["quad"]
     quads = quads[np.isin(quads, body).all(axis=1)]
     diagonals = [[0, 1, 2], [0, 2, 3], [1, 2, 3], [1, 3, 0]]
-    off = off_triangles(moved[body], points[np.concatenate([quads[:, each] for each in diagonals])])
+    off = closest(points[np.concatenate([quads[:, each] for each in diagonals])], moved[body])[2]
     stood = (np.abs(x) < 0.26) & (np.abs(y) < 0.11) & (z > 0)
     assert off[~stood].max() < 1e-14
     assert stood.any()

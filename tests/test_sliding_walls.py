@@ -1,4 +1,4 @@
-"""The walls that sliding nodes stay on: nearest points in closed form, and by trying many points of each face."""
+"""The walls that sliding nodes stay on: nearest points in closed form, and by a search over all faces."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -7,9 +7,11 @@ import pytest
 from meshes import blocks, lattice
 from scipy.interpolate import CubicSpline
 
-from jaxmorph._boundary.slide import faces_around
+from jaxmorph._boundary.faces import Faceted, faces_around
+from jaxmorph._boundary.holes import filled
 from jaxmorph._boundary.tracks import Track
-from jaxmorph._boundary.walls import Faceted, Flat, Round, filled, rim
+from jaxmorph._boundary.walls import Flat, Round
+from jaxmorph._host.surface.gaps import closest
 
 ROWS = np.arange(12)
 AXIS, ORIGIN = np.array([0.6, 0.0, 0.8]), np.array([1.0, -2.0, 0.5])
@@ -75,28 +77,19 @@ def faceted(d):
 
 @pytest.mark.parametrize("d", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_faces_are_reached_at_their_nearest_point(d):
-    """No point of any face, of thousands that are tried, is nearer; what is found lies on a face."""
+    """It is that of a search over all faces, with weights of their corners."""
     wall = faceted(d)
     vertices, faces = np.asarray(wall.vertices), np.asarray(wall.faces)
     x = np.concatenate([vertices[:7] + 0.1 * np.random.default_rng(0).normal(size=(7, d)), vertices])
     places, normals = (np.asarray(each) for each in eqx.filter_jit(wall.nearest)(jnp.asarray(x)))
-    weights = np.random.default_rng(1).dirichlet(np.ones(d), 3000)
-    tried = np.einsum("wc,fcd->wfd", weights, vertices[faces]).reshape(-1, d)
-    nearest = np.linalg.norm(x[:7, None] - tried[None], axis=2).min(axis=1)
-    away = np.linalg.norm(x - places, axis=1)[:7]
-    assert (away <= nearest + 1e-12).all()
-    assert (nearest <= away + 0.05).all()
+    chosen, weights, nearest = closest(vertices[faces], x)
+    np.testing.assert_allclose(np.linalg.norm(x - places, axis=1), nearest, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(places, np.einsum("kc,kcd->kd", weights, vertices[faces][chosen]), rtol=0, atol=1e-12)
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, rtol=1e-13)
-    np.testing.assert_allclose(places[7:], vertices, rtol=0, atol=1e-13)
     assert (np.asarray(wall.at(jnp.asarray(vertices + 5.0)).vertices) == vertices + 5.0).all()
-    assert wall.has_end(np.concatenate([vertices[:1], tried[:1]])).tolist() == [True, False]
+    assert wall.has_end(np.stack([vertices[0], vertices[faces[0]].mean(axis=0)])).tolist() == [True, False]
     order = np.argsort(wall.renumbered(np.arange(len(vertices))[::-1]).nodes)
     assert (order == np.arange(len(vertices))[::-1]).all()
-
-
-def test_the_rim_of_a_strip():
-    assert sorted(rim(np.asarray(faceted(2).faces)).ravel().tolist()) == [0, 6]
-    assert len(rim(np.asarray(faceted(3).faces))) == 2 * (2 + 3)
 
 
 def test_holes_whose_rims_share_a_node_are_filled_apart():

@@ -10,9 +10,7 @@ from runs import runs
 from scipy.spatial import ConvexHull
 
 import jaxmorph as jm
-from jaxmorph._boundary.slide import faces_around
-from jaxmorph._boundary.smooth_faces import SmoothFaces
-from jaxmorph._boundary.walls import Faceted
+from jaxmorph._boundary.faces import Faceted, SmoothFaces, faces_around
 
 
 def wall(kind, vertices, faces):

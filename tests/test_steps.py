@@ -45,14 +45,7 @@ def marched(name, rebuild, dimension=2):
     return jm.march(planned(name, dimension), turned(body(dimension)), rebuild=rebuild)
 
 
-CASES = [
-    ("few", False),
-    ("few", True),
-    ("near-wall", False),
-    ("delaunay", True),
-    ("full", False),
-    ("reduced", False),
-]
+CASES = [("few", False), ("few", True), ("near-wall", False), ("delaunay", True), ("full", False), ("reduced", False)]
 BREADTH = {"near-wall", "full", "few"}
 every_march = pytest.mark.parametrize(
     ("name", "rebuild"),
@@ -88,15 +81,6 @@ def test_delaunay_steps_with_kept_ids_equal_one(dimension):
     plan = planned("delaunay", dimension)
     _, points = jm.march(plan, path)
     np.testing.assert_allclose(points, jm.deform(plan, path[-1]), rtol=0, atol=2e-15 * np.abs(mesh.points).max() * 2)
-
-
-def test_one_step_is_deform():
-    mesh = body(2)
-    path = turned(mesh)[:1]
-    for name in ("few", "full"):
-        plans, points = jm.march(planned(name), path)
-        assert len(plans) == 1
-        np.testing.assert_allclose(points, jm.deform(planned(name), path[0]), rtol=0, atol=1e-14)
 
 
 def test_steps_by_hand():

@@ -34,7 +34,6 @@ FLOORS = (
     ("_plan", "_quality"),
     ("_improve",),
     ("_advice",),
-    ("_public",),
     ("",),
     ("shapes",),
     ("io", "plot", "cases", "integrations"),
@@ -42,7 +41,7 @@ FLOORS = (
     ("cli",),
     ("__main__",),
 )
-"""Rooms by floor: each may import from the floors below it, and from itself. "" is the package, whose names `_public` has."""
+"""Rooms by floor: each may import from the floors below it, and from itself. "" is the package."""
 
 FLOOR = {room: floor for floor, rooms in enumerate(FLOORS) for room in rooms}
 NEIGHBOURS = {("cases", "io"), ("integrations", "io")}
@@ -105,8 +104,7 @@ def own_imports() -> list[Import]:
 
 
 def imports_between_rooms() -> list[Import]:
-    public = ("jaxmorph", "jaxmorph._public")
-    return [each for each in own_imports() if each.rooms[0] != each.rooms[1] and each.importer not in public]
+    return [each for each in own_imports() if each.rooms[0] != each.rooms[1] and each.importer != "jaxmorph"]
 
 
 @pytest.mark.skipif(not (ROOT / ".git").exists() or shutil.which("git") is None, reason="no checkout of git")
@@ -164,7 +162,7 @@ Variable _Content _Reader
 def test_outer_rooms_import_public_names_alone():
     found: dict[str, set[str]] = {room: set() for room in BORDER}
     for each in imports_between_rooms():
-        if each.rooms[0] in BORDER and each.rooms[1].startswith("_") and each.rooms[1] not in ("_public", "_demo"):
+        if each.rooms[0] in BORDER and each.rooms[1].startswith("_") and each.rooms[1] != "_demo":
             found[each.rooms[0]].add(each.module.removeprefix("jaxmorph."))
     assert found == {room: set(modules.split()) for room, modules in BORDER.items()}
 
@@ -343,15 +341,6 @@ else:
     raise AssertionError
 """
     run_silently(code)
-
-
-def test_type_checkers_see_the_public_names():
-    """`_public.py` has for them, and for the documentation, what `jaxmorph` imports on first use."""
-    import jaxmorph as jm
-    from jaxmorph import _public
-
-    seen = {name: value for name, value in vars(_public).items() if callable(value) and name[0] != "_"}
-    assert seen == {name: getattr(jm, name) for name in jm._MODULES}
 
 
 def test_every_public_name_is_documented():

@@ -12,19 +12,17 @@ from .._host.package.arguments import rows_of
 from .._host.package.errors import MeshError, place_of, warn
 from .._host.surface.skin import has_free_faces
 from .._mesh.mesh import Mesh
-from .curved_faces import with_own_curves
-from .names import by_kinds, check_named_once, checked_points, nodes_named, planes_named, slides
+from .names import PAIRS, by_kinds, check_named_once, checked_points, nodes_named, planes_named, several, slides
 from .outer_faces import FreeFaces, OuterFaces, free_faces, outer_faces
 from .periodic import Pairing, Periodic, merged, paired
-from .slide import Slide, walls_of_patch
+from .slide import Slide, Walls, walls_of_patch, with_own_curves
 from .symmetry import Plane, check_dimension
 from .tracks import Track, check_repeated, tracks_of
-from .walls import AbstractWall
 
 Nodes = str | Sequence[str] | Integer[ArrayLike, " _k"] | Sequence[int | np.integer]
 
-_EMPTY: dict[str, Any] = dict.fromkeys(("planes", "pairings", "tracks"), ())
-_EMPTY |= dict.fromkeys(("free", "loose"), np.zeros(0, dtype=np.int64))
+_NONE = np.zeros(0, dtype=np.int64)
+_EMPTY: dict[str, Any] = {"planes": (), "pairings": (), "tracks": (), "free": _NONE, "loose": _NONE}
 _EMPTY |= dict.fromkeys(("mesh", "faces", "left", "is_open", "cells"))
 
 
@@ -32,8 +30,8 @@ _EMPTY |= dict.fromkeys(("mesh", "faces", "left", "is_open", "cells"))
 class Boundary:
     """What moves, stays, slides and repeats on the boundary of a mesh, checked once.
 
-    `prepare`, `prepare_surface` and `prepare_in_chunks` take it. It is immutable, and holds no
-    method: several plans may share it.
+    `prepare`, `prepare_surface` and `prepare_in_chunks` take it. It is immutable; several plans may
+    share it.
 
     **Arguments:**
 
@@ -44,12 +42,10 @@ class Boundary:
       patches decide: symmetry planes slide, all others are fixed. A warning names them.
     - `symmetry`: planes, or names of patches that lie in one or several planes. Nodes on a plane
       stay in it, also moving nodes.
-    - `periodic`: pairs of patches of which one repeats the other. The two nodes of a pair move
-      alike.
-    - `sliding`: patches whose nodes stay on their surface and move along it. A name stands for the
-      patch's own faces.
-    - `free`: node ids or names of patches whose nodes may follow like inner nodes, without a
-      warning. Default: none.
+    - `periodic`: pairs of patches of which one repeats the other.
+    - `sliding`: patches whose nodes move along their surface. A name stands for the patch's own
+      faces.
+    - `free`: node ids or names of patches whose nodes follow like inner nodes, without a warning.
 
     **Fields:**
 
@@ -60,9 +56,8 @@ class Boundary:
     - `left`: the boundary faces in no list, None where no cells are known.
     - `loose`: ids of the nodes of no cell and in no list, which stay where they are.
 
-    **Raises:** `ValueError` for ids out of range, ids that come twice in `moving`, and coordinates
-    that are not finite. Also for periodic patches that do not match, and sliding patches that do
-    not lie on their surface.
+    **Raises:** `ValueError` for ids out of range or twice in `moving`, coordinates that are not
+    finite, periodic patches that do not match, and sliding patches that leave their surface.
     """
 
     # `pairings`: nodes that move alike; `tracks`: nodes that stay on walls; `faces`: boundary faces
@@ -97,33 +92,25 @@ class Boundary:
         patches = mesh if isinstance(mesh, Mesh) else None
         points = checked_points(mesh.points if isinstance(mesh, Mesh) else mesh)
         if all(isinstance(argument, tuple) and not argument for argument in (fixed, symmetry, sliding, free)):
+            periodic = several("periodic", periodic, Periodic, PAIRS)
             fixed, symmetry = by_kinds(mesh, moving, periodic)
         check_named_once(sliding, fixed=fixed, symmetry=symmetry)
-        moving, fixed, free = (
-            nodes_named(ids, name, patches, len(points))
-            for ids, name in ((moving, "moving"), (fixed, "fixed"), (free, "free"))
-        )
-        _check_moving(moving)
-        fixed = fixed[np.sort(np.unique(fixed, return_index=True)[1])]  # each once, where it comes first
-        fixed = fixed[~np.isin(fixed, moving)]
+        moving, fixed, free = _listed(points, patches, moving=moving, fixed=fixed, free=free)
         planes = planes_named(symmetry, points, patches)
         check_dimension(planes, points.shape[1])
         outer = None if patches is None else outer_faces(patches)
         pairings = _pairings(periodic, points, patches)
-        faces = None if patches is None else outer or OuterFaces.numbered(patches.linear.cells)  # or those of a surface
-        walls = _walls(sliding, points, patches, {"fixed": fixed, "moving": moving}, faces)
+        walls = _walls(sliding, points, patches, {"fixed": fixed, "moving": moving}, outer)
         tracks, corners = tracks_of(walls, planes if walls else (), points)
         _check_corners(corners, moving, points)
-        is_free = np.isin(np.arange(len(points)), fixed, invert=True)
-        check_repeated(tracks, corners, pairings, points, is_free)
+        check_repeated(tracks, corners, pairings, points, np.isin(np.arange(len(points)), fixed, invert=True))
         fixed = np.append(fixed, corners[~np.isin(corners, fixed)])
-        tracks = _without(tracks, fixed)
-        fields = {"mesh": patches, "points": points, "moving": moving, "fixed": fixed, "free": free}
-        fields |= {"planes": planes, "pairings": pairings, "tracks": tracks}
-        fields["guided"] = _guided(pairings, tracks, moving, fixed, points)
-        self._fill(_EMPTY | fields)
-        if patches is not None and outer is not None:
-            self._fill(vars(with_cells(self, patches, outer)))
+        left = (Track(track.rows[~np.isin(track.rows, fixed)], track.walls) for track in tracks)
+        tracks = tuple(track for track in left if len(track.rows))
+        guided = _guided(pairings, tracks, moving, fixed, points)
+        lists = {"moving": moving, "fixed": fixed, "free": free, "guided": guided}
+        made = boundary_of_lists(points, mesh=patches, planes=planes, pairings=pairings, tracks=tracks, **lists)
+        self._fill(vars(made if patches is None or outer is None else with_cells(made, patches, outer)))
 
     def _fill(self, fields: Mapping[str, Any]) -> None:
         for name, value in fields.items():
@@ -153,42 +140,41 @@ class Boundary:
         return {kind: corners[(corners >= 0).all(axis=1)] for kind, corners in rows.items()}
 
     def warn_of_free_faces(self) -> None:
-        """Warns about boundary faces in no list."""
         if self.left:
             warn(f"{self.left} Name them in `fixed`, `moving`, `symmetry` or `free`.")
 
     def part(self, nodes: Integer[ArrayLike, " _k"] | Sequence[int]) -> "Boundary":
         """Restricts the boundary to nodes (k,) of the mesh and those of the surface, ascending."""
         nodes = np.union1d(rows_of("nodes", nodes, len(self.points)), self.nodes)
-        moving, fixed, guided = (np.searchsorted(nodes, ids) for ids in (self.moving, self.fixed, self.guided))
-        faces, surface = self.surface_faces, np.concatenate([moving, fixed, guided])
-        faces = None if faces is None else {kind: surface[rows] for kind, rows in faces.items()}
-        place = _rows(nodes, len(self.points))
-        pairings, tracks = renumbered(self.pairings, self.tracks, place)
-        lists = {"moving": moving, "fixed": fixed, "guided": guided, "pairings": pairings, "tracks": tracks}
-        lists["loose"] = np.flatnonzero(np.isin(nodes, self.loose))
         cells = self.cells if len(nodes) == len(self.points) else None
-        return changed(self, mesh=None, points=self.points[nodes], faces=faces, cells=cells, **lists)
+        return changed(self._restricted(nodes), cells=cells, loose=np.flatnonzero(np.isin(nodes, self.loose)))
 
     def alone(self) -> "Boundary":
         """Restricts the boundary to the surface's nodes; the guided nodes are then in no list."""
-        m, count = len(self.moving), len(self.moving) + len(self.fixed)
-        rows, place = np.arange(count), _rows(self.nodes, len(self.points))
-        faces, is_open = self.surface_faces, None
-        if faces is not None:
-            faces = {kind: corners[(corners < count).all(axis=1)] for kind, corners in faces.items()}
-            is_open = bool(self.tracks)
-        pairings, tracks = renumbered(self.pairings, self.tracks, place)
-        lists = {"moving": rows[:m], "fixed": rows[m:], "guided": rows[:0], "pairings": pairings, "tracks": tracks}
-        points, lists["loose"] = self.points[self.nodes], rows[:0]
-        return changed(self, mesh=None, points=points, faces=faces, left=None, is_open=is_open, cells=None, **lists)
+        own, listed = self._restricted(self.nodes), len(self.moving) + len(self.fixed)
+        faces = own.faces and {kind: corners[(corners < listed).all(axis=1)] for kind, corners in own.faces.items()}
+        is_open = None if faces is None else bool(self.tracks)
+        return changed(own, guided=_NONE, faces=faces, left=None, is_open=is_open, loose=_NONE)
+
+    def _restricted(self, nodes: np.ndarray) -> "Boundary":
+        """Returns the boundary of some nodes in their order, those of the surface among them."""
+        place, faces = _rows(nodes, len(self.points)), self.surface_faces
+        faces = faces and {kind: place[self.nodes[rows]] for kind, rows in faces.items()}
+        lists: dict[str, Any] = {name: place[getattr(self, name)] for name in ("moving", "fixed", "guided")}
+        lists["pairings"], lists["tracks"] = renumbered(self.pairings, self.tracks, place)
+        return changed(self, mesh=None, points=self.points[nodes], faces=faces, cells=None, **lists)
 
 
 def changed(boundary: Boundary, **fields: Any) -> Boundary:
     """Copies a boundary with other fields, which are not checked."""
-    other = object.__new__(Boundary)
-    other._fill(vars(boundary) | fields)
-    return other
+    return boundary_of_lists(**(vars(boundary) | fields))
+
+
+def boundary_of_lists(points: np.ndarray, **fields: Any) -> Boundary:
+    """Makes a boundary of lists that were checked before; a list that is not given is empty."""
+    boundary = object.__new__(Boundary)
+    boundary._fill(_EMPTY | {"points": points} | fields)
+    return boundary
 
 
 def with_cells(boundary: Boundary, mesh: Mesh, outer: OuterFaces | None = None) -> Boundary:
@@ -212,30 +198,16 @@ def with_faces(boundary: Boundary, mesh: Mesh, outer: OuterFaces) -> Boundary:
     return changed(boundary, faces=outer.corners, left=free_faces(mesh, outer, is_listed), is_open=is_open)
 
 
-def boundary_of_lists(
-    points: np.ndarray, moving: np.ndarray, fixed: np.ndarray, guided: np.ndarray, **fields: Any
-) -> Boundary:
-    """Makes a boundary of points alone, of node ids, planes, pairings and tracks checked before."""
-    boundary = object.__new__(Boundary)
-    boundary._fill(_EMPTY | {"points": points, "moving": moving, "fixed": fixed, "guided": guided} | fields)
-    return boundary
-
-
-def _without(tracks: Sequence[Track], fixed: np.ndarray) -> tuple[Track, ...]:
-    left = (Track(track.rows[~np.isin(track.rows, fixed)], track.walls) for track in tracks)
-    return tuple(track for track in left if len(track.rows))
-
-
-def _check_moving(moving: np.ndarray) -> None:
+def _listed(points: np.ndarray, mesh: Mesh | None, **lists: Nodes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    moving, fixed, free = (nodes_named(ids, name, mesh, len(points)) for name, ids in lists.items())
     unique, counts = np.unique(moving, return_counts=True)
-    if len(unique) < len(moving):
-        raise MeshError(
-            f"{(counts > 1).sum()} nodes are named more than once in `moving`, first node {{node}}.", unique[counts > 1]
-        )
+    if len(twice := unique[counts > 1]):
+        raise MeshError(f"{len(twice)} nodes are named more than once in `moving`, first node {{node}}.", twice)
+    fixed = fixed[np.sort(np.unique(fixed, return_index=True)[1])]  # each once, where it comes first
+    return moving, fixed[~np.isin(fixed, moving)], free
 
 
 def _check_corners(corners: np.ndarray, moving: np.ndarray, points: np.ndarray) -> None:
-    """Raises `ValueError` for moving nodes at corners of sliding patches, which cannot move."""
     wrong = corners[np.isin(corners, moving)]
     if len(wrong):
         raise MeshError(
@@ -246,32 +218,20 @@ def _check_corners(corners: np.ndarray, moving: np.ndarray, points: np.ndarray) 
 
 
 def _pairings(periodic: Any, points: np.ndarray, mesh: Mesh | None) -> tuple[Pairing, ...]:
-    several = [periodic] if isinstance(periodic, Periodic) else periodic
-    if not isinstance(several, Sequence) or not all(isinstance(pair, Periodic) for pair in several):
-        raise ValueError(
-            f"`periodic` must be pairs such as jm.Periodic('lower', 'upper', translation=(0, 1)), not {periodic!r}."
-        )
     pairings = []
-    for pair in several:
-        first, second = (
-            np.unique(nodes_named(side, "periodic", mesh, len(points))) for side in (pair.patch, pair.partner)
-        )
+    for pair in several("periodic", periodic, Periodic, PAIRS):
+        sides = (pair.patch, pair.partner)
+        first, second = (np.unique(nodes_named(side, "periodic", mesh, len(points))) for side in sides)
         pairings.append(paired(pair, first, second, points))
     return merged(pairings, float(np.ptp(points, axis=0).max()))
 
 
 def _walls(
-    sliding: Any,
-    points: np.ndarray,
-    mesh: Mesh | None,
-    lists: Mapping[str, np.ndarray],
-    outer: OuterFaces | None,
-) -> list[tuple[AbstractWall, np.ndarray]]:
-    """Makes the walls of sliding patches, with their nodes.
-
-    Raises `ValueError` for a patch that a list holds whole.
-    """
-    walls, patches, faces = [], [], None if outer is None else outer.corners
+    sliding: Any, points: np.ndarray, mesh: Mesh | None, lists: Mapping[str, np.ndarray], outer: OuterFaces | None
+) -> Walls:
+    walls, patches, faces = [], [], None
+    if mesh is not None:
+        faces = (outer or OuterFaces.numbered(mesh.linear.cells)).corners  # of a surface, its cells
     for slide in slides(sliding):
         nodes = np.unique(nodes_named(slide.patch, "sliding", mesh, len(points)))
         for name, listed in lists.items():
@@ -285,18 +245,14 @@ def _walls(
         if any(np.array_equal(nodes, other) for other in patches):
             raise ValueError(f"{slide.name} comes twice in `sliding`. Its nodes slide along one surface. Remove one.")
         patches.append(nodes)
-        own = walls_of_patch(slide, nodes, points, faces, lists.get("moving", ()))
-        walls += with_own_curves(own, mesh)
+        walls += with_own_curves(walls_of_patch(slide, nodes, points, faces, lists["moving"]), mesh)
     return walls
 
 
 def _guided(
     pairings: Sequence[Pairing], tracks: Sequence[Track], moving: np.ndarray, fixed: np.ndarray, points: np.ndarray
 ) -> np.ndarray:
-    """Lists sliding and periodic nodes in no list.
-
-    Raises `ValueError` for a pair whose nodes are in different lists.
-    """
+    """Lists sliding and periodic nodes in no list."""
     role = np.zeros(len(points), dtype=int)
     role[moving], role[fixed] = 1, 2
     for pairing in pairings:
@@ -332,7 +288,7 @@ def renumbered(
 
 
 def _rows(nodes: np.ndarray, n: int) -> np.ndarray:
-    """Finds the row of all n nodes in `nodes`; -1 for a node that is not in it."""
+    """Finds the row of each of n nodes in `nodes`; -1 for an absent node."""
     row = np.full(n, -1, dtype=np.int32)
     row[nodes] = np.arange(len(nodes))
     return row

@@ -18,11 +18,10 @@ from .symmetry import Plane, facing, tolerance
 class Images(eqx.Module):
     """The own rows of a surface in canonical order, extended by their images.
 
-    Methods see extended rows alone, and take the first of equals. So no result depends on how nodes
-    are numbered or listed. Extended row i is the image of own row `rows[i]` by the transform
-    `kind[i]`: x -> `matrices` x + `shifts`. Kind 0 is the identity. Own row j lies on plane k where
-    `on_plane[j, k]`. `pairings` pair own rows; `powers[t, q]` is the power of periodic transform q
-    in transform t.
+    Methods see extended rows alone: no result depends on how nodes are numbered. Extended row i is
+    the image of own row `rows[i]` by the transform `kind[i]`: x -> `matrices` x + `shifts`. Kind 0
+    is the identity. Own row j lies on plane k where `on_plane[j, k]`. `pairings` pair own rows;
+    `powers[t, q]` is the power of periodic transform q in transform t.
     """
 
     normals: Float[Array, "p d"]
@@ -57,10 +56,6 @@ class Images(eqx.Module):
         image = jnp.einsum("bij,bj->bi", turns, u[self.rows], precision="highest")
         return jnp.where(self.kind[:, None] == 0, u[self.rows], image)
 
-    def extended(self, u: Float[Array, "o d"]) -> Float[Array, "b d"]:
-        """Computes displacements of all rows; displacements `u` of own rows need not be `kept`."""
-        return self.vectors(self.kept(u))
-
     def kept(self, u: Float[Array, "o d"]) -> Float[Array, "o d"]:
         """Changes displacements: rows stay on their planes, and periodic pairs move alike."""
         u = self.within(u, self.on_plane)
@@ -88,10 +83,8 @@ class Copies:
     - `places` (t, o): number of the place of an own row's image by a transform; images with equal
       numbers coincide.
     - `roots` (o,): the own row that an own row repeats by a periodic transform, or the row itself.
-    - `rows`, `kind` (b,): own row and transform of an extended row, no place twice. The first
-      `moving` extended rows move.
-    - `matrices` (t, d, d), `shifts` (t, d): the transforms.
-    - `powers` (t, q): powers of the periodic transforms in a transform.
+    - `rows`, `kind` (b,): own row and transform of an extended row, no place twice.
+    - `matrices` (t, d, d): of the transforms.
     - `sides` (o, s): True for own rows on a side of a periodic pair.
     """
 
@@ -99,10 +92,7 @@ class Copies:
     roots: np.ndarray
     rows: np.ndarray
     kind: np.ndarray
-    moving: int
     matrices: np.ndarray
-    shifts: np.ndarray
-    powers: np.ndarray
     sides: np.ndarray
 
     @property
@@ -126,44 +116,58 @@ class Copies:
         return rows_in(place, faces[first]).astype(np.int32)
 
 
-def copies(
+def images_of(
     planes: Sequence[Plane],
     pairings: Sequence[Pairing],
-    on_plane: Bool[np.ndarray, "o p"],
+    on_plane: Bool[np.ndarray, "n p"],
+    nodes: np.ndarray,
     moving: int,
-    points: Float[np.ndarray, "o d"],
-) -> Copies:
-    """Finds images of own rows at `points`; `moving` rows move, `pairings` are of own rows.
+    points: Float[np.ndarray, "n d"],
+    order: np.ndarray,
+) -> tuple[Images, Copies]:
+    """Makes the images of `nodes` (o,), and the list of their places; `moving` nodes come first.
 
-    Parallel planes make no images. Of several rows and images at one place, one counts. The nearest
-    images come first.
+    The own rows of the `Copies` are those of `nodes` in an `order` (o,), which keeps moving nodes
+    first. Parallel planes make no images. Of several rows and images at one place, one counts. The
+    nearest images come first.
     """
+    row, ordered = np.full((2, len(on_plane)), -1, dtype=np.int32)
+    row[nodes], ordered[nodes[order]] = np.arange(len(nodes)), np.arange(len(nodes))
+    pairs = [pairing.renumbered(ordered) for pairing in pairings]
     # A transform is a power of every periodic transform, then a mirror flag of every plane. The
     # sort by the sum of powers is stable.
-    flags = list(itertools.product(*((False,) if is_facing else (False, True) for is_facing in facing(planes))))
-    powers = [pairing.powers for pairing in pairings]
-    elements = sorted(
-        itertools.product(itertools.product(*powers), flags), key=lambda element: sum(map(abs, element[0]))
+    flags = itertools.product(*((False,) if is_facing else (False, True) for is_facing in facing(planes)))
+    powers = itertools.product(*(pairing.powers for pairing in pairs))
+    elements = sorted(itertools.product(powers, flags), key=lambda element: sum(map(abs, element[0])))
+    transforms = [_transform(planes, pairs, *element, points.shape[1]) for element in elements]
+    matrices, shifts = map(np.stack, zip(*transforms, strict=True))
+    places, roots = _numbered(elements, pairs, on_plane[nodes[order]])
+    if pairs:
+        own = points[nodes[order]]
+        places = _joined(places, np.einsum("tij,oj->toi", matrices, own.astype(float)) + shifts[:, None], own)
+    # each place once: moving rows first, own rows before images
+    kind, rows = np.divmod(np.sort(np.unique(places, return_index=True)[1]), len(nodes))
+    first = np.argsort(rows >= moving, kind="stable")
+    rows, kind = rows[first], kind[first]
+    sides = _sides(pairs, len(nodes))
+    normals, origins = (
+        np.array([getattr(plane, name) for plane in planes]).reshape(-1, points.shape[1])
+        for name in ("normal", "origin")
     )
-    matrices, shifts = map(
-        np.stack, zip(*(_transform(planes, pairings, *element, points.shape[1]) for element in elements), strict=True)
-    )
-    places, roots = _numbered(elements, pairings, on_plane)
-    if pairings:
-        places = _joined(places, np.einsum("tij,oj->toi", matrices, points.astype(float)) + shifts[:, None], points)
-    rows, kind = _once(places, moving)
-    rows_of_sides = [np.append(side, pairing.alone) for pairing in pairings for side in (pairing.first, pairing.second)]
-    sides = np.zeros((len(points), len(rows_of_sides)), dtype=bool)
-    for column, side in zip(sides.T, rows_of_sides, strict=True):
-        column[side] = True
-    exponents = np.array([powers for powers, _ in elements], dtype=np.int32).reshape(len(elements), len(pairings))
-    return Copies(places, roots, rows, kind, int((rows < moving).sum()), matrices, shifts, exponents, sides)
+    exponents = np.array([powers for powers, _ in elements], dtype=np.int32).reshape(len(elements), len(pairs))
+    images = (normals, origins, on_plane[nodes], order[rows].astype(np.int32), kind.astype(np.int32), matrices, shifts)
+    own_pairs = tuple(pairing.renumbered(row) for pairing in pairings)
+    return Images(*as_jax((*images, exponents, own_pairs))), Copies(places, roots, rows, kind, matrices, sides)
+
+
+def _sides(pairings: Sequence[Pairing], count: int) -> Bool[np.ndarray, "o s"]:
+    lists = [np.append(side, pairing.alone) for pairing in pairings for side in (pairing.first, pairing.second)]
+    return np.array([np.isin(np.arange(count), side) for side in lists], dtype=bool).reshape(-1, count).T
 
 
 def _numbered(
     elements: Sequence[tuple], pairings: Sequence[Pairing], on_plane: Bool[np.ndarray, "o p"]
 ) -> tuple[Int[np.ndarray, "t o"], Int[np.ndarray, " o"]]:
-    """Numbers the places of all images, and finds the row that a row repeats."""
     # Each image position is one integer of mixed radix: a bit for each mirror plane, then a digit
     # for the periodic power of each pairing, then the source row. Rows on a plane, on an axis, and
     # on second sides have the integer of the row that they repeat: equal integers, one position.
@@ -204,15 +208,6 @@ def _joined(places: Int[np.ndarray, "t o"], at: Float[np.ndarray, "t o d"], poin
     return joined[np.searchsorted(numbers, places)]
 
 
-def _once(places: Int[np.ndarray, "t o"], moving: int) -> tuple[np.ndarray, np.ndarray]:
-    """Lists row and transform of each place once: moving rows first, own rows before images."""
-    count = places.shape[1]
-    first = np.sort(np.unique(places, return_index=True)[1])
-    kind, rows = np.divmod(first, count)
-    order = np.argsort(rows >= moving, kind="stable")
-    return rows[order], kind[order]
-
-
 def _transform(
     planes: Sequence[Plane], pairings: Sequence[Pairing], powers, flags, dimension: int
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -226,30 +221,3 @@ def _transform(
             turn = np.eye(dimension) - 2 * np.outer(plane.normal, plane.normal)
             matrix, shift = turn @ matrix, turn @ shift + 2 * (plane.origin @ plane.normal) * plane.normal
     return matrix, shift
-
-
-def images_of(
-    planes: Sequence[Plane],
-    pairings: Sequence[Pairing],
-    on_plane: Bool[np.ndarray, "n p"],
-    nodes: np.ndarray,
-    moving: int,
-    points: Float[np.ndarray, "n d"],
-    order: np.ndarray,
-) -> tuple[Images, Copies]:
-    """Makes the images of `nodes`, and the list of their places; the first `moving` nodes move.
-
-    The own rows of the `Copies` are those of `nodes` in an `order` (o,), which keeps moving nodes
-    first.
-    """
-    rows, ordered = np.full((2, len(on_plane)), -1, dtype=np.int32)
-    rows[nodes], ordered[nodes[order]] = np.arange(len(nodes)), np.arange(len(nodes))
-    pairs = tuple(pairing.renumbered(ordered) for pairing in pairings)
-    found = copies(planes, pairs, on_plane[nodes[order]], moving, points[nodes[order]])
-    normals, origins = np.zeros((2, 0, points.shape[1]))
-    if planes:
-        normals, origins = (np.stack(vectors) for vectors in zip(*((p.normal, p.origin) for p in planes), strict=True))
-    kind, own = found.kind.astype(np.int32), order[found.rows].astype(np.int32)
-    own_pairs = tuple(pairing.renumbered(rows) for pairing in pairings)
-    parts = normals, origins, on_plane[nodes], own, kind, found.matrices, found.shifts, found.powers, own_pairs
-    return Images(*as_jax(parts)), found

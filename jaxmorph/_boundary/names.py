@@ -1,6 +1,6 @@
 """Checked names of a caller: points, node ids, patches, planes and slides."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -22,7 +22,7 @@ SMALL = 1e4
 
 
 def checked_points(points: Any) -> np.ndarray:
-    """Returns coordinates (n, d) as an array of floats. Raises `ValueError` for other values."""
+    """Returns coordinates (n, d) as an array of floats."""
     if isinstance(points, str | bytes) or points is None:
         raise ValueError(f"`prepare` takes a mesh or points first, not {points!r}. Call {USE}.")
     array = real_array("points", points, (None, 2), (None, 3))
@@ -48,7 +48,6 @@ def checked_points(points: Any) -> np.ndarray:
 
 
 def check_finite(points: np.ndarray) -> None:
-    """Raises `MeshError` for points (n, d) that are not finite."""
     finite = np.isfinite(points).all(axis=1)
     if not finite.all():
         raise MeshError(
@@ -78,7 +77,7 @@ def nodes_named(values: Any, name: str, mesh: Mesh | None, n: int) -> Int[np.nda
 
 
 def node_ids(values: Any, name: str, n: int) -> Int[np.ndarray, " k"]:
-    """Returns node ids as an array. Raises `ValueError` unless they are of a mesh of `n` points."""
+    """Returns node ids of a mesh of `n` points."""
     if values is None or isinstance(values, Mesh | Plane):
         raise ValueError(f"`{name}` must be node ids or names of patches, not {shown(values)}. Call {USE}.")
     if n == 0:
@@ -86,55 +85,48 @@ def node_ids(values: Any, name: str, n: int) -> Int[np.ndarray, " k"]:
     return rows_of(name, values, n)
 
 
+PAIRS = "pairs such as jm.Periodic('lower', 'upper', translation=(0, 1))"
+PLANES = "jm.Plane(normal=(0, 1), origin=(0, 0)), jm.Plane.through(points, nodes), or the name of a patch of the mesh"
+SLIDES = "slides such as jm.Slide('shroud', jm.Revolution((1, 0, 0))), or names of patches"
+
+
+def several(name: str, value: Any, kinds: type | tuple[type, ...], example: str) -> list[Any]:
+    """Lists one entry or several."""
+    entries = [value] if isinstance(value, kinds) else value
+    is_list = isinstance(entries, Sequence | set | frozenset) and not isinstance(entries, str | bytes)
+    wrong = [entry for entry in entries if not isinstance(entry, kinds)] if is_list else [value]
+    if wrong:
+        raise ValueError(f"`{name}` holds {shown(wrong[0])}: pass {example}.")
+    return list(entries)
+
+
 def planes_named(symmetry: Any, points: np.ndarray, mesh: Mesh | None) -> tuple[Plane, ...]:
     """Lists planes, and the planes of patches of a mesh, without repetition."""
-    several = [symmetry] if isinstance(symmetry, Plane | str) else symmetry
-    if not isinstance(several, Sequence | set | frozenset):
-        raise ValueError(f"`symmetry` must be a Plane or several, not {shown(symmetry)}.")
     planes: list[Plane] = []
-    for entry in several:
-        if isinstance(entry, Plane):
-            of_entry = (entry,)
-        elif isinstance(entry, str) and mesh is not None:
-            of_entry = planes_of(mesh, entry)
-        else:
-            raise ValueError(
-                f"`symmetry` holds {entry!r}, which is no plane: pass jm.Plane(normal=(0, 1), origin=(0, 0)), "
-                "jm.Plane.through(points, nodes), or the name of a patch of the mesh."
-            )
+    for entry in several("symmetry", symmetry, Plane if mesh is None else (Plane, str), PLANES):
+        of_entry = (entry,) if isinstance(entry, Plane) or mesh is None else planes_of(mesh, entry)
         planes += [new for new in of_entry if not any(new.equals(plane, points) for plane in planes)]
     return tuple(planes)
 
 
 def planes_of(mesh: Mesh, name: str) -> tuple[Plane, ...]:
-    """Finds the planes of a patch. Raises `ValueError`, with the worst node, if there are none."""
-    points, nodes = np.asarray(mesh.points), mesh.patch(name)
+    """Finds the planes of a patch."""
 
     def faces() -> Iterator[np.ndarray]:
         outer = outer_faces(mesh)
         corners = mesh.cells if outer is None else outer.corners  # the cells of a surface mesh are faces
         yield from map(np.asarray, corners.values())
 
-    return planes_through(points, nodes, faces())
+    return planes_through(np.asarray(mesh.points), mesh.patch(name), faces())
 
 
-def slides(sliding: Any) -> tuple[Slide, ...]:
-    """Lists slides; a name slides along its own faces. Raises `ValueError` for other values."""
-    if isinstance(sliding, type):
-        raise ValueError(f"`sliding` is the class {sliding.__name__}: call it, sliding=jm.Slide('shroud').")
-    several = [sliding] if isinstance(sliding, Slide | str) else sliding
-    if not isinstance(several, Sequence | set | frozenset):
-        raise ValueError(f"`sliding` must be a Slide or several, jm.Slide('shroud'), not {several!r}.")
-    several = [Slide(slide) if isinstance(slide, str) else slide for slide in several if slide is not None]
-    if not all(isinstance(slide, Slide) for slide in several):
-        raise ValueError(
-            f"`sliding` must be slides such as jm.Slide('shroud', jm.Revolution((1, 0, 0))), not {sliding!r}."
-        )
-    return tuple(several)
+def slides(sliding: Any) -> list[Slide]:
+    """Lists slides; a name slides along its own faces."""
+    entries = several("sliding", sliding, (Slide, str), SLIDES)
+    return [Slide(entry) if isinstance(entry, str) else entry for entry in entries]
 
 
 def check_named_once(sliding: Any, **lists: Any) -> None:
-    """Raises `ValueError` for a patch that is in `sliding` and in another list."""
     for slide in slides(sliding):
         for name, values in lists.items():
             both = set(names_in(slide.patch) or ()) & set(names_in(values) or ())
@@ -154,7 +146,7 @@ An overset patch lies inside of another grid: its nodes follow.
 """
 
 
-def by_kinds(mesh: Any, moving: Any, periodic: Any) -> tuple[list[str], list[str]]:
+def by_kinds(mesh: Any, moving: Any, periodic: Sequence[Periodic]) -> tuple[list[str], list[str]]:
     """Chooses fixed and symmetry patches by their kinds in the file, if only moving ones are named.
 
     Symmetry patches that lie in planes slide; all other outer patches with a kind are fixed. A
@@ -163,27 +155,32 @@ def by_kinds(mesh: Any, moving: Any, periodic: Any) -> tuple[list[str], list[str
     names = names_in(moving)
     if not isinstance(mesh, Mesh) or names is None:
         return [], []
-    pairs = [periodic] if isinstance(periodic, Periodic) else periodic if isinstance(periodic, Iterable) else ()
-    sides = [side for pair in pairs if isinstance(pair, Periodic) for side in (pair.patch, pair.partner)]
-    elsewhere = {*mesh.patch_names(*names), *(side for side in sides if isinstance(side, str))}
+    sides = [side for pair in periodic for side in (pair.patch, pair.partner) if isinstance(side, str)]
+    elsewhere = {*mesh.patch_names(*names), *sides}
     kinds = {name: kind for name, kind in mesh.kinds.items() if name not in elsewhere and len(mesh.patches[name])}
     fixed = [name for name, kind in kinds.items() if kind not in SYMMETRY and not kind.startswith(INSIDE)]
-    symmetry, planes = [], []
-    for name in (name for name, kind in kinds.items() if kind in SYMMETRY):
+    symmetry = _in_planes(mesh, [name for name in kinds if kinds[name] in SYMMETRY])
+    clauses = _clauses(kinds, fixed=fixed, symmetry=symmetry)
+    if clauses:
+        warn(
+            f"No patches beside `moving` are named. By their kinds in the file {clauses}. Name the patches to choose otherwise."
+        )
+    return fixed, symmetry
+
+
+def _clauses(kinds: Mapping[str, str], **lists: list[str]) -> str:
+    shown = {name: ", ".join(f"{patch!r} ({kinds[patch]})" for patch in patches) for name, patches in lists.items()}
+    return " and ".join(f"`{name}` are {patches}" for name, patches in shown.items() if patches)
+
+
+def _in_planes(mesh: Mesh, names: list[str]) -> list[str]:
+    """Lists the patches that lie in planes; the caller must name a bent one."""
+    flat, planes = [], []
+    for name in names:
         try:
             more = [*planes, *planes_of(mesh, name)]
             check_planes(more, np.asarray(mesh.points))
-        except ValueError:  # a bent patch: the caller must name it
+        except ValueError:
             continue
-        symmetry, planes = [*symmetry, name], more
-    clauses = [
-        f"{what} are " + ", ".join(f"{name!r} ({kinds[name]})" for name in patches)
-        for what, patches in (("`fixed`", fixed), ("`symmetry`", symmetry))
-        if patches
-    ]
-    if clauses:
-        warn(
-            f"No patches beside `moving` are named. By their kinds in the file {' and '.join(clauses)}. Name the patches to "
-            "choose otherwise."
-        )
-    return fixed, symmetry
+        flat, planes = [*flat, name], more
+    return flat

@@ -50,7 +50,6 @@ def boundary_faces(mesh: Mesh, *patches: str) -> dict[str, np.ndarray]:
 
     **Arguments:**
 
-    - `mesh`: the mesh.
     - `patches`: names of patches, as `Mesh.patch` takes them. Default: the whole boundary.
 
     **Returns:** ids (k, corners) by type: `line`, `triangle` and `quad`.
@@ -67,10 +66,7 @@ def boundary_faces(mesh: Mesh, *patches: str) -> dict[str, np.ndarray]:
 
 
 def outer_faces(mesh: Mesh) -> OuterFaces | None:
-    """Finds the boundary faces of a mesh, without the faces between this part and others.
-
-    It returns None if no cells fill the mesh's dimension.
-    """
+    """Finds the boundary faces of a mesh, none to other parts; None if no cells fill the space."""
     points = np.asarray(mesh.points)
     cells = {kind: np.asarray(corners) for kind, corners in topology.solid(mesh.cells, points.shape[1]).items()}
     if not cells:
@@ -90,7 +86,7 @@ def outer_faces(mesh: Mesh) -> OuterFaces | None:
 
 
 def _middles(cells: Mapping[str, np.ndarray], points: np.ndarray, owner: np.ndarray) -> np.ndarray:
-    """Computes the middles (f, d) of the corners of some cells, numbered as in `cells`."""
+    """Computes the middles (f, d) of the corners of cells, numbered as in `cells`."""
     middle, first = np.empty((len(owner), points.shape[1])), 0
     for kind, ids in cells.items():
         here = (owner >= first) & (owner < first + len(ids))
@@ -100,7 +96,7 @@ def _middles(cells: Mapping[str, np.ndarray], points: np.ndarray, owner: np.ndar
 
 
 def _outwards(corners: np.ndarray, middle: np.ndarray) -> np.ndarray:
-    """Computes values (f,) for faces (f, c, d): negative for a face that points to its cell."""
+    """Computes values (f,) for faces (f, c, d), negative for a face that points to its cell."""
     return np.einsum("kd,kd->k", outward(corners), corners.mean(axis=1) - middle)
 
 
@@ -112,10 +108,7 @@ def _seen_from_outside(
 
 
 def _of_polyhedra(whole: Polyhedra, points: np.ndarray, between: np.ndarray | None) -> OuterFaces:
-    """Finds the boundary faces in the file.
-
-    Pieces of polyhedra do not share faces with the whole cells beside them.
-    """
+    """Finds the file's faces: pieces of polyhedra share none with the whole cells beside them."""
     faces = whole.faces
     outer = np.ones(len(faces.owner), dtype=bool)
     outer[: len(faces.neighbour)] = faces.neighbour < 0
@@ -166,13 +159,12 @@ class FreeFaces:
 def free_faces(mesh: Mesh, faces: OuterFaces, is_listed: np.ndarray) -> FreeFaces:
     """Finds the faces with a node that is not listed; `is_listed` is a mask (n,)."""
     free = {kind: np.asarray(~is_listed[corners].all(axis=1)) for kind, corners in faces.corners.items()}
-    count, patches = faces.count(free), {}
-    unnamed = dict(free)
+    count, patches, unnamed = faces.count(free), {}, dict(free)
     for name, nodes in mesh.patches.items() if count else ():
         inside = np.zeros(len(is_listed), dtype=bool)
         inside[np.asarray(nodes)] = True
         here = {kind: free[kind] & inside[corners].all(axis=1) for kind, corners in faces.corners.items()}
-        patches[name] = faces.count(here)
         unnamed = {kind: is_unnamed & ~here[kind] for kind, is_unnamed in unnamed.items()}
-    patches = {name: number for name, number in patches.items() if number}
+        if number := faces.count(here):
+            patches[name] = number
     return FreeFaces(count, faces.count(), patches, faces.count(unnamed))

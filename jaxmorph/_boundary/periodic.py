@@ -21,10 +21,9 @@ from .symmetry import Plane, tolerance
 class Periodic:
     """Two patches of which the second repeats the first.
 
-    Examples are passages of a cascade, sectors of a wheel and ends of a duct. The transform repeats
-    the surface before a method sees it, so that the field knows the neighbours. Then every pair of
-    nodes takes its mean displacement. Both patches move: they may change shape, but stay copies of
-    each other.
+    Examples are passages of a cascade, sectors of a wheel and ends of a duct. A method sees the
+    neighbours of the surface, and every pair of nodes takes its mean displacement. Both patches
+    move: they may change shape, but stay copies of each other.
 
     Without `translation`, `rotation`, `about` and `axis`, the transform is the translation between
     the middles of the patches. If the patches do not match, it is a rotation about an axis of
@@ -61,25 +60,20 @@ class Periodic:
         if rotation is not None:
             between("rotation", rotation)
             rotation = float(rotation)
-        vectors = {
-            name: None if vector is None else finite_array(name, vector, (2,), (3,)).astype(float)
-            for name, vector in (("translation", translation), ("about", about), ("axis", axis))
-        }
-        fields = {"patch": patch, "partner": partner, "rotation": rotation, "copies": int(copies)}
-        for name, value in (fields | vectors).items():
+        for name, value in {"translation": translation, "about": about, "axis": axis}.items():
+            vector = None if value is None else finite_array(name, value, (2,), (3,)).astype(float)
+            object.__setattr__(self, name, vector)
+        for name, value in {"patch": patch, "partner": partner, "rotation": rotation, "copies": int(copies)}.items():
             object.__setattr__(self, name, value)
 
     @property
     def name(self) -> str:
-        """The names of both patches, for a message."""
-        names = [
-            repr(side) if isinstance(side, str) else f"of {len(side)} nodes" for side in (self.patch, self.partner)
-        ]
-        return f"the periodic patches {names[0]} and {names[1]}"
+        sides = (self.patch, self.partner)
+        names = (repr(side) if isinstance(side, str) else f"of {len(side)} nodes" for side in sides)
+        return f"the periodic patches {' and '.join(names)}"
 
     @property
     def is_rotation(self) -> bool:
-        """True for a rotation, False for a translation."""
         return not (self.rotation is None and self.about is None and self.axis is None)
 
 
@@ -110,7 +104,6 @@ class Pairing(eqx.Module):
 
     @property
     def nodes(self) -> np.ndarray:
-        """All nodes of both patches, on the host."""
         return np.concatenate([self.first, self.second, self.alone])
 
     @property
@@ -122,7 +115,6 @@ class Pairing(eqx.Module):
         return list({k % self.turn: k for k in powers[::-1]}.values())[::-1]  # the nearest of equal images
 
     def power(self, k: int) -> tuple[np.ndarray, np.ndarray]:
-        """Returns matrix and shift of the k-th power of the transform, on the host."""
         matrix, shift = (self.matrix, self.shift) if k >= 0 else (self.matrix.T, -self.matrix.T @ self.shift)
         once = np.eye(len(shift) + 1)
         once[:-1, :-1], once[:-1, -1] = matrix, shift
@@ -131,15 +123,13 @@ class Pairing(eqx.Module):
 
     @property
     def inverse(self) -> "Pairing":
-        """The pairs in reverse, from `second` to `first`, on the host."""
         matrix, shift = self.power(-1)
         return dataclasses.replace(self, first=self.second, second=self.first, matrix=matrix, shift=shift)
 
     def renumbered(self, place: Int[np.ndarray, " n"]) -> "Pairing":
         """Renumbers node k to `place[k]`. Pairs with a node of place -1 are dropped."""
-        first, second, alone = (place[np.asarray(nodes)] for nodes in (self.first, self.second, self.alone))
-        is_complete = (first >= 0) & (second >= 0)
-        first, second = first[is_complete], second[is_complete]
+        pairs, alone = place[np.stack([self.first, self.second])], place[np.asarray(self.alone)]
+        first, second = pairs[:, (pairs >= 0).all(axis=0)]
         return dataclasses.replace(self, first=first, second=second, alone=alone[alone >= 0])
 
     def at(self, points: Float[Array, "n d"]) -> "Pairing":
@@ -155,7 +145,7 @@ class Pairing(eqx.Module):
         return dataclasses.replace(self, shift=shift)
 
     def misses(self, points: Float[np.ndarray, "n d"]) -> Float[np.ndarray, " q"]:
-        """Measures, on the host, distances (q,) of second nodes from their partners' images."""
+        """Measures distances of second nodes from their partners' images, on the host."""
         return np.linalg.norm(points[self.first] @ self.matrix.T + self.shift - points[self.second], axis=1)
 
     def matched(self, base: Float[Array, "n d"], points: Float[Array, "n d"]) -> Float[Array, "n d"]:
@@ -184,37 +174,23 @@ def _product(rows: Float[Array, "n d"], matrix: Float[Array, "d d"]) -> Float[Ar
 
 def merged(pairings: Sequence[Pairing], size: float) -> tuple[Pairing, ...]:
     """Joins all pairings of one transform, such as the sides of a passage cut into patches."""
-    # A list holds one pairing of every transform. A further pairing joins the entry with its own
-    # transform; if an entry has the inverse transform, the pairing is turned round first.
     joined: list[Pairing] = []
     for pairing in pairings:
-        matches = (
-            (k, way)
-            for k, other in enumerate(joined)
-            for way in (pairing, pairing.inverse)
-            if np.abs(way.matrix - other.matrix).max() < 1e-9 and np.abs(way.shift - other.shift).max() < 1e-6 * size
-        )
-        k, way = next(matches, (None, pairing))
-        if k is None:
-            joined.append(pairing)
+        for (k, other), way in itertools.product(enumerate(joined), (pairing, pairing.inverse)):
+            if np.abs(way.matrix - other.matrix).max() < 1e-9 and np.abs(way.shift - other.shift).max() < 1e-6 * size:
+                pairs = np.concatenate([[each.first, each.second] for each in (other, way)], axis=1)
+                alone, copies = np.unique([*other.alone, *way.alone]).astype(np.int32), max(other.copies, way.copies)
+                first, second = np.unique(pairs, axis=1)
+                joined[k] = dataclasses.replace(other, first=first, second=second, alone=alone, copies=copies)
+                break
         else:
-            joined[k] = _union(joined[k], way)
+            joined.append(pairing)
     return tuple(joined)
 
 
-def _union(one: Pairing, other: Pairing) -> Pairing:
-    pairs = [np.stack([pairing.first, pairing.second], axis=1) for pairing in (one, other)]
-    first, second = np.unique(np.concatenate(pairs), axis=0).T
-    alone, copies = np.unique(np.concatenate([one.alone, other.alone])), max(one.copies, other.copies)
-    return dataclasses.replace(one, first=first, second=second, alone=alone, copies=copies)
-
-
 def check_pairings(pairings: Sequence[Pairing], planes: Sequence[Plane], size: float) -> None:
-    """Raises `ValueError` for transforms that turn a symmetry plane, or that do not commute.
-
-    Pairs without images may lie across a plane.
-    """
-    pairings = [pairing for pairing in pairings if pairing.copies]
+    """Refuses transforms that turn a symmetry plane, or that do not commute."""
+    pairings = [pairing for pairing in pairings if pairing.copies]  # others may lie across a plane
     for k, pairing in enumerate(pairings):
         for normal in (plane.normal for plane in planes):
             along = pairing.matrix @ normal
@@ -237,16 +213,15 @@ MISMATCH = 1e-4
 def paired(
     periodic: Periodic, first: Int[np.ndarray, " k"], second: Int[np.ndarray, " l"], points: Float[np.ndarray, "n d"]
 ) -> Pairing:
-    """Pairs nodes of two patches. Raises `ValueError`, with the worst node, if they do not fit."""
     try:
         return _paired(periodic, first, second, points)
     except ValueError:
-        if periodic.translation is None and not periodic.is_rotation:
-            sides, copies = (periodic.patch, periodic.partner), periodic.copies
-            axes = [{"axis": axis} for axis in np.eye(3)] if points.shape[1] == 3 else [{"about": (0, 0)}]
-            for axis in axes:
-                with contextlib.suppress(ValueError):
-                    return _paired(Periodic(*sides, copies=copies, **axis), first, second, points)
+        is_given = periodic.translation is not None or periodic.is_rotation
+        axes = [{"axis": axis} for axis in np.eye(3)] if points.shape[1] == 3 else [{"about": (0, 0)}]
+        for axis in () if is_given else axes:
+            turned = Periodic(periodic.patch, periodic.partner, copies=periodic.copies, **axis)
+            with contextlib.suppress(ValueError):
+                return _paired(turned, first, second, points)
         raise
 
 
@@ -275,9 +250,27 @@ def _paired(
     if not len(first) or not len(second):
         raise ValueError(f"{periodic.name}: one of them has no nodes.")
     matrix, shift, angle = _transform(periodic, exact[first].mean(axis=0), exact[second].mean(axis=0))
-    images = exact[first] @ matrix.T + shift
-    distance, nearest = map(np.asarray, Tree(exact[second]).query(images))
-    gaps = np.minimum(spacing(exact[second]), np.ptp(exact, axis=0).max())
+    partner = _partners(periodic, first, second, points, exact[first] @ matrix.T + shift)
+    is_alone = first == partner
+    sectors = 2 * np.pi / abs(angle) if angle else 0
+    turn = round(sectors) if abs(sectors - round(sectors)) < 1e-6 * sectors else 0
+    copies = periodic.copies if turn or not angle else max(1, min(periodic.copies, int((sectors - 1) / 2)))
+    pairs = first[~is_alone].astype(np.int32), partner[~is_alone].astype(np.int32)
+    keeps = np.eye(len(shift))
+    if periodic.is_rotation:  # the direction of the axis alone
+        keeps = keeps - _generator(periodic.axis, len(shift))[1]
+    elif periodic.translation is None:
+        shift = _sharp(np.median(exact[pairs[1]] - exact[pairs[0]], axis=0))  # most pairs have it bit for bit
+    return Pairing(*pairs, first[is_alone].astype(np.int32), matrix, shift, keeps, turn, copies, periodic.is_rotation)
+
+
+def _partners(
+    periodic: Periodic, first: np.ndarray, second: np.ndarray, points: np.ndarray, images: np.ndarray
+) -> np.ndarray:
+    """Finds the second node at the image of each first node; each once."""
+    exact = points[second].astype(float)
+    distance, nearest = map(np.asarray, Tree(exact).query(images))
+    gaps = np.minimum(spacing(exact), np.ptp(points.astype(float), axis=0).max())
     allowed = np.maximum(MISMATCH * gaps[nearest], 2 * tolerance(points))
     unmatched = worst_first(distance, allowed)
     if unmatched.size:
@@ -295,36 +288,18 @@ def _paired(
             f"{{node}} at ({place_of(points[single[0]])}). Both patches need equal nodes: mesh one as the copy of the other.",
             single,
         )
-    is_alone = first == second[nearest]
-    sectors = 2 * np.pi / abs(angle) if angle else 0
-    turn = round(sectors) if abs(sectors - round(sectors)) < 1e-6 * sectors else 0
-    copies = periodic.copies if turn or not angle else max(1, min(periodic.copies, int((sectors - 1) / 2)))
-    pairs = first[~is_alone].astype(np.int32), second[nearest][~is_alone].astype(np.int32)
-    if not periodic.is_rotation and periodic.translation is None:
-        shift = _sharp(np.median(exact[pairs[1]] - exact[pairs[0]], axis=0))  # most pairs have it bit for bit
-    keeps = np.eye(len(shift))
-    if periodic.is_rotation:  # the direction of the axis alone
-        keeps = keeps - _generator(periodic.axis, len(shift))[1]
-    return Pairing(*pairs, first[is_alone].astype(np.int32), matrix, shift, keeps, turn, copies, periodic.is_rotation)
+    return second[nearest]
 
 
 def _transform(periodic: Periodic, middle: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-    """Returns matrix, shift and angle (0 for a translation) of the transform."""
+    """Returns matrix, shift and angle of the transform: 0 for a translation."""
     dimension = len(middle)
-    for name in ("translation", "about", "axis"):
-        value = getattr(periodic, name)
-        if value is not None and value.shape != (dimension,):
-            raise ValueError(f"{periodic.name}: `{name}` has shape {value.shape}; the mesh has {dimension} dimensions.")
+    _check_vectors(periodic, dimension)
     if not periodic.is_rotation:
-        shift = other - middle if periodic.translation is None else periodic.translation
-        shift = _sharp(shift) if periodic.translation is None else shift
+        shift = _sharp(other - middle) if periodic.translation is None else periodic.translation
         if not np.abs(shift).max() > 0:
             raise ValueError(f"{periodic.name}: the translation is zero; give `rotation`, `about` or `axis`.")
         return np.eye(dimension), shift, 0.0
-    if dimension == 3 and (periodic.axis is None or not np.linalg.norm(periodic.axis) > 0):
-        raise ValueError(f"{periodic.name}: a rotation in 3-D needs an `axis` that is not zero.")
-    if dimension == 2 and periodic.axis is not None:
-        raise ValueError(f"{periodic.name}: a rotation in 2-D has no `axis`; give `about`.")
     about = np.zeros(dimension) if periodic.about is None else periodic.about
     cross, plane = _generator(periodic.axis, dimension)
     angle = periodic.rotation
@@ -335,6 +310,17 @@ def _transform(periodic: Periodic, middle: np.ndarray, other: np.ndarray) -> tup
         raise ValueError(f"{periodic.name}: the angle of the rotation is zero.")
     matrix = np.eye(dimension) + np.sin(angle) * cross + (1 - np.cos(angle)) * (cross @ cross)
     return matrix, about - matrix @ about, angle
+
+
+def _check_vectors(periodic: Periodic, dimension: int) -> None:
+    for name in ("translation", "about", "axis"):
+        value = getattr(periodic, name)
+        if value is not None and value.shape != (dimension,):
+            raise ValueError(f"{periodic.name}: `{name}` has shape {value.shape}; the mesh has {dimension} dimensions.")
+    if dimension == 2 and periodic.axis is not None:
+        raise ValueError(f"{periodic.name}: a rotation in 2-D has no `axis`; give `about`.")
+    if dimension == 3 and periodic.is_rotation and (periodic.axis is None or not periodic.axis.any()):
+        raise ValueError(f"{periodic.name}: a rotation in 3-D needs an `axis` that is not zero.")
 
 
 def _sharp(shift: np.ndarray) -> np.ndarray:

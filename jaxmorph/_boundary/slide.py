@@ -9,14 +9,22 @@ from jaxtyping import Float, Int
 from scipy.sparse import csr_array
 
 from .._host.cells.adjacency import parts_of
+from .._host.cells.pieces import boundary_sides, linear_cells
+from .._host.cells.topology import solid
 from .._host.linear.products import normals
 from .._host.package.arguments import check_patch, finite_array
 from .._host.package.errors import MeshError, place_of, worst_first
 from .._host.package.rounding import canonical_order
 from .._host.surface.walls import in_order
+from .._mesh.mesh import Mesh
+from .faces import CurvedFaces, Faceted, FlatFaces, faces_around
+from .holes import CONTINUES, filled
 from .symmetry import Plane
 from .tracks import SMOOTH
-from .walls import CONTINUES, AbstractWall, Faceted, Flat, FlatFaces, Round, filled
+from .walls import AbstractWall, Flat, Round
+
+Walls = list[tuple[AbstractWall, np.ndarray]]
+"""Walls, each with the ids of its nodes."""
 
 DEVIATION = 1e-5
 """Distance of nodes on a surface, relative to the patch's extent: files have few digits."""
@@ -59,8 +67,8 @@ class Slide:
     """Lets the nodes of a patch move along its surface.
 
     Examples are blade tips along a shroud, and a body along the sides of its box. Nodes between two
-    sliding patches, or between a patch and a symmetry plane, stay on both. Corners of the mesh, the
-    apex of a cone, and fixed nodes do not move. Moving nodes of the patch stay on it.
+    sliding patches, or a patch and a symmetry plane, stay on both. Corners of the mesh, the apex of
+    a cone, and fixed nodes do not move. Moving nodes of the patch stay on it.
 
     On a plane, a cylinder and other given surfaces the motion is smooth. On the patch's own faces
     the motion has a kink where a node crosses an edge. Nodes of curved cells follow the polynomials
@@ -86,7 +94,6 @@ class Slide:
 
     @property
     def name(self) -> str:
-        """Names the patch for a message."""
         return f"the sliding patch {self.patch!r}" if isinstance(self.patch, str) else "a sliding patch"
 
 
@@ -96,11 +103,10 @@ def walls_of_patch(
     points: np.ndarray,
     faces: Mapping[str, np.ndarray] | None,
     moving: np.ndarray | Sequence[int] = (),
-) -> list[tuple[AbstractWall, np.ndarray]]:
-    """Makes the walls of a sliding patch, with their nodes.
+) -> Walls:
+    """Makes the walls of a sliding patch.
 
     Own faces are divided at sharp edges, and filled up below bodies whose nodes are `moving`.
-    Raises `ValueError`, with the worst node, where nodes do not lie on their wall.
     """
     exact, dimension = points.astype(float), points.shape[1]
     if not len(nodes):
@@ -108,30 +114,25 @@ def walls_of_patch(
     nodes = nodes[canonical_order(exact[nodes])]
     if slide.on is None:
         return _of_faces(slide, nodes, exact, faces, np.isin(nodes, moving))
-    if isinstance(slide.on, Plane):
-        if len(slide.on.normal) != dimension:
-            raise ValueError(
-                f"the plane of {slide.name} has {len(slide.on.normal)} components, the mesh {dimension} dimensions."
-            )
+    if isinstance(slide.on, Revolution):
+        wall = _of_revolution(slide, slide.on, exact[nodes])
+    elif len(slide.on.normal) == dimension:
         wall = Flat(slide.on.normal, slide.on.origin)
     else:
-        wall = _of_revolution(slide, slide.on, exact[nodes])
-    _check_on(slide, wall, nodes, exact)
-    return [(wall, nodes)]
-
-
-def _check_on(slide: Slide, wall: AbstractWall, nodes: np.ndarray, points: np.ndarray) -> None:
-    patch = points[nodes]
-    off = np.abs(np.asarray(wall.height(jnp.asarray(patch))[0]))
-    allowed = DEVIATION * np.ptp(patch, axis=0).max()
+        raise ValueError(
+            f"the plane of {slide.name} has {len(slide.on.normal)} components, the mesh {dimension} dimensions."
+        )
+    off = np.abs(np.asarray(wall.height(jnp.asarray(exact[nodes]))[0]))
+    allowed = DEVIATION * np.ptp(exact[nodes], axis=0).max()
     wrong = nodes[worst_first(off, allowed)]
     if wrong.size:
-        place = place_of(points[wrong[0]])
+        place = place_of(exact[wrong[0]])
         raise MeshError(
             f"{slide.name} does not lie on its surface: {len(wrong)} of {len(nodes)} nodes are off, the worst is node {{node}} at "
             f"({place}), {off.max():.3g} away (allowed {allowed:.3g}). Give the right surface, or None for the patch's faces.",
             wrong,
         )
+    return [(wall, nodes)]
 
 
 def _of_revolution(slide: Slide, on: Revolution, patch: np.ndarray) -> Round:
@@ -142,36 +143,36 @@ def _of_revolution(slide: Slide, on: Revolution, patch: np.ndarray) -> Round:
     if origin.shape != (dimension,):
         raise ValueError(f"{slide.name}: `origin` has shape {origin.shape}; the mesh has {dimension} dimensions.")
     axis = np.zeros(dimension) if on.axis is None else on.axis / np.linalg.norm(on.axis)
-    arm = patch - origin
-    along = arm @ axis
-    profile = np.stack([along, np.linalg.norm(arm - along[:, None] * axis, axis=1)], axis=1)
-    size = np.ptp(patch, axis=0).max()
-    if on.profile is None:
-        middle = profile.mean(axis=0)
-        normal = np.array([0.0, 1.0])
-        if dimension == 3 and np.ptp(profile) > 0 and np.ptp(profile[:, 1]) > 1e-9 * size:
-            normal = np.linalg.svd(profile - middle, full_matrices=False)[2][-1]
-        if np.abs((profile - middle) @ normal).max() <= DEVIATION * size or dimension == 2:
-            return Round(axis, origin, np.array([*normal, middle @ normal]))
-        profile = profile[np.argsort(profile[:, 0], kind="stable")]
-        profile = profile[np.append(True, np.diff(profile[:, 0]) > 1e-6 * size)]
-    elif len(on.profile) == 1:
-        return Round(axis, origin, np.array([0, 1, on.profile[0, 1]]))
+    profile = on.profile
+    if profile is None:
+        line, profile = _line_or_profile(patch, axis, origin)
     else:
-        profile = on.profile
+        line = None if len(profile) > 1 else np.array([0, 1, profile[0, 1]])
+    if line is not None:
+        return Round(axis, origin, line)
     from scipy.interpolate import CubicSpline  # here: it would take a tenth of the time of all imports
 
     spline = CubicSpline(*profile.T, bc_type="natural" if len(profile) > 2 else "not-a-knot")
     return Round(axis, origin, np.array([0.0, 1.0, 0.0]), spline.x, spline.c)
 
 
+def _line_or_profile(patch: np.ndarray, axis: np.ndarray, origin: np.ndarray) -> tuple[np.ndarray | None, np.ndarray]:
+    """Finds the line (3,) of a `Round` through nodes, or None, and their profile (k, 2)."""
+    arm, size = patch - origin, np.ptp(patch, axis=0).max()
+    along = arm @ axis
+    profile = np.stack([along, np.linalg.norm(arm - along[:, None] * axis, axis=1)], axis=1)
+    middle, normal, is_solid = profile.mean(axis=0), np.array([0.0, 1.0]), patch.shape[1] == 3
+    if is_solid and np.ptp(profile) > 0 and np.ptp(profile[:, 1]) > 1e-9 * size:
+        normal = np.linalg.svd(profile - middle, full_matrices=False)[2][-1]
+    is_line = not is_solid or np.abs((profile - middle) @ normal).max() <= DEVIATION * size
+    profile = profile[np.argsort(profile[:, 0], kind="stable")]
+    profile = profile[np.append(True, np.diff(profile[:, 0]) > 1e-6 * size)]
+    return np.array([*normal, middle @ normal]) if is_line else None, profile
+
+
 def _of_faces(
-    slide: Slide,
-    nodes: np.ndarray,
-    points: np.ndarray,
-    faces: Mapping[str, np.ndarray] | None,
-    moves: np.ndarray,
-) -> list[tuple[AbstractWall, np.ndarray]]:
+    slide: Slide, nodes: np.ndarray, points: np.ndarray, faces: Mapping[str, np.ndarray] | None, moves: np.ndarray
+) -> Walls:
     if faces is None:
         raise ValueError(
             f"{slide.name} slides on its faces, but points alone have no faces: pass the mesh with its cells, or a surface, "
@@ -191,31 +192,31 @@ def _of_faces(
     if not np.ptp(points[nodes], axis=0).max() > 0:
         place = place_of(points[nodes[0]])
         raise MeshError(f"all {len(nodes)} nodes of {slide.name} stand at ({place}): its faces have no extent.", nodes)
-    return _parted(nodes, points, filled(elements, points[nodes], moves))
+    elements = filled(elements, points[nodes], moves)
+    flat = _flat(nodes, points, elements)
+    return _parted(nodes, points, elements) if flat is None else [(flat, nodes)]
 
 
-def _parted(nodes: np.ndarray, points: np.ndarray, elements: np.ndarray) -> list[tuple[AbstractWall, np.ndarray]]:
-    """Makes a wall of each part of faces, rows of `nodes`, between sharp edges; with its nodes."""
-    if (flat := _flat(nodes, points, elements)) is not None:
-        return [(flat, nodes)]
+def _parted(nodes: np.ndarray, points: np.ndarray, elements: np.ndarray) -> Walls:
+    """Makes a wall of each part of faces, rows of `nodes`, between sharp edges."""
     area = normals(points[nodes[elements]])
     size = np.linalg.norm(area, axis=1)
     has_area = size > 1e-14 * size.max()  # a quad that ends in a point has a triangle without area
     elements = elements[has_area].astype(np.int32)
     part = _smooth_parts(elements, area[has_area] / size[has_area, None])
-    if np.isin(np.arange(len(nodes)), elements, invert=True).any():
-        part[:] = 0  # nodes of no face belong to all parts
+    is_whole = part.max() == 0 or len(np.unique(elements)) < len(nodes)  # nodes of no face belong to all parts
+    if is_whole:
+        return [(Faceted(nodes, points[nodes], elements, faces_around(elements, len(nodes))), nodes)]
     walls = []
     for number in range(part.max() + 1):
-        rows = np.unique(elements[part == number]) if part.max() else np.arange(len(nodes))
+        rows = np.unique(elements[part == number])
         corners, ids = np.searchsorted(rows, elements[part == number]).astype(np.int32), nodes[rows]
-        flat = _flat(ids, points, corners) if part.max() else None
+        flat = _flat(ids, points, corners)
         walls.append((flat or Faceted(ids, points[ids], corners, faces_around(corners, len(ids))), ids))
     return walls
 
 
 def _flat(nodes: np.ndarray, points: np.ndarray, elements: np.ndarray) -> FlatFaces | None:
-    """Makes the plane of faces; None if their nodes do not lie in one plane."""
     try:
         plane = Plane.through(points, nodes)
     except ValueError:
@@ -236,11 +237,26 @@ def _smooth_parts(elements: Int[np.ndarray, "e d"], normals: Float[np.ndarray, "
     return parts_of(beside.row[joined], beside.col[joined], len(elements))
 
 
-def faces_around(elements: np.ndarray, count: int) -> np.ndarray:
-    """Lists the faces (count, w) at each vertex and its neighbours; the last face fills a row."""
-    ids = np.repeat(np.arange(len(elements)), elements.shape[1])
-    touch = csr_array((np.ones(ids.size), (elements.ravel(), ids)), shape=(count, len(elements)))
-    near = csr_array(touch @ touch.T @ touch)
-    sizes = np.diff(near.indptr)
-    steps = np.minimum(np.arange(sizes.max())[None], np.maximum(sizes - 1, 0)[:, None])
-    return near.indices[np.minimum(near.indptr[:-1, None] + steps, len(near.indices) - 1)].astype(np.int32)
+def with_own_curves(walls: Walls, mesh: Mesh | None) -> Walls:
+    """Replaces the linear pieces of walls by the curved faces that they are pieces of.
+
+    Walls whose faces are of two types, or that have faces across holes, keep their pieces.
+    """
+    if mesh is None or not mesh.is_curved:
+        return walls
+    return [(_curved(wall, mesh) if type(wall) is Faceted else wall, nodes) for wall, nodes in walls]
+
+
+def _curved(wall: Faceted, mesh: Mesh) -> AbstractWall:
+    cells = {kind: np.asarray(ids) for kind, ids in solid(mesh.cells, mesh.points.shape[1]).items()}
+    nodes = np.asarray(wall.nodes)
+    sides = {kind: ids for kind, ids in boundary_sides(cells, len(mesh.points), nodes).items() if len(ids)}
+    pieces = sum(len(ids) * (2 if kind == "quad" else 1) for kind, ids in linear_cells(sides).items())
+    if len(sides) != 1 or pieces != len(wall.faces):
+        return wall
+    ((kind, ids),) = sides.items()
+    place = np.full(len(mesh.points), -1)
+    place[nodes] = np.arange(len(nodes))
+    rows = place[ids].astype(np.int32)
+    rows = rows[np.lexsort(np.sort(rows, axis=1).T)]
+    return CurvedFaces(wall.nodes, wall.vertices, wall.faces, faces_around(rows, len(nodes)), rows, kind)

@@ -54,10 +54,7 @@ class Plane(Module):
         - `points`: all points (n, d) of the mesh.
         - `nodes`: ids (k,) of nodes in one plane.
 
-        **Returns:** a `Plane`.
-
-        **Raises:** `ValueError`, with the deviation and the worst node, if the nodes do not lie in
-        one plane.
+        **Raises:** `ValueError`, with the worst node, if the nodes do not lie in one plane.
         """
         points = finite_array("points", points, (None, 2), (None, 3))
         nodes = rows_of("nodes", nodes, len(points))
@@ -80,7 +77,6 @@ class Plane(Module):
         return Plane(normal, origin)
 
     def equals(self, other: "Plane", points: np.ndarray) -> bool:
-        """Checks whether two planes are one, within the `tolerance` of the points."""
         if self.normal.shape != other.normal.shape or abs(float(self.normal @ other.normal)) < 1 - 1e-12:
             return False
         return abs(float(self.height(other.origin[None])[0])) <= tolerance(points)
@@ -110,26 +106,33 @@ def planes_through(
     try:
         return (Plane.through(points, nodes),)
     except MeshError as error:
-        remaining = np.zeros(len(points), dtype=bool)
-        remaining[nodes] = True
-        sides = [np.asarray(corners)[remaining[corners].all(axis=1)][:, : points.shape[1]] for corners in faces]
-        planes: list[Plane] = []
-        first: list[Plane] = []
-        while remaining.any():
-            candidates = _candidates(points.astype(float), sides, remaining) if len(planes) < MOST else []
-            counts = np.array([remaining[plane.holds(points)].sum() for plane in candidates], dtype=int)
-            if not len(counts) or counts.max() < points.shape[1]:
-                raise error from None
-            best = [candidates[k] for k in np.flatnonzero(counts == counts.max())]
-            first = first or best
-            chosen = best[0].holds(points)
-            on = nodes[chosen[nodes]]
-            planes.append(Plane.through(points, on))
-            remaining[on] = False
-            sides = [corners[~chosen[corners].all(axis=1)] for corners in sides]
-        if not all(any(plane.equals(other, points) for other in planes) for plane in first):
+        planes, first = _largest_first(points, nodes, faces)
+        if not planes or not all(any(plane.equals(other, points) for other in planes) for plane in first):
             raise error from None  # one cell wide and high: nodes do not decide which sides are meant
         return tuple(planes)
+
+
+def _largest_first(
+    points: Float[np.ndarray, "n d"], nodes: Int[np.ndarray, " k"], faces: Iterable[Int[np.ndarray, "_ c"]]
+) -> tuple[list[Plane], list[Plane]]:
+    """Lists planes that hold all nodes, none without such; also those with most nodes at first."""
+    remaining = np.zeros(len(points), dtype=bool)
+    remaining[nodes] = True
+    sides = [np.asarray(corners)[remaining[corners].all(axis=1)][:, : points.shape[1]] for corners in faces]
+    planes, first = [], []
+    while remaining.any():
+        candidates = _candidates(points.astype(float), sides, remaining) if len(planes) < MOST else []
+        counts = np.array([remaining[plane.holds(points)].sum() for plane in candidates], dtype=int)
+        if counts.max(initial=0) < points.shape[1]:
+            return [], first
+        best = [candidates[k] for k in np.flatnonzero(counts == counts.max())]
+        first = first or best
+        chosen = best[0].holds(points)
+        on = nodes[chosen[nodes]]
+        planes.append(Plane.through(points, on))
+        remaining[on] = False
+        sides = [corners[~chosen[corners].all(axis=1)] for corners in sides]
+    return planes, first
 
 
 def _candidates(
@@ -158,15 +161,10 @@ def _candidates(
 
 
 def tolerance(points: np.ndarray) -> float:
-    """Returns the distance from a plane within which a node lies on it."""
     return max(TOLERANCE * float(np.ptp(points, axis=0).max()), roundoff(points))
 
 
 def check_planes(planes: Sequence[Plane], points: np.ndarray) -> None:
-    """Raises `ValueError` unless planes have the mesh's dimension, bound it, and suit each other.
-
-    Two planes are parallel or at right angles.
-    """
     check_dimension(planes, points.shape[1])
     normals = np.stack([plane.normal for plane in planes])
     cosines = np.abs(normals @ normals.T)
@@ -177,7 +175,6 @@ def check_planes(planes: Sequence[Plane], points: np.ndarray) -> None:
 
 
 def check_dimension(planes: Sequence[Plane], dimension: int) -> None:
-    """Raises `ValueError` for planes whose dimension is not the mesh's."""
     for plane in planes:
         if len(plane.normal) != dimension:
             raise ValueError(
@@ -211,17 +208,10 @@ def _check_bounds(plane: Plane, points: np.ndarray) -> None:
 
 def facing(planes: Sequence[Plane]) -> Bool[np.ndarray, " p"]:
     """Marks the planes that are parallel to another plane."""
-    if not planes:
-        return np.zeros(0, dtype=bool)
-    normals = np.stack([plane.normal for plane in planes])
-    parallel = (np.abs(normals @ normals.T) > 0.5) & ~np.eye(len(normals), dtype=bool)
-    return np.any(parallel, axis=1)
+    return np.array([sum(abs(plane.normal @ other.normal) > 0.5 for other in planes) > 1 for plane in planes], bool)
 
 
 def on_facing(planes: Sequence[Plane], points: Float[np.ndarray, "n d"]) -> Bool[np.ndarray, " n"]:
     """Marks the points on planes that are parallel to another plane."""
-    on = np.zeros(len(points), dtype=bool)
-    for plane, has_other in zip(planes, facing(planes), strict=True):
-        if has_other:
-            on |= plane.holds(points)
-    return on
+    on = [plane.holds(points) for plane, has_other in zip(planes, facing(planes), strict=True) if has_other]
+    return np.logical_or.reduce([np.zeros(len(points), dtype=bool), *on])

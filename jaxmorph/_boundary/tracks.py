@@ -10,9 +10,10 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._host.package.errors import MeshError, place_of, worst_first
 from .._kernels.values import norm
+from .faces import Faceted, SmoothFaces
 from .periodic import Pairing
 from .symmetry import Plane
-from .walls import AbstractWall, Faceted, Flat, Round
+from .walls import AbstractWall, Flat, Round
 
 STEPS = 6
 """Newton steps to a curved wall, or to the edge between two walls; they converge quadratically."""
@@ -58,7 +59,6 @@ class Track(eqx.Module):
         return u.at[self.rows].set(tangential)
 
     def project(self, x: Float[Array, "k d"]) -> Float[Array, "k d"]:
-        """Moves points to the walls."""
         only = self.walls[0] if len(self.walls) == 1 else None
         if isinstance(only, Faceted):
             return only.nearest(x)[0]
@@ -71,19 +71,28 @@ class Track(eqx.Module):
         return nearer(x, None)[0] if is_exact else jax.lax.scan(nearer, x, length=STEPS)[0]
 
     def at(self, points: Float[Array, "n d"]) -> "Track":
-        """Returns the track of other base points, with walls of their faces. Traced."""
+        """Moves the track to other base points. Traced."""
         return Track(self.rows, tuple(wall.at(points) for wall in self.walls))
 
     def renumbered(self, place: Int[np.ndarray, " n"]) -> "Track":
-        """Renumbers the track's nodes: node k becomes `place[k]`."""
         return Track(place[np.asarray(self.rows)], tuple(wall.renumbered(place) for wall in self.walls))
+
+
+def smoothed(track: Track) -> Track:
+    """Replaces linear faces of a track's walls by the smooth surface through their nodes."""
+    walls = [
+        SmoothFaces(wall.nodes, wall.vertices, wall.faces, wall.around) if type(wall) is Faceted else wall
+        for wall in track.walls
+    ]
+    return Track(np.asarray(track.rows), tuple(walls))
 
 
 def _least(normals, above):
     """Computes the shortest vectors with the components `above` along one or two normals."""
-    if len(normals) == 1:
-        return above[0][:, None] * jnp.broadcast_to(normals[0], (len(above[0]), normals[0].shape[-1]))
-    first, second = (jnp.broadcast_to(normal, (len(above[0]), normal.shape[-1])) for normal in normals)
+    first, *others = (jnp.broadcast_to(normal, (len(above[0]), normal.shape[-1])) for normal in normals)
+    if not others:
+        return above[0][:, None] * first
+    (second,) = others
     cosine = jnp.sum(first * second, axis=1)
     whole = 1 - cosine**2
     a, b = (above[0] - cosine * above[1]) / whole, (above[1] - cosine * above[0]) / whole
@@ -95,8 +104,7 @@ def tracks_of(
 ) -> tuple[tuple[Track, ...], np.ndarray]:
     """Groups nodes of sliding patches by walls, as tracks; also lists nodes that cannot slide.
 
-    Corners and the apex of a cone cannot slide. Raises `ValueError` where two walls meet without an
-    edge.
+    Corners and the apex of a cone cannot slide.
     """
     # A node has a row of flags: the walls and planes on which it lies. Nodes with equal rows are
     # one track. A node on as many walls as there are dimensions cannot slide.
@@ -144,7 +152,7 @@ def check_repeated(
     points: np.ndarray,
     free: Bool[np.ndarray, " n"],
 ) -> None:
-    """Raises `ValueError` for a free node whose walls, transformed, are not its partner's walls."""
+    """Refuses a free node whose walls, transformed, are not its partner's walls."""
     if not tracks or not pairings:
         return
     exact, dimension = points.astype(float), points.shape[1]

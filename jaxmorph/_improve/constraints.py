@@ -10,8 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._boundary.boundary import Boundary
 from .._boundary.periodic import Pairing
-from .._boundary.smooth_faces import smoothed
-from .._boundary.tracks import Track, check_repeated, tracks_of
+from .._boundary.tracks import Track, check_repeated, smoothed, tracks_of
 from .._boundary.walls import Flat
 from .._host.cells.pieces import boundary_faces
 from .._host.cells.topology import solid

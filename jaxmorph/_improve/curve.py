@@ -7,11 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Integer
 
+from .._boundary.faces import Faceted, faces_around
 from .._boundary.names import node_ids
 from .._boundary.outer_faces import outer_faces
-from .._boundary.slide import faces_around
 from .._boundary.symmetry import Plane
-from .._boundary.walls import Faceted
 from .._host.cells.lagrange import lagrange_types
 from .._host.cells.topology import DIMENSION
 from .._host.package.arguments import checked, finite_array, shown

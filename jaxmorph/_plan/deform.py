@@ -1,6 +1,7 @@
 """Moves a mesh by its plan: points, sensitivities and velocities."""
 
 import functools
+import itertools
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
@@ -27,9 +28,8 @@ def deform(plan: Plan, u: Real[ArrayLike, "m d"] | Sequence[Any]) -> Float[Array
     """Moves the mesh: node `plan.moving[i]` by `u[i]`; fixed nodes stay, all other nodes follow.
 
     A method that is `exact` moves and fixes these nodes exactly; a reduced `RBF` alone does so
-    approximately. The motion is one step, and linear in `u` where `plan.is_linear`.
-    Traced: `jit`, `grad`, `jvp`, `vmap` and `scan` apply. Judge the result with `quality`: `deform`
-    knows nothing of cells.
+    approximately. The motion is one step, and linear in `u` where `plan.is_linear`. Traced. Judge
+    the result with `quality`: `deform` knows nothing of cells.
 
     **Arguments:**
 
@@ -60,8 +60,12 @@ def _shared(plan: Plan, u: Any) -> Shared:
 
 @compiled
 def _slab(shared: Shared, volume: VolumePart, start: Any, size: Constant) -> Float[Array, "s d"]:
-    rows = jax.tree.map(lambda leaf: jax.lax.dynamic_slice_in_dim(leaf, start, size.value), volume)
+    rows = _rows_of(volume, start, size.value)
     return move(shared, rows, rows_from(start, shared.nodes, size.value))
+
+
+def _rows_of(rows: PyTree, start: Any, size: int) -> PyTree:
+    return jax.tree.map(lambda leaf: jax.lax.dynamic_slice_in_dim(leaf, start, size), rows)
 
 
 @checked
@@ -70,8 +74,7 @@ def pullback(
 ) -> Float[Array, "m d"]:
     """Pulls sensitivities with respect to all points back to the moving nodes.
 
-    This is the transpose of `deform`, for an adjoint solver that gives dJ/d(points). Other programs
-    call it warpDeriv.
+    This is the transpose of `deform`, which other programs call warpDeriv.
 
     **Arguments:**
 
@@ -85,9 +88,14 @@ def pullback(
     (n, d).
     """
     number = shares(plan, u, cotangent) if isinstance(plan, Plan) and plan.layout is None else 1
-    if number > 1:
-        return pulled_back(plan, u, _of_points(plan, cotangent), number)
-    return _pullback(with_transposes(plan), u, cotangent)
+    if number == 1:
+        return _pullback(with_transposes(plan), u, cotangent)
+    plan, cotangent = with_transposes(plan, number), _of_points(plan, cotangent)
+    shared, varying = _with_mask(plan, u)
+    volume, constant = plan.volume, Constant((varying.value, number))
+    places = [np.asarray(k, np.int32) for k in range(number)]
+    parts = on_all_cores(lambda k: _share(shared, volume, cotangent, k, constant), places)
+    return _put_together(plan, u, varying, parts)
 
 
 @compiled
@@ -129,32 +137,28 @@ def velocity(plan: Plan, u: Float[ArrayLike, "m d"], u_dot: Float[ArrayLike, "m 
 def with_transposes(plan: Any, parts: int = 1) -> Any:
     """Adds the tables, for so many shares of points, to a plan of known arrays, and to its guide.
 
-    They are made once for a plan.
-
-    A plan that is traced, or laid over devices, stays as it is: its transpose scatters, or has
-    tables.
+    They are made once for a plan. A plan that is traced, or laid over devices, stays as it is: its
+    transpose scatters, or has tables.
     """
-    volume, guide = getattr(plan, "volume", None), getattr(getattr(plan, "surface", None), "guide", None)
-    if volume is None or plan.layout is not None or not is_readable(plan) or (parts == 1 and not _lacks_tables(plan)):
+    if not isinstance(plan, Plan) or plan.layout is not None or not is_readable(plan):
         return plan
-    placed = volume.placed if parts == 1 else without_tables(volume.placed)
-    placed = with_tables(placed, len(plan.surface.points), parts)
+    operators = filter(is_rows, jax.tree.leaves(plan, is_leaf=is_rows))
+    if parts == 1 and all(operator.table is not None for operator in operators):
+        return plan
+    placed = with_tables(
+        plan.volume.placed if parts == 1 else without_tables(plan.volume.placed), len(plan.surface.points), parts
+    )
     plan = eqx.tree_at(
         lambda plan: plan.volume.placed, plan, placed, is_leaf=lambda leaf: leaf is None or is_rows(leaf)
     )
-    if guide is not None:
-        plan = eqx.tree_at(lambda plan: plan.surface.guide.plan, plan, with_transposes(guide.plan))
-    return plan
+    if plan.surface.guide is None:
+        return plan
+    return eqx.tree_at(lambda plan: plan.surface.guide.plan, plan, with_transposes(plan.surface.guide.plan))
 
 
 def transposable(plan: Any, *arguments: Any) -> Any:
     """Adds the tables where another argument is traced: it may be differentiated."""
     return plan if is_known(arguments) else with_transposes(plan)
-
-
-def _lacks_tables(plan: Any) -> bool:
-    rows = filter(is_rows, jax.tree.leaves(plan, is_leaf=is_rows))
-    return any(operator.table is None for operator in rows)
 
 
 # XLA splits the loop over a program's blocks among threads operation by operation, and they wait
@@ -186,7 +190,15 @@ def slabs(count: int, *arguments: Any) -> list[tuple[np.ndarray, int]]:
     return [(np.asarray(start, np.int32), size) for start in [*range(0, count - size, stride), count - size]]
 
 
-def shares(plan: Any, *arguments: Any) -> int:
+@compiled
+def joined(parts: tuple[Float[Array, "s d"], ...], count: int) -> Float[Array, "n d"]:
+    """Joins the results of slabs of `count` points."""
+    *others, last = parts
+    stride, before = len(last) - count % STEP, count - len(last)
+    return jnp.concatenate([*(part[: min(stride, before - k * stride)] for k, part in enumerate(others)), last])
+
+
+def shares(plan: Plan, *arguments: Any) -> int:
     """Counts shares of a plan's points in a sum, for any number of cores; 1 if traced."""
     surface = len(plan.surface.points)  # each share has a sum for all of it
     number = min(MOST, len(plan.points) // max(LEAST, 2 * surface)) // 2 * 2
@@ -209,93 +221,58 @@ def on_all_cores(program: Callable[[Any], T], pieces: list[Any]) -> tuple[T, ...
     return tuple(results[k] for k in range(len(pieces)))
 
 
-def share_of(rows: PyTree, k: Any, start: Any, size: int, number: int) -> PyTree:
-    """Cuts share `k` out of leaves with a row a point, and out of tables in `number` parts."""
-
-    def cut(leaf: Any) -> Any:
-        if not is_rows(leaf):
-            return jax.lax.dynamic_slice_in_dim(leaf, start, size)
-        table, bare = leaf.table, jax.tree.map(cut, leaf.without_table())
-        length = len(table.owner) // number
-        table = jax.tree.map(lambda part: jax.lax.dynamic_slice_in_dim(part, k * length, length), table)
-        return eqx.tree_at(lambda rows: rows.table, bare, table, is_leaf=lambda leaf: leaf is None)
-
-    return jax.tree.map(cut, rows, is_leaf=is_rows)
-
-
-def joined(parts: tuple[Float[Array, "s d"], ...], count: int) -> Float[Array, "n d"]:
-    """Joins the results of slabs of `count` points."""
-    return parts[0] if len(parts) == 1 else _joined(parts, count)
-
-
 @compiled
-def _joined(parts: tuple[Float[Array, "s d"], ...], count: int) -> Float[Array, "n d"]:
-    *others, last = parts
-    stride, before = len(last) - count % STEP, count - len(last)
-    return jnp.concatenate([*(part[: min(stride, before - k * stride)] for k, part in enumerate(others)), last])
-
-
-def pulled_back(plan: Plan, u: Any, cotangent: Float[Array, "n d"], number: int) -> Float[Array, "m d"]:
-    """Pulls sensitivities back to the moving nodes, by `number` shares of the points."""
-    plan = with_transposes(plan, number)
-    shared, varying = _shared_by(plan, u, "traced")
-    volume, constant = plan.volume, Constant((varying, number))
-    places = [np.asarray(k, np.int32) for k in range(number)]
-    parts = on_all_cores(lambda k: _share(shared, volume, cotangent, k, constant), places)
-    return _put_together(plan, u, varying, parts)
-
-
-def _common(plan: Plan, u: Any) -> Shared:
-    return shared_by(plan, extended(plan, u))
-
-
-@compiled
-def _shared_by(plan: Plan, u: Any, _: str) -> tuple[Shared, str]:
-    """Computes the data common to all points, and a mask of its leaves that depend on `u`.
-
-    The string makes both static.
-    """
-    return _common(plan, u), _varying(plan, u)
-
-
-def _varying(plan: Plan, u: Any) -> str:
+def _with_mask(plan: Plan, u: Any) -> tuple[Shared, Constant]:
+    """Computes the data common to all points, and a mask of its leaves that depend on `u`."""
     # A leaf depends on u if an operation between the two does, of all that JAX traces. Sources and
     # scales of a field do not: derivatives in them cost more than all else, and nobody asks for
     # them.
-    traced = jax.make_jaxpr(lambda u: jax.tree.leaves(_common(plan, u)))(jnp.asarray(u, plan.points.dtype)).jaxpr
+    traced = jax.make_jaxpr(lambda u: jax.tree.leaves(_shared(plan, u)))(jnp.asarray(u, plan.points.dtype)).jaxpr
     varies = set(traced.invars)
+
+    def depends(value: Any) -> bool:
+        return not isinstance(value, Literal) and value in varies
+
     for step in traced.eqns:
-        if any(not isinstance(value, Literal) and value in varies for value in step.invars):
+        if any(map(depends, step.invars)):
             varies.update(step.outvars)
-    return "".join(str(int(not isinstance(value, Literal) and value in varies)) for value in traced.outvars)
+    return _shared(plan, u), Constant(tuple(map(depends, traced.outvars)))
 
 
-def _leaves(shared: Shared, varying: str) -> list[Array]:
-    return [leaf for leaf, varies in zip(jax.tree.leaves(shared), varying, strict=True) if varies == "1"]
+def _varying(shared: Shared, mask: tuple[bool, ...]) -> list[Array]:
+    return list(itertools.compress(jax.tree.leaves(shared), mask))
 
 
 @compiled
 def _share(shared: Shared, volume: VolumePart, cotangent: Array, k: Any, constant: Constant) -> list[Array]:
     """Pulls the cotangents of one share of the points back to what varies of what they share."""
-    varying, number = constant.value
+    mask, number = constant.value
     count, size = len(cotangent), -(-len(cotangent) // number)
     start = jnp.minimum(k * size, count - size)  # the last share overlaps the one before it
-    rows, at = share_of(volume, k, start, size, number), rows_from(start, shared.nodes, size)
+
+    def cut(leaf: Any) -> Any:
+        if not is_rows(leaf):
+            return _rows_of(leaf, start, size)
+        bare, length = _rows_of(leaf.without_table(), start, size), len(leaf.table.owner) // number
+        table = _rows_of(leaf.table, k * length, length)
+        return eqx.tree_at(lambda rows: rows.table, bare, table, is_leaf=lambda leaf: leaf is None)
+
+    rows, at = jax.tree.map(cut, volume, is_leaf=is_rows), rows_from(start, shared.nodes, size)
     is_counted = start + jnp.arange(size) >= k * size
-    cotangent = jnp.where(is_counted[:, None], jax.lax.dynamic_slice_in_dim(cotangent, start, size), 0)
+    cotangent = jnp.where(is_counted[:, None], _rows_of(cotangent, start, size), 0)
     leaves, structure = jax.tree.flatten(shared)
 
     def moved(values: list[Array]) -> Float[Array, "s d"]:
-        replaced, others = iter(values), zip(leaves, varying, strict=True)
-        everything = [next(replaced) if varies == "1" else leaf for leaf, varies in others]
-        return move(jax.tree.unflatten(structure, everything), rows, at)
+        replaced = iter(values)
+        mixed = [next(replaced) if varies else leaf for leaf, varies in zip(leaves, mask, strict=True)]
+        return move(jax.tree.unflatten(structure, mixed), rows, at)
 
-    return jax.vjp(moved, _leaves(shared, varying))[1](cotangent)[0]
+    return jax.vjp(moved, _varying(shared, mask))[1](cotangent)[0]
 
 
 @compiled
-def _put_together(plan: Plan, u: Any, varying: str, parts: PyTree) -> Float[Array, "m d"]:
+def _put_together(plan: Plan, u: Any, mask: Constant, parts: PyTree) -> Float[Array, "m d"]:
     """Sums the shares, always in one order, and pulls the sum back to `u`."""
     total = functools.reduce(lambda first, other: jax.tree.map(jnp.add, first, other), parts)
     u = jnp.asarray(u, plan.points.dtype)
-    return jax.vjp(lambda u: _leaves(_common(plan, u), varying), u)[1](total)[0]
+    return jax.vjp(lambda u: _varying(_shared(plan, u), mask.value), u)[1](total)[0]

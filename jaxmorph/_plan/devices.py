@@ -27,34 +27,23 @@ class Layout:
     def over(devices: Sequence[Any], count: int) -> "Layout":
         if len(devices) == 0:
             raise ValueError("`devices` is empty: pass jax.devices(), or some of them.")
-        wrong = [device for device in devices if not isinstance(device, jax.Device)]
-        if wrong:
-            raise ValueError(f"`devices` holds {shown(wrong[0])}, which is no device of JAX: pass jax.devices().")
-        if len(set(devices)) < len(devices):
-            twice = next(device for device in devices if list(devices).count(device) > 1)
-            raise ValueError(f"`devices` has {twice} more than once, among {len(devices)}: pass each device once.")
+        for device in devices:
+            if not isinstance(device, jax.Device):
+                raise ValueError(f"`devices` holds {shown(device)}, which is no device of JAX: pass jax.devices().")
+            if list(devices).count(device) > 1:
+                raise ValueError(f"`devices` has {device} more than once, among {len(devices)}: pass each device once.")
         return Layout(Mesh(np.array(devices), (AXIS,)), count)
 
-    @property
-    def padding(self) -> int:
-        return -self.count % self.mesh.size
-
-    def replicated(self, tree: PyTree) -> PyTree:
-        return self._placed(tree, PartitionSpec())
-
-    def divided(self, tree: PyTree) -> PyTree:
-        return self._placed(tree, PartitionSpec(AXIS))
-
-    def _placed(self, tree, spec):
-        sharding = NamedSharding(self.mesh, spec)
+    def placed(self, tree: PyTree, *axes: str) -> PyTree:
+        """Puts a tree on the devices: whole on each, or divided along `AXIS`."""
+        sharding = NamedSharding(self.mesh, PartitionSpec(*axes))
         return jax.tree.map(lambda leaf: jax.device_put(np.asarray(leaf), sharding), tree)
 
 
 def pad_rows(leaf: Array, layout: Layout) -> Array:
     """Repeats the last row of a leaf until all devices have an equal number of rows."""
-    if not layout.padding:
-        return leaf
-    return jnp.concatenate([leaf, jnp.broadcast_to(leaf[-1:], (layout.padding, *leaf.shape[1:]))])
+    padding = -layout.count % layout.mesh.size
+    return jnp.concatenate([leaf, jnp.broadcast_to(leaf[-1:], (padding, *leaf.shape[1:]))]) if padding else leaf
 
 
 def rows_here(layout: Layout | None, ids: Int[Array, " k"], count: int) -> Int[Array, " k"]:

@@ -8,7 +8,7 @@ from typing import Any
 
 import jax
 import numpy as np
-from jaxtyping import Int, Integer, Real
+from jaxtyping import Array, Int, Integer, PyTree, Real
 
 from .._boundary.boundary import Boundary, changed, with_faces
 from .._boundary.names import checked_points
@@ -17,13 +17,15 @@ from .._host.package.arguments import as_array, checked, whole
 from .._host.package.errors import MeshError
 from .._host.package.rounding import roundoff
 from .._host.surface.skin import has_free_sides
+from .._kernels.compile import compiled
 from .._kernels.values import as_jax
 from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod, check_kind
+from .._methods.blocks import place_points
 from .._methods.reconstruction import sees_free_sides
 from .._methods.surface import Surface
-from .plan import Plan
-from .prepare import between_planes, default_for, laid_out, plan_of, refuse_cells, surface_of
+from .plan import Plan, SurfacePart, VolumePart
+from .prepare import between_planes, default_for, plan_of, refuse_cells, surface_of
 
 SAME = 1e-12
 """Largest difference of a surface node's place in piece and half, as a share of the extent."""
@@ -73,8 +75,8 @@ class SurfaceHalf:
         """Prepares the plan of one piece of the mesh.
 
         `deform` of the plan takes displacements of all moving nodes, and returns the points of the
-        piece. `pullback` returns the piece's contribution to all moving nodes. The sum of the
-        contributions is the pullback of the whole mesh, if no two pieces share a node.
+        piece. `pullback` returns the piece's contribution to all moving nodes: their sum is the
+        pullback of the whole mesh, if no two pieces share a node.
 
         **Arguments:**
 
@@ -90,35 +92,36 @@ class SurfaceHalf:
         # A method connects to one list of points: the n points of the piece, then the half's points
         # that the piece lacks. So tolerances come from the whole mesh. Then the rows from n on are
         # cut off; their numbers stay in the plan, for surface nodes that other pieces have.
-        plan, points = self.plan, checked_points(points)
-        if points.shape[1] != plan.points.shape[1]:
-            raise ValueError(f"`points` has shape {points.shape}; the surface has {plan.points.shape[1]} dimensions.")
-        if not len(points):
+        plan, given = self.plan, checked_points(points)
+        if given.shape[1] != plan.points.shape[1]:
+            raise ValueError(f"`points` has shape {given.shape}; the surface has {plan.points.shape[1]} dimensions.")
+        if not len(given):
             raise ValueError("the piece has no points.")
-        place = self._places(nodes, points)
-        self._check_sides(points, place)
-        points = points.astype(plan.points.dtype)
-        points[place[place >= 0]] = np.asarray(plan.points)[place >= 0]
-        absent = np.flatnonzero(place < 0)
-        count, rows = len(points), np.where(place < 0, len(points) + np.cumsum(place < 0) - 1, place)
-        together = np.concatenate([points, np.asarray(plan.points)[absent]])
+        place = self._places(nodes, given)
         surface, on_plane = self._surface
-        nodes = np.where(surface.nodes < 0, -1, rows[surface.nodes])
-        volume_ids = plan.method.connect(surface.altered(nodes=nodes), together)[1]
+        self._check_sides(surface, given, place)
+        x, count, base = given.astype(plan.points.dtype), len(given), np.asarray(plan.points)
+        x[place[place >= 0]] = base[place >= 0]
+        rows = np.where(place < 0, count + np.cumsum(place < 0) - 1, place)
+        together = np.concatenate([x, base[place < 0]])
+        surface = surface.altered(nodes=np.where(surface.nodes < 0, -1, rows[surface.nodes]))
+        ids = as_jax(jax.tree.map(lambda leaf: leaf[:count], plan.method.connect(surface, together)[1]))
         if on_plane is not None:
             on_plane = np.stack([plane.holds(together)[:count] for plane in plan.boundary.planes], axis=1)
-        volume_ids = as_jax(jax.tree.map(lambda leaf: leaf[:count], volume_ids))
-        here = as_jax(rows[np.asarray(plan.surface.nodes)].astype(np.int32))
-        shared = dataclasses.replace(plan.surface, nodes=here)
-        return laid_out(plan, shared, as_jax(points), on_plane, volume_ids)
+            on_plane = as_jax(on_plane)
+        own = dataclasses.replace(plan.surface, nodes=as_jax(rows[np.asarray(plan.surface.nodes)].astype(np.int32)))
+        volume = VolumePart(as_jax(x), on_plane, ids, None)
+        placed = _placed(plan.method, own, volume.points, ids)
+        volume = dataclasses.replace(volume, placed=placed)
+        return Plan(plan.method, own, volume, plan.n_moving, plan.n_guided, is_piece=True)
 
-    def _check_sides(self, points: np.ndarray, place: np.ndarray) -> None:
-        """Raises `ValueError` for points on a free side, if the surface was prepared without."""
+    def _check_sides(self, surface: Surface, points: np.ndarray, place: np.ndarray) -> None:
+        """Refuses points on a free side, if the surface was prepared without."""
         if self.faces is not None or self.is_open or not sees_free_sides(self.plan.method):
             return
         is_inner = np.ones(len(points), dtype=bool)
         is_inner[place[place >= 0]] = False
-        if has_free_sides(self._surface[0].points, is_inner, points):
+        if has_free_sides(surface.points, is_inner, points):
             raise ValueError(
                 "this piece has nodes on a flat side of the mesh that is neither moving, fixed nor a symmetry plane. Name the "
                 "side, or pass is_open=True to prepare_surface, which changes the field."
@@ -136,7 +139,7 @@ class SurfaceHalf:
         return surface, on_plane
 
     def _places(self, nodes: Any, points: np.ndarray) -> np.ndarray:
-        """Finds the row in `points` of all nodes (k,) of the half; -1 for an absent node."""
+        """Finds the row (k,) in `points` of each node of the half; -1 for an absent node."""
         ids = as_array("nodes", nodes)
         if ids.shape != (len(points),) or ids.dtype.kind not in "iu":
             raise ValueError(
@@ -182,17 +185,15 @@ def prepare_surface(
 
     **Arguments:**
 
-    - `boundary`: the boundary. All surface nodes must be in its points, and the outermost nodes
-      should be. Other points set tolerances and show free sides. The nodes of two parallel symmetry
-      planes are needed too: they are guided.
+    - `boundary`: the boundary. Its points have all surface nodes, all nodes of parallel symmetry
+      planes, and better the outermost nodes: they set tolerances and show free sides.
     - `nodes`: ids (n,) of the boundary's points in the whole mesh, by which pieces name them; -1
       for points that no piece names. Default: 0 to n - 1.
     - `method`: `SurfaceReconstruction()` by default.
     - `is_open`: whether the whole mesh has a side that is neither moving, fixed nor a symmetry
       plane. Default None: decided by `faces`, or by the points, which must then be all.
     - `faces`: boundary faces (k, corners) of the whole mesh by type, as rows of the points, seen
-      from outside; in 2-D `line`s. With them, pieces move as the whole mesh does. Default None: the
-      faces of the mesh's cells, if it has cells.
+      from outside; in 2-D `line`s. Default None: those of the mesh's cells, if it has cells.
 
     **Returns:** a `SurfaceHalf`.
 
@@ -200,30 +201,34 @@ def prepare_surface(
     that solves on cells.
     """
     check_kind(boundary, Boundary, "boundary", 'jm.Boundary(mesh, "wall", "far")')
+    check_kind(method, AbstractMethod, "method", "jm.RBF()", optional=True)
     count = len(boundary.points)
     if faces is not None:
         mesh = boundary.mesh or Mesh(boundary.points)
         boundary = with_faces(boundary, mesh, OuterFaces.numbered(Mesh(mesh.points, dict(faces)).cells))
-    ids = np.arange(count) if nodes is None else as_array("nodes", nodes)
-    if ids.shape != (count,) or ids.dtype.kind not in "iu" or len(np.unique(ids[ids >= 0])) < (ids >= 0).sum():
-        raise ValueError(f"`nodes` must be {count} ids, one for every point of the boundary; only -1 may come twice.")
-    return half_of(boundary if is_open is None else changed(boundary, is_open=is_open), method, ids)
-
-
-def half_of(boundary: Boundary, method: AbstractMethod | None, ids: np.ndarray) -> SurfaceHalf:
-    """Prepares the surface of a checked boundary; `ids` (n,) name its points in the whole mesh."""
-    check_kind(method, AbstractMethod, "method", "jm.RBF()", optional=True)
+    ids = np.arange(count) if nodes is None else _unique_ids(nodes, count)
+    boundary = boundary if is_open is None else changed(boundary, is_open=is_open)
     method = default_for(boundary) if method is None else method
     refuse_cells(method)
     boundary = between_planes(boundary, method)
     is_open = has_open_side(boundary) if boundary.is_open is None else boundary.is_open
-    rows = np.union1d(boundary.nodes, fence(boundary))
+    # the outermost nodes and one node of every symmetry plane set the tolerances
+    points, place = boundary.of_cells, np.delete(np.arange(count), boundary.loose)
+    on_planes = (np.flatnonzero(plane.holds(points))[:1] for plane in boundary.planes)
+    fence = place[np.concatenate([points.argmin(axis=0), points.argmax(axis=0), *on_planes])]
+    rows = np.union1d(boundary.nodes, fence)
     part = changed(boundary.part(rows), is_open=is_open)
     try:
-        plan = plan_of(part, method)
+        return SurfaceHalf(plan_of(part, method), ids[rows], part.surface_faces, is_open)
     except MeshError as error:
         raise error.renumbered(rows) from None
-    return SurfaceHalf(plan, ids[rows], part.surface_faces, is_open)
+
+
+def _unique_ids(nodes: Any, count: int) -> np.ndarray:
+    ids = as_array("nodes", nodes)
+    if ids.shape != (count,) or ids.dtype.kind not in "iu" or len(np.unique(ids[ids >= 0])) < (ids >= 0).sum():
+        raise ValueError(f"`nodes` must be {count} ids, one for every point of the boundary; only -1 may come twice.")
+    return ids
 
 
 def has_open_side(boundary: Boundary) -> bool:
@@ -232,20 +237,12 @@ def has_open_side(boundary: Boundary) -> bool:
     return has_free_sides(surface.points, surface.rows(len(boundary.points)) == len(surface.points), boundary.points)
 
 
-def fence(boundary: Boundary) -> np.ndarray:
-    """Lists the outermost nodes, and one node of every symmetry plane: they set the tolerances."""
-    points, place = boundary.of_cells, np.delete(np.arange(len(boundary.points)), boundary.loose)
-    on_planes = (np.flatnonzero(plane.holds(points))[:1] for plane in boundary.planes)
-    return place[np.unique(np.concatenate([points.argmin(axis=0), points.argmax(axis=0), *on_planes]))]
-
-
 def prepare_in_chunks(
     boundary: Boundary, *, size: int | None = None, method: AbstractMethod | None = None
 ) -> Iterator[tuple[Int[np.ndarray, " c"], Plan]]:
     """Yields the nodes (c,) and the plan of every chunk of a mesh, one chunk after the other.
 
-    The surface is prepared once, and chunks are attached to it. Points move as with a plan of the
-    whole mesh.
+    The surface is prepared once, and chunks are attached to it.
 
     ```python
     points = np.array(mesh.points)
@@ -279,14 +276,13 @@ def _chunks(
 ) -> Iterator[tuple[Int[np.ndarray, " c"], Plan]]:
     # A chunk of k has the surface and every k-th other node. A chunk that is one node short takes
     # the first other node again: so all chunks have one length and share compiled code.
-    points = boundary.points
+    points, every = boundary.points, np.arange(len(boundary.points))
     if size is None:
-        yield np.arange(len(points)), plan_of(boundary, method)
+        yield every, plan_of(boundary, method)
         return
-    method = default_for(boundary) if method is None else method
-    boundary = between_planes(boundary, method)
-    half, surface = half_of(boundary, method, np.arange(len(points))), np.unique(boundary.nodes)
-    others = np.setdiff1d(np.arange(len(points)), np.union1d(surface, boundary.loose), assume_unique=True)
+    half = prepare_surface(boundary, method=method)
+    surface = np.unique(half.surface_nodes)
+    others = np.setdiff1d(every, np.union1d(surface, boundary.loose), assume_unique=True)
     count = max(1, -(-len(others) // size))
     steps = count * np.arange(-(-len(others) // count))
     for k in range(count):
@@ -299,3 +295,8 @@ def _chunks(
             except MeshError as error:
                 raise error.renumbered(nodes) from None
         yield nodes, plan
+
+
+@compiled
+def _placed(method: AbstractMethod, surface: SurfacePart, points: Array, ids: PyTree) -> PyTree:
+    return place_points(method, points, ids, surface.factors, surface.points)

@@ -37,19 +37,15 @@ class SurfacePart(eqx.Module):
     factors: PyTree
     guide: "Guide | None" = None
 
-    def with_images(self, vectors: Float[Array, "o d"]) -> Float[Array, "b d"]:
-        """Computes the displacements of all rows from those of the own rows."""
-        return self.images.vectors(vectors)
-
 
 class Guide(Module):
     """Moves the guided nodes along their boundaries, before the mesh moves.
 
     Guided nodes slide or repeat. No caller gives their displacement, but the field of the mesh
     needs it. So a first field, of the moving and fixed nodes alone, moves the nodes of the surface.
-    The first field has sources, images and factors, and needs them anew in every step of a march.
-    So it is a plan too: its mesh is the surface of the outer plan, and it has no guide. Its result
-    is put back on walls, and made equal in periodic pairs. The outer plan takes it as data.
+    It needs sources, images and factors, anew in every step of a march. So it is a plan too, of the
+    outer plan's surface, without a guide. Its result is put back on walls, and made equal in
+    periodic pairs. The outer plan takes it as data.
 
     - `plan`: moves the surface's own rows, which are its points.
     - `pairings`: pairs of own rows.
@@ -63,7 +59,6 @@ class Guide(Module):
     rows: Int[Array, " r"]
 
     def __call__(self, vectors: Float[Array, "o d"]) -> Float[Array, "o d"]:
-        """Computes displacements of all own rows from the moving and the fixed rows."""
         plan, known = self.plan, len(self.plan.surface.nodes)
         displacement = plan.images.kept(vectors[:known])
         u = self._on_walls(jnp.concatenate([displacement, jnp.zeros_like(vectors[known:])]))
@@ -114,11 +109,9 @@ class Plan(Module):
     `prepare` makes it. It survives `jax.tree` round trips, pickling and
     `equinox.tree_serialise_leaves`, and passes through `jit`, `vmap` and `grad` like any array.
 
-    Use `points`, `moving`, `fixed`, `guided`, `sources`, `n_moving`, `method`, `is_linear`,
-    `is_piece` and `offset`. The fields `surface` and `volume` belong to the driver. So do
-    `carried` (by a step of `march`) and `layout` (over devices).
-    In a plan of a piece (`SurfaceHalf.attach`), node ids of len(points) and more stand for
-    nodes of other pieces.
+    The fields `surface` and `volume` belong to the driver. So do `carried` (by a step of `march`)
+    and `layout` (over devices). In a plan of a piece (`SurfaceHalf.attach`), node ids from
+    len(points) on stand for nodes of other pieces.
     """
 
     method: AbstractMethod
@@ -158,8 +151,8 @@ class Plan(Module):
         pairings, tracks = ((), ()) if guide is None else jax.tree.map(np.asarray, (guide.pairings, guide.tracks))
         pairings, tracks = renumbered(pairings, tracks, nodes)
         loose = np.zeros(0, int) if self.volume.rests is None else np.flatnonzero(self.volume.rests)
-        lists = {"planes": self.images.planes, "pairings": pairings, "tracks": tracks, "loose": loose}
-        return boundary_of_lists(points, moving, fixed, guided, **lists)
+        lists = {"moving": moving, "fixed": fixed, "guided": guided, "loose": loose}
+        return boundary_of_lists(points, planes=self.images.planes, pairings=pairings, tracks=tracks, **lists)
 
     @property
     def is_linear(self) -> bool:
@@ -190,7 +183,6 @@ class Plan(Module):
 
     @property
     def images(self) -> Images:
-        """The rows of the surface: own rows, and images by planes and periodic pairs."""
         return self.surface.images
 
     @property
@@ -207,7 +199,6 @@ class Plan(Module):
         return taken(self.surface_points, slice(self.n_moving))
 
     def check_surface(self, call: str) -> None:
-        """Raises `ValueError`, on the host, for a piece that lacks nodes of the surface."""
         if self.is_piece and (absent := int((np.asarray(self.surface_nodes) >= len(self.points)).sum())):
             raise ValueError(
                 f"this plan is of a piece, and {absent} surface nodes are in other pieces: call {call} with the plan of "
@@ -241,13 +232,12 @@ def _offset(plan: Plan, u: Any) -> Float[Array, "o d"]:
     vectors, surface = plan.of_surface(u), plan.surface
     if not isinstance(plan.method, SurfaceReconstruction):
         return jnp.zeros_like(vectors)  # nothing is left to a correction
-    offset = plan.method.offset(surface.ids, surface.factors, surface.points, surface.with_images(vectors))
+    offset = plan.method.offset(surface.ids, surface.factors, surface.points, surface.images.vectors(vectors))
     rows = _rows_of_originals(surface.images, len(vectors))
     return jnp.zeros_like(vectors).at[rows].set(offset, mode="drop")
 
 
 def _rows_of_originals(images: Images, count: int) -> Int[Array, " b"]:
-    """Finds the own row of every row of the surface; `count` for images."""
     return jnp.where(images.kind > 0, count, images.rows)
 
 
@@ -270,10 +260,7 @@ def extended(plan: Plan, u: Any) -> Float[Array, "o d"]:
 
 
 class Shared(eqx.Module):
-    """Data common to all points: the field, the places of nodes that have one, and images.
-
-    `are_places` says whether nodes are `assigned` places, or displacements.
-    """
+    """Data common to all points: the field, images, and places (or displacements) of nodes."""
 
     field: AbstractField
     assigned: Float[Array, "a d"]
@@ -294,9 +281,8 @@ def deform_surface(plan: Plan, vectors: Float[Array, "o d"]) -> Float[Array, "n 
 
 
 def shared_by(plan: Plan, vectors: Float[Array, "o d"]) -> Shared:
-    """Computes the data common to all points, from displacements of the own rows."""
     surface, vectors = plan.surface, kept(plan, vectors)
-    field = plan.method.field(surface.ids, surface.factors, surface.points, surface.with_images(vectors))
+    field = plan.method.field(surface.ids, surface.factors, surface.points, surface.images.vectors(vectors))
     nodes, guide = surface.nodes, surface.guide
     assigned = vectors if guide is None else guide.placed(vectors)
     if not plan.method.exact:
@@ -326,11 +312,6 @@ def moved_surface(plan: Plan, vectors: Float[Array, "o d"]) -> Float[Array, "o d
 
 
 def kept(plan: Plan, vectors: Float[Array, "o d"]) -> Float[Array, "o d"]:
-    """Changes displacements of the surface's own rows so that they keep to the boundaries.
-
-    Rows stay on planes and follow walls and periodic partners.
-    """
-    surface = plan.surface
-    if surface.guide is not None:
-        vectors = surface.guide(vectors)
-    return surface.images.kept(vectors)
+    """Makes displacements of the surface's own rows keep to planes, walls and periodic pairs."""
+    guide = plan.surface.guide
+    return plan.images.kept(vectors if guide is None else guide(vectors))

@@ -6,7 +6,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Bool, Float, PyTree, Real
+from jaxtyping import Array, ArrayLike, Bool, Float, Real
 
 from .._boundary.boundary import Boundary, Nodes, changed
 from .._boundary.images import Images, images_of
@@ -16,11 +16,10 @@ from .._boundary.symmetry import Plane, check_planes, on_facing
 from .._host.package.errors import warn
 from .._host.package.rounding import SAME
 from .._host.surface.walls import ordered_rows
-from .._kernels.compile import compiled, quickly_compiled
+from .._kernels.compile import quickly_compiled
 from .._kernels.values import as_jax
 from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod, check_kind
-from .._methods.blocks import place_points
 from .._methods.guiding import carrying, guiding
 from .._methods.reconstruction import SurfaceReconstruction
 from .._methods.surface import Cells, Surface
@@ -71,7 +70,6 @@ def prepare(
 
 
 def plan_of(boundary: Boundary, method: AbstractMethod | None) -> Plan:
-    """Prepares the plan of a checked boundary; warns of free faces and of lost precision."""
     if not len(boundary.moving):
         raise ValueError("`moving` is empty: name the nodes of the boundary that moves.")
     boundary.warn_of_free_faces()
@@ -85,7 +83,7 @@ def plan_of(boundary: Boundary, method: AbstractMethod | None) -> Plan:
     if plan.points.dtype != boundary.points.dtype:
         warn(
             "the points are float64 but JAX's x64 mode is off, so the plan is float32: boundary layers and gradients suffer. "
-            'Call jax.config.update("jax_enable_x64", True) first.',
+            'Call jax.config.update("jax_enable_x64", True) first.'
         )
     return plan
 
@@ -103,10 +101,9 @@ def default_for(boundary: Boundary) -> AbstractMethod:
 def between_planes(boundary: Boundary, method: AbstractMethod | None = None) -> Boundary:
     """Checks the planes, and guides the nodes of parallel planes, except for methods on cells.
 
-    Two parallel mirrors have endless images. A field with some of the images has a step beside the
-    plane, by which cells invert. So parallel planes make no images. A field without images guides
-    the nodes of the planes, which then are data of the mesh's field. Where planes hold all nodes,
-    as around one layer of cells, guided nodes that face each other move alike.
+    Two parallel mirrors have endless images. A field with some of them has a step beside the plane,
+    by which cells invert. So parallel planes make no images, and their nodes are guided. Where
+    planes hold all nodes, around one layer of cells, guided nodes that face each other move alike.
     """
     if boundary.planes:
         check_planes(boundary.planes, boundary.of_cells)
@@ -124,7 +121,6 @@ def between_planes(boundary: Boundary, method: AbstractMethod | None = None) -> 
 
 
 def refuse_cells(method: AbstractMethod) -> None:
-    """Raises `ValueError` for a method that solves on cells, if no cells are known."""
     if method.needs_cells:
         raise ValueError(
             f"{type(method).__name__} needs the cells of the whole mesh: pass the mesh, prepare(mesh, ...), not points or a part."
@@ -158,27 +154,6 @@ def _plan_of(boundary: Boundary, method: AbstractMethod, guide: Guide | None = N
     return plan
 
 
-def laid_out(
-    plan: Plan, shared: SurfacePart, points: Array, on_plane: Bool[np.ndarray, "n p"] | None, volume_ids: PyTree
-) -> Plan:
-    """Makes a plan of other points with the surface and the factors of a plan."""
-    flags = None if on_plane is None else as_jax(on_plane)
-    volume = VolumePart(points, flags, volume_ids, _placed(plan.method, shared, points, volume_ids))
-    return Plan(plan.method, shared, volume, plan.n_moving, plan.n_guided, is_piece=True)
-
-
-@compiled
-def _placed(method: AbstractMethod, shared: SurfacePart, points: Array, ids: PyTree) -> PyTree:
-    return place_points(method, points, ids, shared.factors, shared.points)
-
-
-def _cells(boundary: Boundary, on_plane: Bool[np.ndarray, "n p"]) -> Cells:
-    """Returns the cells and planes that a method sees."""
-    dimension = boundary.points.shape[1]
-    normals = np.stack([plane.normal for plane in boundary.planes]) if boundary.planes else np.zeros((0, dimension))
-    return Cells(boundary.cells or {}, normals, on_plane)
-
-
 def surface_of(
     boundary: Boundary, order: np.ndarray | None = None
 ) -> tuple[Surface, Images, Bool[np.ndarray, "n p"] | None]:
@@ -187,34 +162,33 @@ def surface_of(
     The mask is None without planes. The `order` (o,) of the surface's nodes follows from their
     places, unless it is known.
     """
-    points, nodes, moving, faces = boundary.points, boundary.nodes, len(boundary.moving), boundary.surface_faces
+    points, nodes, planes, moving = boundary.points, boundary.nodes, boundary.planes, len(boundary.moving)
+    faces = boundary.surface_faces
     order = ordered_rows(points[nodes], moving, faces) if order is None else order
-    on_plane = np.zeros((len(points), len(boundary.planes)), dtype=bool)
-    for k, plane in enumerate(boundary.planes):
-        on_plane[:, k] = plane.holds(points)
-    images, copies = images_of(boundary.planes, boundary.pairings, on_plane, nodes, moving, points, order)
+    on_plane = (
+        np.stack([plane.holds(points) for plane in planes], axis=1) if planes else np.zeros((len(points), 0), bool)
+    )
+    images, copies = images_of(planes, boundary.pairings, on_plane, nodes, moving, points, order)
+    place, own = np.argsort(order), order[copies.rows]
+    faces = None if faces is None else {kind: copies.faces(place[corners]) for kind, corners in faces.items()}
+    normals = np.array([plane.normal for plane in planes]).reshape(-1, points.shape[1])
+    cells = None if boundary.cells is None else Cells(boundary.cells, normals, on_plane)
+    in_planes = (own >= moving + len(boundary.fixed)) & on_plane[nodes[own]].any(axis=1)
     everything = points[nodes[order]]
     if len(copies.matrices) > 1:
         everything = np.asarray(images.points(jnp.asarray(points[nodes])))
-    place, own = np.argsort(order), order[copies.rows]
-    faces = None if faces is None else {kind: copies.faces(place[corners]) for kind, corners in faces.items()}
-    ids = np.where(copies.kind == 0, nodes[own], -1)
-    cells = None if boundary.cells is None else _cells(boundary, on_plane)
-    listed = len(boundary.moving) + len(boundary.fixed)
-    in_planes = (own >= listed) & np.asarray(on_plane[nodes].any(axis=1))[own]
     surface = Surface(
-        *(everything, ids, copies.moving, copies.first),
+        *(everything, np.where(copies.kind == 0, nodes[own], -1), int((own < moving).sum()), copies.first),
         faces=faces,
         is_open=boundary.is_open,
         cells=cells,
         in_planes=in_planes if in_planes.any() else None,
         listed=own,
     )
-    return surface, images, on_plane if boundary.planes else None
+    return surface, images, on_plane if planes else None
 
 
 def _guide_of(boundary: Boundary, method: AbstractMethod) -> Guide | None:
-    """Prepares the guide, if there are sliding, periodic or guided nodes."""
     if not boundary.pairings and not boundary.tracks and not len(boundary.guided):
         return None
     alone = boundary.alone()
@@ -233,4 +207,4 @@ def _trial(plan: Plan) -> Float[Array, "b d"]:
     arms = moving - moving.mean(axis=0)
     u = np.zeros_like(points)
     u[: plan.n_moving] = np.cos(2 * arms / (np.abs(arms).max() or 1))
-    return plan.images.extended(as_jax(u))
+    return plan.images.vectors(plan.images.kept(as_jax(u)))

@@ -1,4 +1,4 @@
-"""A plan on other base coordinates: mesh walls and translations follow, given ones are checked."""
+"""A plan on other base coordinates."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -69,7 +69,7 @@ def _fitted(plan: Plan, points: Any, surface: Float[Array, "o d"] | None = None,
 
 
 def base_points(plan: Plan, points: Any) -> Float[Array, "n d"]:
-    """Returns base coordinates in a plan's precision. Raises `ValueError` for another shape."""
+    """Returns base coordinates in a plan's precision."""
     points = jnp.asarray(points, plan.volume.points.dtype)
     if points.shape != plan.points.shape:
         raise ValueError(f"`points` has shape {points.shape}; this plan was made for {plan.points.shape}.")
@@ -79,6 +79,7 @@ def base_points(plan: Plan, points: Any) -> Float[Array, "n d"]:
 DEVIATION = 1e-5
 """Largest distance of new base points from a plane or wall, relative to its nodes' extent."""
 
+ANEW = "Call `prepare` with the new mesh and its boundaries."
 WORDS = {
     "off_plane": "nodes have left their symmetry plane",
     "off_surface": "nodes of sliding patches have left their surface",
@@ -90,8 +91,8 @@ WORDS = {
 def refit(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Plan:
     """Computes a plan anew on other base coordinates: ids stay, floats are computed.
 
-    Traced and differentiable. It is meant for another mesh of one family. For the steps of one
-    motion call `march`: after a large motion, points have left their simplices and extrapolate.
+    Traced. It is meant for another mesh of one family. For the steps of one motion call `march`:
+    after a large motion, points have left their simplices and extrapolate.
 
     The patches' own faces, and translations of periodic pairs, are taken from the new points.
     Symmetry planes, surfaces given to `jm.Slide`, and rotations stay. Points that do not lie on
@@ -104,11 +105,11 @@ def refit(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Plan:
 
     **Returns:** a `Plan`.
 
-    **Raises:** `ValueError` when the shape of `points` differs from the plan's. Also where nodes
-    leave a symmetry plane or a given surface, and where periodic pairs match no more: with the
-    number and the worst node. Also where nodes have come within the radius of `CompactRBF` or
-    `LocalCorrection`, so that the ids serve no more; in traced code the result is then NaN. Also
-    for a plan of a piece: prepare the new surface, and attach the piece to it.
+    **Raises:** `ValueError` for another shape of `points`, and for a plan of a piece: prepare the
+    new surface, and attach the piece to it. Also where nodes leave a symmetry plane or a given
+    surface, and where periodic pairs match no more. Also where nodes have come within the radius of
+    `CompactRBF` or `LocalCorrection`, so that the ids serve no more; in traced code the result is
+    then NaN.
     """
     if plan.is_piece:
         raise ValueError(
@@ -150,7 +151,7 @@ def _boundary_at(
 
 
 def _check_boundary(plan: Plan, points: np.ndarray) -> None:
-    """Raises `ValueError` where points leave a plan's planes and walls, or where pairs differ."""
+    """Refuses points that leave a plan's planes and walls, and pairs that differ."""
     surface, guide = np.asarray(plan.surface.nodes), plan.surface.guide
     tracks = () if guide is None else guide.tracks
     sliding = surface[np.concatenate([np.zeros(0, int), *(np.asarray(track.rows) for track in tracks)])]
@@ -159,26 +160,31 @@ def _check_boundary(plan: Plan, points: np.ndarray) -> None:
             gaps = np.minimum(spacing(points[nodes].astype(float)), np.ptp(points, axis=0).max())
             allowed = np.maximum(MISMATCH * gaps, 2 * tolerance(points))
         else:
-            patch = points[nodes if name == "off_plane" else sliding]
-            allowed = max(DEVIATION * np.ptp(patch, axis=0).max(initial=0.0), tolerance(points))
-        _refuse(WORDS[name], distance, allowed, nodes, points)
+            extent = np.ptp(points[nodes if name == "off_plane" else sliding], axis=0).max(initial=0.0)
+            allowed = np.full(len(nodes), max(DEVIATION * extent, tolerance(points)))
+        wrong = worst_first(distance, allowed)
+        if wrong.size:
+            raise MeshError(
+                f"{len(wrong)} of {len(nodes)} {WORDS[name]} at the new base points, the worst is node {{node}} at "
+                f"({place_of(points[nodes[wrong[0]]])}), {distance.max():.3g} away (allowed {allowed[wrong[0]]:.3g}). {ANEW}",
+                nodes[wrong],
+            )
 
 
 @compiled
 def _have_no_place(plan: Plan) -> tuple[Bool[Array, " n"], Bool[Array, ""]]:
     """Marks points whose weights are not finite; also checks whether the solve is finite."""
-    rows = [
-        leaf.reshape(len(leaf), -1)
-        for leaf in jax.tree.leaves(without_tables(plan.volume.placed))
-        if eqx.is_inexact_array(leaf)
-    ]
-    finite = [jnp.isfinite(leaf).all() for leaf in jax.tree.leaves(plan.surface.factors) if eqx.is_inexact_array(leaf)]
-    lost = [~jnp.isfinite(row).all(axis=1) for row in rows]
+    placed, factors = (
+        filter(eqx.is_inexact_array, jax.tree.leaves(tree))
+        for tree in (without_tables(plan.volume.placed), plan.surface.factors)
+    )
+    lost = [~jnp.isfinite(leaf.reshape(len(leaf), -1)).all(axis=1) for leaf in placed]
+    finite = [jnp.isfinite(leaf).all() for leaf in factors]
     return sum(lost, jnp.zeros(len(plan.volume.points), bool)), jnp.stack([jnp.array(True), *finite]).all()
 
 
 def _check_places(plan: Plan, points: np.ndarray) -> None:
-    """Raises `ValueError` where a plan's ids fail at its base points, if these are finite."""
+    """Refuses base points at which a plan's ids fail, if these are finite."""
     lost, is_solved = map(np.asarray, _have_no_place(plan))
     if (is_solved and not lost.any()) or not np.isfinite(points).all():
         return
@@ -186,22 +192,11 @@ def _check_places(plan: Plan, points: np.ndarray) -> None:
     if not len(nodes):
         raise ValueError(
             "the plan's solve is not finite at the new base points: nodes of the surface coincide, or have come nearer to "
-            "each other than the plan searched. Call `prepare` with the new mesh and its boundaries."
+            f"each other than the plan searched. {ANEW}"
         )
     raise MeshError(
         f"{len(nodes)} of {len(points)} points have lost their place at the new base points, first node {{node}} at "
         f"({place_of(points[nodes[0]])}): nodes of the surface have come nearer to them than the plan searched, or a simplex "
-        "of its graph has no volume. Call `prepare` with the new mesh and its boundaries.",
+        f"of its graph has no volume. {ANEW}",
         nodes,
     )
-
-
-def _refuse(what: str, off: np.ndarray, allowed: np.ndarray | float, nodes: np.ndarray, points: np.ndarray) -> None:
-    wrong = worst_first(off, allowed)
-    if wrong.size:
-        place, limit = place_of(points[nodes[wrong[0]]]), np.broadcast_to(allowed, off.shape)[wrong[0]]
-        raise MeshError(
-            f"{len(wrong)} of {len(nodes)} {what} at the new base points, the worst is node {{node}} at ({place}), "
-            f"{off.max():.3g} away (allowed {limit:.3g}). Call `prepare` with the new mesh and its boundaries.",
-            nodes[wrong],
-        )

@@ -8,6 +8,7 @@ caller's, fills in the fields, and runs no code.
 import dataclasses
 import enum
 import hashlib
+import itertools
 import json
 import math
 import os
@@ -31,18 +32,15 @@ ROOTS = (eqx.Module, AbstractReduction, AbstractSearchPoints)
 
 
 def known_classes(added: Sequence[type] = ()) -> dict[str, type]:
-    """Lists by name the classes that a plan's file may name: the package's own classes and `added`.
+    """Lists by name the classes that a file may name: subclasses of `ROOTS` in loaded modules.
 
-    The package's own classes are subclasses of `ROOTS` in the loaded modules. Raises `ValueError`
-    for an added class that is no dataclass or enum, or has the name of another class.
+    They are the package's own classes and `added`.
     """
-    package = __name__.partition(".")[0]
-    classes: dict[str, type] = {}
-    for root in ROOTS:
-        for kind in _below(root):
-            is_own = kind.__module__.partition(".")[0] == package
-            if is_own and getattr(sys.modules.get(kind.__module__), kind.__name__, None) is kind:
-                classes[kind.__name__] = kind
+    package, classes = __name__.partition(".")[0], {}
+    for kind in itertools.chain(*map(_below, ROOTS)):
+        is_own = kind.__module__.partition(".")[0] == package
+        if is_own and getattr(sys.modules.get(kind.__module__), kind.__name__, None) is kind:
+            classes[kind.__name__] = kind
     for kind in added:
         if not isinstance(kind, type) or not (dataclasses.is_dataclass(kind) or issubclass(kind, enum.Enum)):
             raise ValueError(f"`classes` are dataclasses (equinox modules among them) and enums; {kind!r} is neither.")
@@ -69,20 +67,18 @@ Plans = Plan | SurfaceHalf | Sequence[Any]
 def save(path: str | os.PathLike[str], plan: Plans) -> None:
     """Writes a plan, the plans of a `march`, or a `SurfaceHalf`, to a file that `load` reads.
 
-    All arrays keep their bits, so `deform` of the loaded plan gives equal points. Besides arrays,
-    fields may hold None, booleans, numbers, strings, members of an `enum`, tuples, lists,
-    dictionaries by string, and objects of dataclasses (also of `equinox.Module`). The file has a
-    temporary name until it is complete, then replaces a file of its name.
+    All arrays keep their bits. Besides arrays, fields may hold None, booleans, numbers, strings,
+    members of an `enum`, tuples, lists, dictionaries by string, and objects of dataclasses (also of
+    `equinox.Module`). The file has a temporary name until it is complete.
 
     **Arguments:**
 
     - `path`: the file to write.
     - `plan`: a `Plan`, several plans in a sequence, or a `SurfaceHalf`.
 
-    **Raises:** `ValueError`, with the place in the plan, for other fields (functions, say), and for
-    your own class with the name of a jaxmorph class. Also for a `path` that is a folder, or whose
-    folder does not exist. Also for a plan laid over devices: save the plan that `prepare` returned,
-    and `shard` the loaded plan.
+    **Raises:** `ValueError`, with the place in the plan, for other fields (functions, say), and
+    your own class with the name of a jaxmorph class. Also for a plan laid over devices: save the
+    plan that `prepare` returned. Also for a `path` that is a folder, or whose folder is missing.
     """
     path = output_path(path)
     if not _is_plans(plan):
@@ -156,30 +152,33 @@ class _Writer:
     places: dict[Any, int] = dataclasses.field(default_factory=dict)
 
     def node(self, value: Any, where: str) -> Any:
-        if value is None or type(value) in (bool, int, str) or (type(value) is float and math.isfinite(value)):
+        if value is None or type(value) in (bool, int, str):
             return value
         if type(value) is float:
-            return {"float": repr(value)}
-        if isinstance(value, jax.Array | np.ndarray | np.generic):
-            return self._array(value, where)
-        if isinstance(value, tuple | list) and type(value) in (tuple, list):
+            return value if math.isfinite(value) else {"float": repr(value)}
+        if type(value) in (tuple, list):
             return {type(value).__name__: [self.node(item, f"{where}[{i}]") for i, item in enumerate(value)]}
         if type(value) is dict and all(type(key) is str for key in value):
             return {"dict": {key: self.node(item, f"{where}[{key!r}]") for key, item in value.items()}}
+        if isinstance(value, jax.Array | np.ndarray | np.generic):
+            return self._array(value, where)
         if isinstance(value, enum.Enum):
             return {"enum": self._name(type(value), where), "member": value.name}
-        if dataclasses.is_dataclass(value) and not isinstance(value, type):
-            if isinstance(value, Plan) and value.layout is not None:
-                raise ValueError(
-                    f"{where} is laid over devices: save the plan that `prepare` returned, and `shard` the loaded plan."
-                )
-            fields = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
-            described = {name: self.node(item, f"{where}.{name}") for name, item in fields.items()}
-            return {"class": self._name(type(value), where), "fields": described}
-        kind = type(value).__name__
-        raise ValueError(
-            f"{where} is a {kind}, which a plan file cannot hold. `pickle` may serve, among people you trust."
-        )
+        return self._object(value, where)
+
+    def _object(self, value: Any, where: str) -> dict[str, Any]:
+        if not dataclasses.is_dataclass(value) or isinstance(value, type):
+            kind = type(value).__name__
+            raise ValueError(
+                f"{where} is a {kind}, which a plan file cannot hold. `pickle` may serve, among people you trust."
+            )
+        if isinstance(value, Plan) and value.layout is not None:
+            raise ValueError(
+                f"{where} is laid over devices: save the plan that `prepare` returned, and `shard` the loaded plan."
+            )
+        names = [field.name for field in dataclasses.fields(value)]
+        fields = {name: self.node(getattr(value, name), f"{where}.{name}") for name in names}
+        return {"class": self._name(type(value), where), "fields": fields}
 
     def _array(self, value: Any, where: str) -> dict[str, Any]:
         array = np.ascontiguousarray(np.asarray(value)).reshape(np.shape(value))

@@ -8,7 +8,7 @@ import jax
 
 from .._host.package.arguments import checked
 from .._methods.blocks import with_tables, without_tables
-from .devices import Layout, pad_rows
+from .devices import AXIS, Layout, pad_rows
 from .plan import Plan
 
 
@@ -41,8 +41,8 @@ def shard(plan: Plan, devices: Sequence[Any]) -> Plan:
     placed = with_tables(volume.placed, len(plan.surface.points), layout.mesh.size)
     return dataclasses.replace(
         plan,
-        method=layout.replicated(plan.method),
-        surface=layout.replicated(plan.surface),
-        volume=layout.divided(dataclasses.replace(volume, placed=placed)),
+        method=layout.placed(plan.method),
+        surface=layout.placed(plan.surface),
+        volume=layout.placed(dataclasses.replace(volume, placed=placed), AXIS),
         layout=layout,
     )

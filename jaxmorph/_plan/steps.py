@@ -23,18 +23,16 @@ def march(
 ) -> tuple[tuple[Plan, ...], Float[Array, "n d"]]:
     """Follows a path of total displacements; refits the plan on the moved mesh before each step.
 
-    Radial basis functions are solved for anew at every step. A Delaunay graph stays on the
-    undeformed mesh.
+    Sources are solved for anew at every step; a Delaunay graph stays on the undeformed mesh.
 
     **Arguments:**
 
     - `plan`: what `prepare` returned.
-    - `path`: displacements (k, m, d) in the mesh's unit. `path[j]` displaces the moving nodes from
-      the plan's base coordinates to the end of step j. So a rotation is a path of rotated
-      positions, not a straight line.
+    - `path`: displacements (k, m, d) in the mesh's unit. `path[j]` leads from the plan's base
+      coordinates to the end of step j: a rotation is a path of rotated positions.
     - `rebuild`: choose the ids (sources, graph) again before every step, as the paper does. Default
       False. The result then jumps, by as much as a step, wherever the graph of the moved surface
-      changes. A line search or a finite difference meets cliffs.
+      changes: a line search or a finite difference meets cliffs.
     - `mesh`: the plan's mesh, for `rebuild`: methods see its cells and boundary faces again.
       Default: points alone, which methods on cells refuse.
 
@@ -43,19 +41,7 @@ def march(
     **Raises:** `ValueError` when `path` is not (k, m, d), for a mesh of other points, and where
     `prepare` does.
     """
-    if mesh is not None and tuple(mesh.points.shape) != plan.points.shape:
-        raise ValueError(f"`mesh` has points {tuple(mesh.points.shape)}, the plan {plan.points.shape}.")
-    if mesh is not None and not rebuild:
-        raise ValueError(
-            "`mesh` needs `rebuild=True`. Without it the ids of the plan are kept. Pass rebuild=True, or remove `mesh`."
-        )
-    if rebuild and mesh is None and plan.method.needs_cells:
-        name = type(plan.method).__name__
-        raise ValueError(
-            f"{name} needs the cells of the mesh at each step: march(plan, path, rebuild=True, mesh=mesh)."
-        )
-    if plan.is_piece:
-        _check_piece(plan, rebuild)
+    _check_march(plan, rebuild, mesh)
     points, surface, plans = plan.points, None, []
     for j, target in enumerate(_targets(plan, path)):
         step = plan if j == 0 else _anew(plan, points, mesh) if rebuild else carry(plan, points, surface)
@@ -66,10 +52,10 @@ def march(
 
 @checked
 def replay(plans: Sequence[Plan], path: Real[ArrayLike, "k m d"] | Sequence[Any]) -> Float[Array, "n d"]:
-    """Repeats the steps of a `march` with the recorded ids.
+    """Repeats the steps of a `march` with the recorded ids: the points are equal.
 
-    Traced and differentiable; the points are equal. It is differentiable with respect to `path`,
-    and to the base coordinates through `refit(plans[0], points)`.
+    Traced; differentiable with respect to `path`, and to the base coordinates through
+    `refit(plans[0], points)`.
 
     **Arguments:**
 
@@ -99,7 +85,7 @@ def replay(plans: Sequence[Plan], path: Real[ArrayLike, "k m d"] | Sequence[Any]
 
 
 def _targets(plan: Plan, path) -> Float[Array, "k o d"]:
-    """Computes the places of the surface's own rows at the end of every step."""
+    """Computes the places (k, o, d) of the surface's own rows at the end of every step."""
     path = jnp.asarray(path, plan.points.dtype)
     m, d = plan.n_moving, plan.points.shape[1]
     if path.ndim != 3 or path.shape[1:] != (m, d):
@@ -120,8 +106,20 @@ def _advance(plan: Plan, target: Float[Array, "o d"]) -> tuple[Float[Array, "n d
     return points, moved_surface(plan, vectors) if plan.method.exact else points[plan.surface.nodes]
 
 
-def _check_piece(plan: Plan, rebuild: bool) -> None:
-    if rebuild or (not plan.method.exact and (np.asarray(plan.surface.nodes) >= len(plan.points)).any()):
+def _check_march(plan: Plan, rebuild: bool, mesh: Mesh | None) -> None:
+    if rebuild and mesh is None and plan.method.needs_cells:
+        name = type(plan.method).__name__
+        raise ValueError(
+            f"{name} needs the cells of the mesh at each step: march(plan, path, rebuild=True, mesh=mesh)."
+        )
+    if mesh is not None:
+        if tuple(mesh.points.shape) != plan.points.shape:
+            raise ValueError(f"`mesh` has points {tuple(mesh.points.shape)}, the plan {plan.points.shape}.")
+        if not rebuild:
+            raise ValueError(
+                "`mesh` needs `rebuild=True`. Without it the ids of the plan are kept. Pass rebuild=True, or remove `mesh`."
+            )
+    if plan.is_piece and (rebuild or (not plan.method.exact and int(plan.surface.nodes.max()) >= len(plan.points))):
         raise ValueError(
             "march of a piece needs rebuild=False, and a method that is exact at the surface: other pieces have the rest."
         )
