@@ -90,6 +90,14 @@ def distinct(patches: Iterable[Patch]) -> tuple[dict[str, np.ndarray], tuple[str
     return found, tuple(notes)
 
 
+def gathered(pairs: Iterable[tuple[Any, np.ndarray]]) -> dict[Any, np.ndarray]:
+    """Joins the arrays of each key, in the order in which keys first come."""
+    parts: dict[Any, list[np.ndarray]] = {}
+    for key, rows in pairs:
+        parts.setdefault(key, []).append(rows)
+    return {key: np.concatenate(parts.pop(key)) for key in list(parts)}
+
+
 def numbers_of_cells(cells: Mapping[str, Any]) -> dict[str, int]:
     """Counts cells by type."""
     return {kind: len(corners) for kind, corners in cells.items()}

@@ -43,6 +43,14 @@ class Faces:
     def sizes(self) -> np.ndarray:
         return np.diff(self.starts)
 
+    def after(self, values: np.ndarray) -> np.ndarray:
+        """Returns at each corner the value (k, ...) of the next corner of its face."""
+        return following(values, self.starts)
+
+    def all_neighbours(self) -> np.ndarray:
+        """Returns the neighbour of each face, -1 for all outer faces."""
+        return np.append(self.neighbour, np.full(len(self.owner) - len(self.neighbour), -1, self.neighbour.dtype))
+
     def corners(self, faces: np.ndarray, size: int) -> np.ndarray:
         """Gathers node ids (..., size) of faces with `size` corners, outward for the cell.
 
@@ -99,6 +107,16 @@ class Faces:
         del cells, columns
         ids = np.concatenate([np.arange(len(self.owner), dtype=np.int32), ~inner])
         return ids[by_cell.indices], by_cell.indptr.astype(np.int64)
+
+
+def following(values: np.ndarray, starts: np.ndarray) -> np.ndarray:
+    """Returns the next of the values (k, ...) of each row, its first behind its last.
+
+    `starts` are where rows begin, and the end.
+    """
+    after = np.roll(values, -1, axis=0)
+    after[starts[1:] - 1] = values[starts[:-1]]
+    return after
 
 
 def faces_of_cells(kind: str, corners: np.ndarray, cell: np.ndarray) -> Faces:
@@ -166,9 +184,7 @@ def open_cells(faces: Faces) -> np.ndarray:
         starts = faces.starts[at : at + BLOCK + 1]
         here = number[faces.labels[starts[0] : starts[-1]]]
         starts = starts - starts[0]
-        after = np.roll(here, -1)
-        after[starts[1:] - 1] = here[starts[:-1]]
-        of_face[at : at + BLOCK] = np.bitwise_xor.reduceat((here - after) ** 2, starts[:-1])
+        of_face[at : at + BLOCK] = np.bitwise_xor.reduceat((here - following(here, starts)) ** 2, starts[:-1])
     inner = np.flatnonzero(faces.neighbour >= 0)
     left = np.zeros(int(max(faces.owner.max(), faces.neighbour.max(initial=-1))) + 1, np.uint64)
     np.bitwise_xor.at(left, faces.owner, of_face)

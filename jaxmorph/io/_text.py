@@ -10,6 +10,7 @@ import pathlib
 import re
 import warnings
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 
@@ -111,26 +112,6 @@ CHUNK = 1 << 20
 
 
 @dataclasses.dataclass(frozen=True)
-class Rows:
-    """Numbers of the lines that hold any: all `values` in a row, and the `counts` on each line."""
-
-    values: np.ndarray
-    counts: np.ndarray
-
-    @property
-    def first(self) -> np.ndarray:
-        """Place in `values` at which each row begins."""
-        return np.cumsum(self.counts) - self.counts
-
-    def columns(self, rows: np.ndarray | slice, start: int, stop: int) -> np.ndarray:
-        """Returns the numbers from `start` up to `stop` of some rows, which have as many."""
-        width = int(self.counts[0])
-        if len(self.values) == width * len(self.counts) and (self.counts == width).all():
-            return self.values.reshape(-1, width)[rows, start:stop]
-        return self.values[self.first[rows][:, None] + np.arange(start, stop)]
-
-
-@dataclasses.dataclass(frozen=True)
 class Section:
     """Marks the bytes `start` to `stop` of a file's text, and names the line of anything in it."""
 
@@ -138,6 +119,10 @@ class Section:
     text: bytes
     start: int
     stop: int
+
+    @property
+    def content(self) -> bytes:
+        return self.text[self.start : self.stop]
 
     def error(self, message: str, row: int | None = None) -> ValueError:
         """Makes a `ValueError` that names file and line: of that row, or before the section."""
@@ -157,29 +142,29 @@ class Section:
         for chunk in chunks(self.text, self.start, self.stop):
             yield from chunk.removesuffix(b"\n").split(b"\n")
 
-    def blocks(self, dtype: type) -> Iterator[Rows]:
+    def blocks(self, dtype: type) -> Iterator["Rows"]:
         """Yields all numbers of the section, some lines at a time.
 
         It raises `ValueError` for anything that is not a number of type `dtype`.
         """
+        row = 0
         for chunk in chunks(self.text, self.start, self.stop):
             values, width = parse_rows(chunk, dtype)
             if width:
-                yield Rows(values, np.full(len(values) // width, width))
-                continue
-            counts, values = scan(chunk)[2], parse(chunk, dtype)
-            if len(values) != counts.sum():
-                raise self._not_a_number(dtype)
+                counts = np.full(len(values) // width, width)
+            else:
+                counts, values = scan(chunk)[2], parse(chunk, dtype)
+                if len(values) != counts.sum():
+                    raise self._not_a_number(dtype)
             if len(counts):
-                yield Rows(values, counts)
+                yield Rows(self, values, counts, row)
+            row += len(counts)
 
-    def rows(self, dtype: type) -> Rows:
+    def rows(self, dtype: type) -> "Rows":
         """Returns all `blocks` together."""
-        values, counts = [np.zeros(0, dtype)], [np.zeros(0, np.int64)]
-        for block in self.blocks(dtype):
-            values.append(block.values)
-            counts.append(block.counts)
-        return Rows(np.concatenate(values), np.concatenate(counts))
+        blocks = [Rows(self, np.zeros(0, dtype), np.zeros(0, np.int64)), *self.blocks(dtype)]
+        values, counts = ([getattr(block, name) for block in blocks] for name in ("values", "counts"))
+        return Rows(self, np.concatenate(values), np.concatenate(counts))
 
     def _not_a_number(self, dtype: type) -> ValueError:
         kind = int if np.issubdtype(dtype, np.integer) else float
@@ -189,6 +174,27 @@ class Section:
                     expected = "an integer" if kind is int else "a number"
                     return self.error(f"found {word[:40].decode(errors='replace')!r} in place of {expected}.", row)
         return self.error("the rows that follow hold something that is not a number.")
+
+
+@dataclasses.dataclass(frozen=True)
+class Rows:
+    """Lines of a section with numbers, from number `row` on: all `values`, `counts` a line."""
+
+    section: Section
+    values: np.ndarray
+    counts: np.ndarray
+    row: int = 0
+
+    @property
+    def first(self) -> np.ndarray:
+        """Place in `values` at which each row begins."""
+        return np.cumsum(self.counts) - self.counts
+
+    def refuse(self, wrong: Any, message: Callable[[int], str]) -> None:
+        """Raises `ValueError` for the first of the rows `wrong`, ids or a mask."""
+        rows = np.flatnonzero(wrong) if wrong.dtype == bool else wrong
+        if len(rows):
+            raise self.section.error(message(int(rows[0])), self.row + int(rows[0]))
 
 
 def blank_comments(text: bytes) -> bytes:
@@ -221,72 +227,34 @@ def scan(chunk: bytes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return starts, ends, counts[counts > 0]
 
 
-def replace(
-    text: bytes, part: slice, points: np.ndarray, is_row: Callable[[np.ndarray], np.ndarray], column: int = 0
+def replaced(
+    text: bytes,
+    part: slice,
+    values: np.ndarray,
+    *,
+    at: np.ndarray | None = None,
+    plain: Callable[[bytes], bytes] = bytes,
 ) -> Iterator[bytes | memoryview]:
-    """Yields the text, in pieces, with its coordinates replaced by the `points`.
+    """Yields the text, in pieces, with `values` in place of the numbers in a part of it.
 
-    `is_row` tells from the number of words on a line whether it holds a point; its coordinates
-    begin with word `column`. A coordinate that has not changed keeps its digits; a changed one gets
-    the shortest that read back bit for bit.
+    `at` are the places of these numbers among all words of the part, ascending; None for all words.
+    `plain` turns what stands between numbers into blanks, byte for byte. A number that has not
+    changed keeps its digits; a changed one gets the shortest that read back bit for bit.
     """
-    d = points.shape[1]
-    done = 0
+    words, done = 0, 0
     yield memoryview(text)[: part.start]
-    for original in chunks(text, part.start, part.stop):
-        chunk = blank_comments(original)
-        starts, ends, counts = scan(chunk)
-        first = (np.cumsum(counts) - counts)[is_row(counts)]
-        words = (first[:, None] + np.arange(column, column + d)).ravel()
-        old = parse(chunk, np.float64)[words]
-        yield _changed(original, starts[words], ends[words], old, points[done : done + len(first)].ravel())
-        done += len(first)
+    for chunk in chunks(text, part.start, part.stop):
+        numbers = plain(chunk)
+        starts, ends, _ = scan(numbers)
+        chosen = np.arange(len(starts))
+        if at is not None:
+            chosen = at[slice(*np.searchsorted(at, (words, words + len(starts))))] - words
+        new = values[done : done + len(chosen)]
+        changed = np.flatnonzero(new != parse(numbers, np.float64)[chosen].astype(new.dtype))
+        places = chosen[changed]
+        yield spliced(chunk, starts[places], ends[places], lines(new[changed])) if len(changed) else chunk
+        words, done = words + len(starts), done + len(chosen)
     yield memoryview(text)[part.stop :]
-
-
-def replace_words(
-    text: bytes, start: int, stop: int, known: np.ndarray, values: np.ndarray, blanks: bytes
-) -> Iterator[bytes]:
-    """Yields the text `start` to `stop` with `values` in place of its numbers, as `replace` does.
-
-    `known` are the numbers that the text holds. `blanks` is the table (of `bytes.translate`) that
-    turns what stands between the numbers into blanks.
-    """
-    done = 0
-    for original in chunks(text, start, stop):
-        starts, ends, _ = scan(original.translate(blanks))
-        here = slice(done, done + len(starts))
-        yield _changed(original, starts, ends, known[here], values[here])
-        done += len(starts)
-
-
-def replace_numbers(
-    text: bytes, plain: bytes, part: slice, at: np.ndarray, values: np.ndarray
-) -> Iterator[bytes | memoryview]:
-    """Yields the text with `values` in place of some numbers of a part of it, as `replace` does.
-
-    `plain` is the text with blanks in place of its comments. `at` are the places of the numbers
-    among all words of the part, ascending.
-    """
-    done, end = 0, part.start
-    yield memoryview(text)[: part.start]
-    for chunk in chunks(plain, part.start, part.stop):
-        original = text[end : end + len(chunk)]
-        end += len(chunk)
-        starts, ends, _ = scan(chunk)
-        rows = slice(*np.searchsorted(at, (done, done + len(starts))))
-        words = at[rows] - done
-        yield _changed(original, starts[words], ends[words], parse(chunk, np.float64)[words], values[rows])
-        done += len(starts)
-    yield memoryview(text)[part.stop :]
-
-
-def _changed(text: bytes, starts: np.ndarray, ends: np.ndarray, old: np.ndarray, new: np.ndarray) -> bytes:
-    """Replaces the words of a text between `starts` and `ends` by the `new` that are not `old`."""
-    changed = np.flatnonzero(new != old.astype(new.dtype))
-    if not len(changed):
-        return text
-    return spliced(text, starts[changed], ends[changed], lines(new[changed]))
 
 
 def _is(kind: type, word: bytes) -> bool:
