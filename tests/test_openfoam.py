@@ -108,26 +108,6 @@ def test_pieces_of_a_polyhedron_may_coincide(tmp_path):
     assert found.cell_counts == {"polyhedron": 1}
 
 
-def test_gates_measure_polyhedra_whole(tmp_path, capsys):
-    """A cube against four bars of 1 x 0.5 x 0.5: line of centres (1, 0.25, 0.25), which passes 0.125 by a face's centre."""
-    foam.write_case(tmp_path / "a", *split(), PATCHES)
-    assert main(["quality", str(tmp_path / "a"), "--preset", "checkmesh", "--json"]) == 0
-    found = {gate["gate"]: gate["after"] for gate in json.loads(capsys.readouterr().out)["gates"]}
-    expected = {
-        "max_non_orthogonality": np.degrees(np.arctan(np.sqrt(2) / 4)),
-        "max_face_skewness": 0.125 / 0.25,
-        "max_face_aspect_ratio": 2.0,
-    }
-    assert found == pytest.approx(expected, rel=1e-9)
-    mesh = io.read(tmp_path / "a")
-    measured = jm.face_quality(mesh)
-    assert measured.skewness.shape == (5,)
-    assert measured.skewness[0] == measured.skewness.max()  # the one cube
-    bars = jm.face_quality(mesh, mesh.points * [1.0, 2.0, 2.0]).aspect_ratio  # then cubes
-    np.testing.assert_allclose(bars[1:], 1, rtol=1e-12)
-    assert jm.face_quality(jm.Mesh(mesh.points, mesh.cells)).skewness[4:].max() != pytest.approx(0.5)
-
-
 @pytest.mark.parametrize(
     "entry", ["inGroups 1(wall);", "inGroups List<word> 2(wall near);", 'inGroups ( "wall" );', ""]
 )
