@@ -99,7 +99,6 @@ def gathered(pairs: Iterable[tuple[Any, np.ndarray]]) -> dict[Any, np.ndarray]:
 
 
 def numbers_of_cells(cells: Mapping[str, Any]) -> dict[str, int]:
-    """Counts cells by type."""
     return {kind: len(corners) for kind, corners in cells.items()}
 
 
@@ -306,7 +305,6 @@ def _left(grid: Grid, taken: str) -> Iterator[str]:
 
 
 def _arrays(grid: Grid) -> Iterator[tuple[str, str, list[Any]]]:
-    """Yields what an array may number, its name, and its values by block."""
     for name, values in grid.point_data.items():
         yield "nodes", name, [values]
     for name, values in grid.cell_data.items():
@@ -325,14 +323,12 @@ def _numbers(parts: list[np.ndarray]) -> list[int]:
 
 
 def regions_note(names: Iterable[str]) -> Iterator[str]:
-    """Yields a sentence on sets of cells, if there are any."""
     listed = ", ".join(dict.fromkeys(names))
     if listed:
         yield f"regions, sets of cells, are no patches and move as one mesh: {listed}."
 
 
 def _markers(arrays: Arrays) -> list[str]:
-    """Lists the names of arrays that are `MARKERS`, in the order of `MARKERS`."""
     return sorted((name for name in arrays if name.lower() in MARKERS), key=lambda name: MARKERS.index(name.lower()))
 
 
@@ -344,10 +340,7 @@ def _are_whole(values: Any) -> bool:
 def checked_parts(
     points: Any, cells: Mapping[str, Any] | None, patches: Mapping[str, Any] | None, source: Any = None
 ) -> Parts:
-    """Returns coordinates as floats, cells by type in alphabetical order, and unique ids by patch.
-
-    It raises `ValueError` for what a `Mesh` refuses.
-    """
+    """Returns coordinates as floats, cells by type in alphabetical order, and unique ids by patch."""
     types = {kind: canonical_type(kind) for kind in cells or {}}
     twice = sorted(kind for kind, name in types.items() if list(types.values()).count(name) > 1)
     if twice:
@@ -360,7 +353,6 @@ def checked_parts(
 
 
 def _check_parts(points: Any, cells: Mapping[str, Any], patches: Mapping[str, Any]) -> None:
-    """Raises `ValueError` for arrays of wrong shapes, and for ids outside of `points`."""
     if points.ndim != 2 or points.shape[1] not in (2, 3):
         raise ValueError(f"`points` has shape {points.shape}; expected (n, 2) or (n, 3).")
     n = points.shape[0]
@@ -380,13 +372,9 @@ def floats(points) -> Any:
     try:
         points = points if hasattr(points, "shape") else np.asarray(points)
     except ValueError:
-        raise ValueError(
-            f"`points` are rows of several lengths: {shown(points)}; coordinates are (n, 2) or (n, 3)."
-        ) from None
+        raise ValueError(f"`points` are rows of several lengths: {shown(points)}; expected (n, 2) or (n, 3).") from None
     if np.ma.is_masked(points):
-        raise ValueError(
-            f"`points` masks {np.ma.count_masked(points)} coordinates; a node needs all of its coordinates."
-        )
+        raise ValueError(f"`points` masks {np.ma.count_masked(points)} coordinates; a node needs all of them.")
     points = points.data if isinstance(points, np.ma.MaskedArray) else points
     if not (np.issubdtype(points.dtype, np.integer) or _is_floating(points.dtype)):
         raise ValueError(f"`points` holds {points.dtype}; coordinates are real numbers.")

@@ -48,7 +48,6 @@ class Faces:
         return following(values, self.starts)
 
     def all_neighbours(self) -> np.ndarray:
-        """Returns the neighbour of each face, -1 for all outer faces."""
         return np.append(self.neighbour, np.full(len(self.owner) - len(self.neighbour), -1, self.neighbour.dtype))
 
     def corners(self, faces: np.ndarray, size: int) -> np.ndarray:

@@ -138,7 +138,6 @@ class _Pieces:
         return -np.einsum("ti,ti->t", np.cross(a, b), c), away
 
     def best_apex(self) -> np.ndarray:
-        """Chooses the apex of all cells: one node a cell."""
         # The nodes of all cells are sorted by cell, then by place. Round `turn` tries node number
         # `turn` of every cell whose best node is not yet good enough.
         count = int(self.cell[-1]) + 1

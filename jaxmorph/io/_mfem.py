@@ -164,7 +164,6 @@ class _Space:
         return numbers.reshape(self.d, -1).T if self.by_nodes else numbers.reshape(-1, self.d)
 
     def check(self, cells: list[Elements], sides: list[Elements], parts: dict[str, Section]) -> None:
-        """Raises `ValueError` for elements that the space does not have."""
         if self.order > 1 and any(each.kind == "pyramid" for each in cells):
             raise self.section.error("pyramids of order 2 and more are not read.")
         for name, group in (("elements", cells), ("boundary", sides)):
@@ -199,7 +198,6 @@ class _Content:
         return rows
 
     def in_mesh(self, values: np.ndarray) -> np.ndarray:
-        """Computes the mesh's points of the file's coordinates."""
         lobatto = _first_of(values, self.node, len(self.points))[:, : self.points.shape[1]]
         return at_places(self.cells, lobatto, are_lobatto=True)
 
@@ -247,7 +245,6 @@ def read(path: pathlib.Path) -> Parts:
 
 
 def write(path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arrays) -> None:
-    """Writes the mesh's own file with new coordinates."""
     content: _Content = own_source(path, mesh, NAME).content
     space, rows = content.space, content.in_file(np.asarray(mesh.points))
     words = rows.T.ravel() if space.by_nodes else rows.ravel()
@@ -262,7 +259,6 @@ def _plain(text: bytes) -> bytes:
 
 
 def _sections(path: pathlib.Path, text: bytes) -> dict[str, Section]:
-    """Finds what stands behind each of the file's keywords; comments are blanked."""
     head = text[:64].split(b"\n")[0].strip().decode(errors="replace")
     if not re.fullmatch(r"MFEM mesh v1\.[0-3]", head):
         raise ValueError(f"{path}: MFEM mesh v1.0 to v1.3 expected in the first line, found {head[:40]!r}.")
@@ -298,7 +294,6 @@ def _elements(section: Section) -> list[Elements]:
 
 
 def _space_of(parts: dict[str, Section]) -> _Space:
-    """Reads the head of the nodes, or of the vertices of a straight mesh."""
     words = parts["vertices"].rows(np.float64).values
     if not len(words):
         raise parts["vertices"].error("a number of vertices expected.")
@@ -318,7 +313,6 @@ def _space_of(parts: dict[str, Section]) -> _Space:
 
 
 def _patches(sides: list[Elements], nodes: list[np.ndarray]) -> dict[str, np.ndarray]:
-    """Collects the nodes of boundary elements by their attribute."""
     found: dict[int, list[np.ndarray]] = {}
     for each, ids in zip(sides, nodes, strict=True):
         for attribute in np.unique(each.attributes).tolist():
@@ -327,7 +321,6 @@ def _patches(sides: list[Elements], nodes: list[np.ndarray]) -> dict[str, np.nda
 
 
 def _groups(section: Section | None, patches: Iterable[str]) -> dict[str, tuple[str, ...]]:
-    """Makes groups of the patches of named sets of attributes; `ValueError` for a name twice."""
     groups: dict[str, tuple[str, ...]] = {}
     for name, numbers in _named_sets(section):
         if name in groups:
@@ -337,13 +330,11 @@ def _groups(section: Section | None, patches: Iterable[str]) -> dict[str, tuple[
 
 
 def _named_sets(section: Section | None) -> list[tuple[str, list[str]]]:
-    """Reads named sets: a name in quotes, a number, and as many attributes."""
     text = "" if section is None else section.content.decode(errors="replace")
     return [(name, words.split()[1:]) for name, words in re.findall(r'"([^"]*)"([\s\d]*)', text)]
 
 
 def _notes(cells: list[Elements], parts: dict[str, Section]) -> Iterator[str]:
-    """Yields a sentence on the attributes of cells, and on their named sets."""
     attributes = np.unique(np.concatenate([each.attributes for each in cells])).tolist()
     names = [name for name, _ in _named_sets(parts.get("attribute_sets"))]
     if len(attributes) > 1 or names:

@@ -92,9 +92,7 @@ def read(path: pathlib.Path) -> Parts:
     layout = next(filter(None, (_layout(numbers, form) for form in (TEXTS if is_text else BINARIES))), None)
     if layout is None:
         form = "text" if is_text else "binary"
-        raise ValueError(
-            f"{path}: not a whole PLOT3D grid; no count of blocks and sizes fits this {form} file to its end."
-        )
+        raise ValueError(f"{path}: not a whole PLOT3D grid; no count of blocks and sizes fits this {form} file.")
     points = np.concatenate([block.T.astype(float) for block in layout.coordinates(numbers)])
     blank = sum(int((block == 0).sum()) for block in layout.blanks(numbers))
     singles = EVERYTHING if layout.dtype.itemsize == 4 else ()
@@ -106,7 +104,6 @@ def read(path: pathlib.Path) -> Parts:
 
 
 def write(path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arrays) -> None:
-    """Writes the file the mesh was read from with new coordinates."""
     source = own_source(path, mesh, NAME)
     content: _Content = source.content
     data, layout = content.data, content.layout

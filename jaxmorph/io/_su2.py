@@ -331,9 +331,7 @@ def read_zones(path: str | os.PathLike[str]) -> tuple[Mesh, ...]:
     """
     path = input_path(path)
     if path.suffix.lower() != ".su2":
-        raise ValueError(
-            f"{path}: SU2 files (.su2) have zones that are meshes of their own; io.read joins the zones of other formats."
-        )
+        raise ValueError(f"{path}: SU2 files have zones that are meshes of their own; io.read joins zones of others.")
     text = path.read_bytes()
     meshes = [mesh_of(path, text, zone) for zone in by_zones(path, text)]
     for mesh in meshes:

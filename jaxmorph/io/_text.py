@@ -143,10 +143,7 @@ class Section:
             yield from chunk.removesuffix(b"\n").split(b"\n")
 
     def blocks(self, dtype: type) -> Iterator["Rows"]:
-        """Yields all numbers of the section, some lines at a time.
-
-        It raises `ValueError` for anything that is not a number of type `dtype`.
-        """
+        """Yields all numbers of the section, some lines at a time."""
         row = 0
         for chunk in chunks(self.text, self.start, self.stop):
             values, width = parse_rows(chunk, dtype)
@@ -161,7 +158,6 @@ class Section:
             row += len(counts)
 
     def rows(self, dtype: type) -> "Rows":
-        """Returns all `blocks` together."""
         blocks = [Rows(self, np.zeros(0, dtype), np.zeros(0, np.int64)), *self.blocks(dtype)]
         values, counts = ([getattr(block, name) for block in blocks] for name in ("values", "counts"))
         return Rows(self, np.concatenate(values), np.concatenate(counts))
@@ -187,7 +183,6 @@ class Rows:
 
     @property
     def first(self) -> np.ndarray:
-        """Place in `values` at which each row begins."""
         return np.cumsum(self.counts) - self.counts
 
     def refuse(self, wrong: Any, message: Callable[[int], str]) -> None:
@@ -203,7 +198,6 @@ def blank_comments(text: bytes) -> bytes:
 
 
 def blanked(text: bytes, pattern: bytes) -> bytes:
-    """Overwrites what a regular expression finds by spaces."""
     return re.sub(pattern, lambda found: b" " * len(found[0]), text)
 
 

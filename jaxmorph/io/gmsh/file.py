@@ -45,7 +45,6 @@ class _GmshContent(FilePoints):
     places: np.ndarray
 
     def moved(self, points: np.ndarray) -> Iterator[bytes | bytearray | memoryview]:
-        """Yields the file with other coordinates (n, 3), in pieces."""
         data = self.section.text
         if self.form.is_text:
             words = (self.places[:, None] // 8 + np.arange(3)).ravel()
@@ -58,8 +57,6 @@ class _GmshContent(FilePoints):
 
 @dataclasses.dataclass
 class _Found:
-    """What the sections of a file hold, as they are read."""
-
     form: Form
     names: Names = dataclasses.field(default_factory=dict)
     groups: Groups = dataclasses.field(default_factory=dict)
@@ -69,7 +66,6 @@ class _Found:
     others: dict[str, None] = dataclasses.field(default_factory=dict)
 
     def take(self, name: str, section: Section) -> None:
-        """Reads one section."""
         if name == "PhysicalNames":
             self.names = physical_names(section, self.form)
         elif name in ("Entities", "PartitionedEntities") and self.form.version >= 4:
@@ -143,7 +139,6 @@ def _numbered(cells: list[Elements], tags: np.ndarray) -> list[Elements]:
 
 
 def _groups(cells: list[Elements], names: Names) -> dict[tuple[int, int], Patch]:
-    """Collects the nodes of each physical group by its dimension and tag."""
     nodes: dict[tuple[int, int], list[np.ndarray]] = {}
     for block in cells:
         for tag, rows in block.groups.items():

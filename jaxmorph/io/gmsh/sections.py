@@ -47,10 +47,7 @@ class Form:
 
 
 def form_of(path: pathlib.Path, data: bytes) -> Form:
-    """Reads `$MeshFormat`; version 1 begins with `$NOD` in its place.
-
-    It raises `ValueError` where other sections than comments come first.
-    """
+    """Reads `$MeshFormat`; version 1 begins with `$NOD` in its place."""
     comments = re.match(_COMMENTS, data, re.MULTILINE)
     start = comments.end() if comments else 0
     line, _, rest = data[start : start + 400].partition(b"\n")
@@ -82,21 +79,16 @@ def sections(path: pathlib.Path, data: bytes, form: Form) -> Iterator[tuple[str,
         name = data[at + 1 : start].strip()
         stop = data.find((b"$END" if name in (b"NOD", b"ELM") else b"$End") + name, start)
         if start == 0 or stop < 0:
-            raise ValueError(
-                f"{path}: ${name.decode(errors='replace')[:40]} has no end: the file is damaged or cut short."
-            )
+            raise ValueError(f"{path}: ${name.decode(errors='replace')[:40]} has no end: the file is cut short.")
         yield name.decode(errors="replace"), Section(path, data, start, stop)
         at = stop + 4 + len(name)
 
 
 def physical_names(section: Section, form: Form) -> Names:
-    """Reads the names of physical groups by dimension and tag."""
     count, *rows = [row for row in section.content.split(b"\n") if row.strip()] or [b""]
     matches = list(filter(None, map(_NAME.fullmatch, rows)))
     if not count.strip().isdigit() or not int(count) == len(rows) == len(matches):
-        raise section.error(
-            f"{len(rows)} lines in $PhysicalNames that name a group, or not; as many as announced expected."
-        )
+        raise section.error(f"{len(rows)} lines of names in $PhysicalNames; as many as announced expected.")
     bare = [row for row, match in enumerate(matches, start=1) if form.has_levels and match[1] is None]
     if bare:
         raise section.error("a dimension, a tag and a name expected.", bare[0])
@@ -179,7 +171,6 @@ def runs(places: np.ndarray) -> Iterator[tuple[slice, int]]:
 
 
 def whole(values: np.ndarray) -> np.ndarray:
-    """Returns numbers as int64; raises `ValueError` for numbers that are not whole."""
     if values.dtype.kind == "f" and not ((values == np.floor(values)) & (np.abs(values) < WHOLE)).all():
         raise ValueError("a number that is not whole where a tag or a count is expected")
     return values.astype(np.int64)
@@ -274,7 +265,6 @@ def _block(stream: Stream) -> Nodes:
 
 
 def _records(stream: Stream, count: int, kinds: str) -> Nodes:
-    """Reads rows of a tag and numbers, whose kinds are given."""
     step = stream.width(kinds)
     start = stream.skip(count, step)
     tags = whole(stream.column("i", start, count, step))
@@ -304,7 +294,6 @@ def _with_parameters(stream: Stream, total: int) -> Nodes:
 
 
 def elements(stream: Stream, groups: Groups) -> list[Elements]:
-    """Reads the elements."""
     if stream.version < 4:
         tables: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}
         for kind, corners, tags in _lines(stream, stream.rows) if stream.rows else _numbered(stream):

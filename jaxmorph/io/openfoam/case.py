@@ -51,14 +51,10 @@ class _CaseContent:
     shared: np.ndarray
 
     def in_file(self, points: np.ndarray) -> np.ndarray:
-        """Computes the points (N, 3) of the file, both planes' of one in 2-D.
-
-        Raises `ValueError` where the axis does not stay.
-        """
+        """Computes the points (N, 3) of the file, both planes' of one in 2-D."""
         return as_in_file(points if self.plane is None else self.plane.in_space(self.points, points), self.points)
 
     def in_mesh(self, values: np.ndarray) -> np.ndarray:
-        """Computes the points of the mesh from those of the file."""
         return values if self.plane is None else self.plane.fitted(values).in_plane(values)
 
     def held(self) -> Held | None:
@@ -99,7 +95,7 @@ def read(path: pathlib.Path) -> Parts:
     if "wedge" in kinds and kinds != ["wedge"] * 2:
         names = ", ".join(patch.name for patch in planes if patch.count)
         raise ValueError(
-            f"{path}: patches of type wedge ({names}); an axisymmetric case has two of them, and none of type empty."
+            f"{path}: patches of type wedge ({names}); an axisymmetric case has two, and none of type empty."
         )
     planes = planes if kinds else []
     topology = topology_of(folder, boundary, is_plane=bool(planes))
@@ -129,7 +125,6 @@ def read(path: pathlib.Path) -> Parts:
 
 
 def _said(boundary: list[Patch], mesh: Parts, plane: Front | None) -> dict[str, Any]:
-    """Lists what `boundary` says of the mesh's patches: groups, pairs, symmetry, and types."""
     own = [patch for patch in boundary if patch.name in mesh.patches or patch.type in PLANES]
     groups = {
         group: tuple(patch.name for patch in own if group in patch.groups) for patch in own for group in patch.groups
@@ -162,7 +157,6 @@ def check(path: pathlib.Path, mesh: MeshLike) -> None:
 
 
 def check_new(path: pathlib.Path, case: pathlib.Path, remedy: str) -> None:
-    """Raises `ValueError` for a folder that is not new, or inside of the case."""
     if path.exists() and (not path.is_dir() or any(path.iterdir())):
         raise ValueError(f"{path}: exists; name {remedy}.")
     if case.resolve() in path.resolve().parents:
@@ -193,10 +187,7 @@ def content_of(mesh: MeshLike) -> _CaseContent:
 
 
 def file_points(mesh: MeshLike) -> np.ndarray:
-    """Computes the file's points (N, 3) of a mesh that was read from a case: in 2-D both planes'.
-
-    It raises `ValueError` where cyclic patches do not match any more.
-    """
+    """Computes the file's points (N, 3) of a mesh that was read from a case: in 2-D both planes'."""
     content = content_of(mesh)
     points = content.in_file(np.asarray(mesh.points))
     check_cyclic(content.topology, content.points, points)
@@ -204,7 +195,6 @@ def file_points(mesh: MeshLike) -> np.ndarray:
 
 
 def write_points(path: pathlib.Path, content: _CaseContent, points: np.ndarray) -> None:
-    """Writes a case, or a time folder, as `write` does, with the file's points (N, 3)."""
     case, name = _case_of(content.topology), content.file.path.name
     if _is_time(path):
         folder = path / content.region / "polyMesh"
@@ -226,17 +216,13 @@ def write_points(path: pathlib.Path, content: _CaseContent, points: np.ndarray) 
 
 
 def copy_case(case: pathlib.Path, folder: pathlib.Path, **options: Any) -> None:
-    """Copies the parts of a case that a new one gets, with options of `shutil.copytree`."""
     for name in COPIED:
         if (case / name).is_dir():
             shutil.copytree(case / name, folder / name, **options)
 
 
 def point_ids(topology: pathlib.Path, count: int) -> np.ndarray:
-    """Reads `pointProcAddressing`: the number (n,) of each point of a part in the whole mesh.
-
-    It raises `ValueError`, with what to do, where the file is missing or is not of these points.
-    """
+    """Reads `pointProcAddressing`: the number (n,) of each point of a part in the whole mesh."""
     try:
         ids = load(topology, "pointProcAddressing").numbers("label").ravel()
     except FileNotFoundError:
@@ -266,7 +252,6 @@ def _write_points(path: pathlib.Path, content: _CaseContent, points: np.ndarray)
 
 
 def _replaced(file: FoamFile, points: np.ndarray) -> Iterator[bytes | memoryview]:
-    """Yields the file with other points, in pieces."""
     place = file.list_at(file.end)
     if place.uniform:
         raise file.error("a list with one value for all points cannot hold moved ones")
@@ -330,7 +315,6 @@ def _folders(path: pathlib.Path) -> tuple[pathlib.Path, pathlib.Path]:
 
 
 def _notes(topology: pathlib.Path, planes: list[Patch]) -> Iterator[str]:
-    """Yields sentences on zones, on other regions of the case, and on the planes of a 2-D case."""
     zones = [f"{size} {name}" for name in ("cellZones", "faceZones", "pointZones") if (size := _size(topology, name))]
     if zones:
         yield f"{', '.join(zones)} are not read: zones are no patches, and stay in the case."

@@ -66,7 +66,6 @@ class FoamFile:
         return ValueError(f"{self.path}: {message}.")
 
     def list_at(self, at: int) -> List:
-        """Finds the list that begins after `at` and the blanks and comments that follow."""
         space = _SPACE.match(self.data, at)
         at = space.end() if space else at
         match = _COUNT.match(self.data, at)
@@ -147,7 +146,6 @@ class FoamFile:
         return _narrow(np.concatenate(parts)), np.cumsum(sizes)
 
     def _text_faces(self) -> tuple[np.ndarray, np.ndarray]:
-        """Reads faces such as `4(0 1 2 3)`."""
         # Numbers right before a parenthesis are counts of labels, which are taken out at the end.
         items = self.list_at(self.end)
         words, before, done = [np.zeros(0, np.int32)], [np.zeros(0, np.int64)], 0
@@ -169,16 +167,11 @@ class FoamFile:
 
 
 def _narrow(labels: np.ndarray) -> np.ndarray:
-    """Returns labels in 32 bits where these hold them."""
     return labels.astype(np.int32 if not len(labels) or labels.max() < 2**31 else np.int64)
 
 
 def load(folder: pathlib.Path, name: str) -> FoamFile:
-    """Opens the file of that name in a folder, plain or with the ending .gz.
-
-    It raises `FileNotFoundError` where there is neither, `ValueError` for a file without OpenFOAM's
-    header.
-    """
+    """Opens the file of that name in a folder, plain or with the ending .gz."""
     path = folder / name
     if not path.is_file() and path.with_name(f"{name}.gz").is_file():
         path = path.with_name(f"{name}.gz")
@@ -232,16 +225,11 @@ class Patch:
 
     @property
     def is_between(self) -> bool:
-        """True if its faces lie between two parts of a decomposed case, inside of the mesh."""
         return self.type == "processor"
 
 
 def patches(file: FoamFile) -> list[Patch]:
-    """Reads a `boundary`'s patches: `2 ( inlet { type patch; nFaces 4; startFace 8; } ... )`.
-
-    It raises `ValueError` for an entry without type, nFaces or startFace, for directives and
-    variables, and where the number before the list is not that of its entries.
-    """
+    """Reads a `boundary`'s patches: `2 ( inlet { type patch; nFaces 4; startFace 8; } ... )`."""
     words = _words(file.data[file.end :])
     _refuse_directives(file, words[:1])
     stated = int(words[0]) if words and words[0].isdecimal() and len(words[0]) <= DIGITS else None
@@ -276,7 +264,6 @@ def _refuse_directives(file: FoamFile, words: list[str]) -> None:
 
 
 def _end_of_body(words: list[str], start: int) -> int | None:
-    """Returns the place of the brace that closes the one at `start`; None if either lacks."""
     depth = 0
     for place in range(start, len(words)):
         depth += {"{": 1, "}": -1}.get(words[place], 0)

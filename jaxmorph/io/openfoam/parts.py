@@ -102,7 +102,6 @@ class Decomposed:
         return f"Decomposed({str(self.path)!r}, {self.count} parts)"
 
     def _mesh_folder(self, k: int) -> pathlib.Path:
-        """Returns the folder `polyMesh` of part `k`."""
         return self.folder(k) / "constant" / self.region / "polyMesh"
 
     def folder(self, k: int) -> pathlib.Path:
@@ -120,7 +119,6 @@ class Decomposed:
         return self._last[1]
 
     def side(self, k: int) -> Side:
-        """Reads the outside of part `k`."""
         boundary = patches(load(self._mesh_folder(k), "boundary"))
         if not any(patch.count for patch in boundary):
             raise ValueError(
@@ -160,9 +158,7 @@ class Decomposed:
         """
         sides = [self.side(k) for k in range(len(self))] if sides is None else sides
         if not sides or not all(isinstance(side, Side) for side in sides):
-            raise ValueError(
-                f"`sides` must be what `side(k)` gives of each of the {len(self)} parts, not {shown(sides)}."
-            )
+            raise ValueError(f"`sides` must be what `side(k)` gives of the {len(self)} parts, not {shown(sides)}.")
         nodes, points = self._common_points(sides)
         cells = gathered(item for side in sides for item in side.faces.items())
         members = gathered(item for side in sides for item in side.patches.items())
@@ -240,12 +236,10 @@ class Decomposed:
             together(ranks, end)
 
     def _left_out(self, here: str, names: list[str]) -> set[str]:
-        """Names the undivided mesh in a folder that is copied."""
         return {"polyMesh"} & {*names} if pathlib.Path(here) == self.path / "constant" / self.region else set()
 
 
 def _count(path: pathlib.Path) -> int:
-    """Counts the folders `processor0`, `processor1`, ...; `ValueError` where these are not all."""
     names = {folder.name.removeprefix("processor") for folder in path.glob("processor*") if folder.is_dir()}
     collated = sorted(name for name in names if COLLATED.fullmatch(name))
     if collated:

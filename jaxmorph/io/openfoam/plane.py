@@ -39,7 +39,6 @@ class Front:
 
     @property
     def on_axis(self) -> np.ndarray:
-        """Marks the nodes (n,) of the axis."""
         return self.front == self.back
 
     def file_nodes(self) -> np.ndarray:
@@ -70,10 +69,7 @@ class Front:
         return plane
 
     def in_space(self, old: np.ndarray, plane: np.ndarray) -> np.ndarray:
-        """Places both planes of `old` at `plane`; coordinates that have not moved stay.
-
-        Raises `ValueError` where the axis does not stay.
-        """
+        """Places both planes of `old` at `plane`; coordinates that have not moved stay."""
         moved = plane - self.in_plane(old)
         limit = ROUNDING * np.ptp(old, axis=0).max()
         off = np.flatnonzero(self.on_axis & ~(np.abs(moved[:, 1]) <= limit))
@@ -98,11 +94,7 @@ class Front:
 
 
 def sector(faces: Faces, points: np.ndarray, patches: Sequence[np.ndarray]) -> Front:
-    """Finds the planes of two wedge patches by their nodes.
-
-    It raises `ValueError` where they are not planes at an angle, or their nodes are not pairs that
-    edges join.
-    """
+    """Finds the planes of two wedge patches by their nodes."""
     first, second = map(np.unique, patches)
     if len(np.union1d(first, second)) < len(points):
         raise ValueError("patches of type wedge, but there are nodes off both: there is more than one layer of cells.")
@@ -158,10 +150,7 @@ def behind(faces: Faces, front: np.ndarray, back: np.ndarray) -> np.ndarray:
 
 
 def layer(faces: Faces, points: np.ndarray, empty: np.ndarray) -> Front:
-    """Finds the two planes of a case with patches of type empty, whose faces are `empty`.
-
-    It raises `ValueError` where the nodes are not on two planes across one axis, or not in pairs.
-    """
+    """Finds the two planes of a case with patches of type empty, whose faces are `empty`."""
     low, high = points.min(axis=0), points.max(axis=0)
     away = np.minimum(points - low, high - points).max(axis=0)
     normals = np.flatnonzero(away <= FLAT * (high - low))

@@ -34,7 +34,6 @@ class Topology:
     faces: Faces | None
 
     def check(self, folder: pathlib.Path, n: int) -> None:
-        """Raises `ValueError` for nodes that are not among `n` points."""
         if self.lowest < 0 or self.highest >= n:
             bad = self.highest if self.highest >= n else self.lowest
             raise ValueError(f"{folder}: a face names node {bad}, but there are points 0 to {n - 1}.")
@@ -46,9 +45,7 @@ def topology_of(folder: pathlib.Path, boundary: list[Patch], is_plane: bool) -> 
     _check_patches(folder / "boundary", boundary, faces)
     ajar = open_cells(faces)
     if len(ajar):
-        raise ValueError(
-            f"{folder}: {len(ajar)} cells do not close, first cell {ajar[0]}: faces, owner or neighbour are damaged."
-        )
+        raise ValueError(f"{folder}: {len(ajar)} cells do not close, first cell {ajar[0]}: a damaged file.")
     cells, ids = ({}, {}) if is_plane else standard_cells(faces)
     own = [patch for patch in boundary if not patch.is_between]
     # patches come before those that refer to them; a view would keep all labels
@@ -99,14 +96,11 @@ def _check_labels(folder: pathlib.Path, labels: np.ndarray, owner: np.ndarray, n
         )
     outside = labels[(labels < 0) | (labels >= len(labels))]
     if len(outside):
-        raise ValueError(
-            f"{folder / 'faces'}: a face names node {outside[0]}; {len(labels)} corners of faces have fewer nodes."
-        )
+        raise ValueError(f"{folder / 'faces'}: a face names node {outside[0]}; {len(labels)} corners have fewer nodes.")
     refuse("neighbour", owner[:inner] == neighbour[:inner], lambda k: f"has the cell {owner[k]} on both sides")
 
 
 def _check_patches(file: pathlib.Path, boundary: list[Patch], faces: Faces) -> None:
-    """Raises `ValueError` where patches are not the faces after inner ones, each in one."""
     count, inner = len(faces.owner), len(faces.neighbour)
     times = np.zeros(count, dtype=np.int64)
     for patch in boundary:
