@@ -16,7 +16,7 @@ from numpy.polynomial import legendre
 
 from jaxmorph._host.cells.lagrange import lagrange_types, node_keys, of_order, values
 from jaxmorph._host.cells.topology import CORNERS, DIMENSION
-from jaxmorph._mesh.exchange import Parts, checked_parts, regions_note
+from jaxmorph._mesh.exchange import Parts, checked_parts, gathered, regions_note
 
 from ._format import Arrays, Held, MeshLike, Source, faults_of, own_source
 from ._text import Section, blanked, replaced
@@ -313,11 +313,12 @@ def _space_of(parts: dict[str, Section]) -> _Space:
 
 
 def _patches(sides: list[Elements], nodes: list[np.ndarray]) -> dict[str, np.ndarray]:
-    found: dict[int, list[np.ndarray]] = {}
-    for each, ids in zip(sides, nodes, strict=True):
-        for attribute in np.unique(each.attributes).tolist():
-            found.setdefault(attribute, []).append(ids[each.attributes == attribute].ravel())
-    return {f"boundary_{attribute}": np.concatenate(found[attribute]) for attribute in sorted(found)}
+    found = gathered(
+        (attribute, ids[each.attributes == attribute].ravel())
+        for each, ids in zip(sides, nodes, strict=True)
+        for attribute in np.unique(each.attributes).tolist()
+    )
+    return {f"boundary_{attribute}": found[attribute] for attribute in sorted(found)}
 
 
 def _groups(section: Section | None, patches: Iterable[str]) -> dict[str, tuple[str, ...]]:

@@ -18,7 +18,7 @@ from jaxmorph._host.cells.pieces import boundary_faces
 from jaxmorph._host.cells.topology import CORNERS, VTK
 from jaxmorph._host.package.arguments import checked
 from jaxmorph._host.package.files import complete, input_path
-from jaxmorph._mesh.exchange import Parts, checked_parts
+from jaxmorph._mesh.exchange import Parts, checked_parts, gathered
 
 from ._format import Arrays, MeshLike, Source, patch_faces, source_of
 from ._registry import check_nodes, check_output
@@ -37,6 +37,7 @@ HALO = "SEND_RECEIVE"
 """The tag of all markers between the parts of a mesh in parts."""
 ROWS = 1 << 16
 """Rows of a new file formatted together."""
+WANTED = "`meshes` must be zones that io.read_zones has read, and the file end in .su2; io.write writes other meshes."
 
 
 @dataclasses.dataclass(frozen=True)
@@ -123,8 +124,8 @@ def mesh_of(path: pathlib.Path, text: bytes, keywords: list[Keyword]) -> Parts:
     content = SU2Content(text, section.start, section.stop, points.shape, tables[0].shape[1])
     patches = _markers(path, keywords, len(points))
     tags = collections.Counter(keyword.value for keyword in keywords if keyword.name == "MARKER_TAG")
-    again = {tag: count for tag, count in tags.items() if count > 1 and tag != HALO}
-    notes = tuple(f"the {count} markers {tag} are one patch, as they are to SU2." for tag, count in again.items())
+    again = [(tag, count) for tag, count in tags.items() if count > 1 and tag != HALO]
+    notes = tuple(f"the {count} markers {tag} are one patch, as they are to SU2." for tag, count in again)
     if not patches:
         outer = boundary_faces(cells, len(points)).values()
         patches = {"boundary": np.concatenate([corners.ravel() for corners in outer])}
@@ -216,29 +217,29 @@ def _points(keyword: Keyword, d: int) -> Iterator[np.ndarray]:
 
 
 def _cells(keyword: Keyword, n: int) -> dict[str, np.ndarray]:
-    parts: dict[str, list[np.ndarray]] = {}
-    for number, corners in _tables(keyword, keyword.section, n, "elements"):
-        if number == 1:
-            raise keyword.section.error("NELEM= holds elements of type 1 (a single node); these are no cells.")
-        parts.setdefault(TYPES[number], []).append(corners)
-    return {kind: np.concatenate(parts.pop(kind)) for kind in list(parts)}
+    cells = gathered(_tables(keyword, keyword.section, n, "elements"))
+    if 1 in cells:
+        raise keyword.section.error("NELEM= holds elements of type 1 (a single node); these are no cells.")
+    return {TYPES[number]: corners for number, corners in cells.items()}
 
 
 def _markers(path: pathlib.Path, keywords: list[Keyword], n: int) -> dict[str, np.ndarray]:
-    patches: dict[str, list[np.ndarray]] = {}
     tags = [place for place, keyword in enumerate(keywords) if keyword.name == "MARKER_TAG"]
-    for at in tags:
-        tag, *rest = keywords[at : at + 3]
-        if not rest or rest[0].name != "MARKER_ELEMS":
-            raise tag.section.error(f"MARKER_ELEMS= expected after the tag {tag.value!r}.")
-        # a SEND_RECEIVE marker has one more keyword, SEND_TO=, before its rows
-        section = rest[-1 if rest[-1].name == "SEND_TO" else 0].section
-        nodes = patches.setdefault(tag.value, [np.zeros(0, np.int64)])
-        nodes += [ids.ravel() for _, ids in _tables(rest[0], section, n, f"elements of marker {tag.value!r}")]
+    patches = gathered(item for at in tags for item in _marker(*keywords[at : at + 3], n=n))
     stated = _only(path, keywords, "NMARK")
     if stated.number() != len(tags):
         raise stated.section.error(f"NMARK= {stated.number()}, but {len(tags)} markers are in the file.")
-    return {name: np.concatenate(nodes) for name, nodes in patches.items()}
+    return patches
+
+
+def _marker(tag: Keyword, *rest: Keyword, n: int) -> Iterator[tuple[str, np.ndarray]]:
+    """Yields the nodes behind a tag; of SEND_RECEIVE, SEND_TO= stands before the rows."""
+    if not rest or rest[0].name != "MARKER_ELEMS":
+        raise tag.section.error(f"MARKER_ELEMS= expected after the tag {tag.value!r}.")
+    section = rest[-1 if rest[-1].name == "SEND_TO" else 0].section
+    yield tag.value, np.zeros(0, np.int64)
+    for _, corners in _tables(rest[0], section, n, f"elements of marker {tag.value!r}"):
+        yield tag.value, corners.ravel()
 
 
 def _tables(keyword: Keyword, section: Section, n: int, what: str) -> Iterator[tuple[int, np.ndarray]]:
@@ -354,17 +355,9 @@ def write_zones(path: str | os.PathLike[str], meshes: Sequence[Mesh]) -> None:
     **Raises:** `ValueError` for none, for meshes of several files, or of several readings, one zone
     twice, and what `write` refuses.
     """
-    sources = [source_of(mesh, NAME) for mesh in meshes]
-    for mesh in meshes:
-        check_output(path, mesh)
-        bad = np.flatnonzero(~np.isfinite(np.asarray(mesh.points)).all(axis=1))
-        if len(bad):
-            raise ValueError(f"{path}: {len(bad)} points are not finite, first node {bad[0]}.")
-    if pathlib.Path(path).suffix.lower() != ".su2" or not sources or None in sources:
-        raise ValueError(
-            f"{path}: `meshes` must be zones that io.read_zones has read, and the file end in .su2; io.write writes other meshes."
-        )
-    zones = [(source.content, mesh) for source, mesh in zip(sources, meshes, strict=True) if source is not None]
+    zones = [(_content(path, mesh), mesh) for mesh in meshes]
+    if pathlib.Path(path).suffix.lower() != ".su2" or not zones:
+        raise ValueError(f"{path}: {WANTED}")
     text = zones[0][0].text
     if any(content.text is not text for content, _ in zones):
         raise ValueError(
@@ -377,3 +370,15 @@ def write_zones(path: str | os.PathLike[str], meshes: Sequence[Mesh]) -> None:
         text = b"".join(dataclasses.replace(content, text=text).moved(np.asarray(mesh.points)))
     with complete(pathlib.Path(path)) as partial:
         partial.write_bytes(text)
+
+
+def _content(path: str | os.PathLike[str], mesh: Mesh) -> SU2Content:
+    """Checks one of the zones to be written to a file; returns its text."""
+    source = source_of(mesh, NAME)
+    check_output(path, mesh)
+    bad = np.flatnonzero(~np.isfinite(np.asarray(mesh.points)).all(axis=1))
+    if len(bad):
+        raise ValueError(f"{path}: {len(bad)} points are not finite, first node {bad[0]}.")
+    if source is None:
+        raise ValueError(f"{path}: {WANTED}")
+    return source.content

@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxmorph._host.cells.orders import GMSH, reordered
 from jaxmorph._host.cells.topology import DIMENSION
-from jaxmorph._mesh.exchange import LEVELS, Grid, Parts, Patch, regions_note
+from jaxmorph._mesh.exchange import LEVELS, Grid, Parts, Patch, gathered, regions_note
 
 from .._format import Arrays, FilePoints, MeshLike, Source, faults_of, of_grid, patch_faces, source_of
 from .._text import Section, replaced
@@ -139,15 +139,15 @@ def _numbered(cells: list[Elements], tags: np.ndarray) -> list[Elements]:
 
 
 def _groups(cells: list[Elements], names: Names) -> dict[tuple[int, int], Patch]:
-    nodes: dict[tuple[int, int], list[np.ndarray]] = {}
-    for block in cells:
-        for tag, rows in block.groups.items():
-            members = block.corners if rows is None else block.corners[rows]
-            nodes.setdefault((DIMENSION.get(block.kind, 0), tag), []).append(members.ravel())
+    nodes = gathered(
+        ((DIMENSION.get(block.kind, 0), tag), (block.corners if rows is None else block.corners[rows]).ravel())
+        for block in cells
+        for tag, rows in block.groups.items()
+    )
     groups = {}
     for (level, tag), members in nodes.items():
         name = names.get((level, tag)) or names.get((None, tag)) or f"physical_{tag}"
-        groups[level, tag] = Patch(name, f"{LEVELS[level]}_{tag}", np.concatenate(members))
+        groups[level, tag] = Patch(name, f"{LEVELS[level]}_{tag}", members)
     return groups
 
 

@@ -33,6 +33,7 @@ from .topology import Topology, topology_of
 NAME = "OpenFOAM"
 COPIED = ("constant", "system", "0", "0.orig")
 """Parts of a case that a new one gets."""
+SYMMETRY = ("symmetry", "symmetryPlane")
 PLANES = ("empty", "wedge")
 """Types of patches in front of and behind the one layer of cells of a case in two dimensions."""
 
@@ -90,14 +91,7 @@ def read(path: pathlib.Path) -> Parts:
     """
     here, folder = _folders(path)
     boundary = patches(load(folder, "boundary"))
-    planes = [patch for patch in boundary if patch.type in PLANES]
-    kinds = [patch.type for patch in planes if patch.count]
-    if "wedge" in kinds and kinds != ["wedge"] * 2:
-        names = ", ".join(patch.name for patch in planes if patch.count)
-        raise ValueError(
-            f"{path}: patches of type wedge ({names}); an axisymmetric case has two, and none of type empty."
-        )
-    planes = planes if kinds else []
+    planes = _planes(path, boundary)
     topology = topology_of(folder, boundary, is_plane=bool(planes))
     file, points = _points(here)
     topology.check(folder, len(points))
@@ -124,18 +118,30 @@ def read(path: pathlib.Path) -> Parts:
     return mesh._replace(source=source)
 
 
+def _planes(path: pathlib.Path, boundary: list[Patch]) -> list[Patch]:
+    """Lists the patches before and behind one layer of cells; none if these have no faces."""
+    planes = [patch for patch in boundary if patch.type in PLANES]
+    kinds = [patch.type for patch in planes if patch.count]
+    if "wedge" in kinds and kinds != ["wedge"] * 2:
+        names = ", ".join(patch.name for patch in planes if patch.count)
+        raise ValueError(
+            f"{path}: patches of type wedge ({names}); an axisymmetric case has two, and none of type empty."
+        )
+    return planes if kinds else []
+
+
 def _said(boundary: list[Patch], mesh: Parts, plane: Front | None) -> dict[str, Any]:
     own = [patch for patch in boundary if patch.name in mesh.patches or patch.type in PLANES]
-    groups = {
-        group: tuple(patch.name for patch in own if group in patch.groups) for patch in own for group in patch.groups
-    }
+    groups: dict[str, tuple[str, ...]] = {}
+    for patch in own:
+        groups |= {group: (*groups.get(group, ()), patch.name) for group in patch.groups}
     is_divided = any(patch.refers and patch.count for patch in boundary)
-    pairs = () if is_divided else tuple(Periodic(first.name, second.name) for first, second in cyclic_pairs(own))
+    pairs = [] if is_divided else [Periodic(first.name, second.name) for first, second in cyclic_pairs(own)]
     kinds = {patch.name: patch.type for patch in own}
-    symmetry = [patch.name for patch in own if patch.type in ("symmetry", "symmetryPlane") and patch.count]
+    symmetry = [patch.name for patch in own if patch.type in SYMMETRY and patch.count]
     if plane is not None and plane.on_axis.any():
         symmetry, kinds = [*symmetry, "axis"], kinds | {"axis": "axis"}
-    return {"groups": groups, "periodic": pairs, "symmetry": tuple(symmetry), "kinds": kinds}
+    return {"groups": groups, "periodic": tuple(pairs), "symmetry": tuple(symmetry), "kinds": kinds}
 
 
 def check(path: pathlib.Path, mesh: MeshLike) -> None:

@@ -93,17 +93,21 @@ class FoamFile:
         if self.is_binary:
             values = self.binary(items, what, width)[0]
             return (_narrow(values) if what == "label" else values.astype(float)).reshape(-1, width)
-        kind, parts = (np.int64 if what == "label" else np.float64), []
-        stop = self.data.find(b"}", items.start) if items.uniform else self.end_of_text(items.start)
-        for chunk in chunks(self.data, items.start, stop if items.count else items.start):
-            values = parse(chunk.translate(PARENTHESES), kind)
-            parts.append(_narrow(values) if what == "label" else values)
-        values = np.concatenate(parts) if parts else np.zeros(0, kind)
+        values = self._text_numbers(items, what)
         if items.uniform and len(values) == width:
             values = np.tile(values, items.count)
         if len(values) % width or items.count not in (-1, len(values) // width):
             raise self.error(f"{items.count} elements of {width} {what}s expected, found {len(values)} numbers")
         return values.reshape(-1, width)
+
+    def _text_numbers(self, items: List, what: str) -> np.ndarray:
+        kind = np.int64 if what == "label" else np.float64
+        stop = self.data.find(b"}", items.start) if items.uniform else self.end_of_text(items.start)
+        parts = [_narrow(np.zeros(0, kind)) if what == "label" else np.zeros(0, kind)]
+        for chunk in chunks(self.data, items.start, stop if items.count else items.start):
+            values = parse(chunk.translate(PARENTHESES), kind)
+            parts.append(_narrow(values) if what == "label" else values)
+        return np.concatenate(parts)
 
     def binary(self, items: List, what: str, width: int = 1) -> tuple[np.ndarray, int]:
         """Views the numbers of a binary list, not copied, and tells where it ends."""
@@ -236,7 +240,19 @@ def patches(file: FoamFile) -> list[Patch]:
     at = 0 if stated is None else 1
     if words[at : at + 1] != ["("]:
         raise file.error("a list of patches expected, such as 1 ( wall { type wall; nFaces 4; startFace 8; } )")
-    found, at = [], at + 1
+    found, end = _listed(file, words, at + 1)
+    for name, count in collections.Counter(patch.name for patch in found).most_common(1):
+        if count > 1:
+            raise file.error(f"{count} patches are called {name}; each needs a name of its own")
+    if end == len(words) or stated not in (None, len(found)):
+        end_of_list = "" if end < len(words) else " and no end of the list"
+        raise file.error(f"{stated} patches announced, {len(found)} read{end_of_list}")
+    return found
+
+
+def _listed(file: FoamFile, words: list[str], at: int) -> tuple[list[Patch], int]:
+    """Reads entries up to the end of their list, whose place it also returns."""
+    found = []
     while at < len(words) and words[at] != ")":
         _refuse_directives(file, words[at : at + 1])
         end = _end_of_body(words, at + 1)
@@ -244,13 +260,7 @@ def patches(file: FoamFile) -> list[Patch]:
             raise file.error(f"patch {words[at][:80]} has no entries between {{ and }}; is the file cut short?")
         found.append(_patch(file, words[at], words[at + 2 : end]))
         at = end + 1
-    for name, count in collections.Counter(patch.name for patch in found).most_common(1):
-        if count > 1:
-            raise file.error(f"{count} patches are called {name}; each needs a name of its own")
-    if at == len(words) or stated not in (None, len(found)):
-        end_of_list = "" if at < len(words) else " and no end of the list"
-        raise file.error(f"{stated} patches announced, {len(found)} read{end_of_list}")
-    return found
+    return found, at
 
 
 def _refuse_directives(file: FoamFile, words: list[str]) -> None:

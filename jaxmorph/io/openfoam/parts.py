@@ -1,11 +1,14 @@
 """Decomposed cases: folders `processor0`, `processor1`, ..., each read and written by itself."""
 
+import collections
 import contextlib
 import dataclasses
+import itertools
 import os
 import pathlib
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from jaxtyping import Int
@@ -162,18 +165,11 @@ class Decomposed:
         nodes, points = self._common_points(sides)
         cells = gathered(item for side in sides for item in side.faces.items())
         members = gathered(item for side in sides for item in side.patches.items())
-        pairs = {frozenset(pair): pair for side in sides for pair in reversed(side.pairs)}
-        known = {
-            "groups": {name: patches for side in sides for name, patches in side.groups.items()},
-            "periodic": tuple(Periodic(*pair) for pair in pairs.values() if all(len(members[name]) for name in pair)),
-            "symmetry": tuple(dict.fromkeys(name for side in sides for name in side.symmetry)),
-            "kinds": {name: kind for side in sides for name, kind in side.kinds.items()},
-        }
         return Mesh(
             points,
             {kind: np.searchsorted(nodes, rows) for kind, rows in cells.items() if len(rows)},
             {name: np.searchsorted(nodes, np.unique(rows)) for name, rows in members.items()},
-            source=Source(self.path, NAME, None, node_ids=nodes, **known),
+            source=Source(self.path, NAME, None, node_ids=nodes, **_said(sides, members)),
         )
 
     def _common_points(self, sides: Sequence[Side]) -> tuple[np.ndarray, np.ndarray]:
@@ -239,18 +235,30 @@ class Decomposed:
         return {"polyMesh"} & {*names} if pathlib.Path(here) == self.path / "constant" / self.region else set()
 
 
+def _said(sides: Sequence[Side], members: Mapping[str, np.ndarray]) -> dict[str, Any]:
+    """Joins what parts say of patches, whose `members` are the nodes of all parts."""
+    pairs = {frozenset(pair): pair for side in sides for pair in reversed(side.pairs)}
+    named = [Periodic(*pair) for pair in pairs.values() if all(len(members[name]) for name in pair)]
+    symmetry = dict.fromkeys(itertools.chain.from_iterable(side.symmetry for side in sides))
+    tables = {
+        name: dict(collections.ChainMap(*(dict(getattr(side, name)) for side in sides[::-1])))
+        for name in ("groups", "kinds")
+    }
+    return {"periodic": tuple(named), "symmetry": tuple(symmetry), **tables}
+
+
 def _count(path: pathlib.Path) -> int:
     names = {folder.name.removeprefix("processor") for folder in path.glob("processor*") if folder.is_dir()}
-    collated = sorted(name for name in names if COLLATED.fullmatch(name))
+    collated = ", ".join(f"processor{name}" for name in sorted(names) if COLLATED.fullmatch(name))
     if collated:
-        folders = ", ".join(f"processor{name}" for name in collated)
         raise ValueError(
-            f"{path}: folders {folders}; collated files are not read: run decomposePar -fileHandler uncollated."
+            f"{path}: folders {collated}; collated files are not read: run decomposePar -fileHandler uncollated."
         )
     numbers = {int(name) for name in names if name.isdecimal()}
     missing = sorted({*range(len(numbers))} - numbers)
-    if not numbers or missing:
-        lacks = f"processor{missing[0]} is missing among {len(numbers)}" if numbers else "there is no folder processor0"
+    lacks = f"processor{missing[0]} is missing among {len(numbers)}" if missing else ""
+    lacks = lacks if numbers else "there is no folder processor0"
+    if lacks:
         raise ValueError(f"{path}: the case is not decomposed, {lacks}. {REMEDY}.")
     return len(numbers)
 
