@@ -72,21 +72,6 @@ class Faces:
             corners[sizes == size, :size] = self.corners(faces[sizes == size], size)
         return corners
 
-    def around(self, faces: np.ndarray, size: int) -> np.ndarray:
-        """Gathers `corners` of faces (k, m) as (m, size, k): operations then run along k."""
-        # Corners 1 and -1 of a turned face change places, by three "exclusive or": that reverses a
-        # triangle or a quad.
-        faces = np.ascontiguousarray(faces.T)
-        turned = faces < 0
-        start = np.take(self.starts, np.where(turned, ~faces, faces))
-        labels = np.empty((len(faces), size, faces.shape[1]), self.labels.dtype)
-        for k in range(size):
-            labels[:, k] = np.take(self.labels[k:], start)
-        swap = np.where(turned, labels[:, 1] ^ labels[:, -1], 0)
-        labels[:, 1] ^= swap
-        labels[:, -1] ^= swap
-        return labels
-
     def nodes(self, first: int, last: int) -> np.ndarray:
         """Returns the nodes of the faces from `first` up to `last`, with repetitions."""
         return self.labels[self.starts[first] : self.starts[last]]
@@ -218,7 +203,7 @@ def _from_base(faces: Faces, kind: str, around: np.ndarray) -> tuple[np.ndarray,
     base = faces.corners(around[:, 0], c)[:, ::-1]
     side = 4 if kind in ("wedge", "hexahedron") else 3
     walls = around[:, 2:] if kind == "wedge" else around[:, 1:]
-    start = faces.around(walls, side)
+    start = np.ascontiguousarray(np.moveaxis(faces.corners(walls, side), 0, 2))  # operations then run along cells
     corners = np.ascontiguousarray(base.T)
     is_base = np.zeros(start.shape, bool)
     for corner in corners:

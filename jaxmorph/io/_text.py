@@ -18,7 +18,6 @@ ENOUGH = 1 << 14
 """Bytes from which SciPy's writer of Matrix Market files pays: `repr`'s digits, much faster."""
 
 _FORTRAN = bytes.maketrans(b"Dd", b"ee")
-_MARKS = b"0123456789.+-eE"
 
 
 def decoded(raw: bytes) -> str:
@@ -27,22 +26,6 @@ def decoded(raw: bytes) -> str:
         return raw.decode()
     except UnicodeDecodeError:
         return raw.decode("latin-1")
-
-
-def parse_rows(text: bytes, dtype: type) -> tuple[np.ndarray, int]:
-    """Reads that many numbers of lines of equal length, between single blanks; 0 for other texts.
-
-    A text without its digits and marks is the blanks between the words. There is one word more than
-    blanks on each line, or fewer, so if there are as many numbers as that in all, then also on each
-    line.
-    """
-    gaps = text.translate(None, _MARKS)
-    width = gaps.find(b"\n") + 1
-    lines = len(gaps) // max(width, 1)
-    if not width or gaps != (b" " * (width - 1) + b"\n") * lines:
-        return np.zeros(0, dtype), 0
-    values = parse(text, dtype)
-    return values, width if len(values) == width * lines else 0
 
 
 def parse(text: bytes, dtype: type) -> np.ndarray:
@@ -146,13 +129,9 @@ class Section:
         """Yields all numbers of the section, some lines at a time."""
         row = 0
         for chunk in chunks(self.text, self.start, self.stop):
-            values, width = parse_rows(chunk, dtype)
-            if width:
-                counts = np.full(len(values) // width, width)
-            else:
-                counts, values = scan(chunk)[2], parse(chunk, dtype)
-                if len(values) != counts.sum():
-                    raise self._not_a_number(dtype)
+            counts, values = scan(chunk)[2], parse(chunk, dtype)
+            if len(values) != counts.sum():
+                raise self._not_a_number(dtype)
             if len(counts):
                 yield Rows(self, values, counts, row)
             row += len(counts)

@@ -19,13 +19,13 @@ from .sections import (
     Groups,
     Names,
     Stream,
-    coordinates,
     elements,
     entities,
     form_of,
     nodes,
     physical_names,
     sections,
+    triples,
 )
 
 NAME = "gmsh"
@@ -50,8 +50,7 @@ class _GmshContent(FilePoints):
             words = (self.places[:, None] // 8 + np.arange(3)).ravel()
             return replaced(data, slice(self.section.start, self.section.stop), points.ravel(), at=words)
         copy = bytearray(data)
-        for rows, view in coordinates(copy, self.form.types["d"], self.places):
-            view[:] = points[rows]
+        triples(copy)[self.places] = points.astype(self.form.types["d"]).view("V24").ravel()
         return iter([copy])
 
 
@@ -76,7 +75,8 @@ class _Found:
                 raise ValueError("a second one; gmsh adds a view without the mesh if PostProcessing.SaveMesh is 0")
             stream = Stream(section, self.form, np.float64)
             self.tags, places = nodes(stream, is_parametric=name == "ParametricNodes")
-            self.content = _GmshContent(stream.points(places), section, self.form, places)
+            points = triples(stream.data)[places].view(stream.types["d"]).reshape(-1, 3).astype(float)
+            self.content = _GmshContent(points, section, self.form, places)
         elif name in ELEMENTS:
             self.cells = elements(Stream(section, self.form), self.groups)
         elif name not in ("MeshFormat", "Comments"):

@@ -138,13 +138,6 @@ class Stream:
         number, self.at = int(self.section.text[self.at : end]), end
         return number
 
-    def points(self, places: np.ndarray) -> np.ndarray:
-        """Reads the coordinates (n, 3) that begin at places."""
-        points = np.empty((len(places), 3))
-        for rows, view in coordinates(self.data, self.types["d"], places):
-            points[rows] = view
-        return points
-
     def end(self) -> None:
         """Raises `ValueError` where there is more: a binary section ends by one line end."""
         rest = self.section.text[self.at : self.stop]
@@ -152,22 +145,9 @@ class Stream:
             raise ValueError("there is more, or less, than the section announces")
 
 
-def coordinates(data: Any, dtype: np.dtype, places: np.ndarray) -> Iterator[tuple[slice, np.ndarray]]:
-    """Yields rows whose `places` are equally far apart, and a view of their coordinates (k, 3)."""
-    for rows, step in runs(places):
-        yield rows, np.ndarray((rows.stop - rows.start, 3), dtype, data, places[rows.start], (step, dtype.itemsize))
-
-
-def runs(places: np.ndarray) -> Iterator[tuple[slice, int]]:
-    """Yields the rows whose places are equally far apart, and how far."""
-    steps = np.diff(places)
-    ends = np.flatnonzero(np.diff(steps)) + 1
-    first = 0
-    while first < len(places):
-        after = np.searchsorted(ends, first, "right")
-        last = int(ends[after]) + 1 if after < len(ends) else len(places)
-        yield slice(first, last), int(steps[first]) if first < len(steps) else 0
-        first = last
+def triples(data: Any) -> np.ndarray:
+    """Views 24 bytes, three doubles, at every byte where they may begin, as one element each."""
+    return np.ndarray((max(memoryview(data).nbytes - 23, 0),), "V24", data, strides=(1,))
 
 
 def whole(values: np.ndarray) -> np.ndarray:
