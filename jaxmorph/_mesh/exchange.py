@@ -127,7 +127,7 @@ class Grid:
     outer: np.ndarray | None = None
 
     def of_blocks(self, values: Iterable[Any], *, full: bool = False) -> Iterator[tuple[int, np.ndarray, Any]]:
-        """Yields dimension, corners and value of each block below the highest dimension, or of it."""
+        """Yields dimension, corners and value of blocks below the highest dimension, or of it."""
         levels = [DIMENSION.get(kind, 2 if kind == "polygon" else 0) for kind, _ in self.blocks]
         for level, (_, corners), value in zip(levels, self.blocks, values, strict=False):
             if (level == max(levels)) == full:
@@ -314,7 +314,7 @@ def _arrays(grid: Grid) -> Iterator[tuple[str, str, list[Any]]]:
 
 
 def _numbers(parts: list[np.ndarray]) -> list[int]:
-    """Lists the numbers in arrays of integers; none for zeros, and for ids, which come once each."""
+    """Lists the numbers in arrays of integers; none for zeros, and for ids, once each."""
     if not parts or any(values.ndim != 1 or values.dtype.kind not in "iu" for values in parts):
         return []
     values = np.concatenate(parts)
@@ -340,13 +340,14 @@ def _are_whole(values: Any) -> bool:
 def checked_parts(
     points: Any, cells: Mapping[str, Any] | None, patches: Mapping[str, Any] | None, source: Any = None
 ) -> Parts:
-    """Returns coordinates as floats, cells by type in alphabetical order, and unique ids by patch."""
-    types = {kind: canonical_type(kind) for kind in cells or {}}
-    twice = sorted(kind for kind, name in types.items() if list(types.values()).count(name) > 1)
-    if twice:
-        raise ValueError(f"cells of one type have several names ({', '.join(twice)}): join them.")
-    points, ids = floats(points), {types[kind]: ids_of(corners) for kind, corners in (cells or {}).items()}
-    ids = {kind: ids[kind] for kind in sorted(ids)}  # as JAX sorts the keys of a dict
+    """Returns floats, cells by type in alphabetical order, and unique ids by patch."""
+    points, ids, names = floats(points), {}, {}
+    for kind, corners in sorted((cells or {}).items(), key=lambda item: canonical_type(item[0])):  # as JAX sorts keys
+        canonical = canonical_type(kind)
+        if canonical in names:
+            twice = ", ".join(sorted((kind, names[canonical])))
+            raise ValueError(f"cells of one type have several names ({twice}): join them.")
+        ids[canonical], names[canonical] = ids_of(corners), kind
     nodes = {name: np.unique(ids_of(members)) for name, members in (patches or {}).items()}
     _check_parts(points, ids, nodes)
     return Parts(points, ids, nodes, source)
@@ -360,8 +361,9 @@ def _check_parts(points: Any, cells: Mapping[str, Any], patches: Mapping[str, An
         if corners.ndim != 2 or corners.shape[1] != NODES[kind]:
             raise ValueError(f"cells of type {kind!r} have shape {corners.shape}; expected (k, {NODES[kind]}).")
     for name, ids in {**cells, **patches}.items():
-        if ids.size and (ids.min() < 0 or ids.max() >= n):
-            bad = int(ids.max()) if ids.max() >= n else int(ids.min())
+        low, high = ids.min(initial=0), ids.max(initial=0)
+        if low < 0 or (high >= n and ids.size):
+            bad = high if high >= n else low
             raise ValueError(f"{name!r} names node {bad}, but the mesh has {n} points (0 to {n - 1}).")
 
 

@@ -123,13 +123,18 @@ def mesh_of(path: pathlib.Path, text: bytes, keywords: list[Keyword]) -> Parts:
     section = rows.section
     content = SU2Content(text, section.start, section.stop, points.shape, tables[0].shape[1])
     patches = _markers(path, keywords, len(points))
-    tags = collections.Counter(keyword.value for keyword in keywords if keyword.name == "MARKER_TAG")
-    again = [(tag, count) for tag, count in tags.items() if count > 1 and tag != HALO]
-    notes = tuple(f"the {count} markers {tag} are one patch, as they are to SU2." for tag, count in again)
     if not patches:
         outer = boundary_faces(cells, len(points)).values()
         patches = {"boundary": np.concatenate([corners.ravel() for corners in outer])}
-    return checked_parts(points, cells, patches, Source(path, NAME, content, notes=notes))
+    source = Source(path, NAME, content, notes=tuple(_notes(keywords)))
+    return checked_parts(points, cells, patches, source)
+
+
+def _notes(keywords: list[Keyword]) -> Iterator[str]:
+    tags = collections.Counter(keyword.value for keyword in keywords if keyword.name == "MARKER_TAG")
+    for tag, count in tags.items():
+        if count > 1 and tag != HALO:
+            yield f"the {count} markers {tag} are one patch, as they are to SU2."
 
 
 def check(path: pathlib.Path, mesh: MeshLike) -> None:

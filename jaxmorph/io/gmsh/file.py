@@ -89,6 +89,23 @@ def read(path: pathlib.Path) -> Parts:
     A group without a name is `physical_` and its tag. Of several groups of one name the first of
     the highest dimension has it, others add their dimension and tag.
     """
+    found = _read(path)
+    content = found.content
+    if content is None or not len(found.tags) or not found.cells:
+        raise ValueError(f"{path}: no mesh, the file holds no $Nodes or no $Elements, or none in them.")
+    with faults_of(path):
+        cells = _numbered(found.cells, found.tags)
+    groups = sorted(_groups(cells, found.names).items(), key=lambda item: -item[0][0])
+    blocks = [(block.kind, reordered(block.kind, block.corners, GMSH, None)) for block in cells]
+    top = max(DIMENSION.get(kind, 0) for kind, _ in blocks)
+    notes = tuple(regions_note(patch.name for (level, _), patch in groups if level == top))
+    notes += (f"sections {', '.join(found.others)} are not read, and stay in the file.",) * bool(found.others)
+    source = Source(path, NAME, content, in_file=content.in_file, notes=notes)
+    patches = [patch for (level, _), patch in groups if level < top]
+    return of_grid(path, Grid(content.points, blocks, {}, {}), source, patches)
+
+
+def _read(path: pathlib.Path) -> _Found:
     data = path.read_bytes()
     found = _Found(form_of(path, data))
     for name, section in sections(path, data, found.form):
@@ -98,20 +115,7 @@ def read(path: pathlib.Path) -> Parts:
             if str(path) in str(error):
                 raise
             raise ValueError(f"{path}: not a .msh file, or a damaged one, in ${name[:40]} ({error}).") from error
-    content = found.content
-    if content is None or not len(found.tags) or not found.cells:
-        raise ValueError(f"{path}: no mesh, the file holds no $Nodes or no $Elements, or none in them.")
-    with faults_of(path):
-        cells = _numbered(found.cells, found.tags)
-    blocks = [(block.kind, reordered(block.kind, block.corners, GMSH, None)) for block in cells]
-    groups = sorted(_groups(cells, found.names).items(), key=lambda item: -item[0][0])
-    top = max(DIMENSION.get(block.kind, 0) for block in cells)
-    notes = tuple(regions_note(patch.name for (level, _), patch in groups if level == top))
-    if found.others:
-        notes += (f"sections {', '.join(found.others)} are not read, and stay in the file.",)
-    source = Source(path, NAME, content, in_file=content.in_file, notes=notes)
-    patches = [patch for (level, _), patch in groups if level < top]
-    return of_grid(path, Grid(content.points, blocks, {}, {}), source, patches)
+    return found
 
 
 def _numbered(cells: list[Elements], tags: np.ndarray) -> list[Elements]:

@@ -22,13 +22,14 @@ from jaxmorph._boundary.periodic import Periodic
 from jaxmorph._host.package.errors import warn
 from jaxmorph._host.package.files import complete, is_same
 from jaxmorph._mesh.exchange import Parts, checked_parts, gathered
+from jaxmorph._mesh.faces import Faces, standard_cells
 from jaxmorph._mesh.polyhedra import Polyhedra, tetrahedra
 
 from .._format import EVERYTHING, Arrays, Held, MeshLike, Source, as_in_file, faults_of, source_of
 from .._text import replaced
 from .file import PARENTHESES, FoamFile, Patch, load, patches
 from .plane import Front, check_cyclic, cyclic_pairs, layer, plane_cells, sector
-from .topology import Topology, topology_of
+from .topology import faces_of, patch_nodes
 
 NAME = "OpenFOAM"
 COPIED = ("constant", "system", "0", "0.orig")
@@ -92,12 +93,13 @@ def read(path: pathlib.Path) -> Parts:
     here, folder = _folders(path)
     boundary = patches(load(folder, "boundary"))
     planes = _planes(path, boundary)
-    topology = topology_of(folder, boundary, is_plane=bool(planes))
     file, points = _points(here)
-    topology.check(folder, len(points))
+    faces = faces_of(folder, boundary, len(points))
+    nodes = patch_nodes(faces, boundary)
     with faults_of(path):
-        mesh, ids, whole, plane = (_in_plane if planes else _in_space)(topology, points, planes)
-    between = topology.between
+        mesh, ids, whole, plane = (_in_plane if planes else _in_space)(faces, points, nodes, planes)
+    sides = [patch.faces for patch in boundary if patch.is_between]
+    between = faces.padded(np.concatenate([np.zeros(0, np.int64), *sides]))
     # a caller may change the mesh's points in place, and the file's values must stay
     own = points.copy() if plane is None else points
     content = _CaseContent(file, own, folder, plane, np.unique(between[between >= 0]))
@@ -193,7 +195,7 @@ def content_of(mesh: MeshLike) -> _CaseContent:
 
 
 def file_points(mesh: MeshLike) -> np.ndarray:
-    """Computes the file's points (N, 3) of a mesh that was read from a case: in 2-D both planes'."""
+    """Computes the file's points (N, 3) of a mesh, in 2-D both planes'; checks cyclic patches."""
     content = content_of(mesh)
     points = content.in_file(np.asarray(mesh.points))
     check_cyclic(content.topology, content.points, points)
@@ -282,23 +284,22 @@ Found = tuple[Parts, dict[str, np.ndarray], Polyhedra | None, Front | None]
 """A mesh, the case's number of each cell by type, whole cells if some are cut, and planes."""
 
 
-def _in_space(topology: Topology, points: np.ndarray, planes: list[Patch]) -> Found:
-    cells, ids, faces, whole = topology.cells, topology.ids, topology.faces, None
-    if faces is not None:
+def _in_space(faces: Faces, points: np.ndarray, nodes: dict[str, np.ndarray], planes: list[Patch]) -> Found:
+    (cells, ids), whole = standard_cells(faces), None
+    if "polyhedron" in ids:
         whole = Polyhedra(faces, ids.pop("polyhedron"))
         pieces, owners = tetrahedra(faces, whole.cut, points)
         cells = gathered([*cells.items(), ("tetra", pieces)])
         ids = gathered([*ids.items(), ("tetra", owners)])
-    return checked_parts(points, cells, topology.nodes), ids, whole, None
+    return checked_parts(points, cells, nodes), ids, whole, None
 
 
-def _in_plane(topology: Topology, points: np.ndarray, planes: list[Patch]) -> Found:
-    faces, nodes = topology.faces, topology.nodes
-    assert faces is not None
+def _in_plane(faces: Faces, points: np.ndarray, nodes: dict[str, np.ndarray], planes: list[Patch]) -> Found:
     chosen = np.concatenate([patch.faces for patch in planes])
     sides = [nodes[patch.name] for patch in planes if patch.type == "wedge" and patch.count]
     plane = sector(faces, points, sides) if sides else layer(faces, points, chosen)
-    own = {name: plane.ids(ids) for name, ids in nodes.items() if name not in {patch.name for patch in planes}}
+    names = {patch.name for patch in planes}
+    own = {name: plane.ids(ids) for name, ids in nodes.items() if name not in names}
     if plane.on_axis.any():
         if len(own.get("axis", ())):
             raise ValueError("the patch axis has faces; nodes on the axis get its name: call it otherwise in boundary.")

@@ -236,11 +236,11 @@ def patches(file: FoamFile) -> list[Patch]:
     """Reads a `boundary`'s patches: `2 ( inlet { type patch; nFaces 4; startFace 8; } ... )`."""
     words = _words(file.data[file.end :])
     _refuse_directives(file, words[:1])
-    stated = int(words[0]) if words and words[0].isdecimal() and len(words[0]) <= DIGITS else None
-    at = 0 if stated is None else 1
-    if words[at : at + 1] != ["("]:
+    head = re.match(rf"(\d{{1,{DIGITS}}} )?\( ", " ".join([*words[:2], ""]))
+    if head is None:
         raise file.error("a list of patches expected, such as 1 ( wall { type wall; nFaces 4; startFace 8; } )")
-    found, end = _listed(file, words, at + 1)
+    stated = int(head[1]) if head[1] else None
+    found, end = _listed(file, words, 2 if head[1] else 1)
     for name, count in collections.Counter(patch.name for patch in found).most_common(1):
         if count > 1:
             raise file.error(f"{count} patches are called {name}; each needs a name of its own")

@@ -255,10 +255,11 @@ def _count(path: pathlib.Path) -> int:
             f"{path}: folders {collated}; collated files are not read: run decomposePar -fileHandler uncollated."
         )
     numbers = {int(name) for name in names if name.isdecimal()}
+    if not numbers:
+        raise ValueError(f"{path}: the case is not decomposed, there is no folder processor0. {REMEDY}.")
     missing = sorted({*range(len(numbers))} - numbers)
-    lacks = f"processor{missing[0]} is missing among {len(numbers)}" if missing else ""
-    lacks = lacks if numbers else "there is no folder processor0"
-    if lacks:
+    if missing:
+        lacks = f"processor{missing[0]} is missing among {len(numbers)}"
         raise ValueError(f"{path}: the case is not decomposed, {lacks}. {REMEDY}.")
     return len(numbers)
 

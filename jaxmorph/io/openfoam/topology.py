@@ -1,82 +1,50 @@
-"""Cells that OpenFOAM's `faces`, `owner` and `neighbour` describe, before the points are known.
+"""OpenFOAM's `faces`, `owner` and `neighbour`, checked, and the nodes of patches."""
 
-The points are read afterwards: the tables of the faces, the largest of a mesh, are gone by then.
-"""
-
-import dataclasses
 import pathlib
 from collections.abc import Callable
 
 import numpy as np
 
 from jaxmorph._mesh.exchange import gathered
-from jaxmorph._mesh.faces import Faces, open_cells, standard_cells
+from jaxmorph._mesh.faces import Faces, open_cells
 
 from .file import Patch, load
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Topology:
-    """Cells and their ids by type, as `standard_cells` has them, and each patch's nodes.
-
-    Faces of a `processorCyclic` patch belong to the cyclic patch that it refers to. `between` (k,
-    corners) are the faces to other parts of a decomposed case, -1 behind the last corner. `lowest`
-    and `highest` are the ends of the nodes' numbers. `faces` is None where cells and patches say it
-    all: not in 2-D, and not with polyhedra.
-    """
-
-    cells: dict[str, np.ndarray]
-    ids: dict[str, np.ndarray]
-    nodes: dict[str, np.ndarray]
-    between: np.ndarray
-    lowest: int
-    highest: int
-    faces: Faces | None
-
-    def check(self, folder: pathlib.Path, n: int) -> None:
-        if self.lowest < 0 or self.highest >= n:
-            bad = self.highest if self.highest >= n else self.lowest
-            raise ValueError(f"{folder}: a face names node {bad}, but there are points 0 to {n - 1}.")
-
-
-def topology_of(folder: pathlib.Path, boundary: list[Patch], is_plane: bool) -> Topology:
-    """Reads the topology from the files of a folder; of a 2-D case, faces and patches alone."""
-    faces = _faces(folder)
-    _check_patches(folder / "boundary", boundary, faces)
-    ajar = open_cells(faces)
-    if len(ajar):
-        raise ValueError(f"{folder}: {len(ajar)} cells do not close, first cell {ajar[0]}: a damaged file.")
-    cells, ids = ({}, {}) if is_plane else standard_cells(faces)
-    own = [patch for patch in boundary if not patch.is_between]
-    # patches come before those that refer to them; a view would keep all labels
-    empty = [(patch.name, np.zeros(0, faces.labels.dtype)) for patch in own if not patch.refers]
-    nodes = gathered([*empty, *((patch.refers or patch.name, faces.nodes(patch.start, patch.end)) for patch in own)])
-    between = np.concatenate([np.zeros(0, np.int64), *(patch.faces for patch in boundary if patch.is_between)])
-    lowest, highest = int(faces.labels.min(initial=0)), int(faces.labels.max(initial=0))
-    is_needed = is_plane or "polyhedron" in ids
-    return Topology(cells, ids, nodes, faces.padded(between), lowest, highest, faces if is_needed else None)
-
-
-def _faces(folder: pathlib.Path) -> Faces:
+def faces_of(folder: pathlib.Path, boundary: list[Patch], n: int) -> Faces:
+    """Reads the faces between `n` points; `ValueError` where they are not those of closed cells."""
     labels, starts = load(folder, "faces").faces()
     owner, neighbour = (load(folder, name).numbers("label").ravel() for name in ("owner", "neighbour"))
     if len(owner) != len(starts) - 1 or len(neighbour) > len(owner) or not len(owner):
         counts = f"{len(starts) - 1} faces, {len(owner)} owners and {len(neighbour)} neighbours"
         raise ValueError(f"{folder}: faces, owner and neighbour do not fit together: {counts}.")
-    _check_labels(folder, labels, owner, neighbour)
-    neighbour = neighbour[neighbour >= 0]
-    counts = np.bincount(np.concatenate([owner, neighbour]))
+    _check_labels(folder, labels, n, owner, neighbour)
+    faces = Faces(labels, starts, owner, neighbour[neighbour >= 0])
+    counts = np.bincount(np.concatenate([owner, faces.neighbour]))
     if counts.min() < 4:
         raise ValueError(f"{folder}: cell {counts.argmin()} has {counts.min()} faces; a cell needs 4 at least.")
-    return Faces(labels, starts, owner, neighbour)
+    _check_patches(folder / "boundary", boundary, faces)
+    ajar = open_cells(faces)
+    if len(ajar):
+        raise ValueError(f"{folder}: {len(ajar)} cells do not close, first cell {ajar[0]}: a damaged file.")
+    return faces
 
 
-def _check_labels(folder: pathlib.Path, labels: np.ndarray, owner: np.ndarray, neighbour: np.ndarray) -> None:
+def patch_nodes(faces: Faces, boundary: list[Patch]) -> dict[str, np.ndarray]:
+    """Lists the nodes of patches that are no sides of parts, copied: views would keep all labels.
+
+    Faces of a `processorCyclic` patch belong to the cyclic patch that it refers to.
+    """
+    own = [patch for patch in boundary if not patch.is_between]
+    empty = [(patch.name, faces.labels[:0]) for patch in own if not patch.refers]
+    return gathered([*empty, *((patch.refers or patch.name, faces.nodes(patch.start, patch.end)) for patch in own)])
+
+
+def _check_labels(folder: pathlib.Path, labels: np.ndarray, n: int, owner: np.ndarray, neighbour: np.ndarray) -> None:
     """Raises `ValueError` for labels that cannot be, before one of them sizes an array.
 
-    Each cell has four faces and each face two cells at most; each node is in three corners of faces
-    or more. Outer faces have no neighbour: older versions write -1 for them, at the end of the
-    list.
+    Each cell has four faces and each face two cells at most. Outer faces have no neighbour: older
+    versions write -1 for them, at the end of the list.
     """
     inner, count = int((neighbour >= 0).sum()), len(owner)
 
@@ -94,9 +62,9 @@ def _check_labels(folder: pathlib.Path, labels: np.ndarray, owner: np.ndarray, n
             (cells < least) | (cells > count // 2),
             lambda k, cells=cells: f"is of cell {cells[k]}, but {count} faces make {count // 2} cells at most",
         )
-    outside = labels[(labels < 0) | (labels >= len(labels))]
-    if len(outside):
-        raise ValueError(f"{folder / 'faces'}: a face names node {outside[0]}; {len(labels)} corners have fewer nodes.")
+    if labels.min() < 0 or labels.max() >= n:
+        bad = labels.min() if labels.min() < 0 else labels.max()
+        raise ValueError(f"{folder / 'faces'}: a face names node {bad}, but there are points 0 to {n - 1}.")
     refuse("neighbour", owner[:inner] == neighbour[:inner], lambda k: f"has the cell {owner[k]} on both sides")
 
 
