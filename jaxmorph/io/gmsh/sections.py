@@ -58,6 +58,11 @@ def form_of(path: pathlib.Path, data: bytes) -> Form:
         number, first = 1 + data.count(b"\n", 0, start), line.decode(errors="replace").strip()[:40]
         raise ValueError(f"{path}, line {number}: not a .msh file; $MeshFormat is expected here, not {first!r}.{mark}")
     words, _, rest = rest.partition(b"\n")
+    return _format(path, words, rest[:4])
+
+
+def _format(path: pathlib.Path, words: bytes, one: bytes) -> Form:
+    """Reads the numbers behind `$MeshFormat`, and of a binary file the 1 that tells its order."""
     try:
         version, binary, size = (kind(word) for kind, word in zip((float, int, int), words.split(), strict=False))
     except ValueError as error:
@@ -65,7 +70,7 @@ def form_of(path: pathlib.Path, data: bytes) -> Form:
     known = [form for form, low, high in VERSIONS if low <= version < high]
     if not known or binary not in (0, 1) or size not in (4, 8):
         raise ValueError(f"{path}: .msh of version {version:g}, {binary}, {size}; 1, 2, 4.0 and 4.1 are read.")
-    order = ORDERS.get(rest[:4]) if binary else "<"
+    order = ORDERS.get(one) if binary else "<"
     if order is None:
         raise ValueError(f"{path}: a binary .msh file without the number 1 that tells its byte order.")
     return Form(known[0], not binary, order, size if known == [4.1] else 8, has_levels=version > 2)

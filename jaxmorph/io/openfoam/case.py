@@ -29,7 +29,7 @@ from .._format import EVERYTHING, Arrays, Held, MeshLike, Source, as_in_file, fa
 from .._text import replaced
 from .file import PARENTHESES, FoamFile, Patch, load, patches
 from .plane import Front, check_cyclic, cyclic_pairs, layer, plane_cells, sector
-from .topology import faces_of, patch_nodes
+from .topology import faces_of, patch_nodes, sides_of_parts
 
 NAME = "OpenFOAM"
 COPIED = ("constant", "system", "0", "0.orig")
@@ -98,8 +98,7 @@ def read(path: pathlib.Path) -> Parts:
     nodes = patch_nodes(faces, boundary)
     with faults_of(path):
         mesh, ids, whole, plane = (_in_plane if planes else _in_space)(faces, points, nodes, planes)
-    sides = [patch.faces for patch in boundary if patch.is_between]
-    between = faces.padded(np.concatenate([np.zeros(0, np.int64), *sides]))
+    between = sides_of_parts(faces, boundary)
     # a caller may change the mesh's points in place, and the file's values must stay
     own = points.copy() if plane is None else points
     content = _CaseContent(file, own, folder, plane, np.unique(between[between >= 0]))
@@ -134,16 +133,20 @@ def _planes(path: pathlib.Path, boundary: list[Patch]) -> list[Patch]:
 
 def _said(boundary: list[Patch], mesh: Parts, plane: Front | None) -> dict[str, Any]:
     own = [patch for patch in boundary if patch.name in mesh.patches or patch.type in PLANES]
-    groups: dict[str, tuple[str, ...]] = {}
-    for patch in own:
-        groups |= {group: (*groups.get(group, ()), patch.name) for group in patch.groups}
     is_divided = any(patch.refers and patch.count for patch in boundary)
     pairs = [] if is_divided else [Periodic(first.name, second.name) for first, second in cyclic_pairs(own)]
     kinds = {patch.name: patch.type for patch in own}
     symmetry = [patch.name for patch in own if patch.type in SYMMETRY and patch.count]
     if plane is not None and plane.on_axis.any():
         symmetry, kinds = [*symmetry, "axis"], kinds | {"axis": "axis"}
-    return {"groups": groups, "periodic": tuple(pairs), "symmetry": tuple(symmetry), "kinds": kinds}
+    return {"groups": _groups(own), "periodic": tuple(pairs), "symmetry": tuple(symmetry), "kinds": kinds}
+
+
+def _groups(boundary: list[Patch]) -> dict[str, tuple[str, ...]]:
+    groups: dict[str, tuple[str, ...]] = {}
+    for patch in boundary:
+        groups |= {group: (*groups.get(group, ()), patch.name) for group in patch.groups}
+    return groups
 
 
 def check(path: pathlib.Path, mesh: MeshLike) -> None:

@@ -40,6 +40,12 @@ def patch_nodes(faces: Faces, boundary: list[Patch]) -> dict[str, np.ndarray]:
     return gathered([*empty, *((patch.refers or patch.name, faces.nodes(patch.start, patch.end)) for patch in own)])
 
 
+def sides_of_parts(faces: Faces, boundary: list[Patch]) -> np.ndarray:
+    """Lists the corners (k, c) of faces to other parts of a case, -1 behind the last one."""
+    chosen = [patch.faces for patch in boundary if patch.is_between]
+    return faces.padded(np.concatenate([np.zeros(0, np.int64), *chosen]))
+
+
 def _check_labels(folder: pathlib.Path, labels: np.ndarray, n: int, owner: np.ndarray, neighbour: np.ndarray) -> None:
     """Raises `ValueError` for labels that cannot be, before one of them sizes an array.
 
