@@ -14,7 +14,6 @@ gmsh = pytest.importorskip("gmsh")
 FORMS = [(1.0, 0), (2.2, 0), (2.2, 1), (4.0, 0), (4.1, 0), (4.1, 1)]
 VARIANTS = ("plain", "all", "two groups", "parametric", "partitioned", "ghosts", "periodic", "nameless", "corners")
 READ = [*((3, form, "plain") for form in FORMS), *((3, (4.1, 1), variant) for variant in VARIANTS[1:])]
-DAMAGED = [((2.2, 1), "plain"), ((4.1, 0), "plain")]
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -172,32 +171,3 @@ def test_tags_far_apart_take_no_memory(tmp_path, version, binary):
         gmsh.option.setNumber(f"Mesh.{name}", value)
     gmsh.write(str(tmp_path / "a.msh"))
     assert_as_gmsh_reads(tmp_path / "a.msh", io.read(tmp_path / "a.msh"), 2)
-
-
-@pytest.mark.parametrize(
-    ("form", "variant"),
-    runs(
-        DAMAGED,
-        nightly=[
-            case for case in itertools.product(FORMS, ("plain", "partitioned", "parametric")) if case not in DAMAGED
-        ],
-    ),
-)
-def test_a_damaged_file_is_refused_or_read_as_it_is(tmp_path, form, variant):
-    """A byte or a line less anywhere is a `ValueError` that names the file, or changes nothing but groups and digits."""
-    write(tmp_path / "whole.msh", 2, *form, variant)
-    data, good = (tmp_path / "whole.msh").read_bytes(), io.read(tmp_path / "whole.msh")
-    lines = data.splitlines(keepends=True)
-    rng = np.random.default_rng(0)
-    damaged = [b"".join(lines[:k] + lines[k + 1 :]) for k in rng.permutation(len(lines))[:60].tolist()]
-    damaged += [data[:at] + data[at + 1 :] for at in rng.integers(len(data), size=60).tolist()]
-    for each in damaged:
-        (tmp_path / "a.msh").write_bytes(each)
-        told, mesh = "", good
-        try:
-            mesh = io.read(tmp_path / "a.msh")
-        except ValueError as error:
-            told = str(error)
-        assert not told or "a.msh" in told
-        assert len(mesh.points) == len(good.points)  # of three coordinates where one z is damaged
-        assert np.shape(mesh.cells["triangle"]) == np.shape(good.cells["triangle"])

@@ -188,45 +188,40 @@ def test_a_writer_takes_each_part_by_its_number_and_once(divided, tmp_path):
             for k, part in pairs:
                 writer.add(k, part)
 
-    with pytest.raises(ValueError, match="1 of 2 parts were not added, first part 1"):
-        written((0, parts[0]))
-    with pytest.raises(ValueError, match="is not part 1"):
-        written((1, parts[0]))
-    with pytest.raises(ValueError, match="written already"):
-        written((0, parts[0]), (0, parts[0]))
-    with pytest.raises(ValueError, match="parts have the numbers 0 to 1"):
-        written((7, parts[0]))
-    with pytest.raises(ValueError, match=r"shares with other parts are 0\.3 away"):
-        written((0, parts[0]), (1, parts[1].moved(parts[1].points + np.array([0.3, 0, 0]))))
+    away = parts[1].moved(parts[1].points + np.array([0.3, 0, 0]))
+    for pairs, message in (
+        ([(0, parts[0])], "1 of 2 parts were not added, first part 1"),
+        ([(1, parts[0])], "is not part 1"),
+        ([(0, parts[0]), (0, parts[0])], "written already"),
+        ([(7, parts[0])], "parts have the numbers 0 to 1"),
+        ([(0, parts[0]), (1, away)], r"shares with other parts are 0\.3 away"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            written(*pairs)
     assert not (tmp_path / "new").exists()
 
 
-def test_a_last_part_that_is_lost_is_told(divided):
-    boundary_file = divided / "processor0" / "constant" / "polyMesh" / "boundary"
-    text = boundary_file.read_text()
-    boundary_file.write_text(text.replace("type processor;", "type processor; myProcNo 0; neighbProcNo 2;"))
-    assert boundary_file.read_text() != text
-    with pytest.raises(ValueError, match="processor0: it has faces to processor2, which is missing"):
-        io.Decomposed(divided).surface()
-
-
-def test_a_part_without_cells_is_named(divided):
-    boundary_file = divided / "processor1" / "constant" / "polyMesh" / "boundary"
-    boundary_file.write_text(re.sub(r"nFaces \d+", "nFaces 0", boundary_file.read_text()))
-    with pytest.raises(ValueError, match=r"processor1: this part has no cells.* decompose into fewer parts"):
-        io.Decomposed(divided).surface()
-
-
 def test_what_a_decomposed_case_lacks(divided, tmp_path):
-    with pytest.raises(ValueError, match="was not read from an OpenFOAM case"):
-        io.global_nodes(jm.Mesh(np.zeros((3, 2))))
-    with pytest.raises(ValueError, match="there is no pointProcAddressing"):
-        io.global_nodes(io.read(divided))
-    with pytest.raises(ValueError, match="not decomposed, there is no folder processor0"):
-        io.Decomposed(tmp_path)
+    for k, old, new, message in (
+        (0, "type processor;", "type processor; myProcNo 0; neighbProcNo 2;", "faces to processor2, which is missing"),
+        (1, r"nFaces \d+", "nFaces 0", r"processor1: this part has no cells.* decompose into fewer parts"),
+    ):
+        file = divided / f"processor{k}" / "constant" / "polyMesh" / "boundary"
+        text = file.read_text()
+        file.write_text(re.sub(old, new, text))
+        with pytest.raises(ValueError, match=message):
+            io.Decomposed(divided).surface()
+        file.write_text(text)
+    undivided = io.read(divided)
     shutil.rmtree(divided / "constant")
-    with pytest.raises(ValueError, match="It is decomposed: take one of its 2 folders"):
-        io.read(divided)
+    for act, message in (
+        (lambda: io.global_nodes(jm.Mesh(np.zeros((3, 2)))), "was not read from an OpenFOAM case"),
+        (lambda: io.global_nodes(undivided), "there is no pointProcAddressing"),
+        (lambda: io.Decomposed(tmp_path), "not decomposed, there is no folder processor0"),
+        (lambda: io.read(divided), "It is decomposed: take one of its 2 folders"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            act()
     (divided / "processor1" / "constant" / "polyMesh" / "pointProcAddressing").unlink()
     with pytest.raises(ValueError, match=r"there is no pointProcAddressing.* Run reconstructParMesh -constant"):
         io.Decomposed(divided).surface()

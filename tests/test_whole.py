@@ -85,6 +85,10 @@ def test_polyhedra_are_whole(tmp_path, kind):
     pyramids = np.array([1 / 6] * 5 + [1 / 24] * 4)
     # all pyramids of a box are alike
     np.testing.assert_allclose(found.pyramid, [pyramids.min() / pyramids.mean(), 1, 1, 1, 1], rtol=1e-12)
+    # lines of centres are (1, 0.25, 0.25), and pass 0.125 by a face's centre
+    assert found.non_orthogonality.max() == pytest.approx(np.degrees(np.arctan(np.sqrt(2) / 4)), rel=1e-9)
+    assert found.skewness[0] == found.skewness.max() == pytest.approx(0.125 / 0.25, rel=1e-9)
+    assert jm.face_quality(jm.Mesh(mesh.points, mesh.cells)).skewness[4:].max() != pytest.approx(0.5)
     cosines = [1 / np.linalg.norm([1, 0.25, 0.25])] * 4 + [1.0] * 4
     assert found.mean_non_orthogonality == pytest.approx(np.degrees(np.arccos(np.mean(cosines))), rel=1e-9)
     np.testing.assert_array_equal(np.sort(mesh.cell_ids[:4]), [1, 2, 3, 4])
@@ -107,10 +111,6 @@ def test_whole_cells_are_drawn_in_the_colour_of_their_value(tmp_path):
         assert {*of_cube.tolist()} == {False, True}
     with pytest.raises(ValueError, match=rf"shape \(6,\); this mesh has 5 cells, in {pieces} pieces"):
         plot.surface(mesh, values=np.ones(6))
-
-
-def test_whole_polygons_are_drawn_in_the_colour_of_their_value(tmp_path):
-    plot = pytest.importorskip("jaxmorph.plot")
     slab(tmp_path / "a")
     mesh = io.read(tmp_path / "a")
     whole = jm.face_quality(mesh).volume

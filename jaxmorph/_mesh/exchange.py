@@ -90,8 +90,15 @@ def distinct(patches: Iterable[Patch]) -> tuple[dict[str, np.ndarray], tuple[str
     return found, tuple(notes)
 
 
+def gathered(pairs: Iterable[tuple[Any, np.ndarray]]) -> dict[Any, np.ndarray]:
+    """Joins the arrays of each key, in the order in which keys first come."""
+    parts: dict[Any, list[np.ndarray]] = {}
+    for key, rows in pairs:
+        parts.setdefault(key, []).append(rows)
+    return {key: np.concatenate(parts.pop(key)) for key in list(parts)}
+
+
 def numbers_of_cells(cells: Mapping[str, Any]) -> dict[str, int]:
-    """Counts cells by type."""
     return {kind: len(corners) for kind, corners in cells.items()}
 
 
@@ -119,22 +126,25 @@ class Grid:
     content: Any = None
     outer: np.ndarray | None = None
 
-    @property
-    def levels(self) -> list[int]:
-        """Dimensions of the blocks."""
-        return [DIMENSION.get(kind, 2 if kind == "polygon" else 0) for kind, _ in self.blocks]
+    def of_blocks(self, values: Iterable[Any], *, full: bool = False) -> Iterator[tuple[int, np.ndarray, Any]]:
+        """Yields dimension, corners and value of blocks below the highest dimension, or of it."""
+        levels = [DIMENSION.get(kind, 2 if kind == "polygon" else 0) for kind, _ in self.blocks]
+        for level, (_, corners), value in zip(levels, self.blocks, values, strict=False):
+            if (level == max(levels)) == full:
+                yield level, corners, value
 
 
 def of_meshio(mesh: Any) -> Grid:
     """Reads points, cells and arrays of a meshio mesh. Raises `ValueError` for unknown types."""
-    if not all(
-        hasattr(mesh, name) for name in ("points", "cells", "point_data", "cell_data", "cell_sets", "field_data")
-    ):
+    names = ("point_data", "cell_data", "cell_sets", "field_data")
+    if not all(hasattr(mesh, name) for name in ("points", "cells", *names)):
         raise ValueError(f"`mesh` must be a meshio.Mesh, not {shown(mesh)}. Call Mesh.from_meshio(meshio.read(path)).")
     blocks = [kind_of_block(block.type, np.asarray(block.data)) for block in mesh.cells]
-    _refuse_unknown(kind for kind, ids in blocks if len(ids))
-    arrays = mesh.point_data, mesh.cell_data, mesh.cell_sets, mesh.field_data, getattr(mesh, "point_sets", {})
-    return Grid(np.asarray(mesh.points), blocks, *arrays, content=mesh)
+    unknown = dict.fromkeys(kind for kind, ids in blocks if len(ids) and kind not in (*NODES, "vertex"))
+    if unknown:
+        raise ValueError(f"cells of type {', '.join(unknown)} are not supported; {KNOWN}.")
+    arrays = {name: getattr(mesh, name) for name in names}
+    return Grid(np.asarray(mesh.points), blocks, **arrays, point_sets=getattr(mesh, "point_sets", {}), content=mesh)
 
 
 def _of_size(shape: str, size: int) -> str:
@@ -160,12 +170,6 @@ def block_of(kind: str, ids: Any) -> tuple[str, np.ndarray]:
     if kind == shape or kind in VTK_QUADRATIC or shape not in VTK_LAGRANGE:
         return kind, reordered(kind, ids, None, MESHIO)
     return next(name for name, lagrange in LAGRANGE.items() if lagrange == shape), reordered(kind, ids, None, VTK_ORDER)
-
-
-def _refuse_unknown(kinds) -> None:
-    unknown = dict.fromkeys(kind for kind in kinds if kind not in NODES and kind != "vertex")
-    if unknown:
-        raise ValueError(f"cells of type {', '.join(unknown)} are not supported; {KNOWN}.")
 
 
 def imported(name: str, extra: str) -> Any:
@@ -194,23 +198,8 @@ def parts(grid: Grid, more: Iterable[Patch] = ()) -> Parts:
     `boundary`.
     """
     cells = _cells(grid)
-    points = grid.points.astype(float)
-    if DIMENSION[next(iter(cells))] == 2 and points.shape[1] == 3 and np.ptp(points[:, 2]) == 0:
-        points = points[:, :2]
-    finite = np.isfinite(points).all(axis=1)
-    if not finite.all():
-        bad = int(np.argmin(finite))
-        raise ValueError(f"point {bad} is not finite: {points[bad].tolist()}.")
-    for kind, corners in cells.items():
-        outside = corners[(corners < 0) | (corners >= len(points))]
-        if len(outside):
-            raise ValueError(f"a {kind} names node {outside[0]}, but there are {len(points)} points.")
-    flags = [
-        Patch(urllib.parse.unquote(name.removeprefix(PREFIX)), "array", np.flatnonzero(values))
-        for name, values in grid.point_data.items()
-        if name.startswith(PREFIX) and np.ndim(values) == 1
-    ]
-    patches, notes = distinct([*more, *flags, *_sets(grid), *_physical(grid)])
+    points = _points(grid, cells)
+    patches, notes = distinct([*more, *_sets(grid), *_physical(grid)])
     taken, marked = ("", {}) if patches else _marked(grid)
     patches = patches or marked
     if not patches and grid.outer is not None:
@@ -220,31 +209,43 @@ def parts(grid: Grid, more: Iterable[Patch] = ()) -> Parts:
         patches = {"boundary": np.concatenate([corners.ravel() for corners in outer.values()])}
         faces = sum(len(corners) for kind, corners in grid.blocks if kind not in cells)
         notes += (f"{faces} faces, edges or points of the file have no names, and are no patches.",) * bool(faces)
-    notes += tuple(_left(grid, taken))
-    origin = Origin(grid.content, numbers_of_cells(cells), notes=notes)
+    origin = Origin(grid.content, numbers_of_cells(cells), notes=(*notes, *_left(grid, taken)))
     return Parts(np.ascontiguousarray(points), cells, patches, origin)
 
 
 def _cells(grid: Grid) -> dict[str, np.ndarray]:
-    blocks: dict[str, list[np.ndarray]] = {}
-    for kind, corners in grid.blocks:
-        if len(corners) and kind in DIMENSION:
-            blocks.setdefault(kind, []).append(corners)
-    cells = filling(blocks)
+    cells = filling(gathered((kind, ids) for kind, ids in grid.blocks if len(ids) and kind in DIMENSION))
     if not cells:
         there = ", ".join(dict.fromkeys(kind for kind, _ in grid.blocks)) or "nodes"
         raise ValueError(f"no cells of an area or a volume, only {there}.")
-    return {kind: np.concatenate(parts) for kind, parts in cells.items()}
+    return cells
+
+
+def _points(grid: Grid, cells: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Returns coordinates, without z if all z of a mesh of faces are equal; checks them and ids."""
+    points = grid.points.astype(float)
+    if DIMENSION[next(iter(cells))] == 2 and points.shape[1] == 3 and np.ptp(points[:, 2]) == 0:
+        points = points[:, :2]
+    bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
+    if len(bad):
+        raise ValueError(f"point {bad[0]} is not finite: {points[bad[0]].tolist()}.")
+    for kind, corners in cells.items():
+        outside = corners[(corners < 0) | (corners >= len(points))]
+        if len(outside):
+            raise ValueError(f"a {kind} names node {outside[0]}, but there are {len(points)} points.")
+    return points
 
 
 def _sets(grid: Grid) -> Iterator[Patch]:
-    """Yields named sets of cells, without those of full dimension: regions; and sets of points."""
-    levels = grid.levels
+    """Yields arrays `patch:NAME`, sets of cells that are no regions, and sets of points."""
+    for name, values in grid.point_data.items():
+        if name.startswith(PREFIX) and np.ndim(values) == 1:
+            yield Patch(urllib.parse.unquote(name.removeprefix(PREFIX)), "array", np.flatnonzero(values))
     for name, members in grid.cell_sets.items():
         nodes = [
             corners[np.asarray(inside, dtype=np.int64)].ravel()
-            for (_, corners), level, inside in zip(grid.blocks, levels, members, strict=True)
-            if inside is not None and np.size(inside) and level < max(levels) and name != BOUNDING
+            for _, corners, inside in grid.of_blocks(members)
+            if inside is not None and np.size(inside) and name != BOUNDING
         ]
         if nodes:
             yield Patch(name, "cells", np.concatenate(nodes))
@@ -254,16 +255,15 @@ def _sets(grid: Grid) -> Iterator[Patch]:
 
 def _physical(grid: Grid) -> Iterator[Patch]:
     """Yields gmsh's physical groups; an unnamed group is `physical_` and its tag."""
-    levels = grid.levels
-    names = {(int(info[0]), int(info[1])): name for name, info in grid.field_data.items() if np.size(info) == 2}
-    nodes: dict[tuple[int, int], list[np.ndarray]] = {}
-    for (_, corners), level, tags in zip(grid.blocks, levels, grid.cell_data.get("gmsh:physical", []), strict=False):
-        for tag in np.unique(tags).tolist() if level < max(levels) else []:
-            if tag > 0:
-                nodes.setdefault((int(tag), level), []).append(corners[np.asarray(tags) == tag].ravel())
+    names = {tuple(np.asarray(info).tolist()): name for name, info in grid.field_data.items() if np.size(info) == 2}
+    nodes = gathered(
+        ((int(tag), level), corners[np.asarray(tags) == tag].ravel())
+        for level, corners, tags in grid.of_blocks(grid.cell_data.get("gmsh:physical", []))
+        for tag in np.unique(tags).tolist()
+        if tag > 0
+    )
     for (tag, level), members in nodes.items():
-        name = names.get((tag, level), f"physical_{tag}")
-        yield Patch(name, f"{LEVELS[level]}_{tag}", np.concatenate(members))
+        yield Patch(names.get((tag, level), f"physical_{tag}"), f"{LEVELS[level]}_{tag}", members)
 
 
 def _marked(grid: Grid) -> tuple[str, dict[str, np.ndarray]]:
@@ -271,15 +271,15 @@ def _marked(grid: Grid) -> tuple[str, dict[str, np.ndarray]]:
 
     On points, 0 means inside. The name of the array comes first.
     """
-    levels = grid.levels
     for name in _markers(grid.cell_data):
-        patches: dict[str, list[np.ndarray]] = {}
-        for (_, corners), level, values in zip(grid.blocks, levels, grid.cell_data[name], strict=True):
-            if 0 < level < max(levels) and _are_whole(values):
-                for number in np.unique(values).tolist():
-                    patches.setdefault(f"{name}_{int(number)}", []).append(corners[values == number].ravel())
+        patches = gathered(
+            (f"{name}_{int(number)}", corners[values == number].ravel())
+            for level, corners, values in grid.of_blocks(grid.cell_data[name])
+            if level and _are_whole(values)
+            for number in np.unique(values).tolist()
+        )
         if patches:
-            return name, {name: np.concatenate(nodes) for name, nodes in patches.items()}
+            return name, patches
     for name in _markers(grid.point_data):
         values = np.asarray(grid.point_data[name])
         if _are_whole(values) and values.any():
@@ -293,54 +293,42 @@ def _left(grid: Grid, taken: str) -> Iterator[str]:
 
     `taken` is the array that has become patches.
     """
-    full = [level == max(grid.levels) for level in grid.levels]
-    regions = [
-        name
-        for name, members in grid.cell_sets.items()
-        if name != BOUNDING
-        and any(
-            np.size(inside) for is_full, inside in zip(full, members, strict=True) if is_full and inside is not None
-        )
-    ]
-    yield from regions_note(regions)
-    for what, name, numbers in _numbers(grid, (taken, "gmsh:physical", "gmsh:geometrical")):
+    sets = [(name, grid.of_blocks(members, full=True)) for name, members in grid.cell_sets.items() if name != BOUNDING]
+    yield from regions_note(name for name, blocks in sets if any(np.size(ids) for *_, ids in blocks if ids is not None))
+    for what, name, parts in _arrays(grid):
+        numbers = _numbers([np.asarray(values) for values in parts])
+        if not numbers or name in (taken, "gmsh:physical", "gmsh:geometrical") or name.startswith(PREFIX):
+            continue
         listed = ", ".join(map(str, numbers[:SHOWN])) + " ..." * (len(numbers) > SHOWN)
         way = " They are where it is called patch and nothing else names patches." * (what != "cells")
         yield f"the array {name} numbers {what} ({listed}): these are no patches.{way}"
 
 
-def _numbers(grid: Grid, known: tuple[str, ...]) -> Iterator[tuple[str, str, list[int]]]:
-    """Yields what arrays number, their names and their numbers, without ids, which come once each.
+def _arrays(grid: Grid) -> Iterator[tuple[str, str, list[Any]]]:
+    for name, values in grid.point_data.items():
+        yield "nodes", name, [values]
+    for name, values in grid.cell_data.items():
+        yield "faces", name, [value for *_, value in grid.of_blocks(values)]
+        if name.lower() in MARKERS:
+            yield "cells", name, [value for *_, value in grid.of_blocks(values, full=True)]
 
-    Arrays `known` by their names are left out.
-    """
-    full = [level == max(grid.levels) for level in grid.levels]
-    arrays = [("nodes", name, [np.asarray(values)]) for name, values in grid.point_data.items()]
-    for name, of_blocks in grid.cell_data.items():
-        for what in ("faces", "cells") if name.lower() in MARKERS else ("faces",):
-            chosen = zip(of_blocks, full, strict=True)
-            arrays.append(
-                (what, name, [np.asarray(values) for values, is_full in chosen if is_full == (what == "cells")])
-            )
-    for what, name, parts in arrays:
-        if name in known or name.startswith(PREFIX):
-            continue
-        if parts and all(values.ndim == 1 and values.dtype.kind in "iu" for values in parts):
-            values = np.concatenate(parts)
-            numbers = np.unique(values).tolist()
-            if any(numbers) and len(numbers) < max(len(values), 2):
-                yield what, name, numbers
+
+def _numbers(parts: list[np.ndarray]) -> list[int]:
+    """Lists the numbers in arrays of integers; none for zeros, and for ids, once each."""
+    if not parts or any(values.ndim != 1 or values.dtype.kind not in "iu" for values in parts):
+        return []
+    values = np.concatenate(parts)
+    numbers = np.unique(values).tolist()
+    return numbers if any(numbers) and len(numbers) < max(len(values), 2) else []
 
 
 def regions_note(names: Iterable[str]) -> Iterator[str]:
-    """Yields a sentence on sets of cells, if there are any."""
     listed = ", ".join(dict.fromkeys(names))
     if listed:
         yield f"regions, sets of cells, are no patches and move as one mesh: {listed}."
 
 
 def _markers(arrays: Arrays) -> list[str]:
-    """Lists the names of arrays that are `MARKERS`, in the order of `MARKERS`."""
     return sorted((name for name in arrays if name.lower() in MARKERS), key=lambda name: MARKERS.index(name.lower()))
 
 
@@ -352,23 +340,20 @@ def _are_whole(values: Any) -> bool:
 def checked_parts(
     points: Any, cells: Mapping[str, Any] | None, patches: Mapping[str, Any] | None, source: Any = None
 ) -> Parts:
-    """Returns coordinates as floats, cells by type in alphabetical order, and unique ids by patch.
-
-    It raises `ValueError` for what a `Mesh` refuses.
-    """
-    types = {kind: canonical_type(kind) for kind in cells or {}}
-    twice = sorted(kind for kind, name in types.items() if list(types.values()).count(name) > 1)
-    if twice:
-        raise ValueError(f"cells of one type have several names ({', '.join(twice)}): join them.")
-    points, ids = floats(points), {types[kind]: ids_of(corners) for kind, corners in (cells or {}).items()}
-    ids = {kind: ids[kind] for kind in sorted(ids)}  # as JAX sorts the keys of a dict
+    """Returns floats, cells by type in alphabetical order, and unique ids by patch."""
+    points, ids, names = floats(points), {}, {}
+    for kind, corners in sorted((cells or {}).items(), key=lambda item: canonical_type(item[0])):  # as JAX sorts keys
+        canonical = canonical_type(kind)
+        if canonical in names:
+            twice = ", ".join(sorted((kind, names[canonical])))
+            raise ValueError(f"cells of one type have several names ({twice}): join them.")
+        ids[canonical], names[canonical] = ids_of(corners), kind
     nodes = {name: np.unique(ids_of(members)) for name, members in (patches or {}).items()}
     _check_parts(points, ids, nodes)
     return Parts(points, ids, nodes, source)
 
 
 def _check_parts(points: Any, cells: Mapping[str, Any], patches: Mapping[str, Any]) -> None:
-    """Raises `ValueError` for arrays of wrong shapes, and for ids outside of `points`."""
     if points.ndim != 2 or points.shape[1] not in (2, 3):
         raise ValueError(f"`points` has shape {points.shape}; expected (n, 2) or (n, 3).")
     n = points.shape[0]
@@ -376,8 +361,9 @@ def _check_parts(points: Any, cells: Mapping[str, Any], patches: Mapping[str, An
         if corners.ndim != 2 or corners.shape[1] != NODES[kind]:
             raise ValueError(f"cells of type {kind!r} have shape {corners.shape}; expected (k, {NODES[kind]}).")
     for name, ids in {**cells, **patches}.items():
-        if ids.size and (ids.min() < 0 or ids.max() >= n):
-            bad = int(ids.max()) if ids.max() >= n else int(ids.min())
+        low, high = ids.min(initial=0), ids.max(initial=0)
+        if low < 0 or (high >= n and ids.size):
+            bad = high if high >= n else low
             raise ValueError(f"{name!r} names node {bad}, but the mesh has {n} points (0 to {n - 1}).")
 
 
@@ -388,13 +374,9 @@ def floats(points) -> Any:
     try:
         points = points if hasattr(points, "shape") else np.asarray(points)
     except ValueError:
-        raise ValueError(
-            f"`points` are rows of several lengths: {shown(points)}; coordinates are (n, 2) or (n, 3)."
-        ) from None
+        raise ValueError(f"`points` are rows of several lengths: {shown(points)}; expected (n, 2) or (n, 3).") from None
     if np.ma.is_masked(points):
-        raise ValueError(
-            f"`points` masks {np.ma.count_masked(points)} coordinates; a node needs all of its coordinates."
-        )
+        raise ValueError(f"`points` masks {np.ma.count_masked(points)} coordinates; a node needs all of them.")
     points = points.data if isinstance(points, np.ma.MaskedArray) else points
     if not (np.issubdtype(points.dtype, np.integer) or _is_floating(points.dtype)):
         raise ValueError(f"`points` holds {points.dtype}; coordinates are real numbers.")

@@ -43,6 +43,13 @@ class Faces:
     def sizes(self) -> np.ndarray:
         return np.diff(self.starts)
 
+    def after(self, values: np.ndarray) -> np.ndarray:
+        """Returns at each corner the value (k, ...) of the next corner of its face."""
+        return following(values, self.starts)
+
+    def all_neighbours(self) -> np.ndarray:
+        return np.append(self.neighbour, np.full(len(self.owner) - len(self.neighbour), -1, self.neighbour.dtype))
+
     def corners(self, faces: np.ndarray, size: int) -> np.ndarray:
         """Gathers node ids (..., size) of faces with `size` corners, outward for the cell.
 
@@ -65,21 +72,6 @@ class Faces:
             corners[sizes == size, :size] = self.corners(faces[sizes == size], size)
         return corners
 
-    def around(self, faces: np.ndarray, size: int) -> np.ndarray:
-        """Gathers `corners` of faces (k, m) as (m, size, k): operations then run along k."""
-        # Corners 1 and -1 of a turned face change places, by three "exclusive or": that reverses a
-        # triangle or a quad.
-        faces = np.ascontiguousarray(faces.T)
-        turned = faces < 0
-        start = np.take(self.starts, np.where(turned, ~faces, faces))
-        labels = np.empty((len(faces), size, faces.shape[1]), self.labels.dtype)
-        for k in range(size):
-            labels[:, k] = np.take(self.labels[k:], start)
-        swap = np.where(turned, labels[:, 1] ^ labels[:, -1], 0)
-        labels[:, 1] ^= swap
-        labels[:, -1] ^= swap
-        return labels
-
     def nodes(self, first: int, last: int) -> np.ndarray:
         """Returns the nodes of the faces from `first` up to `last`, with repetitions."""
         return self.labels[self.starts[first] : self.starts[last]]
@@ -99,6 +91,16 @@ class Faces:
         del cells, columns
         ids = np.concatenate([np.arange(len(self.owner), dtype=np.int32), ~inner])
         return ids[by_cell.indices], by_cell.indptr.astype(np.int64)
+
+
+def following(values: np.ndarray, starts: np.ndarray) -> np.ndarray:
+    """Returns the next of the values (k, ...) of each row, its first behind its last.
+
+    `starts` are where rows begin, and the end.
+    """
+    after = np.roll(values, -1, axis=0)
+    after[starts[1:] - 1] = values[starts[:-1]]
+    return after
 
 
 def faces_of_cells(kind: str, corners: np.ndarray, cell: np.ndarray) -> Faces:
@@ -166,9 +168,7 @@ def open_cells(faces: Faces) -> np.ndarray:
         starts = faces.starts[at : at + BLOCK + 1]
         here = number[faces.labels[starts[0] : starts[-1]]]
         starts = starts - starts[0]
-        after = np.roll(here, -1)
-        after[starts[1:] - 1] = here[starts[:-1]]
-        of_face[at : at + BLOCK] = np.bitwise_xor.reduceat((here - after) ** 2, starts[:-1])
+        of_face[at : at + BLOCK] = np.bitwise_xor.reduceat((here - following(here, starts)) ** 2, starts[:-1])
     inner = np.flatnonzero(faces.neighbour >= 0)
     left = np.zeros(int(max(faces.owner.max(), faces.neighbour.max(initial=-1))) + 1, np.uint64)
     np.bitwise_xor.at(left, faces.owner, of_face)
@@ -203,7 +203,7 @@ def _from_base(faces: Faces, kind: str, around: np.ndarray) -> tuple[np.ndarray,
     base = faces.corners(around[:, 0], c)[:, ::-1]
     side = 4 if kind in ("wedge", "hexahedron") else 3
     walls = around[:, 2:] if kind == "wedge" else around[:, 1:]
-    start = faces.around(walls, side)
+    start = np.ascontiguousarray(np.moveaxis(faces.corners(walls, side), 0, 2))  # operations then run along cells
     corners = np.ascontiguousarray(base.T)
     is_base = np.zeros(start.shape, bool)
     for corner in corners:

@@ -27,7 +27,7 @@ class Polyhedra:
     def middles(self, points: np.ndarray, wanted: np.ndarray) -> np.ndarray:
         """Computes the middles of the `wanted` cells' faces, in a table (cells, d) of all cells."""
         faces = self.faces
-        neighbour = np.append(faces.neighbour, np.full(len(faces.owner) - len(faces.neighbour), -1))
+        neighbour = faces.all_neighbours()
         is_wanted = np.zeros(max(faces.owner.max(), neighbour.max()) + 2, dtype=bool)
         is_wanted[wanted] = True
         rows = np.flatnonzero(is_wanted[faces.owner] | is_wanted[neighbour])
@@ -138,7 +138,6 @@ class _Pieces:
         return -np.einsum("ti,ti->t", np.cross(a, b), c), away
 
     def best_apex(self) -> np.ndarray:
-        """Chooses the apex of all cells: one node a cell."""
         # The nodes of all cells are sorted by cell, then by place. Round `turn` tries node number
         # `turn` of every cell whose best node is not yet good enough.
         count = int(self.cell[-1]) + 1

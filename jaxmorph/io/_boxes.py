@@ -11,7 +11,7 @@ from jaxmorph._host.package.arguments import checked
 from jaxmorph.shapes import Hexahedron
 
 from ._format import Source, source_of
-from ._su2 import NAME, Keyword, SU2Content, by_zones
+from ._su2 import NAME, Keyword, by_zones
 from ._text import Section, decoded
 
 Points = Float[np.ndarray, "..."]
@@ -106,7 +106,7 @@ def with_boxes(mesh: Mesh, new: Sequence[Box]) -> Mesh:
     written = b"".join(line + end for line in lines)
     shift = len(before) + len(written) - stop if start < content.start else 0
     text = before + written + content.text[stop:]
-    changed = SU2Content(text, content.start + shift, content.stop + shift, content.shape)
+    changed = dataclasses.replace(content, text=text, start=content.start + shift, stop=content.stop + shift)
     return Mesh(mesh.points, mesh.cells, mesh.patches, dataclasses.replace(source, content=changed))
 
 

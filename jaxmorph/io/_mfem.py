@@ -6,20 +6,20 @@ at equal steps: the coordinates of the file are computed anew where cells have c
 """
 
 import dataclasses
-import functools
 import pathlib
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
+from typing import Any
 
 import numpy as np
 from numpy.polynomial import legendre
 
-from jaxmorph._host.cells.lagrange import Lagrange, lagrange_types, node_keys, of_order, values
+from jaxmorph._host.cells.lagrange import lagrange_types, node_keys, of_order, values
 from jaxmorph._host.cells.topology import CORNERS, DIMENSION
-from jaxmorph._mesh.exchange import Parts, checked_parts, regions_note
+from jaxmorph._mesh.exchange import Parts, checked_parts, gathered, regions_note
 
 from ._format import Arrays, Held, MeshLike, Source, faults_of, own_source
-from ._text import Section, blanked, replace_numbers
+from ._text import Section, blanked, replaced
 
 EDGES = {
     "triangle": ((0, 1), (1, 2), (2, 0)),
@@ -34,6 +34,8 @@ FACES = {
     "wedge": ((0, 2, 1), (3, 4, 5), (0, 1, 4, 3), (1, 2, 5, 4), (2, 0, 3, 5)),
 }
 """Edges and faces in the order in which MFEM numbers them; a face has its first cell's corners."""
+SIMPLEX = {"triangle": 2, "wedge": 2, "tetra": 3}
+"""Reference coordinates whose sum is 1 at most."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -43,7 +45,7 @@ class Elements:
     kind: str
     corners: np.ndarray
     rows: np.ndarray
-    attributes: np.ndarray
+    attributes: Any = None
 
 
 def numbered(
@@ -55,102 +57,82 @@ def numbered(
     cells by type, the nodes of the sides, and the number of all nodes.
     """
     edges, faces = np.sort(_sides(cells, EDGES)[:, :2], axis=1), _sides(cells, FACES)
-    is_triangle = faces[:, 3:].ravel() < 0
+    is_triangle = faces[:, 3] < 0
     groups = [
-        [("line", edges, np.arange(len(edges)))],
+        [Elements("line", edges, np.arange(len(edges)))],
         [
-            ("triangle", faces[is_triangle, :3], np.flatnonzero(is_triangle)),
-            ("quad", faces[~is_triangle], np.flatnonzero(~is_triangle)),
+            Elements("triangle", faces[is_triangle, :3], np.flatnonzero(is_triangle)),
+            Elements("quad", faces[~is_triangle], np.flatnonzero(~is_triangle)),
         ],
-        [(element.kind, element.corners, element.rows) for element in cells],
+        cells,
     ]
-    keys = [np.zeros((0, 16), np.int64)]
-    for group in groups:  # an entity's nodes are consecutive, and entities of several types take turns
-        inner = [_inner(corners, of_order(kind, order)) for kind, corners, _ in group]
-        places = [np.repeat(rows, part.shape[1]) for (_, _, rows), part in zip(group, inner, strict=True)]
-        joined = np.concatenate([part.reshape(-1, 16) for part in inner])
-        keys.append(joined[np.argsort(np.concatenate(places), kind="stable")])
-    known = np.concatenate(keys)
-    all_keys = [node_keys(element.corners, of_order(element.kind, order)) for element in (*cells, *sides)]
-    same = np.unique(
-        np.concatenate([known, *(keys.reshape(-1, 16) for keys in all_keys)]), axis=0, return_inverse=True
-    )[1]
+    known = np.concatenate([_in_file_order(group, [_inner(each, order) for each in group]) for group in groups])
+    elements = [*cells, *sides]
+    keys = [node_keys(each.corners, of_order(each.kind, order)) for each in elements]
+    same = np.unique(np.concatenate([known, *(each.reshape(-1, 16) for each in keys)]), axis=0, return_inverse=True)[1]
     number = np.full(same.max(initial=-1) + 1, -1)
     number[same.ravel()[: len(known)]] = count + np.arange(len(known))
-    nodes, first = [], len(known)
-    for element, own in zip((*cells, *sides), all_keys, strict=True):
-        new = number[same.ravel()[first : first + own.shape[0] * own.shape[1]]].reshape(own.shape[:2])
-        nodes.append(np.concatenate([element.corners, new], axis=1))
-        first += new.size
-    by_type = {of_order(element.kind, order).name: ids for element, ids in zip(cells, nodes, strict=False)}
+    new = np.split(number[same.ravel()], np.cumsum([len(known), *(each[..., 0].size for each in keys)]))[1:-1]
+    nodes = [
+        np.concatenate([each.corners, ids.reshape(len(each.corners), -1)], axis=1)
+        for each, ids in zip(elements, new, strict=True)
+    ]
+    by_type = {of_order(each.kind, order).name: ids for each, ids in zip(cells, nodes, strict=False)}
     return by_type, nodes[len(cells) :], count + len(known)
+
+
+def _in_file_order(elements: list[Elements], tables: list[np.ndarray]) -> np.ndarray:
+    """Joins the rows (k, m, ...) of elements of several types, as these take turns in the file."""
+    places = np.concatenate(
+        [np.repeat(each.rows, table.shape[1]) for each, table in zip(elements, tables, strict=True)]
+    )
+    joined = np.concatenate([table.reshape(-1, *table.shape[2:]) for table in tables])
+    return joined[np.argsort(places, kind="stable")]
 
 
 def _sides(cells: list[Elements], table: dict[str, tuple[tuple[int, ...], ...]]) -> np.ndarray:
     """Lists edges or faces (k, 4), -1 behind the last corner, in the order of first appearance."""
-    parts, places = [np.zeros((0, 4), np.int64)], [np.zeros(0, np.int64)]
-    for element in cells:
-        for local, side in enumerate(table.get(element.kind, ())):
-            part = np.full((len(element.rows), 4), -1)
-            part[:, : len(side)] = element.corners[:, side]
-            parts.append(part)
-            places.append(16 * element.rows + local)
-    sides = np.concatenate(parts)[np.argsort(np.concatenate(places))]
+    parts = []
+    for each in cells:
+        columns = np.array([(*side, -1, -1)[:4] for side in table.get(each.kind, ())], int).reshape(-1, 4)
+        parts.append(np.column_stack([each.corners, np.full(len(each.corners), -1)])[:, columns])
+    sides = _in_file_order(cells, parts)
     return sides[np.sort(np.unique(np.sort(sides, axis=1), axis=0, return_index=True)[1])]
 
 
-def _inner(corners: np.ndarray, cell: Lagrange) -> np.ndarray:
-    """Returns the keys of the nodes inside of a line, a face or a cell, not on its sides."""
-    p, at = cell.order, cell.lattice[cell.corners :]
-    if cell.shape in ("triangle", "tetra"):
-        inside = (at > 0).all(axis=1) & (at.sum(axis=1) < p)
-    elif cell.shape == "wedge":
-        inside = (at > 0).all(axis=1) & (at[:, :2].sum(axis=1) < p) & (at[:, 2] < p)
-    else:
-        inside = ((at > 0) & (at < p)).all(axis=1)
-    return node_keys(corners, cell)[:, inside]
+def _inner(element: Elements, order: int) -> np.ndarray:
+    """Returns the keys of the nodes inside of lines, faces or cells, not on their sides."""
+    cell = of_order(element.kind, order)
+    at = cell.lattice[cell.corners :]
+    simplex = at[:, : SIMPLEX.get(cell.shape, 0)]
+    inside = ((at > 0) & (at < order)).all(axis=1) & (simplex.sum(axis=1) < order)
+    return node_keys(element.corners, cell)[:, inside]
 
 
-def lexicographic(cells: list[Elements], nodes: dict[str, np.ndarray]) -> np.ndarray:
-    """Lists the nodes of L2's coordinates: cell by cell, the first reference coordinate fastest."""
-    parts, places = [], []
-    for element, (name, ids) in zip(cells, nodes.items(), strict=True):
-        order = np.lexsort(lagrange_types()[name].lattice.T)
-        parts.append(ids[:, order].ravel())
-        places.append(np.repeat(element.rows, ids.shape[1]))
-    return np.concatenate(parts)[np.argsort(np.concatenate(places), kind="stable")]
-
-
-def at_places(cells: dict[str, np.ndarray], points: np.ndarray, matrix: Callable[[str], np.ndarray]) -> np.ndarray:
-    """Computes the nodes of cells at other places, cell by cell."""
+def at_places(cells: dict[str, np.ndarray], points: np.ndarray, *, are_lobatto: bool) -> np.ndarray:
+    """Computes the nodes of cells at Gauss-Lobatto places from those at equal steps, or back."""
     moved = points.copy()
     for kind, ids in cells.items():
-        moved[ids] = np.einsum("mn,knd->kmd", matrix(kind), points[ids])
+        matrix = np.linalg.inv(to_lobatto(kind)) if are_lobatto else to_lobatto(kind)
+        moved[ids] = np.einsum("mn,knd->kmd", matrix, points[ids])
     return moved
 
 
-@functools.cache
 def to_lobatto(kind: str) -> np.ndarray:
     """Returns the matrix from nodes at equal steps to nodes at Gauss-Lobatto places."""
     cell = lagrange_types()[kind]
-    p, at = cell.order, cell.lattice
+    p, at, simplex = cell.order, cell.lattice, SIMPLEX.get(cell.shape, 0)
     inner = legendre.legroots(legendre.legder(np.eye(p + 1)[p]))
     line = np.concatenate([[0], (np.sort(inner) + 1) / 2, [1]])
     places = line[at]
-    simplex = {"triangle": 2, "wedge": 2, "tetra": 3}.get(cell.shape, 0)
     if simplex:
         rest = line[p - at[:, :simplex].sum(axis=1)]
         places[:, :simplex] /= (places[:, :simplex].sum(axis=1) + rest)[:, None]
     return values(kind, places)
 
 
-@functools.cache
-def from_lobatto(kind: str) -> np.ndarray:
-    return np.linalg.inv(to_lobatto(kind))
-
-
 NAME = "MFEM"
-GEOMETRIES = (None, "line", "triangle", "quad", "tetra", "hexahedron", "wedge", "pyramid")
+GEOMETRIES = ("point", "line", "triangle", "quad", "tetra", "hexahedron", "wedge", "pyramid")
 """Types by MFEM's numbers, whose corners are in VTK's order."""
 SAME = 1e-8
 """Distance of two nodes of L2 that are one, as a share of the mesh's extent."""
@@ -172,33 +154,36 @@ class _Space:
     is_torn: bool = False
     skipped: int = 0
 
-    def coordinates(self, node: np.ndarray, total: int) -> tuple[np.ndarray, np.ndarray]:
-        """Reads the file's coordinates (m, d), and from them the nodes' coordinates (total, d)."""
+    def values(self, count: int) -> np.ndarray:
+        """Reads the coordinates (m, d) of the file."""
         numbers = self.section.rows(np.float64).values[self.skipped :]
-        if self.d not in (2, 3) or len(numbers) != len(node) * self.d:
+        if self.d not in (2, 3) or len(numbers) != count * self.d:
             raise self.section.error(
-                f"{len(node)} nodes of 2 or 3 coordinates expected, found {len(numbers)} numbers for {self.d}."
+                f"{count} nodes of 2 or 3 coordinates expected, found {len(numbers)} numbers for {self.d}."
             )
-        values = numbers.reshape(self.d, -1).T if self.by_nodes else numbers.reshape(-1, self.d)
-        points = np.empty((total, self.d))
-        points[node[::-1]] = values[::-1]  # the first of several
-        distance = np.abs(values - points[node]).max()
-        if not distance <= SAME * np.ptp(values, axis=0).max():
-            raise self.section.error(
-                f"nodes of cells that meet are {distance:.3g} apart; periodic meshes are not read."
-            )
-        return values, points
+        return numbers.reshape(self.d, -1).T if self.by_nodes else numbers.reshape(-1, self.d)
+
+    def check(self, cells: list[Elements], sides: list[Elements], parts: dict[str, Section]) -> None:
+        if self.order > 1 and any(each.kind == "pyramid" for each in cells):
+            raise self.section.error("pyramids of order 2 and more are not read.")
+        for name, group in (("elements", cells), ("boundary", sides)):
+            for each in group:
+                if each.corners.min() < 0 or each.corners.max() >= self.vertices:
+                    raise parts[name].error(f"a {each.kind} has a vertex that is none of 0 to {self.vertices - 1}.")
+        size = len(self.section.text)
+        if self.vertices > size:
+            raise parts["vertices"].error(f"{self.vertices:.6g} vertices do not fit into a file of {size} bytes.")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Content:
-    """A file's text in its section of coordinates, and what makes them of the mesh's points.
+    """A file's text, and what makes its coordinates of the mesh's points.
 
     - `values`: the coordinates (m, d) of the file; `node` (m,): the mesh's node of each.
     - `points`: the mesh's points as read; `cells`: curved cells from order 3 on, else none.
     """
 
-    section: Section
+    text: bytes
     space: _Space
     values: np.ndarray
     node: np.ndarray
@@ -207,16 +192,21 @@ class _Content:
 
     def in_file(self, points: np.ndarray) -> np.ndarray:
         """Computes the file's coordinates (m, d); unchanged where points have not changed."""
-        new, old = (at_places(self.cells, coordinates, to_lobatto) for coordinates in (points, self.points))
+        new, old = (at_places(self.cells, places, are_lobatto=False) for places in (points, self.points))
         rows, d = self.values.copy(), points.shape[1]
         rows[:, :d] = np.where((new != old.astype(new.dtype))[self.node], new[self.node], rows[:, :d])
         return rows
 
     def in_mesh(self, values: np.ndarray) -> np.ndarray:
-        """Computes the mesh's points of the file's coordinates, the first of several."""
-        lobatto = np.empty((len(self.points), self.values.shape[1]))
-        lobatto[self.node[::-1]] = values[::-1]
-        return at_places(self.cells, lobatto[:, : self.points.shape[1]], from_lobatto)
+        lobatto = _first_of(values, self.node, len(self.points))[:, : self.points.shape[1]]
+        return at_places(self.cells, lobatto, are_lobatto=True)
+
+
+def _first_of(values: np.ndarray, node: np.ndarray, count: int) -> np.ndarray:
+    """Takes the first of the values (m, d) of each node: (count, d)."""
+    first = np.empty((count, values.shape[1]))
+    first[node[::-1]] = values[::-1]
+    return first
 
 
 def read(path: pathlib.Path) -> Parts:
@@ -227,46 +217,40 @@ def read(path: pathlib.Path) -> Parts:
     text = path.read_bytes()
     parts = _sections(path, text)
     cells, sides = _elements(parts["elements"]), _elements(parts["boundary"])
-    if {DIMENSION[element.kind] for element in cells} not in ({2}, {3}):
+    if {DIMENSION[each.kind] for each in cells} not in ({2}, {3}):
         raise parts["elements"].error("cells of 2-D alone, or of 3-D alone, expected.")
     space = _space_of(parts)
-    if space.order > 1 and any(element.kind == "pyramid" for element in cells):
-        raise space.section.error("pyramids of order 2 and more are not read.")
-    for name, group in (("elements", cells), ("boundary", sides)):
-        for element in group:
-            if element.corners.min() < 0 or element.corners.max() >= space.vertices:
-                raise parts[name].error(f"a {element.kind} has a vertex that is none of 0 to {space.vertices - 1}.")
-    if space.vertices > len(text):
-        raise parts["vertices"].error(f"{space.vertices:.6g} vertices do not fit into a file of {len(text)} bytes.")
+    space.check(cells, sides, parts)
     nodes, of_sides, total = numbered(cells, sides, space.order, space.vertices)
-    node = lexicographic(cells, nodes) if space.is_torn else np.arange(total)
-    values, lobatto = space.coordinates(node, total)
-    flat = lobatto.shape[1] > DIMENSION[cells[0].kind] and not np.ptp(lobatto[:, 2])
+    node = np.arange(total)
+    if space.is_torn:  # cell by cell, the first reference coordinate fastest
+        tables = [ids[:, np.lexsort(lagrange_types()[name].lattice.T)] for name, ids in nodes.items()]
+        node = _in_file_order(cells, tables)
+    values = space.values(len(node))
+    lobatto = _first_of(values, node, total)
+    distance = np.abs(values - lobatto[node]).max()
+    if not distance <= SAME * np.ptp(values, axis=0).max():
+        raise space.section.error(f"nodes of cells that meet are {distance:.3g} apart; periodic meshes are not read.")
+    is_flat = lobatto.shape[1] > DIMENSION[cells[0].kind] and not np.ptp(lobatto[:, 2])
     curved = nodes if space.order > 2 else {}
-    points = at_places(curved, lobatto[:, :2] if flat else lobatto, from_lobatto)
-    section = dataclasses.replace(space.section, text=text)
-    content = _Content(section, space, values, node, points, curved)
-    ids = np.concatenate([element.rows for element in cells])
-    patches = _patches(sides, of_sides)
-    with faults_of(path):
-        groups = _groups(parts.get("boundary_attribute_sets"), patches)
-    notes = tuple(_notes(cells, parts))
-    ids = None if (np.diff(ids) == 1).all() else ids
+    points = at_places(curved, lobatto[:, :2] if is_flat else lobatto, are_lobatto=True)
+    content = _Content(text, space, values, node, points, curved)
     held = Held(values, content.in_file, content.in_mesh) if curved else None
-    source = Source(path, NAME, content, groups=groups, cell_ids=ids, held=held, notes=notes)
+    ids = np.concatenate([each.rows for each in cells])
+    patches = _patches(sides, of_sides)
     with faults_of(path):  # a caller may change the mesh's points in place, and the file's must stay
+        known = {"groups": _groups(parts.get("boundary_attribute_sets"), patches), "notes": tuple(_notes(cells, parts))}
+        source = Source(path, NAME, content, cell_ids=None if (np.diff(ids) == 1).all() else ids, held=held, **known)
         return checked_parts(points.copy(), nodes, patches, source)
 
 
 def write(path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arrays) -> None:
-    """Writes the mesh's own file with new coordinates."""
     content: _Content = own_source(path, mesh, NAME).content
-    section, rows = content.section, content.in_file(np.asarray(mesh.points))
-    words = rows.T.ravel() if content.space.by_nodes else rows.ravel()
-    at = np.arange(len(words)) + content.space.skipped
+    space, rows = content.space, content.in_file(np.asarray(mesh.points))
+    words = rows.T.ravel() if space.by_nodes else rows.ravel()
+    at, part = np.arange(len(words)) + space.skipped, slice(space.section.start, space.section.stop)
     with path.open("wb") as file:
-        part = slice(section.start, section.stop)
-        file.writelines(replace_numbers(section.text, _plain(section.text), part, at, words))
+        file.writelines(replaced(content.text, part, words, at=at, plain=_plain))
 
 
 def _plain(text: bytes) -> bytes:
@@ -275,7 +259,6 @@ def _plain(text: bytes) -> bytes:
 
 
 def _sections(path: pathlib.Path, text: bytes) -> dict[str, Section]:
-    """Finds what stands behind each of the file's keywords; comments are blanked."""
     head = text[:64].split(b"\n")[0].strip().decode(errors="replace")
     if not re.fullmatch(r"MFEM mesh v1\.[0-3]", head):
         raise ValueError(f"{path}: MFEM mesh v1.0 to v1.3 expected in the first line, found {head[:40]!r}.")
@@ -292,77 +275,68 @@ def _sections(path: pathlib.Path, text: bytes) -> dict[str, Section]:
 
 
 def _elements(section: Section) -> list[Elements]:
-    """Reads rows of attribute, type and corners, type by type."""
+    """Reads rows of attribute, type and corners, type by type; points of a boundary are none."""
     table = section.rows(np.int64)
     counts, first = table.counts[1:], table.first[1:]
     if not len(table.counts) or table.counts[0] != 1 or table.values[0] != len(counts) or (counts < 2).any():
         raise section.error("a number of elements expected, and as many rows of attribute, type and corners.")
     numbers, found = table.values[first + 1], []
     for number in np.unique(numbers).tolist():
-        kind = GEOMETRIES[number] if 0 < number < len(GEOMETRIES) else None
-        if kind is None and number != 0:
-            row = 1 + int(np.argmax(numbers == number))
-            raise section.error(f"type {number} is not known; MFEM's are 0 to {len(GEOMETRIES) - 1}.", row)
         rows = np.flatnonzero(numbers == number)
-        size = 1 if kind is None else CORNERS[kind]
+        if not 0 <= number < len(GEOMETRIES):
+            raise section.error(f"type {number} is not known; MFEM's are 0 to {len(GEOMETRIES) - 1}.", 1 + int(rows[0]))
+        kind, size = GEOMETRIES[number], CORNERS.get(GEOMETRIES[number], 1)
         if (counts[rows] != size + 2).any():
             raise section.error(f"an element of type {number} has {size} corners.", 1 + int(rows[0]))
-        if kind is not None:
-            corners = table.values[first[rows, None] + 2 + np.arange(size)]
-            found.append(Elements(kind, corners, rows, table.values[first[rows]]))
-    return found
+        corners = table.values[first[rows, None] + 2 + np.arange(size)]
+        found.append(Elements(kind, corners, rows, table.values[first[rows]]))
+    return [each for each in found if each.kind != "point"]
 
 
 def _space_of(parts: dict[str, Section]) -> _Space:
-    """Reads the head of the nodes, or of the vertices of a straight mesh."""
     words = parts["vertices"].rows(np.float64).values
     if not len(words):
         raise parts["vertices"].error("a number of vertices expected.")
     if "nodes" not in parts:
         return _Space(parts["vertices"], int(words[0]), 1, int(words[1]) if len(words) > 1 else 0, skipped=2)
     section = parts["nodes"]
-    text = section.text[section.start : section.stop]
     words_of = rb"\s*FiniteElementSpace\s+FiniteElementCollection:\s*(\S+)\s+VDim:\s*(\d{1,9})\s+Ordering:\s*([01])\b"
-    head = re.match(words_of, text)
+    head = re.match(words_of, section.content)
     if head is None:
         raise section.error("FiniteElementSpace with its FiniteElementCollection, VDim and Ordering expected.")
     name = {b"Linear": "H1_P1", b"Quadratic": "H1_P2"}.get(head[1], head[1].decode(errors="replace"))
     known = re.fullmatch(r"(H1|L2_T1)_(?:[23]D_)?P([1-4])", name)
     if known is None:
         raise section.error(f"nodes of {name[:40]} are not read; H1 and L2_T1 of order 1 to 4 are.")
-    numbers = Section(section.path, section.text, section.start + head.end(), section.stop)
+    numbers = dataclasses.replace(section, start=section.start + head.end())
     return _Space(numbers, int(words[0]), int(known[2]), int(head[2]), head[3] == b"0", known[1] != "H1")
 
 
 def _patches(sides: list[Elements], nodes: list[np.ndarray]) -> dict[str, np.ndarray]:
-    """Collects the nodes of boundary elements by their attribute."""
-    found: dict[int, list[np.ndarray]] = {}
-    for element, ids in zip(sides, nodes, strict=True):
-        for attribute in np.unique(element.attributes).tolist():
-            found.setdefault(attribute, []).append(ids[element.attributes == attribute].ravel())
-    return {f"boundary_{attribute}": np.concatenate(found[attribute]) for attribute in sorted(found)}
+    found = gathered(
+        (attribute, ids[each.attributes == attribute].ravel())
+        for each, ids in zip(sides, nodes, strict=True)
+        for attribute in np.unique(each.attributes).tolist()
+    )
+    return {f"boundary_{attribute}": found[attribute] for attribute in sorted(found)}
 
 
 def _groups(section: Section | None, patches: Iterable[str]) -> dict[str, tuple[str, ...]]:
-    """Makes groups of the patches of named sets of attributes; `ValueError` for a name twice."""
     groups: dict[str, tuple[str, ...]] = {}
     for name, numbers in _named_sets(section):
-        attributes = {f"boundary_{number}" for number in numbers}
         if name in groups:
             raise ValueError(f"two sets of boundary attributes are called {name!r}.")
-        groups[name] = tuple(patch for patch in patches if patch in attributes)
+        groups[name] = tuple(patch for patch in patches if patch.removeprefix("boundary_") in numbers)
     return {name: members for name, members in groups.items() if members}
 
 
 def _named_sets(section: Section | None) -> list[tuple[str, list[str]]]:
-    """Reads named sets: a name in quotes, a number, and as many attributes."""
-    text = "" if section is None else section.text[section.start : section.stop].decode(errors="replace")
+    text = "" if section is None else section.content.decode(errors="replace")
     return [(name, words.split()[1:]) for name, words in re.findall(r'"([^"]*)"([\s\d]*)', text)]
 
 
 def _notes(cells: list[Elements], parts: dict[str, Section]) -> Iterator[str]:
-    """Yields a sentence on the attributes of cells, and on their named sets."""
-    attributes = np.unique(np.concatenate([element.attributes for element in cells])).tolist()
+    attributes = np.unique(np.concatenate([each.attributes for each in cells])).tolist()
     names = [name for name, _ in _named_sets(parts.get("attribute_sets"))]
     if len(attributes) > 1 or names:
         yield from regions_note([*(f"attribute {number}" for number in attributes), *names])

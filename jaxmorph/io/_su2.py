@@ -6,9 +6,10 @@ nothing else changed. A file of several zones is several meshes.
 
 import collections
 import dataclasses
+import itertools
 import os
 import pathlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -17,11 +18,11 @@ from jaxmorph._host.cells.pieces import boundary_faces
 from jaxmorph._host.cells.topology import CORNERS, VTK
 from jaxmorph._host.package.arguments import checked
 from jaxmorph._host.package.files import complete, input_path
-from jaxmorph._mesh.exchange import Parts, checked_parts
+from jaxmorph._mesh.exchange import Parts, checked_parts, gathered
 
 from ._format import Arrays, MeshLike, Source, patch_faces, source_of
 from ._registry import check_nodes, check_output
-from ._text import Rows, Section, blank_comments, decoded, replace
+from ._text import Rows, Section, blank_comments, decoded, replaced
 
 NAME = "SU2"
 TYPES = {number: kind for kind, number in VTK.items()}
@@ -36,6 +37,7 @@ HALO = "SEND_RECEIVE"
 """The tag of all markers between the parts of a mesh in parts."""
 ROWS = 1 << 16
 """Rows of a new file formatted together."""
+WANTED = "`meshes` must be zones that io.read_zones has read, and the file end in .su2; io.write writes other meshes."
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,12 +58,19 @@ class Keyword:
 
 @dataclasses.dataclass(frozen=True)
 class SU2Content:
-    """Keeps the text of a file, and where its coordinates are."""
+    """A file's text, and where its coordinates are: rows (n, width) of d and indices."""
 
     text: bytes
     start: int
     stop: int
     shape: tuple[int, int]
+    width: int
+
+    def moved(self, points: np.ndarray) -> Iterator[bytes | memoryview]:
+        """Yields the text with other points (n, d), in pieces."""
+        n, d = self.shape
+        places = (self.width * np.arange(n)[:, None] + np.arange(d)).ravel()
+        return replaced(self.text, slice(self.start, self.stop), points.ravel(), at=places, plain=blank_comments)
 
 
 def read(path: pathlib.Path) -> Parts:
@@ -86,38 +95,46 @@ def read(path: pathlib.Path) -> Parts:
 def by_zones(path: pathlib.Path, text: bytes) -> list[list[Keyword]]:
     """Finds each zone's keywords, by its number: behind its `IZONE=`, and before all zones."""
     keywords = list(_keywords(path, blank_comments(text)))
-    cuts = [number for number, keyword in enumerate(keywords) if keyword.name == "IZONE"]
-    head, *zones = [keywords[a:b] for a, b in zip([0, *cuts], [*cuts, len(keywords)], strict=True)]
-    stated = [keyword for keyword in head if keyword.name == "NZONE"]
-    if stated and stated[0].number(least=1) != max(len(zones), 1):
-        raise stated[0].section.error(f"NZONE= {stated[0].value}, but {len(zones)} zones are in the file.")
+    cuts = [place for place, keyword in enumerate(keywords) if keyword.name == "IZONE"]
+    head, *zones = [keywords[a:b] for a, b in itertools.pairwise([0, *cuts, len(keywords)])]
+    for keyword in head:
+        if keyword.name == "NZONE" and keyword.number(least=1) != max(len(zones), 1):
+            raise keyword.section.error(f"NZONE= {keyword.value}, but {len(zones)} zones are in the file.")
+    zones = sorted(zones, key=lambda zone: zone[0].number())
     numbers = [zone[0].number() for zone in zones]
-    if sorted(numbers) != list(range(1, len(zones) + 1)):
+    if numbers != list(range(1, len(zones) + 1)):
         raise ValueError(f"{path}: IZONE= is {', '.join(map(str, numbers))}; 1 to {len(zones)} expected, each once.")
-    parts = []
-    for zone in sorted(zones, key=lambda zone: zone[0].number()) or [[]]:
-        names = {keyword.name for keyword in zone}
-        parts.append([*(keyword for keyword in head if keyword.name not in names), *zone])
-    return parts
+    return [_with_head(head, zone) for zone in zones or [[]]]
+
+
+def _with_head(head: list[Keyword], zone: list[Keyword]) -> list[Keyword]:
+    names = {keyword.name for keyword in zone}
+    return [*(keyword for keyword in head if keyword.name not in names), *zone]
 
 
 def mesh_of(path: pathlib.Path, text: bytes, keywords: list[Keyword]) -> Parts:
     """Reads the points, cells and markers of a zone, or of a file without zones."""
-    dimension = _only(path, keywords, "NDIME")
+    dimension, rows = (_only(path, keywords, name) for name in ("NDIME", "NPOIN"))
     if (d := dimension.number()) not in (2, 3):
         raise dimension.section.error(f"NDIME= must be 2 or 3, found {d}.")
-    rows = _only(path, keywords, "NPOIN")
-    points = np.concatenate(list(_points(rows, d)))
-    cells = _joined(_elements(_only(path, keywords, "NELEM"), len(points)))
-    content = SU2Content(text, rows.section.start, rows.section.stop, points.shape)
+    tables = list(_points(rows, d))
+    points = np.concatenate([table[:, :d] for table in tables])
+    cells = _cells(_only(path, keywords, "NELEM"), len(points))
+    section = rows.section
+    content = SU2Content(text, section.start, section.stop, points.shape, tables[0].shape[1])
     patches = _markers(path, keywords, len(points))
-    tags = collections.Counter(keyword.value for keyword in keywords if keyword.name == "MARKER_TAG")
-    again = {tag: count for tag, count in tags.items() if count > 1 and tag != HALO}
-    notes = tuple(f"the {count} markers {tag} are one patch, as they are to SU2." for tag, count in again.items())
     if not patches:
         outer = boundary_faces(cells, len(points)).values()
         patches = {"boundary": np.concatenate([corners.ravel() for corners in outer])}
-    return checked_parts(points, cells, patches, Source(path, NAME, content, notes=notes))
+    source = Source(path, NAME, content, notes=tuple(_notes(keywords)))
+    return checked_parts(points, cells, patches, source)
+
+
+def _notes(keywords: list[Keyword]) -> Iterator[str]:
+    tags = collections.Counter(keyword.value for keyword in keywords if keyword.name == "MARKER_TAG")
+    for tag, count in tags.items():
+        if count > 1 and tag != HALO:
+            yield f"the {count} markers {tag} are one patch, as they are to SU2."
 
 
 def check(path: pathlib.Path, mesh: MeshLike) -> None:
@@ -140,22 +157,11 @@ def check(path: pathlib.Path, mesh: MeshLike) -> None:
 
 def write(path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arrays) -> None:
     """Writes the mesh's own text with new coordinates; else a new file, see `_new_text`."""
-    source = source_of(mesh, NAME)
-    points = np.asarray(mesh.points)
+    source, points = source_of(mesh, NAME), np.asarray(mesh.points)
+    if source is not None and points.shape != source.content.shape:
+        raise ValueError(f"the mesh has points of shape {points.shape}; {source.path} has {source.content.shape}.")
     with path.open("wb") as file:
-        if source is None:
-            file.writelines(_new_text(mesh))
-            return
-        content: SU2Content = source.content
-        if points.shape != content.shape:
-            raise ValueError(f"the mesh has points of shape {points.shape}; {source.path} has {content.shape}.")
-        file.writelines(with_points(content.text, content.start, content.stop, points))
-
-
-def with_points(text: bytes, start: int, stop: int, points: np.ndarray) -> Iterator[bytes | memoryview]:
-    """Yields the text with `points` (n, d) in place of the points from `start` to `stop`."""
-    d = points.shape[1]
-    return replace(text, slice(start, stop), points, lambda counts: counts >= d)
+        file.writelines(_new_text(mesh) if source is None else source.content.moved(points))
 
 
 def _keywords(path: pathlib.Path, text: bytes) -> Iterator[Keyword]:
@@ -186,104 +192,96 @@ def _only(path: pathlib.Path, keywords: list[Keyword], name: str) -> Keyword:
 
 
 def _points(keyword: Keyword, d: int) -> Iterator[np.ndarray]:
-    n, section = keyword.number(least=1), keyword.section
-    row, width = 0, 0
-    for block in section.blocks(np.float64):
-        width = width or int(block.counts[0])
-        wrong = np.flatnonzero((block.counts < d) | (block.counts > d + 2) | (block.counts != width))
-        if wrong.size:
-            count = block.counts[wrong[0]]
-            others = f", {width} on the rows before" if count != width else ""
-            message = f"a point of {d} coordinates expected, found {_numbers(int(count))}{others}."
-            raise section.error(message, row + int(wrong[0]))
-        indices = block.columns(slice(None), d, width)
-        if (indices != np.floor(indices)).any():
-            bad = int(np.argmax((indices != np.floor(indices)).any(axis=1)))
-            message = f"a point of {d} coordinates and its index expected, found {indices[bad].tolist()} as index."
-            raise section.error(message, row + bad)
-        points = block.columns(slice(None), 0, d)
-        finite = np.isfinite(points).all(axis=1)
-        if not finite.all():
-            bad = int(np.argmin(finite))
-            raise section.error(f"point {row + bad} is not finite: {points[bad].tolist()}.", row + bad)
-        yield points.copy()
-        row += len(points)
-    _check_count(keyword, n, row, "points")
+    """Yields rows of coordinates and an index or two, some at a time."""
+    n, width, count = keyword.number(least=1), 0, 0
+    for block in keyword.section.blocks(np.float64):
+        counts, row = block.counts, block.row
+        width = width or int(counts[0])
+        block.refuse(
+            (counts < d) | (counts > d + 2) | (counts != width),
+            lambda k, counts=counts, width=width: (
+                f"a point of {d} coordinates expected, found {_numbers(counts[k])}"
+                f"{f', {width} on the rows before' if counts[k] != width else ''}."
+            ),
+        )
+        table = block.values.reshape(-1, width)
+        points, indices = table[:, :d], table[:, d:]
+        block.refuse(
+            (indices != np.floor(indices)).any(axis=1),
+            lambda k, found=indices: (
+                f"a point of {d} coordinates and its index expected, found {found[k].tolist()} as index."
+            ),
+        )
+        block.refuse(
+            ~np.isfinite(points).all(axis=1),
+            lambda k, row=row, points=points: f"point {row + k} is not finite: {points[k].tolist()}.",
+        )
+        yield table
+        count += len(table)
+    _check_count(keyword, n, count, "points")
 
 
-def _elements(keyword: Keyword, n: int) -> Iterator[dict[str, np.ndarray]]:
-    for tables in _tables(keyword, keyword.section, n, "elements"):
-        if 1 in tables:
-            raise keyword.section.error("NELEM= holds elements of type 1 (a single node); these are no cells.")
-        yield {TYPES[kind]: corners for kind, corners in tables.items()}
-
-
-def _joined(tables: Iterable[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    parts: dict[str, list[np.ndarray]] = {}
-    for table in tables:
-        for kind, corners in table.items():
-            parts.setdefault(kind, []).append(corners)
-    return {kind: np.concatenate(parts.pop(kind)) for kind in list(parts)}
+def _cells(keyword: Keyword, n: int) -> dict[str, np.ndarray]:
+    cells = gathered(_tables(keyword, keyword.section, n, "elements"))
+    if 1 in cells:
+        raise keyword.section.error("NELEM= holds elements of type 1 (a single node); these are no cells.")
+    return {TYPES[number]: corners for number, corners in cells.items()}
 
 
 def _markers(path: pathlib.Path, keywords: list[Keyword], n: int) -> dict[str, np.ndarray]:
-    patches: dict[str, list[np.ndarray]] = {}
-    tags = [number for number, keyword in enumerate(keywords) if keyword.name == "MARKER_TAG"]
-    for at in tags:
-        tag, rest = keywords[at], keywords[at + 1 : at + 3]
-        if not rest or rest[0].name != "MARKER_ELEMS":
-            raise tag.section.error(f"MARKER_ELEMS= expected after the tag {tag.value!r}.")
-        # a SEND_RECEIVE marker has one more keyword, SEND_TO=, before its rows
-        section = rest[1].section if len(rest) > 1 and rest[1].name == "SEND_TO" else rest[0].section
-        nodes = patches.setdefault(tag.value, [])
-        for table in _tables(rest[0], section, n, f"elements of marker {tag.value!r}"):
-            nodes.extend(corners.ravel() for corners in table.values())
+    tags = [place for place, keyword in enumerate(keywords) if keyword.name == "MARKER_TAG"]
+    patches = gathered(item for at in tags for item in _marker(*keywords[at : at + 3], n=n))
     stated = _only(path, keywords, "NMARK")
     if stated.number() != len(tags):
         raise stated.section.error(f"NMARK= {stated.number()}, but {len(tags)} markers are in the file.")
-    return {name: np.concatenate([*nodes, np.zeros(0, np.int64)]) for name, nodes in patches.items()}
+    return patches
 
 
-def _tables(keyword: Keyword, section: Section, n: int, what: str) -> Iterator[dict[int, np.ndarray]]:
-    """Yields corners (k, corners) by SU2's number of the type, in order of first appearance."""
-    row, extra = 0, None
+def _marker(tag: Keyword, *rest: Keyword, n: int) -> Iterator[tuple[str, np.ndarray]]:
+    """Yields the nodes behind a tag; of SEND_RECEIVE, SEND_TO= stands before the rows."""
+    if not rest or rest[0].name != "MARKER_ELEMS":
+        raise tag.section.error(f"MARKER_ELEMS= expected after the tag {tag.value!r}.")
+    section = rest[-1 if rest[-1].name == "SEND_TO" else 0].section
+    yield tag.value, np.zeros(0, np.int64)
+    for _, corners in _tables(rest[0], section, n, f"elements of marker {tag.value!r}"):
+        yield tag.value, corners.ravel()
+
+
+def _tables(keyword: Keyword, section: Section, n: int, what: str) -> Iterator[tuple[int, np.ndarray]]:
+    """Yields types by SU2's number and corners (k, corners), in order of first appearance."""
+    count, extra = 0, None
     for block in section.blocks(np.int64):
-        table: dict[int, np.ndarray] = {}
-        kinds = block.columns(slice(None), 0, 1).ravel()
-        for kind in dict.fromkeys(kinds[np.sort(np.unique(kinds, return_index=True)[1])].tolist()):
+        first = block.first
+        kinds = block.values[first]
+        corners = np.array([SIZES.get(kind, 0) for kind in range(max(SIZES) + 2)])[np.clip(kinds, 0, max(SIZES) + 1)]
+        extra = int(block.counts[0] - 1 - corners[0]) if extra is None else extra
+        _check_rows(block, kinds, corners, extra)
+        for kind in dict.fromkeys(kinds.tolist()):
             rows = np.flatnonzero(kinds == kind)
-            extra = block.counts[rows[0]] - 1 - SIZES.get(kind, 0) if extra is None else extra
-            corners = _corners(section, block, rows, kind, (row, int(extra)))
-            if ((corners < 0) | (corners >= n)).any():
-                outside = int(np.argmax(((corners < 0) | (corners >= n)).any(axis=1)))
-                nodes = corners[outside].tolist()
-                raise section.error(f"nodes {nodes}, but there are points 0 to {n - 1}.", row + int(rows[outside]))
-            table[kind] = corners.astype(np.int32 if n < 2**31 else np.int64)
-        row += len(kinds)
-        yield table
-    _check_count(keyword, keyword.number(), row, what)
+            ids = block.values[first[rows, None] + 1 + np.arange(SIZES[kind])]
+            block.refuse(
+                rows[((ids < 0) | (ids >= n)).any(axis=1)],
+                lambda k, rows=rows, ids=ids: (
+                    f"nodes {ids[np.searchsorted(rows, k)].tolist()}, but there are points 0 to {n - 1}."
+                ),
+            )
+            yield kind, ids.astype(np.int32 if n < 2**31 else np.int64)
+        count += len(kinds)
+    _check_count(keyword, keyword.number(), count, what)
 
 
-def _corners(section: Section, block: Rows, rows: np.ndarray, kind: int, place: tuple[int, int]) -> np.ndarray:
-    """Reads corners of elements of one kind, the `rows` of a block from row `place` on.
+def _check_rows(block: Rows, kinds: np.ndarray, corners: np.ndarray, extra: int) -> None:
+    """Raises `ValueError` for unknown types, and rows without `corners` and `extra` numbers."""
+    known = ", ".join(map(str, SIZES))
+    block.refuse(corners == 0, lambda k: f"element type {kinds[k]} is not known; SU2's are {known}.")
+    counts = block.counts - 1 - corners
 
-    Also returns the columns after corners.
-    """
-    row, extra = place
-    if kind not in SIZES:
-        known = ", ".join(map(str, SIZES))
-        raise section.error(f"element type {kind} is not known; SU2's are {known}.", row + int(rows[0]))
-    corners = SIZES[kind]
-    counts = block.counts[rows] - 1 - corners
-    wrong = rows[(counts < 0) | (counts > 1) | (counts != extra)]
-    if wrong.size:
-        alone = counts[wrong[0] == rows][0] in (0, 1)  # right by itself
-        others = "" if not alone else ", and an index as the rows before have" if extra else ", and no index before it"
-        message = (
-            f"an element of type {kind} has {corners} nodes{others}, found {_numbers(int(block.counts[wrong[0]]))}."
-        )
-        raise section.error(message, row + int(wrong[0]))
-    return block.columns(slice(None) if len(rows) == len(block.counts) else rows, 1, 1 + corners)
+    def message(k: int) -> str:
+        others = ", and an index as the rows before have" if extra else ", and no index before it"
+        others = others if counts[k] in (0, 1) else ""  # else the row is wrong by itself
+        return f"an element of type {kinds[k]} has {corners[k]} nodes{others}, found {_numbers(block.counts[k])}."
+
+    block.refuse((counts < 0) | (counts > 1) | (counts != extra), message)
 
 
 def _numbers(count: int) -> str:
@@ -297,29 +295,27 @@ def _check_count(keyword: Keyword, stated: int, count: int, what: str) -> None:
 
 def _new_text(mesh: MeshLike) -> Iterator[bytes]:
     """Yields a new file in pieces; patches become markers, of faces between their nodes."""
-    points = np.asarray(mesh.points)
+    points, markers = np.asarray(mesh.points), patch_faces(mesh)
     n, d = points.shape
-    markers = patch_faces(mesh)
-    yield f"NDIME= {d}\nNELEM= {sum(len(corners) for corners in mesh.cells.values())}\n".encode()
-    for kind, corners in mesh.cells.items():
-        yield from _element_rows(kind, np.asarray(corners))
+    yield f"NDIME= {d}\nNELEM= {sum(map(len, mesh.cells.values()))}\n".encode()
+    yield from _element_rows(mesh.cells)
     yield f"NPOIN= {n}\n".encode()
-    row = " ".join(["%r"] * d) + "\n"
-    for start in range(0, n, ROWS):
-        block = points[start : start + ROWS]
-        yield ((row * len(block)) % tuple(block.ravel().tolist())).encode()
+    yield from _rows(" ".join(["%r"] * d), points)
     yield f"NMARK= {len(markers)}\n".encode()
     for name, faces in markers.items():
         yield f"MARKER_TAG= {name}\nMARKER_ELEMS= {sum(map(len, faces.values()))}\n".encode()
-        for kind, corners in faces.items():
-            yield from _element_rows(kind, corners)
+        yield from _element_rows(faces)
 
 
-def _element_rows(kind: str, corners: np.ndarray) -> Iterator[bytes]:
-    row = f"{VTK[kind]} " + " ".join(["%d"] * corners.shape[1]) + "\n"
-    for start in range(0, len(corners), ROWS):
-        block = corners[start : start + ROWS]
-        yield ((row * len(block)) % tuple(block.ravel().tolist())).encode()
+def _element_rows(cells: Mapping[str, np.ndarray]) -> Iterator[bytes]:
+    for kind, corners in cells.items():
+        yield from _rows(" ".join([str(VTK[kind]), *["%d"] * corners.shape[1]]), np.asarray(corners))
+
+
+def _rows(form: str, table: np.ndarray) -> Iterator[bytes]:
+    for start in range(0, len(table), ROWS):
+        block = table[start : start + ROWS]
+        yield (f"{form}\n" * len(block) % tuple(block.ravel().tolist())).encode()
 
 
 @checked
@@ -341,9 +337,7 @@ def read_zones(path: str | os.PathLike[str]) -> tuple[Mesh, ...]:
     """
     path = input_path(path)
     if path.suffix.lower() != ".su2":
-        raise ValueError(
-            f"{path}: SU2 files (.su2) have zones that are meshes of their own; io.read joins the zones of other formats."
-        )
+        raise ValueError(f"{path}: SU2 files have zones that are meshes of their own; io.read joins zones of others.")
     text = path.read_bytes()
     meshes = [mesh_of(path, text, zone) for zone in by_zones(path, text)]
     for mesh in meshes:
@@ -366,27 +360,30 @@ def write_zones(path: str | os.PathLike[str], meshes: Sequence[Mesh]) -> None:
     **Raises:** `ValueError` for none, for meshes of several files, or of several readings, one zone
     twice, and what `write` refuses.
     """
-    contents = []
-    for mesh in meshes:
-        source = source_of(mesh, NAME)
-        contents.append(None if source is None else source.content)
-        check_output(path, mesh)
-        bad = np.flatnonzero(~np.isfinite(np.asarray(mesh.points)).all(axis=1))
-        if len(bad):
-            raise ValueError(f"{path}: {len(bad)} points are not finite, first node {bad[0]}.")
-    if pathlib.Path(path).suffix.lower() != ".su2" or not contents or None in contents:
-        raise ValueError(
-            f"{path}: `meshes` must be zones that io.read_zones has read, and the file end in .su2; io.write writes other meshes."
-        )
-    if any(content.text is not contents[0].text for content in contents):
+    zones = [(_content(path, mesh), mesh) for mesh in meshes]
+    if pathlib.Path(path).suffix.lower() != ".su2" or not zones:
+        raise ValueError(f"{path}: {WANTED}")
+    text = zones[0][0].text
+    if any(content.text is not text for content, _ in zones):
         raise ValueError(
             f"{path}: `meshes` are not of one reading of one file: read its zones together, io.read_zones."
         )
-    if len({content.start for content in contents}) < len(contents):
+    if len({content.start for content, _ in zones}) < len(zones):
         raise ValueError(f"{path}: one zone is twice in `meshes`.")
-    text = contents[0].text
     # from the last zone to the first, so that places of earlier zones stay
-    for content, mesh in sorted(zip(contents, meshes, strict=True), key=lambda pair: -pair[0].start):
-        text = b"".join(with_points(text, content.start, content.stop, np.asarray(mesh.points)))
+    for content, mesh in sorted(zones, key=lambda zone: -zone[0].start):
+        text = b"".join(dataclasses.replace(content, text=text).moved(np.asarray(mesh.points)))
     with complete(pathlib.Path(path)) as partial:
         partial.write_bytes(text)
+
+
+def _content(path: str | os.PathLike[str], mesh: Mesh) -> SU2Content:
+    """Checks one of the zones to be written to a file; returns its text."""
+    source = source_of(mesh, NAME)
+    check_output(path, mesh)
+    bad = np.flatnonzero(~np.isfinite(np.asarray(mesh.points)).all(axis=1))
+    if len(bad):
+        raise ValueError(f"{path}: {len(bad)} points are not finite, first node {bad[0]}.")
+    if source is None:
+        raise ValueError(f"{path}: {WANTED}")
+    return source.content

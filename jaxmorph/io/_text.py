@@ -10,6 +10,7 @@ import pathlib
 import re
 import warnings
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +18,6 @@ ENOUGH = 1 << 14
 """Bytes from which SciPy's writer of Matrix Market files pays: `repr`'s digits, much faster."""
 
 _FORTRAN = bytes.maketrans(b"Dd", b"ee")
-_MARKS = b"0123456789.+-eE"
 
 
 def decoded(raw: bytes) -> str:
@@ -26,22 +26,6 @@ def decoded(raw: bytes) -> str:
         return raw.decode()
     except UnicodeDecodeError:
         return raw.decode("latin-1")
-
-
-def parse_rows(text: bytes, dtype: type) -> tuple[np.ndarray, int]:
-    """Reads that many numbers of lines of equal length, between single blanks; 0 for other texts.
-
-    A text without its digits and marks is the blanks between the words. There is one word more than
-    blanks on each line, or fewer, so if there are as many numbers as that in all, then also on each
-    line.
-    """
-    gaps = text.translate(None, _MARKS)
-    width = gaps.find(b"\n") + 1
-    lines = len(gaps) // max(width, 1)
-    if not width or gaps != (b" " * (width - 1) + b"\n") * lines:
-        return np.zeros(0, dtype), 0
-    values = parse(text, dtype)
-    return values, width if len(values) == width * lines else 0
 
 
 def parse(text: bytes, dtype: type) -> np.ndarray:
@@ -111,26 +95,6 @@ CHUNK = 1 << 20
 
 
 @dataclasses.dataclass(frozen=True)
-class Rows:
-    """Numbers of the lines that hold any: all `values` in a row, and the `counts` on each line."""
-
-    values: np.ndarray
-    counts: np.ndarray
-
-    @property
-    def first(self) -> np.ndarray:
-        """Place in `values` at which each row begins."""
-        return np.cumsum(self.counts) - self.counts
-
-    def columns(self, rows: np.ndarray | slice, start: int, stop: int) -> np.ndarray:
-        """Returns the numbers from `start` up to `stop` of some rows, which have as many."""
-        width = int(self.counts[0])
-        if len(self.values) == width * len(self.counts) and (self.counts == width).all():
-            return self.values.reshape(-1, width)[rows, start:stop]
-        return self.values[self.first[rows][:, None] + np.arange(start, stop)]
-
-
-@dataclasses.dataclass(frozen=True)
 class Section:
     """Marks the bytes `start` to `stop` of a file's text, and names the line of anything in it."""
 
@@ -138,6 +102,10 @@ class Section:
     text: bytes
     start: int
     stop: int
+
+    @property
+    def content(self) -> bytes:
+        return self.text[self.start : self.stop]
 
     def error(self, message: str, row: int | None = None) -> ValueError:
         """Makes a `ValueError` that names file and line: of that row, or before the section."""
@@ -157,29 +125,21 @@ class Section:
         for chunk in chunks(self.text, self.start, self.stop):
             yield from chunk.removesuffix(b"\n").split(b"\n")
 
-    def blocks(self, dtype: type) -> Iterator[Rows]:
-        """Yields all numbers of the section, some lines at a time.
-
-        It raises `ValueError` for anything that is not a number of type `dtype`.
-        """
+    def blocks(self, dtype: type) -> Iterator["Rows"]:
+        """Yields all numbers of the section, some lines at a time."""
+        row = 0
         for chunk in chunks(self.text, self.start, self.stop):
-            values, width = parse_rows(chunk, dtype)
-            if width:
-                yield Rows(values, np.full(len(values) // width, width))
-                continue
             counts, values = scan(chunk)[2], parse(chunk, dtype)
             if len(values) != counts.sum():
                 raise self._not_a_number(dtype)
             if len(counts):
-                yield Rows(values, counts)
+                yield Rows(self, values, counts, row)
+            row += len(counts)
 
-    def rows(self, dtype: type) -> Rows:
-        """Returns all `blocks` together."""
-        values, counts = [np.zeros(0, dtype)], [np.zeros(0, np.int64)]
-        for block in self.blocks(dtype):
-            values.append(block.values)
-            counts.append(block.counts)
-        return Rows(np.concatenate(values), np.concatenate(counts))
+    def rows(self, dtype: type) -> "Rows":
+        blocks = [Rows(self, np.zeros(0, dtype), np.zeros(0, np.int64)), *self.blocks(dtype)]
+        values, counts = ([getattr(block, name) for block in blocks] for name in ("values", "counts"))
+        return Rows(self, np.concatenate(values), np.concatenate(counts))
 
     def _not_a_number(self, dtype: type) -> ValueError:
         kind = int if np.issubdtype(dtype, np.integer) else float
@@ -191,13 +151,32 @@ class Section:
         return self.error("the rows that follow hold something that is not a number.")
 
 
+@dataclasses.dataclass(frozen=True)
+class Rows:
+    """Lines of a section with numbers, from number `row` on: all `values`, `counts` a line."""
+
+    section: Section
+    values: np.ndarray
+    counts: np.ndarray
+    row: int = 0
+
+    @property
+    def first(self) -> np.ndarray:
+        return np.cumsum(self.counts) - self.counts
+
+    def refuse(self, wrong: Any, message: Callable[[int], str]) -> None:
+        """Raises `ValueError` for the first of the rows `wrong`, ids or a mask."""
+        rows = np.flatnonzero(wrong) if wrong.dtype == bool else wrong
+        if len(rows):
+            raise self.section.error(message(int(rows[0])), self.row + int(rows[0]))
+
+
 def blank_comments(text: bytes) -> bytes:
     """Overwrites every `%` comment by spaces: what remains stands where it stood."""
     return blanked(text, rb"%[^\r\n]*") if b"%" in text else text
 
 
 def blanked(text: bytes, pattern: bytes) -> bytes:
-    """Overwrites what a regular expression finds by spaces."""
     return re.sub(pattern, lambda found: b" " * len(found[0]), text)
 
 
@@ -221,72 +200,34 @@ def scan(chunk: bytes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return starts, ends, counts[counts > 0]
 
 
-def replace(
-    text: bytes, part: slice, points: np.ndarray, is_row: Callable[[np.ndarray], np.ndarray], column: int = 0
+def replaced(
+    text: bytes,
+    part: slice,
+    values: np.ndarray,
+    *,
+    at: np.ndarray | None = None,
+    plain: Callable[[bytes], bytes] = bytes,
 ) -> Iterator[bytes | memoryview]:
-    """Yields the text, in pieces, with its coordinates replaced by the `points`.
+    """Yields the text, in pieces, with `values` in place of the numbers in a part of it.
 
-    `is_row` tells from the number of words on a line whether it holds a point; its coordinates
-    begin with word `column`. A coordinate that has not changed keeps its digits; a changed one gets
-    the shortest that read back bit for bit.
+    `at` are the places of these numbers among all words of the part, ascending; None for all words.
+    `plain` turns what stands between numbers into blanks, byte for byte. A number that has not
+    changed keeps its digits; a changed one gets the shortest that read back bit for bit.
     """
-    d = points.shape[1]
-    done = 0
+    words, done = 0, 0
     yield memoryview(text)[: part.start]
-    for original in chunks(text, part.start, part.stop):
-        chunk = blank_comments(original)
-        starts, ends, counts = scan(chunk)
-        first = (np.cumsum(counts) - counts)[is_row(counts)]
-        words = (first[:, None] + np.arange(column, column + d)).ravel()
-        old = parse(chunk, np.float64)[words]
-        yield _changed(original, starts[words], ends[words], old, points[done : done + len(first)].ravel())
-        done += len(first)
+    for chunk in chunks(text, part.start, part.stop):
+        numbers = plain(chunk)
+        starts, ends, _ = scan(numbers)
+        chosen = np.arange(len(starts))
+        if at is not None:
+            chosen = at[slice(*np.searchsorted(at, (words, words + len(starts))))] - words
+        new = values[done : done + len(chosen)]
+        changed = np.flatnonzero(new != parse(numbers, np.float64)[chosen].astype(new.dtype))
+        places = chosen[changed]
+        yield spliced(chunk, starts[places], ends[places], lines(new[changed])) if len(changed) else chunk
+        words, done = words + len(starts), done + len(chosen)
     yield memoryview(text)[part.stop :]
-
-
-def replace_words(
-    text: bytes, start: int, stop: int, known: np.ndarray, values: np.ndarray, blanks: bytes
-) -> Iterator[bytes]:
-    """Yields the text `start` to `stop` with `values` in place of its numbers, as `replace` does.
-
-    `known` are the numbers that the text holds. `blanks` is the table (of `bytes.translate`) that
-    turns what stands between the numbers into blanks.
-    """
-    done = 0
-    for original in chunks(text, start, stop):
-        starts, ends, _ = scan(original.translate(blanks))
-        here = slice(done, done + len(starts))
-        yield _changed(original, starts, ends, known[here], values[here])
-        done += len(starts)
-
-
-def replace_numbers(
-    text: bytes, plain: bytes, part: slice, at: np.ndarray, values: np.ndarray
-) -> Iterator[bytes | memoryview]:
-    """Yields the text with `values` in place of some numbers of a part of it, as `replace` does.
-
-    `plain` is the text with blanks in place of its comments. `at` are the places of the numbers
-    among all words of the part, ascending.
-    """
-    done, end = 0, part.start
-    yield memoryview(text)[: part.start]
-    for chunk in chunks(plain, part.start, part.stop):
-        original = text[end : end + len(chunk)]
-        end += len(chunk)
-        starts, ends, _ = scan(chunk)
-        rows = slice(*np.searchsorted(at, (done, done + len(starts))))
-        words = at[rows] - done
-        yield _changed(original, starts[words], ends[words], parse(chunk, np.float64)[words], values[rows])
-        done += len(starts)
-    yield memoryview(text)[part.stop :]
-
-
-def _changed(text: bytes, starts: np.ndarray, ends: np.ndarray, old: np.ndarray, new: np.ndarray) -> bytes:
-    """Replaces the words of a text between `starts` and `ends` by the `new` that are not `old`."""
-    changed = np.flatnonzero(new != old.astype(new.dtype))
-    if not len(changed):
-        return text
-    return spliced(text, starts[changed], ends[changed], lines(new[changed]))
 
 
 def _is(kind: type, word: bytes) -> bool:

@@ -8,14 +8,15 @@ import numpy as np
 
 from jaxmorph._host.cells.orders import GMSH, reordered
 from jaxmorph._host.cells.topology import DIMENSION
-from jaxmorph._mesh.exchange import LEVELS, Grid, Parts, Patch, regions_note
+from jaxmorph._mesh.exchange import LEVELS, Grid, Parts, Patch, gathered, regions_note
 
 from .._format import Arrays, FilePoints, MeshLike, Source, faults_of, of_grid, patch_faces, source_of
-from .._text import Section, replace_numbers
+from .._text import Section, replaced
 from .sections import (
     TYPES,
     Elements,
     Form,
+    Groups,
     Names,
     Stream,
     elements,
@@ -23,8 +24,8 @@ from .sections import (
     form_of,
     nodes,
     physical_names,
-    runs,
     sections,
+    triples,
 )
 
 NAME = "gmsh"
@@ -37,11 +38,49 @@ SPARSE = 10
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _GmshContent(FilePoints):
-    """A file's points, its section of nodes, and the place of each node's x."""
+    """A file's points, its section of nodes, and the place of each node's x, see `Stream`."""
 
     section: Section
     form: Form
     places: np.ndarray
+
+    def moved(self, points: np.ndarray) -> Iterator[bytes | bytearray | memoryview]:
+        data = self.section.text
+        if self.form.is_text:
+            words = (self.places[:, None] // 8 + np.arange(3)).ravel()
+            return replaced(data, slice(self.section.start, self.section.stop), points.ravel(), at=words)
+        copy = bytearray(data)
+        triples(copy)[self.places] = points.astype(self.form.types["d"]).view("V24").ravel()
+        return iter([copy])
+
+
+@dataclasses.dataclass
+class _Found:
+    form: Form
+    names: Names = dataclasses.field(default_factory=dict)
+    groups: Groups = dataclasses.field(default_factory=dict)
+    tags: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, np.int64))
+    content: _GmshContent | None = None
+    cells: list[Elements] = dataclasses.field(default_factory=list)
+    others: dict[str, None] = dataclasses.field(default_factory=dict)
+
+    def take(self, name: str, section: Section) -> None:
+        if name == "PhysicalNames":
+            self.names = physical_names(section, self.form)
+        elif name in ("Entities", "PartitionedEntities") and self.form.version >= 4:
+            stream = Stream(section, self.form, np.float64)
+            self.groups |= entities(stream, is_partitioned=name == "PartitionedEntities")
+        elif name in NODES:
+            if self.content is not None:
+                raise ValueError("a second one; gmsh adds a view without the mesh if PostProcessing.SaveMesh is 0")
+            stream = Stream(section, self.form, np.float64)
+            self.tags, places = nodes(stream, is_parametric=name == "ParametricNodes")
+            points = triples(stream.data)[places].view(stream.types["d"]).reshape(-1, 3).astype(float)
+            self.content = _GmshContent(points, section, self.form, places)
+        elif name in ELEMENTS:
+            self.cells = elements(Stream(section, self.form), self.groups)
+        elif name not in ("MeshFormat", "Comments"):
+            self.others[f"${name[:40]}"] = None
 
 
 def read(path: pathlib.Path) -> Parts:
@@ -50,43 +89,33 @@ def read(path: pathlib.Path) -> Parts:
     A group without a name is `physical_` and its tag. Of several groups of one name the first of
     the highest dimension has it, others add their dimension and tag.
     """
+    found = _read(path)
+    content = found.content
+    if content is None or not len(found.tags) or not found.cells:
+        raise ValueError(f"{path}: no mesh, the file holds no $Nodes or no $Elements, or none in them.")
+    with faults_of(path):
+        cells = _numbered(found.cells, found.tags)
+    groups = sorted(_groups(cells, found.names).items(), key=lambda item: -item[0][0])
+    blocks = [(block.kind, reordered(block.kind, block.corners, GMSH, None)) for block in cells]
+    top = max(DIMENSION.get(kind, 0) for kind, _ in blocks)
+    notes = tuple(regions_note(patch.name for (level, _), patch in groups if level == top))
+    notes += (f"sections {', '.join(found.others)} are not read, and stay in the file.",) * bool(found.others)
+    source = Source(path, NAME, content, in_file=content.in_file, notes=notes)
+    patches = [patch for (level, _), patch in groups if level < top]
+    return of_grid(path, Grid(content.points, blocks, {}, {}), source, patches)
+
+
+def _read(path: pathlib.Path) -> _Found:
     data = path.read_bytes()
-    form, names, groups, vertices, cells, others = form_of(path, data), {}, {}, None, [], {}
-    for name, section in sections(path, data, form):
+    found = _Found(form_of(path, data))
+    for name, section in sections(path, data, found.form):
         try:
-            if name == "PhysicalNames":
-                names = physical_names(section, form)
-            elif name in ("Entities", "PartitionedEntities") and form.version >= 4:
-                is_partitioned = name == "PartitionedEntities"
-                groups |= entities(Stream(section, form, np.float64), is_partitioned=is_partitioned)
-            elif name in NODES:
-                if vertices is not None:
-                    raise ValueError("a second one; gmsh adds a view without the mesh if PostProcessing.SaveMesh is 0")
-                stream = Stream(section, form, np.float64)
-                tags, places = nodes(stream, is_parametric=name == "ParametricNodes")
-                vertices = tags, _GmshContent(stream.points(places), section, form, places)
-            elif name in ELEMENTS:
-                cells = elements(Stream(section, form), groups)
-            elif name not in ("MeshFormat", "Comments"):
-                others[f"${name[:40]}"] = None
+            found.take(name, section)
         except (ValueError, IndexError, OverflowError) as error:
             if str(path) in str(error):
                 raise
             raise ValueError(f"{path}: not a .msh file, or a damaged one, in ${name[:40]} ({error}).") from error
-    if vertices is None or not len(vertices[0]) or not cells:
-        raise ValueError(f"{path}: no mesh, the file holds no $Nodes or no $Elements, or none in them.")
-    tags, content = vertices
-    with faults_of(path):
-        cells = _numbered(cells, tags)
-    blocks = [(block.kind, reordered(block.kind, block.corners, GMSH, None)) for block in cells]
-    found = _groups(cells, names)
-    top = max(DIMENSION.get(block.kind, 0) for block in cells)
-    patches = [patch for (level, _), patch in sorted(found.items(), key=lambda item: -item[0][0]) if level < top]
-    notes = tuple(regions_note(patch.name for (level, _), patch in found.items() if level == top))
-    if others:
-        notes += (f"sections {', '.join(others)} are not read, and stay in the file.",)
-    source = Source(path, NAME, content, in_file=content.in_file, notes=notes)
-    return of_grid(path, Grid(content.points, blocks, {}, {}), source, patches)
+    return found
 
 
 def _numbered(cells: list[Elements], tags: np.ndarray) -> list[Elements]:
@@ -96,34 +125,33 @@ def _numbered(cells: list[Elements], tags: np.ndarray) -> list[Elements]:
     looked up in their order.
     """
     # Either way a tag that is none gives some place, so the tag at the place is compared.
-    least, most, numbered = int(tags.min()), int(tags.max()), []
+    least, most = int(tags.min()), int(tags.max())
     is_dense = most - least <= SPARSE * len(tags)
-    order = np.arange(len(tags)) if is_dense else np.argsort(tags)
+    order = np.argsort(tags)
     table = np.full(most - least + 1 if is_dense else 0, -1)
     if is_dense:
-        table[tags - least] = order
+        table[tags - least] = np.arange(len(tags))
+    numbered = []
     for block in cells:
         corners = np.clip(block.corners, least, most)
         ids = table[corners - least] if is_dense else order[np.searchsorted(tags, corners, sorter=order)]
-        is_known = (ids >= 0) & (tags[ids] == block.corners)
-        if not is_known.all():
-            tag = block.corners[~is_known][0]
-            raise ValueError(f"a {block.kind} between nodes of which {tag} is none of the {len(tags)} in $Nodes.")
+        wrong = block.corners[(ids < 0) | (tags[ids] != block.corners)]
+        if len(wrong):
+            raise ValueError(f"a {block.kind} between nodes of which {wrong[0]} is none of the {len(tags)} in $Nodes.")
         numbered.append(dataclasses.replace(block, corners=ids))
     return numbered
 
 
 def _groups(cells: list[Elements], names: Names) -> dict[tuple[int, int], Patch]:
-    """Collects the nodes of each physical group by its dimension and tag."""
-    nodes: dict[tuple[int, int], list[np.ndarray]] = {}
-    for block in cells:
-        for tag, rows in block.groups.items():
-            members = block.corners if rows is None else block.corners[rows]
-            nodes.setdefault((DIMENSION.get(block.kind, 0), tag), []).append(members.ravel())
+    nodes = gathered(
+        ((DIMENSION.get(block.kind, 0), tag), (block.corners if rows is None else block.corners[rows]).ravel())
+        for block in cells
+        for tag, rows in block.groups.items()
+    )
     groups = {}
     for (level, tag), members in nodes.items():
         name = names.get((level, tag)) or names.get((None, tag)) or f"physical_{tag}"
-        groups[level, tag] = Patch(name, f"{LEVELS[level]}_{tag}", np.concatenate(members))
+        groups[level, tag] = Patch(name, f"{LEVELS[level]}_{tag}", members)
     return groups
 
 
@@ -149,10 +177,8 @@ def write(path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arr
     """
     source = source_of(mesh, NAME)
     with path.open("wb") as file:
-        if source is None:
-            file.writelines(_new(mesh))
-        else:
-            file.writelines(_replaced(source.content, source.content.in_file(np.asarray(mesh.points))))
+        content = None if source is None else source.content
+        file.writelines(_new(mesh) if content is None else content.moved(content.in_file(np.asarray(mesh.points))))
 
 
 def _new(mesh: MeshLike) -> Iterator[bytes]:
@@ -180,19 +206,3 @@ def _new(mesh: MeshLike) -> Iterator[bytes]:
         yield np.array([NUMBERS[kind], len(corners), 2], "<i4").tobytes() + table.tobytes()
         first += len(corners)
     yield b"\n$EndElements\n"
-
-
-def _replaced(content: _GmshContent, points: np.ndarray) -> Iterator[bytes | bytearray | memoryview]:
-    """Yields the file with other coordinates, in pieces."""
-    data, places = content.section.text, content.places
-    if content.form.is_text:
-        words = (places[:, None] + np.arange(3)).ravel()
-        yield from replace_numbers(
-            data, data, slice(content.section.start, content.section.stop), words, points.ravel()
-        )
-        return
-    copy = bytearray(data)
-    for rows, step in runs(places):
-        shape = rows.stop - rows.start, 3
-        np.ndarray(shape, content.form.dtype("d"), copy, places[rows.start], (step, 8))[:] = points[rows]
-    yield copy

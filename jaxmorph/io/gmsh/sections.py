@@ -5,18 +5,23 @@ import dataclasses
 import pathlib
 import re
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from jaxmorph._host.cells.topology import DIMENSION, NODES
 
-from .._text import Section, decoded
+from .._text import Rows, Section, decoded
 
 WHOLE = 2.0**53
 """Numbers of a text beyond it may not be whole."""
 
 _NAME = re.compile(rb'\s*(?:(\d+)\s+)?(\d+)\s+(?:"(.*)"|(\S+))\s*')
+_COMMENTS = rb"(?:[ \t]*\$Comments[ \t\r]*\n(?s:.*?)^[ \t]*\$EndComments[ \t\r]*(?:\n|\Z))*"
+VERSIONS = ((2.0, 2, 3), (4.0, 4, 4.1), (4.1, 4.1, 4.2))
+"""Versions that are read, and the numbers in files that are one: from, and up to."""
+ORDERS = {b"\x01\0\0\0": "<", b"\0\0\0\x01": ">"}
+"""Byte orders, and the number 1 in four bytes."""
 
 Names = dict[tuple[int | None, int], str]
 """Names of physical groups by dimension and tag; None: of any dimension."""
@@ -31,48 +36,44 @@ class Form:
 
     version: float
     is_text: bool
-    order: str
-    size: int
+    order: str = "<"
+    size: int = 8
     has_levels: bool = True
 
-    def dtype(self, kind: str) -> np.dtype:
-        """Returns the type of a binary number: `i` for an int, `n` for a size, `d` for a double."""
-        return np.dtype(f"{self.order}{ {'i': 'i4', 'n': f'u{self.size}', 'd': 'f8'}[kind] }")
+    @property
+    def types(self) -> dict[str, np.dtype]:
+        """Types of binary numbers: `i` an int, `n` a size, `d` a double."""
+        return {key: np.dtype(self.order + kind) for key, kind in (("i", "i4"), ("n", f"u{self.size}"), ("d", "f8"))}
 
 
 def form_of(path: pathlib.Path, data: bytes) -> Form:
-    """Reads `$MeshFormat`; version 1 begins with `$NOD` in its place.
-
-    It raises `ValueError` where other sections than comments come first.
-    """
-    at, number = 0, 1
-    while (line := data[at : data.find(b"\n", at) + 1 or None]).strip() == b"$Comments":
-        ended = re.compile(rb"^[ \t]*\$EndComments[ \t\r]*$", re.MULTILINE).search(data, at)
-        after = data.find(b"\n", ended.end()) + 1 if ended else 0
-        at, number = after or len(data), number + data.count(b"\n", at, after)
+    """Reads `$MeshFormat`; version 1 begins with `$NOD` in its place."""
+    comments = re.match(_COMMENTS, data, re.MULTILINE)
+    start = comments.end() if comments else 0
+    line, _, rest = data[start : start + 400].partition(b"\n")
     if line.strip() == b"$NOD":
-        return Form(1.0, True, "<", 8)
+        return Form(1.0, True)
     if line.strip() != b"$MeshFormat":
         mark = " The file begins with a byte order mark: save it without." if data.startswith(codecs.BOM_UTF8) else ""
-        first = line.decode(errors="replace").strip()[:40]
+        number, first = 1 + data.count(b"\n", 0, start), line.decode(errors="replace").strip()[:40]
         raise ValueError(f"{path}, line {number}: not a .msh file; $MeshFormat is expected here, not {first!r}.{mark}")
-    start = at + len(line)
-    stop = data.find(b"\n", start) + 1
-    words = data[start:stop].split()
+    words, _, rest = rest.partition(b"\n")
+    return _format(path, words, rest[:4])
+
+
+def _format(path: pathlib.Path, words: bytes, one: bytes) -> Form:
+    """Reads the numbers behind `$MeshFormat`, and of a binary file the 1 that tells its order."""
     try:
-        version, binary, size = float(words[0]), int(words[1]), int(words[2])
-    except (ValueError, IndexError) as error:
+        version, binary, size = (kind(word) for kind, word in zip((float, int, int), words.split(), strict=False))
+    except ValueError as error:
         raise ValueError(f"{path}: version, 0 or 1, and the size of a number expected after $MeshFormat.") from error
-    known = next(
-        (form for form, low, high in ((2.0, 2, 3), (4.0, 4, 4.1), (4.1, 4.1, 4.2)) if low <= version < high), None
-    )
-    if known is None or binary not in (0, 1) or size not in (4, 8):
+    known = [form for form, low, high in VERSIONS if low <= version < high]
+    if not known or binary not in (0, 1) or size not in (4, 8):
         raise ValueError(f"{path}: .msh of version {version:g}, {binary}, {size}; 1, 2, 4.0 and 4.1 are read.")
-    one = {b"\x01\0\0\0": "<", b"\0\0\0\x01": ">"}.get(data[stop : stop + 4])
-    if binary and one is None:
+    order = ORDERS.get(one) if binary else "<"
+    if order is None:
         raise ValueError(f"{path}: a binary .msh file without the number 1 that tells its byte order.")
-    order = one if binary and one else "<"
-    return Form(known, not binary, order, size if known == 4.1 else 8, has_levels=version > 2)
+    return Form(known[0], not binary, order, size if known == [4.1] else 8, has_levels=version > 2)
 
 
 def sections(path: pathlib.Path, data: bytes, form: Form) -> Iterator[tuple[str, Section]]:
@@ -83,46 +84,39 @@ def sections(path: pathlib.Path, data: bytes, form: Form) -> Iterator[tuple[str,
         name = data[at + 1 : start].strip()
         stop = data.find((b"$END" if name in (b"NOD", b"ELM") else b"$End") + name, start)
         if start == 0 or stop < 0:
-            raise ValueError(
-                f"{path}: ${name.decode(errors='replace')[:40]} has no end: the file is damaged or cut short."
-            )
+            raise ValueError(f"{path}: ${name.decode(errors='replace')[:40]} has no end: the file is cut short.")
         yield name.decode(errors="replace"), Section(path, data, start, stop)
         at = stop + 4 + len(name)
 
 
 def physical_names(section: Section, form: Form) -> Names:
-    """Reads the names of physical groups by dimension and tag."""
-    rows = [row for row in section.text[section.start : section.stop].split(b"\n") if row.strip()]
-    matches = [_NAME.fullmatch(row) for row in rows[1:]]
-    if not rows or not rows[0].strip().isdigit() or int(rows[0]) != len(matches) or None in matches:
-        raise section.error(
-            f"{len(rows) - 1} lines in $PhysicalNames that name a group, or not; as many as announced expected."
-        )
-    names: Names = {}
-    for row, match in enumerate(filter(None, matches), start=1):
-        if form.has_levels and match[1] is None:
-            raise section.error("a dimension, a tag and a name expected.", row)
-        text = match[3] if match[3] is not None else match[4]
-        names[None if match[1] is None else int(match[1]), int(match[2])] = decoded(text)
-    return names
+    count, *rows = [row for row in section.content.split(b"\n") if row.strip()] or [b""]
+    matches = list(filter(None, map(_NAME.fullmatch, rows)))
+    if not count.strip().isdigit() or not int(count) == len(rows) == len(matches):
+        raise section.error(f"{len(rows)} lines of names in $PhysicalNames; as many as announced expected.")
+    bare = [row for row, match in enumerate(matches, start=1) if form.has_levels and match[1] is None]
+    if bare:
+        raise section.error("a dimension, a tag and a name expected.", bare[0])
+    return {(int(match[1]) if match[1] else None, int(match[2])): decoded(match[4] or match[3]) for match in matches}
 
 
 class Stream:
-    """Goes through a section's numbers: `at` counts numbers of a text, bytes of a binary file."""
+    """Goes through a section's numbers; those of a text are taken as bytes of `dtype`."""
 
     def __init__(self, section: Section, form: Form, dtype: type = np.int64):
-        self.section, self.form, self.data = section, form, section.text
-        self.at, self.stop, self.rows = section.start, section.stop, None
+        self.section, self.version, self.types, self.rows = section, form.version, form.types, None
+        self.data, self.at, self.stop = section.text, section.start, section.stop
         if form.is_text:
             self.rows = section.rows(dtype)
-            self.at, self.stop = 0, len(self.rows.values)
+            self.data, self.at, self.stop = self.rows.values, 0, self.rows.values.nbytes
+            self.types = dict.fromkeys(form.types, np.dtype(dtype))
 
-    def width(self, kind: str) -> int:
-        """Returns how far a number of a kind takes `at`."""
-        return 1 if self.rows is not None else self.form.dtype(kind).itemsize
+    def width(self, kinds: str) -> int:
+        """Returns the bytes of numbers of these kinds."""
+        return sum(self.types[kind].itemsize for kind in kinds)
 
     def skip(self, count: int, width: int) -> int:
-        """Goes over so many things, each `width` wide; returns where the first one begins."""
+        """Goes over so many things, each `width` bytes wide; returns where the first one begins."""
         if count < 0 or count * width > self.stop - self.at:
             raise ValueError(f"the section ends before the {count} entries that it announces")
         self.at += count * width
@@ -130,11 +124,13 @@ class Stream:
 
     def take(self, kind: str, count: int) -> np.ndarray:
         """Reads so many numbers; ints and sizes become int64."""
-        start = self.skip(count, self.width(kind))
-        if self.rows is None:
-            return np.frombuffer(self.data, self.form.dtype(kind), count, start).astype("f8" if kind == "d" else "i8")
-        values = self.rows.values[start : start + count]
-        return values if kind == "d" else whole(values)
+        values = self.column(kind, self.skip(count, self.width(kind)), count)
+        return values.astype(float) if kind == "d" else whole(values)
+
+    def column(self, kind: str, start: int, count: int, step: int | None = None) -> np.ndarray:
+        """Views numbers `step` bytes apart, or side by side."""
+        dtype = self.types[kind]
+        return np.ndarray((count,), dtype, self.data, start, (dtype.itemsize if step is None else step,))
 
     def one(self, kind: str) -> int:
         return int(self.take(kind, 1)[0])
@@ -143,42 +139,23 @@ class Stream:
         """Reads the number on a section's first line of version 2, text in a binary file too."""
         if self.rows is not None:
             return self.one("n")
-        end = self.data.index(b"\n", self.at, self.stop) + 1
-        number = int(self.data[self.at : end])
-        self.at = end
+        end = self.section.text.index(b"\n", self.at, self.stop) + 1
+        number, self.at = int(self.section.text[self.at : end]), end
         return number
-
-    def points(self, places: np.ndarray) -> np.ndarray:
-        """Reads the coordinates (n, 3) that begin at places."""
-        if self.rows is not None:
-            return self.rows.values[places[:, None] + np.arange(3)]
-        points = np.empty((len(places), 3))
-        for rows, step in runs(places):
-            shape = rows.stop - rows.start, 3
-            points[rows] = np.ndarray(shape, self.form.dtype("d"), self.data, places[rows.start], (step, 8))
-        return points
 
     def end(self) -> None:
         """Raises `ValueError` where there is more: a binary section ends by one line end."""
-        rest = b"" if self.rows is not None else self.data[self.at : self.stop]
-        if (self.rows is not None and self.at != self.stop) or rest.strip() or (self.rows is None and not rest):
+        rest = self.section.text[self.at : self.stop]
+        if self.at != self.stop if self.rows is not None else rest.strip() or not rest:
             raise ValueError("there is more, or less, than the section announces")
 
 
-def runs(places: np.ndarray) -> Iterator[tuple[slice, int]]:
-    """Yields the rows whose places are equally far apart, and how far."""
-    steps = np.diff(places)
-    ends = np.flatnonzero(np.diff(steps)) + 1
-    first = 0
-    while first < len(places):
-        after = np.searchsorted(ends, first, "right")
-        last = int(ends[after]) + 1 if after < len(ends) else len(places)
-        yield slice(first, last), int(steps[first]) if first < len(steps) else 0
-        first = last
+def triples(data: Any) -> np.ndarray:
+    """Views 24 bytes, three doubles, at every byte where they may begin, as one element each."""
+    return np.ndarray((max(memoryview(data).nbytes - 23, 0),), "V24", data, strides=(1,))
 
 
 def whole(values: np.ndarray) -> np.ndarray:
-    """Returns numbers as int64; raises `ValueError` for numbers that are not whole."""
     if values.dtype.kind == "f" and not ((values == np.floor(values)) & (np.abs(values) < WHOLE)).all():
         raise ValueError("a number that is not whole where a tag or a count is expected")
     return values.astype(np.int64)
@@ -201,7 +178,7 @@ Groups = dict[tuple[int, int], list[int]]
 
 
 class Nodes(NamedTuple):
-    """Tags (n,) of nodes, and places of their x (n,): numbers of a text, bytes of a binary file."""
+    """Tags (n,) of nodes, and places (n,) of their x in a stream."""
 
     tags: np.ndarray
     places: np.ndarray
@@ -228,7 +205,7 @@ def entities(stream: Stream, *, is_partitioned: bool) -> Groups:
             if is_partitioned:
                 stream.take("i", 2)  # the entity that it is a piece of
                 stream.take("i", stream.one("n"))
-            stream.take("d", 3 if dimension == 0 and stream.form.version > 4 else 6)
+            stream.take("d", 3 if dimension == 0 and stream.version > 4 else 6)
             groups[dimension, tag] = np.abs(stream.take("i", stream.one("n"))).tolist()
             if dimension:
                 stream.take("i", stream.one("n"))  # its boundary
@@ -238,16 +215,14 @@ def entities(stream: Stream, *, is_partitioned: bool) -> Groups:
 
 def nodes(stream: Stream, *, is_parametric: bool) -> Nodes:
     """Reads the nodes of `$Nodes`, of version 2's `$ParametricNodes`, or of version 1's `$NOD`."""
-    version = stream.form.version
-    if version < 4:
+    if stream.version < 4:
         total = stream.announced()
-        blocks = [_with_parameters(stream, total) if is_parametric else _records(stream, total, 3)]
+        blocks = [_with_parameters(stream, total) if is_parametric else _records(stream, total, "iddd")]
     else:
-        count, total, *_ = stream.take("n", 4 if version > 4 else 2).tolist()
+        count, total, *_ = stream.take("n", 4 if stream.version > 4 else 2).tolist()
         blocks = [_block(stream) for _ in range(count)]
     stream.end()
-    empty = np.zeros(0, np.int64)
-    tags, places = (np.concatenate([empty, *(block[k] for block in blocks)]) for k in (0, 1))
+    tags, places = (np.concatenate([np.zeros(0, np.int64), *column]) for column in zip(*blocks, strict=True))
     if len(tags) != total:
         raise ValueError(f"{len(tags)} nodes, and {total} announced")
     if (np.diff(tags) <= 0).any() and (again := total - len(np.unique(tags))):
@@ -255,31 +230,30 @@ def nodes(stream: Stream, *, is_parametric: bool) -> Nodes:
     return Nodes(tags, places)
 
 
+def _entity(stream: Stream) -> tuple[int, int, int]:
+    """Reads an entity's dimension and tag, in version 4.0 tag and dimension, and a number."""
+    first, second, third = stream.take("i", 3).tolist()
+    return (first, second, third) if stream.version > 4 else (second, first, third)
+
+
 def _block(stream: Stream) -> Nodes:
     """Reads one entity's nodes; as many parameters as its dimension may follow each."""
-    first, second, is_parametric = stream.take("i", 3).tolist()
-    count, dimension = stream.one("n"), first if stream.form.version > 4 else second
+    dimension, _, is_parametric = _entity(stream)
+    count = stream.one("n")
     if dimension not in range(4) or is_parametric not in (0, 1):
         raise ValueError(f"a block of nodes of dimension {dimension}, parametric {is_parametric}")
-    width = 3 + dimension * is_parametric
-    if stream.form.version < 4.1:
-        return _records(stream, count, width)
-    tags, step = stream.take("n", count), width * stream.width("d")
+    kinds = "d" * (3 + dimension * is_parametric)
+    if stream.version < 4.1:
+        return _records(stream, count, f"i{kinds}")
+    tags, step = stream.take("n", count), stream.width(kinds)
     return Nodes(tags, stream.skip(count, step) + step * np.arange(count))
 
 
-def _records(stream: Stream, count: int, width: int) -> Nodes:
-    """Reads rows of a tag and `width` numbers."""
-    step = stream.width("i") + width * stream.width("d")
+def _records(stream: Stream, count: int, kinds: str) -> Nodes:
+    step = stream.width(kinds)
     start = stream.skip(count, step)
-    return Nodes(whole(_column(stream, start, count, step)), start + stream.width("i") + step * np.arange(count))
-
-
-def _column(stream: Stream, start: int, count: int, step: int) -> np.ndarray:
-    """Returns ints `step` apart unchanged; in a text file they are floats."""
-    if stream.rows is not None:
-        return stream.rows.values[start : start + count * step : step]
-    return np.ndarray((count,), stream.form.dtype("i"), stream.data, start, (step,))
+    tags = whole(stream.column("i", start, count, step))
+    return Nodes(tags, start + stream.width("i") + step * np.arange(count))
 
 
 def _with_parameters(stream: Stream, total: int) -> Nodes:
@@ -287,47 +261,46 @@ def _with_parameters(stream: Stream, total: int) -> Nodes:
 
     Rows of one width are read together.
     """
-    head, double = 3 * stream.width("i") + 3 * stream.width("d"), stream.width("d")
-    before = stream.width("i") + 3 * double
-    tags, places = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
+    found = [Nodes(np.zeros(0, np.int64), np.zeros(0, np.int64))]
     while total > 0:
-        stream.skip(1, head)
-        stream.at -= head
-        dimension = int(whole(_column(stream, stream.at + before, 1, 1))[0])
+        stream.at = stream.skip(1, stream.width("idddii"))
+        place = stream.at + stream.width("iddd")
+        dimension = int(whole(stream.column("i", place, 1))[0])
         if dimension not in range(4):
             raise ValueError(f"a node on an entity of dimension {dimension}")
-        step = head + dimension % 3 * double
-        count = min(total, RUN, (stream.stop - stream.at) // step)
-        others = np.flatnonzero(_column(stream, stream.at + before, count, step) != dimension) if count else np.zeros(0)
+        kinds = "idddii" + "d" * (dimension % 3)
+        step = stream.width(kinds)
+        count = max(min(total, RUN, (stream.stop - stream.at) // step), 1)
+        others = np.flatnonzero(stream.column("i", place, count, step) != dimension)
         count = int(others[0]) if len(others) else count
-        start = stream.skip(max(count, 1), step)
-        tags.append(whole(_column(stream, start, count, step)))
-        places.append(start + stream.width("i") + step * np.arange(count))
+        found.append(_records(stream, count, kinds))
         total -= count
-    return Nodes(np.concatenate(tags), np.concatenate(places))
+    return Nodes(*map(np.concatenate, zip(*found, strict=True)))
 
 
 def elements(stream: Stream, groups: Groups) -> list[Elements]:
-    """Reads the elements."""
-    if stream.form.version < 4:
-        return _numbered(stream) if stream.rows is None else _lines(stream)
-    blocks, total, *_ = stream.take("n", 4 if stream.form.version > 4 else 2).tolist()
-    result, kind_of_number = [], "n" if stream.form.version > 4 else "i"
-    for _ in range(blocks):
-        first, second, number = stream.take("i", 3).tolist()
-        count, kind = stream.one("n"), _kind(number)
-        entity = (first, second) if stream.form.version > 4 else (second, first)
-        if (0 if kind == "vertex" else DIMENSION.get(kind, entity[0])) != entity[0]:
-            raise ValueError(f"elements of type {kind} on an entity of dimension {entity[0]}")
-        width = 1 + CORNERS_OF[kind]
-        stream.skip(count, width * stream.width(kind_of_number))
-        stream.at -= count * width * stream.width(kind_of_number)
-        rows = stream.take(kind_of_number, count * width).reshape(count, width)
-        result.append(Elements(kind, rows[:, 1:], dict.fromkeys(groups.get(entity, ()))))
+    if stream.version < 4:
+        tables: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}
+        for kind, corners, tags in _lines(stream, stream.rows) if stream.rows else _numbered(stream):
+            tables.setdefault(kind, []).append((corners, tags))
+        return [_of_version_2(kind, *map(np.concatenate, zip(*blocks, strict=True))) for kind, blocks in tables.items()]
+    blocks, total, *_ = stream.take("n", 4 if stream.version > 4 else 2).tolist()
+    result = [_of_entity(stream, groups) for _ in range(blocks)]
     stream.end()
     if sum(len(block.corners) for block in result) != total:
         raise ValueError(f"not the {total} elements that $Elements announces")
     return result
+
+
+def _of_entity(stream: Stream, groups: Groups) -> Elements:
+    dimension, tag, number = _entity(stream)
+    count, kind = stream.one("n"), _kind(number)
+    if (0 if kind == "vertex" else DIMENSION.get(kind, dimension)) != dimension:
+        raise ValueError(f"elements of type {kind} on an entity of dimension {dimension}")
+    width, numbers = 1 + CORNERS_OF[kind], "n" if stream.version > 4 else "i"
+    stream.at = stream.skip(count, width * stream.width(numbers))
+    rows = stream.take(numbers, count * width).reshape(count, width)
+    return Elements(kind, rows[:, 1:], dict.fromkeys(groups.get((dimension, tag), ())))
 
 
 def _kind(number: int) -> str:
@@ -339,67 +312,60 @@ def _kind(number: int) -> str:
     return TYPES[number]
 
 
-def _lines(stream: Stream) -> list[Elements]:
-    """Reads lines of number, type, tags and nodes: version 2 in text, and version 1.
+def _lines(stream: Stream, rows: Rows) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
+    """Yields types, corners (k, c) and two tags (k, 2): of version 2 in text, and of version 1.
 
-    In version 2 the number of tags comes before them, in version 1 that of nodes behind two tags.
+    Lines are number, type, tags and nodes. In version 2 the number of tags comes before them, in
+    version 1 that of nodes behind two tags.
     """
-    assert stream.rows is not None
-    values, counts, first = stream.rows.values, stream.rows.counts, stream.rows.first
-    if not len(counts) or counts[0] != 1 or values[0] != len(counts) - 1:
-        raise stream.section.error(f"{len(counts) - 1} lines of elements, not as many as announced.", 0)
-    counts, first, is_first = counts[1:], first[1:], stream.form.version < 2
+    if not len(rows.counts) or rows.counts[0] != 1 or rows.values[0] != len(rows.counts) - 1:
+        raise stream.section.error(f"{len(rows.counts) - 1} lines of elements, not as many as announced.", 0)
+    values, counts, first = rows.values, rows.counts[1:], rows.first[1:]
+    is_first = stream.version < 2
     head = 5 if is_first else 3
-    if (counts < head).any():
-        line = 1 + int((counts < head).argmax())
-        raise stream.section.error("an element has a number, a type, and numbers of tags or of nodes.", line)
+    message = "an element has a number, a type, and numbers of tags or of nodes."
+    rows.refuse(1 + np.flatnonzero(counts < head), lambda k: message)
     numbers, tags = values[first + 1], np.zeros_like(first) if is_first else values[first + 2]
     known, place = np.unique(numbers, return_inverse=True)
     corners = np.array([CORNERS_OF[_kind(number)] for number in known.tolist()], np.int64)[place]
     wanted = head + tags + corners
-    wrong = np.flatnonzero((counts != wanted) | (tags < 0) | (is_first & (values[first + head - 1] != corners)))
-    if len(wrong):
-        raise stream.section.error(f"{counts[wrong[0]]} numbers, {wanted[wrong[0]]} expected.", 1 + int(wrong[0]))
-    result = []
+    wrong = (counts != wanted) | (tags < 0) | (is_first & (values[first + head - 1] != corners))
+    rows.refuse(1 + np.flatnonzero(wrong), lambda k: f"{counts[k - 1]} numbers, {wanted[k - 1]} expected.")
+    given = 2 if is_first else tags[:, None]
+    places = first[:, None] + (2 if is_first else 3) + np.arange(2)
+    table = np.where(given > np.arange(2), values[np.minimum(places, len(values) - 1)], 0)
     for number in dict.fromkeys(numbers.tolist()):
-        rows = np.flatnonzero(numbers == number)
-        corners = (first + head + tags)[rows][:, None] + np.arange(CORNERS_OF[TYPES[number]])
-        table = [np.where(tags[rows] > k, values[first[rows] + 3 + np.minimum(k, tags[rows])], 0) for k in (0, 1)]
-        table = [values[first[rows] + 2 + k] for k in (0, 1)] if is_first else table
-        result.append(_of_version_2(TYPES[number], values[corners], np.stack(table)))
-    return result
+        chosen = np.flatnonzero(numbers == number)
+        places = (first + head + tags)[chosen, None] + np.arange(CORNERS_OF[TYPES[number]])
+        yield TYPES[number], values[places], table[chosen]
 
 
-def _numbered(stream: Stream) -> list[Elements]:
-    """Reads blocks of a type, a number of elements and one of tags: version 2, binary."""
-    left, blocks = stream.announced(), []
+def _numbered(stream: Stream) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
+    """Yields types, corners (k, c) and two tags (k, 2): of version 2, binary.
+
+    It has blocks of a type, a number of elements and one of tags.
+    """
+    left = stream.announced()
     while left > 0:
         number, count, tags = stream.take("i", 3).tolist()
         if count < 0 or tags < 0:
             raise ValueError(f"{count} elements with {tags} tags")
         width = 1 + tags + CORNERS_OF[_kind(number)]
         rows = stream.take("i", count * width).reshape(count, width)
-        table = np.zeros((2, count), np.int64)
-        table[: min(tags, 2)] = rows[:, 1 : 1 + min(tags, 2)].T
-        blocks.append((TYPES[number], rows[:, 1 + tags :], table))
+        padded = np.column_stack([rows[:, 1 : 1 + tags], np.zeros((count, 2), np.int64)])
+        yield TYPES[number], rows[:, 1 + tags :], padded[:, :2]
         left -= count
     stream.end()
     if left:
         raise ValueError("more elements than announced")
-    result = []
-    for kind in dict.fromkeys(kind for kind, _, _ in blocks):
-        of_kind = [(corners, table) for other, corners, table in blocks if other == kind]
-        corners, table = np.concatenate([rows for rows, _ in of_kind]), np.hstack([tags for _, tags in of_kind])
-        result.append(_of_version_2(kind, corners, table))
-    return result
 
 
 def _of_version_2(kind: str, corners: np.ndarray, table: np.ndarray) -> Elements:
-    """Finds groups of elements: `table` (2, k) has tags of physical group (0: none) and entity.
+    """Finds groups of elements: `table` (k, 2) has tags of physical group (0: none) and entity.
 
     In version 2 an element of two groups stands twice, with the second group: it is read once.
     """
-    physical, entity = np.abs(table[0]), table[1]
+    physical, entity = np.abs(table[:, 0]), table[:, 1]
     tags = np.unique(physical[physical > 0]).tolist()
     groups: dict[int, np.ndarray | None] = {tag: np.flatnonzero(physical == tag) for tag in tags}
     if len(tags) < 2:

@@ -10,7 +10,7 @@ import zlib
 
 import numpy as np
 
-from .._text import chunks, parse
+from .._text import chunks, parse, scan
 
 _SPACE = re.compile(rb"(?:\s+|//[^\n]*|/\*.*?(?:\*/|\Z))*", re.DOTALL)
 _HEADER = re.compile(rb"FoamFile\s*\{(.*?)\}", re.DOTALL)
@@ -66,8 +66,8 @@ class FoamFile:
         return ValueError(f"{self.path}: {message}.")
 
     def list_at(self, at: int) -> List:
-        """Finds the list that begins after `at` and the blanks and comments that follow."""
-        at = _end_of_space(self.data, at)
+        space = _SPACE.match(self.data, at)
+        at = space.end() if space else at
         match = _COUNT.match(self.data, at)
         if match is None or not match[0] or len(match[1]) > DIGITS:
             raise self.error(f"a list expected, found {self.data[at : at + 20]!r}")
@@ -88,21 +88,26 @@ class FoamFile:
     def numbers(self, what: str, width: int = 1) -> np.ndarray:
         """Reads the list of `label`s or `scalar`s: (count, width), as int32 or float64."""
         items = self.list_at(self.end)
-        kind = np.dtype(np.int64 if what == "label" else np.float64)
         if items.uniform and items.count * width * 8 > UNIFORM + 10 * len(self.raw):
             raise self.error(f"{items.count} elements that are all equal; a mesh has no such list")
         if self.is_binary:
-            values = self.binary(items, what, width)[0].reshape(-1, width)
-            return values.astype(kind if what == "scalar" else _narrow(values))
-        if not items.start or items.count == 0:
-            return np.zeros((0, width), kind)
-        stop = self.data.find(b"}", items.start) if items.uniform else self.end_of_text(items.start)
-        values = self._words(items.start, stop, kind).reshape(-1)
+            values = self.binary(items, what, width)[0]
+            return (_narrow(values) if what == "label" else values.astype(float)).reshape(-1, width)
+        values = self._text_numbers(items, what)
         if items.uniform and len(values) == width:
             values = np.tile(values, items.count)
         if len(values) % width or items.count not in (-1, len(values) // width):
             raise self.error(f"{items.count} elements of {width} {what}s expected, found {len(values)} numbers")
         return values.reshape(-1, width)
+
+    def _text_numbers(self, items: List, what: str) -> np.ndarray:
+        kind = np.int64 if what == "label" else np.float64
+        stop = self.data.find(b"}", items.start) if items.uniform else self.end_of_text(items.start)
+        parts = [_narrow(np.zeros(0, kind)) if what == "label" else np.zeros(0, kind)]
+        for chunk in chunks(self.data, items.start, stop if items.count else items.start):
+            values = parse(chunk.translate(PARENTHESES), kind)
+            parts.append(_narrow(values) if what == "label" else values)
+        return np.concatenate(parts)
 
     def binary(self, items: List, what: str, width: int = 1) -> tuple[np.ndarray, int]:
         """Views the numbers of a binary list, not copied, and tells where it ends."""
@@ -129,7 +134,7 @@ class FoamFile:
         starts = starts.astype(np.int64)
         if not len(starts) or starts[0] or starts[-1] != len(labels) or (np.diff(starts) < 3).any():
             raise self.error(f"the offsets of the faces do not fit their {len(labels)} labels")
-        return labels.astype(_narrow(labels)), starts
+        return _narrow(labels), starts
 
     def _separate_faces(self) -> tuple[np.ndarray, np.ndarray]:
         """Reads a binary list of lists of older versions: faces with their counts, in turn."""
@@ -138,93 +143,39 @@ class FoamFile:
         for _ in range(items.count):
             labels, at = self.binary(self.list_at(at), "label")
             parts.append(labels)
-        sizes = np.fromiter(map(len, parts), np.int64)
-        if (sizes[1:] < 3).any():
-            raise self.error(
-                f"face {int((sizes[1:] < 3).argmax())} has {int(sizes[1:].min())} labels; it needs 3 at least"
-            )
-        labels = np.concatenate(parts)
-        return labels.astype(_narrow(labels)), np.cumsum(sizes)
+        sizes = np.array([len(part) for part in parts])
+        short = np.flatnonzero(sizes[1:] < 3)
+        if len(short):
+            raise self.error(f"face {short[0]} has {sizes[1 + short[0]]} labels; it needs 3 at least")
+        return _narrow(np.concatenate(parts)), np.cumsum(sizes)
 
     def _text_faces(self) -> tuple[np.ndarray, np.ndarray]:
+        # Numbers right before a parenthesis are counts of labels, which are taken out at the end.
         items = self.list_at(self.end)
-        stop = self.end_of_text(items.start)
-        labels = self._table(items, stop) if items.count >= 0 else None
-        if labels is not None:
-            kind = np.int32 if labels.size < 2**31 - labels.shape[1] else np.int64
-            return labels.ravel(), np.arange(0, labels.size + 1, labels.shape[1], dtype=kind)
-        words, before, done = [], [np.zeros(0, np.int64)], 0
-        for chunk in chunks(self.data, items.start, stop):
+        words, before, done = [np.zeros(0, np.int32)], [np.zeros(0, np.int64)], 0
+        for chunk in chunks(self.data, items.start, self.end_of_text(items.start)):
             plain = chunk.translate(PARENTHESES)
-            labels = parse(plain, np.int64)
-            solid = np.frombuffer(b" " + plain, np.uint8) > 32
-            first = np.flatnonzero(solid[1:] & ~solid[:-1])
             opens = np.flatnonzero(np.frombuffer(chunk, np.uint8) == ord("("))
-            before.append(done + np.searchsorted(first, opens))
-            words.append(labels.astype(_narrow(labels)))
-            done += len(first)
-        values = np.concatenate([np.zeros(0, np.int32), *words])
-        words.clear()
-        begins = np.concatenate(before)
+            starts = scan(plain)[0]
+            before.append(done + np.searchsorted(starts, opens))
+            words.append(_narrow(parse(plain, np.int64)))
+            done += len(starts)
+        values, begins = np.concatenate(words), np.concatenate(before)
         sizes = np.diff(begins, append=done + 1) - 1
-        fits = (
-            len(values) == done
-            and (begins > 0).all()
-            and len(begins) == (items.count if items.count >= 0 else len(begins))
-        )
+        fits = len(values) == done and (begins > 0).all() and items.count in (-1, len(begins))
         if not fits or (values[begins - 1] != sizes).any() or (sizes < 3).any():
             raise self.error(
                 f"{items.count} faces expected, each as 4(0 1 2 3); found {len(begins)}, or other numbers of labels"
             )
-        keep = np.ones(len(values), bool)
-        keep[begins - 1] = False
-        return values[keep], np.concatenate([np.zeros(1, np.int64), np.cumsum(sizes)])
-
-    def _table(self, items: List, stop: int) -> np.ndarray | None:
-        """Reads labels (faces, corners) of a text of faces of one size; None for any other."""
-        done, labels = 0, np.zeros((0, 0), np.int32)
-        for part in map(_one_size, chunks(self.data, items.start, stop)):
-            if not done and len(part) and items.count * part.shape[1] <= len(self.data):
-                labels = np.empty((items.count, part.shape[1]), part.dtype)
-            if done + len(part) > len(labels) or (part.dtype, part.shape[1]) != (labels.dtype, labels.shape[1]):
-                return None
-            labels[done : done + len(part)] = part
-            done += len(part)
-        return labels if done and done == items.count else None
-
-    def _words(self, start: int, stop: int, dtype: np.dtype) -> np.ndarray:
-        parts = []
-        for chunk in chunks(self.data, start, stop):
-            values = parse(chunk.translate(PARENTHESES), dtype.type)
-            parts.append(values.astype(_narrow(values)) if dtype.kind == "i" else values)
-        return np.concatenate(parts) if parts else np.zeros(0, dtype)
+        return np.delete(values, begins - 1), np.append(0, np.cumsum(sizes))
 
 
-def _one_size(chunk: bytes) -> np.ndarray:
-    """Reads labels (faces, corners) of whole faces of one size in a text; empty for others."""
-    faces = chunk.count(b"(")
-    labels = parse(chunk.translate(PARENTHESES), np.int64)
-    width, rest = divmod(len(labels), max(faces, 1))
-    if rest or width < 4 or chunk.count(b")") != faces or (labels[::width] != width - 1).any():
-        return np.zeros((0, 0), np.int32)
-    return labels.reshape(-1, width)[:, 1:].astype(_narrow(labels))
-
-
-def _narrow(labels: np.ndarray) -> type:
-    return np.int32 if not len(labels) or labels.max() < 2**31 else np.int64
-
-
-def _end_of_space(data: bytes, at: int) -> int:
-    match = _SPACE.match(data, at)
-    return at if match is None else match.end()
+def _narrow(labels: np.ndarray) -> np.ndarray:
+    return labels.astype(np.int32 if not len(labels) or labels.max() < 2**31 else np.int64)
 
 
 def load(folder: pathlib.Path, name: str) -> FoamFile:
-    """Opens the file of that name in a folder, plain or with the ending .gz.
-
-    It raises `FileNotFoundError` where there is neither, `ValueError` for a file without OpenFOAM's
-    header.
-    """
+    """Opens the file of that name in a folder, plain or with the ending .gz."""
     path = folder / name
     if not path.is_file() and path.with_name(f"{name}.gz").is_file():
         path = path.with_name(f"{name}.gz")
@@ -268,39 +219,48 @@ class Patch:
     part: int = -1
 
     @property
+    def end(self) -> int:
+        return self.start + self.count
+
+    @property
+    def faces(self) -> np.ndarray:
+        """Ids (count,) of the patch's faces."""
+        return np.arange(self.start, self.end)
+
+    @property
     def is_between(self) -> bool:
-        """True if its faces lie between two parts of a decomposed case, inside of the mesh."""
         return self.type == "processor"
 
 
 def patches(file: FoamFile) -> list[Patch]:
-    """Reads a `boundary`'s patches: `2 ( inlet { type patch; nFaces 4; startFace 8; } ... )`.
-
-    It raises `ValueError` for an entry without type, nFaces or startFace, for directives and
-    variables, and where the number before the list is not that of its entries.
-    """
+    """Reads a `boundary`'s patches: `2 ( inlet { type patch; nFaces 4; startFace 8; } ... )`."""
     words = _words(file.data[file.end :])
     _refuse_directives(file, words[:1])
-    stated = int(words[0]) if words and words[0].isdecimal() and len(words[0]) <= DIGITS else None
-    at = 0 if stated is None else 1
-    if words[at : at + 1] != ["("]:
+    head = re.match(rf"(\d{{1,{DIGITS}}} )?\( ", " ".join([*words[:2], ""]))
+    if head is None:
         raise file.error("a list of patches expected, such as 1 ( wall { type wall; nFaces 4; startFace 8; } )")
-    entries, at = [], at + 1
+    stated = int(head[1]) if head[1] else None
+    found, end = _listed(file, words, 2 if head[1] else 1)
+    for name, count in collections.Counter(patch.name for patch in found).most_common(1):
+        if count > 1:
+            raise file.error(f"{count} patches are called {name}; each needs a name of its own")
+    if end == len(words) or stated not in (None, len(found)):
+        end_of_list = "" if end < len(words) else " and no end of the list"
+        raise file.error(f"{stated} patches announced, {len(found)} read{end_of_list}")
+    return found
+
+
+def _listed(file: FoamFile, words: list[str], at: int) -> tuple[list[Patch], int]:
+    """Reads entries up to the end of their list, whose place it also returns."""
+    found = []
     while at < len(words) and words[at] != ")":
         _refuse_directives(file, words[at : at + 1])
         end = _end_of_body(words, at + 1)
         if end is None:
             raise file.error(f"patch {words[at][:80]} has no entries between {{ and }}; is the file cut short?")
-        entries.append(_patch(file, words[at], words[at + 2 : end]))
+        found.append(_patch(file, words[at], words[at + 2 : end]))
         at = end + 1
-    names = collections.Counter(entry.name for entry in entries)
-    name, count = (*names.most_common(1), ("", 0))[0]
-    if count > 1:
-        raise file.error(f"{count} patches are called {name}; each needs a name of its own")
-    if at == len(words) or stated not in (None, len(entries)):
-        end_of_list = "" if at < len(words) else " and no end of the list"
-        raise file.error(f"{stated} patches announced, {len(entries)} read{end_of_list}")
-    return entries
+    return found, at
 
 
 def _refuse_directives(file: FoamFile, words: list[str]) -> None:
@@ -314,7 +274,6 @@ def _refuse_directives(file: FoamFile, words: list[str]) -> None:
 
 
 def _end_of_body(words: list[str], start: int) -> int | None:
-    """Returns the place of the brace that closes the one at `start`; None if either lacks."""
     depth = 0
     for place in range(start, len(words)):
         depth += {"{": 1, "}": -1}.get(words[place], 0)
@@ -348,16 +307,20 @@ def _entries(body: list[str]) -> dict[str, list[str]]:
 
 def _patch(file: FoamFile, name: str, body: list[str]) -> Patch:
     entries = _entries(body)
-    values = [word for key in ("type", "nFaces", "startFace") for word in entries.get(key, [])[:1]]
-    _refuse_directives(file, [*entries, *values])
+    firsts = {key: words[0].strip('"') for key, words in entries.items() if words}
+    _refuse_directives(file, [*entries, *(firsts.get(key, "") for key in ("type", "nFaces", "startFace"))])
+    groups = entries.get("inGroups", [])  # List<word> 2(wall wing), or (wall wing)
+    groups = groups[groups.index("(") + 1 : -1] if "(" in groups else []
     try:
-        # List<word> 2(wall wing), or (wall wing)
-        groups = entries.get("inGroups", [])
-        groups = groups[groups.index("(") + 1 : -1] if "(" in groups else []
-        type_, start, count = (entries[key][0] for key in ("type", "startFace", "nFaces"))
-        neighbour, refers = (entries.get(key, [""])[0].strip('"') for key in ("neighbourPatch", "referPatch"))
-        groups = tuple(word.strip('"') for word in groups)
-        part = int(entries.get("neighbProcNo", ["-1"])[0])
-        return Patch(name.strip('"'), type_, int(start), int(count), groups, neighbour, refers, part)
-    except (KeyError, ValueError, IndexError) as error:
+        return Patch(
+            name.strip('"'),
+            firsts["type"],
+            int(firsts["startFace"]),
+            int(firsts["nFaces"]),
+            tuple(word.strip('"') for word in groups),
+            firsts.get("neighbourPatch", ""),
+            firsts.get("referPatch", ""),
+            int(firsts.get("neighbProcNo", -1)),
+        )
+    except (KeyError, ValueError) as error:
         raise file.error(f"patch {name[:80]} has no good type, nFaces and startFace ({error})") from error

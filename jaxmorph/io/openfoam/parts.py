@@ -1,12 +1,14 @@
 """Decomposed cases: folders `processor0`, `processor1`, ..., each read and written by itself."""
 
+import collections
 import contextlib
 import dataclasses
+import itertools
 import os
 import pathlib
 import re
-import shutil
 from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from jaxtyping import Int
@@ -16,10 +18,11 @@ from jaxmorph._boundary.outer_faces import outer_faces
 from jaxmorph._host.package.arguments import checked, shown
 from jaxmorph._host.package.files import complete, named, output_path
 from jaxmorph._host.package.ranks import Agreement, Alone, Ranks, together
+from jaxmorph._mesh.exchange import gathered
 
 from .._format import Source, source_of
-from .case import COPIED, NAME, file_points, read, regions, write_points
-from .file import Patch, load, patches
+from .case import NAME, check_new, content_of, copy_case, file_points, read, regions, write_points
+from .file import load, patches
 
 REMEDY = "Run decomposePar, or leave --decomposed away"
 
@@ -87,21 +90,7 @@ class Decomposed:
             self.path, self.region = self.path.parent.parent, self.path.name
         if not self.path.is_dir():
             raise ValueError(f"{self.path}: no folder of an OpenFOAM case.")
-        names = {folder.name.removeprefix("processor") for folder in self.path.glob("processor*") if folder.is_dir()}
-        collated = sorted(name for name in names if COLLATED.fullmatch(name))
-        names = {name for name in names if name.isdecimal()}
-        if collated:
-            folders = ", ".join(f"processor{name}" for name in collated)
-            raise ValueError(
-                f"{self.path}: folders {folders}; collated files are not read: run decomposePar -fileHandler uncollated."
-            )
-        missing = [k for k in range(len(names)) if str(k) not in names]
-        if not names or missing:
-            lacks = (
-                f"processor{missing[0]} is missing among {len(names)}" if missing else "there is no folder processor0"
-            )
-            raise ValueError(f"{self.path}: the case is not decomposed, {lacks}. {REMEDY}.")
-        self.count = len(names)
+        self.count = _count(self.path)
         found = regions(self.path / "processor0" / "constant")
         is_there = self.region in found if self.region else (self.path / "processor0/constant/polyMesh").is_dir()
         if found and not is_there:
@@ -116,7 +105,6 @@ class Decomposed:
         return f"Decomposed({str(self.path)!r}, {self.count} parts)"
 
     def _mesh_folder(self, k: int) -> pathlib.Path:
-        """Returns the folder `polyMesh` of part `k`."""
         return self.folder(k) / "constant" / self.region / "polyMesh"
 
     def folder(self, k: int) -> pathlib.Path:
@@ -134,16 +122,14 @@ class Decomposed:
         return self._last[1]
 
     def side(self, k: int) -> Side:
-        """Reads the outside of part `k`."""
-        boundary = self._boundary(k)
+        boundary = patches(load(self._mesh_folder(k), "boundary"))
         if not any(patch.count for patch in boundary):
             raise ValueError(
                 f"{self.folder(k)}: this part has no cells; empty parts are not moved: decompose into fewer parts, or by scotch."
             )
-        mesh = self.read(k)
-        lost = [patch.part for patch in boundary if patch.part >= self.count]
-        if lost:
-            raise ValueError(f"{self.folder(k)}: it has faces to processor{max(lost)}, which is missing. {REMEDY}.")
+        mesh, last = self.read(k), max(patch.part for patch in boundary)
+        if last >= self.count:
+            raise ValueError(f"{self.folder(k)}: it has faces to processor{last}, which is missing. {REMEDY}.")
         ids, outer = global_nodes(mesh), outer_faces(mesh)
         corners = {} if outer is None else outer.corners
         outside = [np.asarray(rows).ravel() for rows in (*corners.values(), *mesh.patches.values())]
@@ -175,12 +161,20 @@ class Decomposed:
         """
         sides = [self.side(k) for k in range(len(self))] if sides is None else sides
         if not sides or not all(isinstance(side, Side) for side in sides):
-            raise ValueError(
-                f"`sides` must be what `side(k)` gives of each of the {len(self)} parts, not {shown(sides)}."
-            )
-        everywhere = np.concatenate([side.nodes for side in sides])
+            raise ValueError(f"`sides` must be what `side(k)` gives of the {len(self)} parts, not {shown(sides)}.")
+        nodes, points = self._common_points(sides)
+        cells = gathered(item for side in sides for item in side.faces.items())
+        members = gathered(item for side in sides for item in side.patches.items())
+        return Mesh(
+            points,
+            {kind: np.searchsorted(nodes, rows) for kind, rows in cells.items() if len(rows)},
+            {name: np.searchsorted(nodes, np.unique(rows)) for name, rows in members.items()},
+            source=Source(self.path, NAME, None, node_ids=nodes, **_said(sides, members)),
+        )
+
+    def _common_points(self, sides: Sequence[Side]) -> tuple[np.ndarray, np.ndarray]:
+        everywhere, places = (np.concatenate([getattr(side, name) for side in sides]) for name in ("nodes", "points"))
         nodes, first, back = np.unique(everywhere, return_index=True, return_inverse=True)
-        places = np.concatenate([side.points for side in sides])
         points = places[first]
         distance = np.abs(places - points[back.ravel()]).max(axis=1)
         wrong = np.flatnonzero(distance > 1e-9 * np.ptp(points, axis=0).max())
@@ -189,31 +183,12 @@ class Decomposed:
                 f"{self.path}: {len(wrong)} points lie at different places in different processors, first point "
                 f"{everywhere[wrong[0]]} of the whole mesh, by {distance[wrong[0]]:.3g}: they are not parts of one mesh. {REMEDY}."
             )
-        kinds = dict.fromkeys(kind for side in sides for kind in side.faces)
-        corners = {kind: np.concatenate([side.faces[kind] for side in sides if kind in side.faces]) for kind in kinds}
-        cells = {kind: np.searchsorted(nodes, rows) for kind, rows in corners.items() if len(rows)}
-        names = dict.fromkeys(name for side in sides for name in side.patches)
-        members = {name: [side.patches[name] for side in sides if name in side.patches] for name in names}
-        patches_of_all = {
-            name: np.searchsorted(nodes, np.unique(np.concatenate(rows))) for name, rows in members.items()
-        }
-        pairs = {frozenset(pair): pair for side in sides for pair in reversed(side.pairs)}
-        periodic = tuple(Periodic(*pair) for pair in pairs.values() if all(len(patches_of_all[name]) for name in pair))
-        groups = {name: patches for side in sides for name, patches in side.groups.items()}
-        flat = tuple(dict.fromkeys(name for side in sides for name in side.symmetry))
-        patch_kinds = {name: kind for side in sides for name, kind in side.kinds.items()}
-        known = {"groups": groups, "periodic": periodic, "symmetry": flat, "kinds": patch_kinds}
-        source = Source(self.path, NAME, None, node_ids=nodes, **known)
-        return Mesh(points, cells, patches_of_all, source=source)
+        return nodes, points
 
     @checked
     def check_output(self, path: str | os.PathLike[str]) -> None:
         """Raises `ValueError` for a folder that `writing` cannot write, before any work."""
-        target = output_path(path, folder=True)
-        if target.exists() and (not target.is_dir() or any(target.iterdir())):
-            raise ValueError(f"{target}: exists; name a new folder for the moved case.")
-        if self.path.resolve() in target.resolve().parents:
-            raise ValueError(f"{target}: a new case cannot be inside of the case that the mesh was read from.")
+        check_new(output_path(path, folder=True), self.path, "a new folder for the moved case")
 
     @checked
     @contextlib.contextmanager
@@ -240,13 +215,7 @@ class Decomposed:
             def copy() -> None:
                 if ranks.rank == 0:
                     with named(target):
-                        self._copy(partial)
-
-            partial = ranks.bcast(together(ranks, begin))
-            together(ranks, copy)
-            writer = Writer(self, target, partial, ranks, Agreement(ranks), set())
-            yield writer
-            written = {k for numbers in ranks.allgather(writer.written) for k in numbers}
+                        copy_case(self.path, partial, ignore=self._left_out)
 
             def end() -> None:
                 lacks = sorted({*range(len(self))} - written)
@@ -255,21 +224,44 @@ class Decomposed:
                         f"{path}: not written, {len(lacks)} of {len(self)} parts were not added, first part {lacks[0]}."
                     )
 
+            partial = ranks.bcast(together(ranks, begin))
+            together(ranks, copy)
+            writer = Writer(self, target, partial, ranks, Agreement(ranks), set())
+            yield writer
+            written = {k for numbers in ranks.allgather(writer.written) for k in numbers}
             together(ranks, end)
 
-    def _copy(self, folder: pathlib.Path) -> None:
-        """Copies what the parts share, without the undivided mesh."""
-        mesh = self.path / "constant" / self.region
+    def _left_out(self, here: str, names: list[str]) -> set[str]:
+        return {"polyMesh"} & {*names} if pathlib.Path(here) == self.path / "constant" / self.region else set()
 
-        def left_out(here: str, names: list[str]) -> set[str]:
-            return {"polyMesh"} & {*names} if pathlib.Path(here) == mesh else set()
 
-        for name in COPIED:
-            if (self.path / name).is_dir():
-                shutil.copytree(self.path / name, folder / name, ignore=left_out)
+def _said(sides: Sequence[Side], members: Mapping[str, np.ndarray]) -> dict[str, Any]:
+    """Joins what parts say of patches, whose `members` are the nodes of all parts."""
+    pairs = {frozenset(pair): pair for side in sides for pair in reversed(side.pairs)}
+    named = [Periodic(*pair) for pair in pairs.values() if all(len(members[name]) for name in pair)]
+    symmetry = dict.fromkeys(itertools.chain.from_iterable(side.symmetry for side in sides))
+    tables = {
+        name: dict(collections.ChainMap(*(dict(getattr(side, name)) for side in sides[::-1])))
+        for name in ("groups", "kinds")
+    }
+    return {"periodic": tuple(named), "symmetry": tuple(symmetry), **tables}
 
-    def _boundary(self, k: int) -> list[Patch]:
-        return patches(load(self._mesh_folder(k), "boundary"))
+
+def _count(path: pathlib.Path) -> int:
+    names = {folder.name.removeprefix("processor") for folder in path.glob("processor*") if folder.is_dir()}
+    collated = ", ".join(f"processor{name}" for name in sorted(names) if COLLATED.fullmatch(name))
+    if collated:
+        raise ValueError(
+            f"{path}: folders {collated}; collated files are not read: run decomposePar -fileHandler uncollated."
+        )
+    numbers = {int(name) for name in names if name.isdecimal()}
+    if not numbers:
+        raise ValueError(f"{path}: the case is not decomposed, there is no folder processor0. {REMEDY}.")
+    missing = sorted({*range(len(numbers))} - numbers)
+    if missing:
+        lacks = f"processor{missing[0]} is missing among {len(numbers)}"
+        raise ValueError(f"{path}: the case is not decomposed, {lacks}. {REMEDY}.")
+    return len(numbers)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -296,37 +288,32 @@ class Writer:
         def shared() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             if moved is None:
                 return np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0, np.int64)
-            content = None if source_of(moved, NAME) is None else moved.source.content
             if k is None:
                 raise ValueError("`k` is None; it is the number of the part that `moved` is.")
-            mesh = self.case._mesh_folder(k)
-            if content is None or content.topology.resolve() != mesh.resolve():
+            source, mesh = source_of(moved, NAME), self.case._mesh_folder(k)
+            if source is None or source.content.topology.resolve() != mesh.resolve():
                 raise ValueError(f"`moved` is not part {k} as `read({k})` gives it: write each part by its own number.")
             if k in self.written:
                 raise ValueError(f"part {k} was written already.")
             self.written.add(k)
+            content = source.content
             return content.shared, file_points(moved), content.point_ids[content.shared]
 
         rows, points, ids = together(self.ranks, shared)
         points = np.array(points)
         agreed = self.agreement(ids, points[rows])
 
-        def check() -> None:
+        def write() -> None:
             distance = np.abs(agreed - points[rows]).max(initial=0.0)
             if distance > AGREE * np.abs(points).max(initial=0.0):
                 raise ValueError(
                     f"part {k}: points that it shares with other parts are {distance:.3g} away from where these have them. "
                     "Move all parts by plans of one `prepare_surface`."
                 )
-
-        together(self.ranks, check)
-        points[rows] = agreed
-
-        def write() -> None:
-            if moved is None:
-                return
-            with named(self.path):
-                write_points(self.folder / f"processor{k}", moved, points)
+            points[rows] = agreed
+            if moved is not None:
+                with named(self.path):
+                    write_points(self.folder / f"processor{k}", content_of(moved), points)
 
         together(self.ranks, write)
 
