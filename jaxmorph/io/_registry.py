@@ -1,5 +1,6 @@
 """`read` and `write` choose among the formats; what a file says beside its mesh; moved meshes."""
 
+import contextlib
 import dataclasses
 import os
 import pathlib
@@ -19,18 +20,21 @@ from jaxmorph._host.package.files import complete, output_path
 from jaxmorph._host.package.text import MESHES, is_folder
 from jaxmorph._mesh.exchange import Parts, numbers_of_cells
 
-from ._format import Checking, Format, Source, own_source, source_of, warn_of_loss
+from ._format import Format, Source, own_source, source_of, warn_of_loss
 
-FORMATS = (
-    Format("SU2", MESHES["SU2"], "_su2"),
-    Format("VTK", MESHES["VTK"], "vtk.file", holds_arrays=True),
-    Format("gmsh", MESHES["gmsh"], "gmsh.file"),
-    Format("CGNS", MESHES["CGNS"], "cgns.file"),
-    Format("MFEM", MESHES["MFEM"], "_mfem"),
-    Format("MED", MESHES["MED"], "_med"),
-    Format("Exodus", MESHES["Exodus"], "_exodus", magic=(b"CDF", b"\x89HDF")),
-    Format("PLOT3D", MESHES["PLOT3D"], "_plot3d"),
-    Format("OpenFOAM", MESHES["OpenFOAM"], "openfoam.case", is_folder=True),
+FORMATS = tuple(
+    Format(name, MESHES[name], module, **more)
+    for name, module, more in (
+        ("SU2", "_su2", {}),
+        ("VTK", "vtk.file", {"holds_arrays": True}),
+        ("gmsh", "gmsh.file", {}),
+        ("CGNS", "cgns.file", {}),
+        ("MFEM", "_mfem", {}),
+        ("MED", "_med", {}),
+        ("Exodus", "_exodus", {"magic": (b"CDF", b"\x89HDF")}),
+        ("PLOT3D", "_plot3d", {}),
+        ("OpenFOAM", "openfoam.case", {"is_folder": True}),
+    )
 )
 
 
@@ -41,16 +45,15 @@ def format_of(path: pathlib.Path, source: object = None) -> Format:
     written came, or the first bytes of a file to be read. It raises `ValueError`, with the endings
     there are, for another one.
     """
+    if is_folder(path):  # it raises for unknown endings
+        return next(candidate for candidate in FORMATS if candidate.is_folder)
     found = [candidate for candidate in FORMATS if path.suffix.lower() in candidate.suffixes]
-    if len(found) > 1 and isinstance(source, Source):
-        found = [candidate for candidate in found if candidate.name == source.format] or found
+    if isinstance(source, Source):
+        found.sort(key=lambda candidate: candidate.name != source.format)
     elif len(found) > 1 and path.is_file():
         with path.open("rb") as file:
             first = file.read(8)
-        known = [candidate for candidate in found if first.startswith(candidate.magic)]
-        found = known or [candidate for candidate in found if not candidate.magic]
-    found += [candidate for candidate in FORMATS if candidate.is_folder]
-    is_folder(path)  # it raises for unknown endings
+        found.sort(key=lambda candidate: 1 if not candidate.magic else 2 - 2 * first.startswith(candidate.magic))
     return found[0]
 
 
@@ -75,14 +78,13 @@ def check_nodes(path: pathlib.Path, mesh: Parts) -> None:
 
     Pieces of polyhedra may coincide.
     """
-    cut, first = None, 0
-    if mesh.source.polyhedra is not None:
-        cut = np.isin(mesh.source.cell_ids, mesh.source.polyhedra.cut)
+    whole, first = mesh.source.polyhedra, 0
     for kind, corners in mesh.cells.items():
-        corners = np.asarray(corners)
-        chosen = None if cut is None else np.flatnonzero(~cut[first : first + len(corners)])
+        corners, rows = np.asarray(corners), slice(None)
+        if whole is not None:
+            rows = np.flatnonzero(~np.isin(mesh.source.cell_ids[first : first + len(corners)], whole.cut))
         first += len(corners)
-        twice = repeated_cells(corners) if chosen is None else chosen[repeated_cells(corners[chosen])]
+        twice = np.arange(len(corners))[rows][repeated_cells(corners[rows])]
         if len(twice):
             raise ValueError(
                 f"{path}: {len(twice)} cells of type {kind} have the nodes of another one, first cell {twice[0]} "
@@ -177,8 +179,7 @@ def write(
     **Raises:** `ValueError` when `path` is the file that the mesh was read from, for arrays of a
     wrong length, points that are not finite, and what the format cannot say.
     """
-    chosen = _checked(path, mesh)
-    path = pathlib.Path(path)
+    chosen, path = _checked(path, mesh), pathlib.Path(path)
     arrays = dict(point_data or {}), dict(cell_data or {})
     if any(arrays) and not chosen.holds_arrays:
         raise ValueError(
@@ -190,11 +191,8 @@ def write(
             f"{path}: {(~finite).sum()} of {len(finite)} points are not finite, first node {np.argmin(finite)}."
         )
     as_written(path, mesh)
-    if chosen.is_folder:
-        chosen.codec().write(path, mesh, *arrays)
-        return
-    with files.complete(path) as partial:
-        chosen.codec().write(partial, mesh, *arrays)
+    with contextlib.nullcontext(path) if chosen.is_folder else complete(path) as target:
+        chosen.codec().write(target, mesh, *arrays)
 
 
 @checked
@@ -242,13 +240,12 @@ def check_output(path: str | os.PathLike[str], mesh: Mesh) -> bool:
 
 
 def _checked(name: str | os.PathLike[str], mesh: Mesh) -> Format:
-    """Checks the name of a file and the mesh to write there; returns the format."""
     source, chosen = mesh.source, format_of(pathlib.Path(name), mesh.source)
     path = files.output_path(name, folder=chosen.is_folder)
     if isinstance(source, Source) and files.is_same(path, source.path):
         raise ValueError(f"{path}: the mesh was read from this file; write to another one.")
     codec = chosen.codec()
-    if isinstance(codec, Checking):
+    if hasattr(codec, "check"):
         codec.check(path, mesh)
     else:
         own_source(path, mesh, chosen.name)
