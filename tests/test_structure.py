@@ -168,7 +168,7 @@ _host.package.arguments
 
 HOMES = """
 Block Bounds Cells Content Elements Encoding Form Grid Group Hierarchy Method Modes Options Parts
-Patch Progress Rows Sensitivity Side Sides Variable _Content _Reader _Search
+Patch Progress Rows Sensitivity Side Sides _Content _Search
 """
 """Names of classes that several files define: the list may only shrink."""
 

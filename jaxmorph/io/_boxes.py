@@ -302,13 +302,12 @@ def _surface(keyword: Keyword, n: int, d: int) -> Surface:
         raise keyword.section.error(f"FFD_SURFACE_POINTS= {keyword.value}, but {len(lines)} rows follow.")
     for row, words in enumerate(lines):
         try:
-            node, *place = map(float, words[1:])
-            is_good = len(place) == 3 and 0 <= node < n and node == int(node)
+            values = [float(word) for word in words[1:]]
         except ValueError:
-            is_good = False
-        if not is_good:
+            values = []
+        if len(values) != 4 or not 0 <= values[0] < n or values[0] != int(values[0]):
             raise keyword.section.error("a marker, a node and three coordinates in the box expected.", row)
-        lists.setdefault(decoded(words[0]), []).append([node, *place])
+        lists.setdefault(decoded(words[0]), []).append(values)
     tables = {marker: np.array(rows) for marker, rows in lists.items()}
     return {marker: (table[:, 0].astype(np.int64), table[:, 1 : 1 + d]) for marker, table in tables.items()}
 

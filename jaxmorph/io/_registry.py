@@ -22,19 +22,16 @@ from jaxmorph._mesh.exchange import Parts, numbers_of_cells
 
 from ._format import Format, Source, own_source, source_of, warn_of_loss
 
-FORMATS = tuple(
-    Format(name, MESHES[name], module, **more)
-    for name, module, more in (
-        ("SU2", "_su2", {}),
-        ("VTK", "vtk.file", {"holds_arrays": True}),
-        ("gmsh", "gmsh.file", {}),
-        ("CGNS", "cgns.file", {}),
-        ("MFEM", "_mfem", {}),
-        ("MED", "_med", {}),
-        ("Exodus", "_exodus", {"magic": (b"CDF", b"\x89HDF")}),
-        ("PLOT3D", "_plot3d", {}),
-        ("OpenFOAM", "openfoam.case", {"is_folder": True}),
-    )
+FORMATS = (
+    Format("SU2", MESHES["SU2"], "_su2"),
+    Format("VTK", MESHES["VTK"], "vtk.file", holds_arrays=True),
+    Format("gmsh", MESHES["gmsh"], "gmsh.file"),
+    Format("CGNS", MESHES["CGNS"], "cgns.file"),
+    Format("MFEM", MESHES["MFEM"], "_mfem"),
+    Format("MED", MESHES["MED"], "_med"),
+    Format("Exodus", MESHES["Exodus"], "_exodus", magic=(b"CDF", b"\x89HDF")),
+    Format("PLOT3D", MESHES["PLOT3D"], "_plot3d"),
+    Format("OpenFOAM", MESHES["OpenFOAM"], "openfoam.case", is_folder=True),
 )
 
 

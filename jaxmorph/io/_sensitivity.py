@@ -71,8 +71,8 @@ def read_sensitivity(
     foreign = np.setdiff1d(ids, np.arange(n))
     if foreign.size:
         raise ValueError(f"{path}: {foreign.size} node ids are not of the mesh (0 to {n - 1}), first {foreign[0]}.")
-    is_surface = moving is not None and len(ids) < n
-    wanted = moving if is_surface else np.arange(n)
+    wanted = np.arange(n) if moving is None or len(ids) >= n else moving
+    is_surface = wanted is moving
     missing = np.setdiff1d(wanted, ids)
     if missing.size:
         which = f"the {len(wanted)} moving nodes" if is_surface else f"{n} nodes"

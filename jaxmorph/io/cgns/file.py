@@ -179,7 +179,7 @@ def _periodic(first: str, second: str, interface: Connection, is_flat: bool) -> 
     return Periodic(first, second, about=about, axis=None if is_flat else interface.angles)
 
 
-def _whole(zones: list[Zone], node: np.ndarray) -> tuple[Polyhedra, np.ndarray] | tuple[None, None]:
+def _whole(zones: list[Zone], node: np.ndarray | None) -> tuple[Polyhedra, np.ndarray] | tuple[None, None]:
     """Joins all zones' cells where some are cut; with each cell's number, types as in the mesh."""
     if not any(zone.content.whole is not None and len(zone.content.whole.cut) for zone in zones):
         return None, None
@@ -200,7 +200,9 @@ def _whole(zones: list[Zone], node: np.ndarray) -> tuple[Polyhedra, np.ndarray] 
             else:
                 cell = start + block.cell
             ids.setdefault(block.kind, []).append(cell)
-    faces = joined_faces([dataclasses.replace(part, labels=node[part.labels]) for part in parts])
+    faces = joined_faces(
+        [dataclasses.replace(part, labels=part.labels if node is None else node[part.labels]) for part in parts]
+    )
     numbers = np.concatenate([numbers for kind in sorted(ids) for numbers in ids[kind]])
     return Polyhedra(faces, np.concatenate(cut)), numbers
 

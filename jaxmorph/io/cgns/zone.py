@@ -9,8 +9,8 @@ import numpy as np
 
 from jaxmorph._host.cells import topology
 from jaxmorph._host.cells.orders import CGNS_ORDER, reordered
-from jaxmorph._mesh.faces import Faces, open_cells, standard_cells
-from jaxmorph._mesh.polyhedra import Polyhedra, spread, tetrahedra
+from jaxmorph._mesh.faces import Faces
+from jaxmorph._mesh.polyhedra import Polyhedra, cells_of_faces, spread
 
 from .._joined import block_cells, block_ids, block_sides
 from .._text import decoded
@@ -53,20 +53,12 @@ def polyhedra(
     `polygons` are faces by the number of the first, vertices from 0. `first` is the id of vertex 0,
     `points` are the zone's points.
     """
-    faces = _faces(polygons, cells)
-    ajar = open_cells(faces)
-    if len(ajar):
-        raise ValueError(f"{len(ajar)} cells do not close, first cell {ajar[0]}: NGON_n or NFACE_n are damaged")
-    typed, ids = standard_cells(faces)
-    cut = ids.pop("polyhedron", np.zeros(0, np.int64))
-    blocks = [Block(kind, corners + first, ids[kind]) for kind, corners in typed.items()]
-    if len(cut):
-        pieces, owner = tetrahedra(faces, cut, points)
-        blocks.append(Block("tetra", pieces + first, owner))
-    faces, sizes = dataclasses.replace(faces, labels=faces.labels + first), np.diff(faces.starts)
-    outer = [np.flatnonzero((faces.neighbour < 0) & (sizes == size)) for size in np.unique(sizes).tolist()]
-    outer = [faces.corners(chosen, int(sizes[chosen[0]])) for chosen in outer if len(chosen)]
-    return blocks, outer, Polyhedra(faces, cut)
+    cells_by_type, whole = cells_of_faces(_faces(polygons, cells), points)
+    blocks = [Block(kind, corners + first, cell) for kind, corners, cell in cells_by_type]
+    faces = dataclasses.replace(whole.faces, labels=whole.faces.labels + first)
+    sizes = np.where(faces.neighbour < 0, np.diff(faces.starts), 0)
+    outer = [faces.corners(np.flatnonzero(sizes == size), size) for size in np.unique(sizes[sizes > 0]).tolist()]
+    return blocks, outer, Polyhedra(faces, whole.cut)
 
 
 def _faces(polygons: dict[int, Ragged], cells: list[Ragged]) -> Faces:
