@@ -92,8 +92,8 @@ class Reader:
     def tree(self) -> Node:
         """Reads the tree of an open file, not its arrays.
 
-        It raises `ValueError` for links, damaged tags, what lies beyond the file, nodes in a circle,
-        and parts that overlap.
+        It raises `ValueError` for links, damaged tags, places beyond the file, nodes in a circle, and
+        parts that overlap.
         """
         root, below = self._node(self.root)
         waiting, seen = [(root, "", below)], {self.root}

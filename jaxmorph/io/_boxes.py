@@ -1,4 +1,4 @@
-"""Boxes of free-form deformation as files: tables in TOML, sections of SU2's meshes, lattices for ParaView."""
+"""Boxes of free-form deformation in files: TOML, SU2's meshes, and lattices for ParaView."""
 
 import dataclasses
 import os

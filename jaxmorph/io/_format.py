@@ -82,7 +82,7 @@ def warn_of_loss(path: pathlib.Path, cells: Mapping[str, Any], held: Held, point
 
 
 def _changed_edges(cells: Mapping[str, Any], base: np.ndarray, points: np.ndarray, stored: np.ndarray) -> np.ndarray:
-    """Finds edges (2, k) that rounding changes by much; those without a length in the file do not count."""
+    """Finds edges (2, k) that rounding changes by much, but those without a length in the file."""
     shift, found = stored - points, [np.zeros((0, 2), int)]
     for kind, ids in cells.items():
         for edge in EDGES[SHAPES[kind]]:

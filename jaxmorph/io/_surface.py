@@ -84,7 +84,7 @@ def read_table(
 def read_named(
     path: pathlib.Path, names: tuple[str, ...], ids: Int[np.ndarray, " m"] | None = None
 ) -> tuple[Int[np.ndarray, " m"], np.ndarray, str]:
-    """Reads node ids and values from the one array of an NPZ file that has one of `names`, and its name.
+    """Reads node ids, the one array of an NPZ file that has one of `names`, and its name.
 
     A file without the array `ids` has rows for `ids`, by default for 0, 1, 2, ...
     """
@@ -103,7 +103,7 @@ def read_named(
 
 
 def check_values(path: pathlib.Path, ids: np.ndarray, values: np.ndarray, d: int) -> None:
-    """Raises `ValueError` for values of another shape than (len(ids), d), or that are not finite."""
+    """Raises `ValueError` for values that are not finite or not of the shape (len(ids), d)."""
     if values.shape != (len(ids), d) or not np.isfinite(values).all():
         raise ValueError(f"{path}: finite values of shape ({len(ids)}, {d}) expected, found shape {values.shape}.")
 

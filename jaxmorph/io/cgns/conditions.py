@@ -17,7 +17,7 @@ ONE_TO_ONE = "GridConnectivity1to1_t"
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Connection:
-    """A periodic interface: its zone and nodes, its donor's nodes, and a rotation's centre and angles.
+    """A periodic interface: nodes of its zone and of its donor, a rotation's centre and angles.
 
     Centre and angles are zero for a translation.
     """

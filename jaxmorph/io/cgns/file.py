@@ -172,7 +172,7 @@ def _pairs(found: list[Connection], patches: dict[str, list[np.ndarray]]) -> lis
 
 
 def _periodic(first: str, second: str, interface: Connection, is_flat: bool) -> Periodic:
-    """Makes a pair of an interface; files differ in the sign of shifts and angles: nodes tell them."""
+    """Makes a pair of an interface. Files differ in the sign of shifts and angles; nodes tell."""
     if not interface.angles.any():
         return Periodic(first, second)
     about = np.pad(interface.centre, (0, 3))[: 2 if is_flat else 3]

@@ -157,7 +157,7 @@ class Content:
 
 @dataclasses.dataclass(eq=False)
 class Condition:
-    """A boundary condition: its zone, its name and node in the file, and the patch that it is of."""
+    """A boundary condition: its zone, its name and node in the file, and its patch."""
 
     zone: str
     name: str
