@@ -1,6 +1,6 @@
 """VTK's unstructured grids as a `Grid`, and a `Mesh` as one of VTK's grids."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -35,7 +35,6 @@ class Whole(NamedTuple):
 
 
 def vtk(name: str) -> Any:
-    """Imports one of VTK's modules."""
     return imported(f"vtkmodules.{name}", "io")
 
 
@@ -51,14 +50,12 @@ def _arrays_of(cells: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def numbers_of(grid: Any) -> np.ndarray:
-    """Returns VTK's number of each cell's type."""
     if not grid.GetNumberOfCells():
         return np.zeros(0, np.uint8)
     return _as_numpy(grid.GetCellTypes())
 
 
 def data_of(attributes: Any) -> dict[str, np.ndarray]:
-    """Returns the numerical arrays of a grid's points or cells by name."""
     found = {}
     for k in range(attributes.GetNumberOfArrays()):
         array, name = attributes.GetArray(k), attributes.GetAbstractArray(k).GetName()
@@ -108,7 +105,6 @@ def _dimension(kind: str) -> int:
 
 
 def solid_cells(kinds: np.ndarray) -> np.ndarray:
-    """Finds the cells of the highest dimension."""
     levels = {kind: _dimension(kind) for kind in set(kinds.tolist())}
     highest = max(levels.values(), default=0)
     return np.flatnonzero(np.isin(kinds, [kind for kind, level in levels.items() if level == highest]))
@@ -124,11 +120,11 @@ def of_vtk(grid: Any) -> tuple[Grid, Whole | None]:
     Polyhedra become standard cells or are cut, as `Whole` has it. It raises `ValueError` for cells
     that no mesh has, and for ids of nodes that are not there.
     """
-    points, (starts, ids) = coordinates(grid), _arrays_of(grid.GetCells())
+    points, (_, ids) = coordinates(grid), _arrays_of(grid.GetCells())
     outside = ids[(ids < 0) | (ids >= len(points))]
     if len(outside):
         raise ValueError(f"a cell names node {outside[0]}, but there are {len(points)} points.")
-    kinds, numbers = kinds_of(grid), numbers_of(grid)
+    kinds = kinds_of(grid)
     solid = solid_cells(kinds)
     top = dict.fromkeys(kinds[solid].tolist())
     unknown = [kind for kind in top if kind not in (*NODES, "polyhedron") and _dimension(kind) > 1]
@@ -138,20 +134,24 @@ def of_vtk(grid: Any) -> tuple[Grid, Whole | None]:
     if "polyhedron" in top:
         blocks, whole, outer = _polyhedral(grid, points.astype(float), kinds, solid)
     for kind in dict.fromkeys(kinds.tolist()):
-        if whole is not None and kind in top:
-            continue
-        rows = np.flatnonzero(kinds == kind)
-        sizes = np.diff(starts)[rows]
-        if kind in NODES and (sizes != NODES[kind]).any():
-            raise ValueError(f"cells of type {kind} have {sizes[sizes != NODES[kind]][0]} nodes, not {NODES[kind]}.")
-        for size in np.unique(sizes).tolist():
-            chosen = rows[sizes == size]
-            nodes = ids[starts[chosen][:, None] + np.arange(size)]
-            blocks.append((kind, _canonical(kind, nodes, numbers[chosen]), chosen))
+        if whole is None or kind not in top:
+            blocks += _of_kind(grid, kind, np.flatnonzero(kinds == kind))
     data = data_of(grid.GetCellData())
     cell_data = {name: [values[rows] for *_, rows in blocks] for name, values in data.items()}
     read = [(kind, corners) for kind, corners, _ in blocks]
     return Grid(points, read, data_of(grid.GetPointData()), cell_data, outer=outer), whole
+
+
+def _of_kind(grid: Any, kind: str, rows: np.ndarray) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
+    """Yields type, nodes and rows of the cells of one type, those of each size apart."""
+    (starts, ids), numbers = _arrays_of(grid.GetCells()), numbers_of(grid)
+    sizes = np.diff(starts)[rows]
+    if kind in NODES and (sizes != NODES[kind]).any():
+        raise ValueError(f"cells of type {kind} have {sizes[sizes != NODES[kind]][0]} nodes, not {NODES[kind]}.")
+    for size in np.unique(sizes).tolist():
+        chosen = rows[sizes == size]
+        nodes = ids[starts[chosen][:, None] + np.arange(size)]
+        yield kind, _canonical(kind, nodes, numbers[chosen]), chosen
 
 
 def _canonical(kind: str, nodes: np.ndarray, numbers: np.ndarray) -> np.ndarray:
@@ -239,7 +239,6 @@ def _inward(points: np.ndarray, labels: np.ndarray, begins: np.ndarray, cell: np
 
 
 def mesh_of(grid: Any) -> tuple[Parts, Whole | None]:
-    """Makes points, cells and patches of an unstructured grid, in the order that a mesh has."""
     read, whole = of_vtk(grid)
     return checked_parts(*parts(read)), whole
 

@@ -22,12 +22,6 @@ _SIZES = {"int": (110, (4,)), "long": (112, (4, 8)), "float": (114, (4,)), "doub
 _HEADER_TAGS = {32: b"adf0", 64: b"adf1", 96: b"adf2", 102: b"adf3", 130: b"adf4", 182: b"adf5"}
 
 
-def is_adf(path: pathlib.Path) -> bool:
-    """Checks whether a file begins as an ADF file."""
-    with path.open("rb") as file:
-        return file.read(TAG + len(MAGIC))[TAG:] == MAGIC
-
-
 class Array:
     """A node's numbers, read and written in place: bytes `(at, count)` of the file, in pieces."""
 
@@ -92,8 +86,8 @@ class Reader:
     def tree(self) -> Node:
         """Reads the tree of an open file, not its arrays.
 
-        It raises `ValueError` for links, damaged tags, places beyond the file, nodes in a circle, and
-        parts that overlap.
+        It raises `ValueError` for links, damaged tags, places beyond the file, nodes in a circle,
+        and parts that overlap.
         """
         root, below = self._node(self.root)
         waiting, seen = [(root, "", below)], {self.root}
@@ -136,7 +130,6 @@ class Reader:
                 raise ValueError(f"{raw[at : at + TAG]!r} where {tag!r} should stand")
 
     def _node(self, at: int, place: str = "") -> tuple[Node, list[int]]:
-        """Reads a node, and the places of its children."""
         raw = self.read(at, NODE)
         self._tagged(raw, {0: b"node", NODE - TAG: b"tail"})
         self.spans.append((at, at + NODE))
@@ -170,14 +163,12 @@ class Reader:
         return self.hexadecimal(raw) if self.is_old else int(np.frombuffer(raw, self.order + f"u{len(raw)}")[0])
 
     def _entries(self, number: int, raw: bytes) -> list[int]:
-        """Reads where the children of a node stand."""
         if not number:
             return []
         table = self._table(self.pointer(raw), (b"sntb", b"snte"), ENTRY * number)
         return [self.pointer(table[k - POINTER : k]) for k in range(ENTRY, len(table) + 1, ENTRY)]
 
     def _pieces(self, number: int, raw: bytes) -> list[tuple[int, int]]:
-        """Finds the bytes of a node's data: one chunk, or all chunks of a table."""
         if number < 2:
             return [self._part(self.pointer(raw), (b"data", b"dend"))] if number else []
         pieces = []
@@ -191,7 +182,6 @@ class Reader:
         return pieces
 
     def _table(self, at: int, tags: tuple[bytes, bytes], need: int) -> bytes:
-        """Reads the first bytes of a part."""
         first, count = self._part(at, tags)
         if need > count:
             raise ValueError(f"a table of {need} bytes in {count}")

@@ -220,7 +220,6 @@ def with_boxes(mesh: Mesh, new: Sequence[Box]) -> Mesh:
 
 
 def _keywords(source: Source) -> Sequence[Keyword]:
-    """Finds the keywords of the file, or of the zone in it that a mesh was read from."""
     content = source.content
     zones = by_zones(source.path, content.text)
     return next(
@@ -248,14 +247,14 @@ def _box(keywords: Sequence[Keyword], n: int, d: int) -> Box:
             raise at.error(f"box {name} has no {word}=; SU2 writes it by DV_KIND= FFD_SETTING.")
         return table[word].number() if word in table else int(default or 0)
 
-    degrees = [number(f"FFD_DEGREE_{axis}") for axis in "IJK"[:d]]
-    orders = [number(f"BSPLINE_ORDER_{axis}", 0) for axis in "IJK"[:d]]
+    degrees = np.array([number(f"FFD_DEGREE_{axis}") for axis in "IJK"[:d]])
+    orders = np.array([number(f"BSPLINE_ORDER_{axis}", 0) for axis in "IJK"[:d]])
     corners = _rows(table, "FFD_CORNER_POINTS", at, d)
     if len(corners) != 2**d:
         raise at.error(f"box {name} has {len(corners)} corners; {2**d} expected in {d}-D.")
-    bent = all(1 < order <= degree + 1 for order, degree in zip(orders, degrees, strict=True))
+    is_spline = ((orders > 1) & (orders <= degrees + 1)).all()
     try:
-        shape = Hexahedron(corners, [p + 1 for p in degrees], degree=[o - 1 for o in orders] if bent else None)
+        shape = Hexahedron(corners, (degrees + 1).tolist(), degree=(orders - 1).tolist() if is_spline else None)
     except ValueError as error:
         raise at.error(f"box {name}: {error}") from error
     control = _control(_rows(table, "FFD_CONTROL_POINTS", at, 6), shape, at)
@@ -313,7 +312,6 @@ def _surface(keyword: Keyword, n: int, d: int) -> Surface:
 
 
 def _lines(new: Sequence[Box], d: int) -> Iterator[str]:
-    """Yields the section line by line, as SU2 writes it."""
     yield f"FFD_NBOX= {len(new)}"
     yield f"FFD_NLEVEL= {1 + max(box.level for box in new)}"
     for box in new:

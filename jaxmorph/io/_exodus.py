@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxmorph._host.cells.topology import DIMENSION
 from jaxmorph._mesh.exchange import Grid, Parts, Patch, regions_note
 
 from ._format import Arrays, MeshLike
@@ -66,7 +67,8 @@ def read(path: pathlib.Path) -> Parts:
         blocks = list(_blocks(path, file, d))
         _check_count(file, "num_elem", sum(len(block.corners) for block in blocks))
         grid = Grid(points, [(block.kind, block.corners) for block in blocks], {}, {})
-        solid = [level == max(grid.levels) for level in grid.levels]
+        levels = [DIMENSION.get(block.kind, 0) for block in blocks]
+        solid = [level == max(levels) for level in levels]
         patches = [
             Patch(block.name, block.own, block.corners)
             for block, is_solid in zip(blocks, solid, strict=True)
@@ -97,7 +99,6 @@ def _coordinates(file: Mapping[str, Any]) -> Iterator[Coordinates]:
 
 
 def _check_count(file: Mapping[str, Any], name: str, count: int) -> None:
-    """Raises `ValueError` where a dimension of the file is not the number of things found."""
     if file[name].shape != (count,):
         raise ValueError(f"{name} is {file[name].shape[0]}, and {count} are found")
 
@@ -124,7 +125,6 @@ def _blocks(path: pathlib.Path, file: Mapping[str, Any], dimension: int) -> Iter
 
 
 def _notes(file: Mapping[str, Any], solid: list[_Block]) -> Iterator[str]:
-    """Yields sentences on what does not become patches."""
     if len(solid) > 1 or any(block.name != block.own for block in solid):
         yield from regions_note(block.name for block in solid)
     for dimension, what in _UNREAD.items():
@@ -133,7 +133,6 @@ def _notes(file: Mapping[str, Any], solid: list[_Block]) -> Iterator[str]:
 
 
 def _sets(file: Mapping[str, Any], kind: tuple[str, str, str, str], blocks: list[_Block]) -> Iterator[Patch]:
-    """Yields side sets or node sets."""
     what, dimension, array, own = kind
     numbers, names = _names(file, what, file[dimension].shape[0] if dimension in file else 0)
     for at, name in enumerate(names, start=1):
@@ -154,7 +153,6 @@ def _array(file: Mapping[str, Any], name: str, at: int, what: str) -> Any:
 
 
 def _names(file: Mapping[str, Any], what: str, count: int) -> tuple[np.ndarray, list[str]]:
-    """Reads the numbers and the names of blocks or sets, of which there are `count`."""
     numbers = file[f"{what}_prop1"][()] if f"{what}_prop1" in file else np.zeros(0, int)
     names = [_text(row) for row in file[f"{what}_names"][()]] if f"{what}_names" in file else [""] * count
     if len(names) != count:
@@ -167,7 +165,6 @@ def _number(numbers: np.ndarray, at: int) -> int:
 
 
 def _nodes(blocks: list[_Block], cells: np.ndarray, sides: np.ndarray) -> np.ndarray:
-    """Finds the nodes of sides of cells, which are counted through all blocks."""
     starts = np.cumsum([0, *(len(block.corners) for block in blocks)])
     if cells.shape != sides.shape or cells.min() < 0 or cells.max() >= starts[-1]:
         raise ValueError(f"a set of sides of elements {cells.min() + 1} to {cells.max() + 1} of {starts[-1]}")

@@ -200,7 +200,6 @@ def own_source(path: pathlib.Path, mesh: MeshLike, format_name: str) -> Source:
 
 @contextlib.contextmanager
 def faults_of(path: pathlib.Path) -> Iterator[None]:
-    """Puts the name of the file that is read before the message of a `ValueError`."""
     try:
         yield
     except ValueError as error:

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxmorph._host.cells.topology import DIMENSION
 from jaxmorph._mesh.exchange import Grid, Parts, Patch, regions_note
 
 from ._format import Arrays, MeshLike
@@ -47,10 +48,9 @@ def read(path: pathlib.Path) -> Parts:
             families.append(_families(group, len(corners)))
         of_nodes = _families(step["NOE"], len(points))
         of_elements, groups = _groups(file, name, "ELEME"), _groups(file, name, "NOEUD")
-    grid = Grid(points, blocks, {}, {})
-    patches, regions = _of_elements(grid, families, of_elements)
+    patches, regions = _of_elements(blocks, families, of_elements)
     patches += [Patch(group, "nodes", np.flatnonzero(np.isin(of_nodes, ids))) for group, ids in groups.items()]
-    return of_tree(path, NAME, grid, singles, patches, regions_note(regions))
+    return of_tree(path, NAME, Grid(points, blocks, {}, {}), singles, patches, regions_note(regions))
 
 
 def write(path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arrays) -> None:
@@ -63,23 +63,26 @@ def _coordinates(file: Any) -> Iterator[Coordinates]:
 
 
 def _families(group: Any, count: int) -> np.ndarray:
-    """Reads the number of the family of each node or element."""
     families = group["FAM"][()] if "FAM" in group else np.zeros(count, int)
     if len(families) != count:
         raise ValueError("families of other elements than there are")
     return families
 
 
-def _of_elements(grid: Grid, families: list[np.ndarray], groups: dict[str, list[int]]) -> tuple[list[Patch], list[str]]:
+def _of_elements(
+    blocks: list[tuple[str, np.ndarray]], families: list[np.ndarray], groups: dict[str, list[int]]
+) -> tuple[list[Patch], list[str]]:
     """Makes patches of groups of lower dimension, and lists groups of full dimension."""
-    patches, regions, most = [], [], max(grid.levels)
+    patches, regions, levels = [], [], [DIMENSION.get(kind, 0) for kind, _ in blocks]
     for group, numbers in groups.items():
         chosen = [np.isin(family, numbers) for family in families]
-        parts = list(zip(grid.blocks, grid.levels, chosen, strict=True))
-        nodes = [corners[inside].ravel() for (_, corners), level, inside in parts if level < most and inside.any()]
+        parts = list(zip(blocks, levels, chosen, strict=True))
+        nodes = [
+            corners[inside].ravel() for (_, corners), level, inside in parts if level < max(levels) and inside.any()
+        ]
         if nodes:
             patches.append(Patch(group, "elements", np.concatenate(nodes)))
-        if any(inside.any() for _, level, inside in parts if level == most):
+        if any(inside.any() for _, level, inside in parts if level == max(levels)):
             regions.append(group)
     return patches, regions
 
@@ -97,7 +100,6 @@ def _step(file: Any) -> tuple[str, Any]:
 
 
 def _groups(file: Any, name: str, kind: str) -> dict[str, list[int]]:
-    """Reads the groups of elements or of nodes, and the numbers of their families."""
     families = file["FAS"][name] if "FAS" in file and name in file["FAS"] else {}
     groups: dict[str, list[int]] = {}
     for family in families.get(kind, {}).values():

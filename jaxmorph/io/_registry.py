@@ -111,14 +111,11 @@ def read(path: str | os.PathLike[str]) -> Mesh:
     coordinates when all z of the file are equal. Patches are
 
     - SU2's markers, gmsh's physical groups, CGNS's families or boundary conditions, MED's groups,
-      OpenFOAM's patches;
+      OpenFOAM's patches, VTK's point arrays called `patch:NAME`;
     - MFEM's attributes of boundary elements, `boundary_3` for attribute 3; named sets are groups;
-    - Exodus's side sets and node sets, and its blocks of shells, beams or points beside larger
-      cells;
-    - the sides of PLOT3D's blocks, or patches that a file beside the grid names. The file is called
-      as the grid with the ending `.patches`, and holds lines `NAME BLOCK SIDE` or `NAME BLOCK I1 I2
-      J1 J2 [K1 K2]`;
-    - in VTK files the point arrays called `patch:NAME`;
+    - Exodus's side sets and node sets, and its blocks of lower dimension;
+    - the sides of PLOT3D's blocks, or patches that a file beside the grid names. It has the grid's
+      name, the ending `.patches`, and lines `NAME BLOCK SIDE` or `NAME BLOCK I1 I2 J1 J2 [K1 K2]`;
     - the one patch `boundary` for a file that names none.
 
     Where two have one name and other nodes, the second one's name has what it is at its end,
@@ -147,21 +144,16 @@ def write(
 ) -> None:
     """Writes a mesh in the format of the file's ending.
 
-    The mesh may be one read from a file and then `moved`. Written to the format it came from,
-    everything but the coordinates is kept, byte for byte in SU2, gmsh, MFEM, OpenFOAM and PLOT3D
-    files. An unmoved mesh gives the same file. Coordinates read back bit for bit, rounded once
-    where the file is in single precision, and to round-off in MFEM's files of order 3 and 4.
-    Between formats, and for generated meshes, points, cells and patches are written. SU2 and gmsh
-    express a patch by the boundary faces between its nodes. CGNS, MFEM, MED, Exodus, PLOT3D and
-    OpenFOAM take back only meshes that came from them.
+    A mesh that was read and `moved` keeps everything but its coordinates in the format it came
+    from, byte for byte in SU2, gmsh, MFEM, OpenFOAM and PLOT3D files. Coordinates read back bit for
+    bit, rounded once where the file is in single precision, and to round-off in MFEM's files of
+    order 3 and 4; `as_written` has them. Between formats, and for generated meshes, points, cells
+    and patches are written. SU2 and gmsh express a patch by the boundary faces between its nodes.
+    CGNS, MFEM, MED, Exodus, PLOT3D and OpenFOAM take back only meshes that came from them.
 
     A mesh from an OpenFOAM case goes into a time folder of the case (`case/0.5`: its
-    `polyMesh/points`), or into a new folder. The new folder is a copy of the case's `constant`,
-    `system`, `0` and `0.orig` with other points. The case stays as it is. 2-D cases (`empty`
-    patches) are meshes in two coordinates, and both planes move alike.
-
-    A warning says where single precision takes much of the motion or of small cells; `as_written`
-    has the points that the file will hold.
+    `polyMesh/points`), or into a new folder: a copy of the case's `constant`, `system`, `0` and
+    `0.orig` with other points. Both planes of a 2-D case move alike.
 
     The file appears when it is complete, under a temporary name until then.
 
@@ -196,8 +188,7 @@ def write(
 def as_written(path: str | os.PathLike[str], mesh: Mesh) -> Float[np.ndarray, "n d"]:
     """Computes the points that reading a written file will give, bit for bit; writes nothing.
 
-    These are the points to judge: a file in single precision rounds them, and may lose a small
-    motion or the first cells at a wall.
+    A file in single precision rounds them: a small motion or the first cells at a wall may be lost.
 
     **Arguments:**
 

@@ -122,7 +122,6 @@ _END = re.compile(rb"\)\s*\)\s*;")
 
 
 def is_foam_file(path: pathlib.Path) -> bool:
-    """Checks whether a file is an OpenFOAM file, by its ending or its header."""
     if path.suffix == ".gz":
         return True
     with path.open("rb") as file:

@@ -5,7 +5,6 @@ header lists dimensions, attributes and variables with their places. All numbers
 """
 
 import contextlib
-import itertools
 import math
 import pathlib
 import shutil
@@ -86,7 +85,6 @@ class Coordinates(NamedTuple):
 
 
 def points_of(coordinates: Sequence[Coordinates], n: int, d: int) -> np.ndarray:
-    """Reads points (n, d)."""
     points = np.full((n, d), np.nan)
     for array, rows, columns in coordinates:
         points[rows, columns] = array[()].reshape(d if columns == slice(None) else 1, -1).T
@@ -94,7 +92,6 @@ def points_of(coordinates: Sequence[Coordinates], n: int, d: int) -> np.ndarray:
 
 
 def singles_of(coordinates: Iterable[Coordinates]) -> list[tuple[slice, slice]]:
-    """Lists rows and columns of the points that are in single precision."""
     return [(rows, columns) for array, rows, columns in coordinates if array.dtype.itemsize < 8]
 
 
@@ -106,7 +103,6 @@ def of_tree(
     patches: Iterable[Patch],
     notes: Iterable[str],
 ) -> Parts:
-    """Makes the mesh of a file of one grid."""
     content = FilePoints(grid.points, stamp=stamp_of(path))
     source = Source(path, name, content, in_file=content.in_file, held=content.held(singles), notes=tuple(notes))
     return of_grid(path, grid, source, patches)
@@ -145,8 +141,6 @@ _UNSTATED = 2**32 - 4
 
 
 class _Header:
-    """Reads the header of a classic netCDF file from its beginning to its end."""
-
     def __init__(self, file: BinaryIO):
         self.file, self.size = file, file.seek(0, 2)
         file.seek(0)
@@ -196,9 +190,9 @@ class _Header:
         dimensions = [(self.name(), self.number()) for _ in self.entries(_DIMENSIONS)]
         self.attributes()
         variables = [self._variable(dimensions) for _ in self.entries(_VARIABLES)]
-        spans = sorted([(0, self.file.tell()), *self.spans])
-        overlaps = any(after < end for (_, end), (after, _) in itertools.pairwise(spans))
-        if overlaps or any(start < end and end > self.size for start, end in spans):
+        spans = np.array(sorted([(0, self.file.tell()), *self.spans]))
+        ends = spans[spans[:, 0] < spans[:, 1], 1]
+        if (spans[1:, 0] < spans[:-1, 1]).any() or ends.max() > self.size:
             raise ValueError("variables lie in one another, or beyond the end of the file")
         if any(len(dict(several)) < len(several) for several in (dimensions, variables)):
             raise ValueError("two dimensions or two variables of one name")

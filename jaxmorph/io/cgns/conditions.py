@@ -1,5 +1,6 @@
 """Boundary of a CGNS file: conditions, their types and families, and interfaces between zones."""
 
+import collections
 import contextlib
 import dataclasses
 from collections.abc import Iterable, Iterator, Mapping
@@ -48,7 +49,6 @@ def connections(zone: Zone, zones: Mapping[str, Zone]) -> Iterator[Connection]:
 
 
 def _joints(zone: Zone) -> Iterator[np.ndarray]:
-    """Yields the nodes of interfaces at which the zone goes on in another one."""
     for name, interface, turns in _interfaces(zone, ONE_TO_ONE):
         if not turns and "PointRange" in interface:
             with contextlib.suppress(ValueError):  # a wrong range of an interface does no harm
@@ -57,7 +57,6 @@ def _joints(zone: Zone) -> Iterator[np.ndarray]:
 
 
 def _interfaces(zone: Zone, *labels: str) -> Iterator[tuple[str, Any, list[Any]]]:
-    """Yields the name and node of each interface, and its nodes that say how it repeats."""
     for _, connectivity in children(zone.group, "ZoneGridConnectivity_t"):
         for label in labels:
             for name, interface in children(connectivity, label):
@@ -90,13 +89,12 @@ def read_conditions(zones: list[Zone]) -> list[str]:
                 family = next((word(child) for _, child in children(node, "FamilyName_t")), "")
                 zone.conditions.append(Condition(zone.name, name, node, family, family or name))
     every = [condition for zone in zones for condition in zone.conditions]
-    families, notes, kinds, members = {each.family for each in every if each.family}, [], {}, {}
-    for condition in every:
+    alone, families = [each for each in every if not each.family], {each.family for each in every if each.family}
+    notes, kinds, members = [], {}, collections.Counter()
+    for condition in alone:
         name = condition.name
-        if condition.family:
-            continue
         if name not in families and kinds.setdefault(name, condition.kind) == condition.kind:
-            members[name] = members.get(name, 0) + 1
+            members[name] += 1
             continue
         while condition.patch in families | kinds.keys():
             condition.patch += f"_{condition.zone}"
@@ -106,11 +104,8 @@ def read_conditions(zones: list[Zone]) -> list[str]:
             f"the boundary condition {name} of zone {condition.zone} is called as a {other}: "
             f"it is the patch {condition.patch}."
         )
-    return notes + [
-        f"the boundary conditions {name} of {count} zones, of one type, are one patch."
-        for name, count in members.items()
-        if count > 1
-    ]
+    text = "the boundary conditions {} of {} zones, of one type, are one patch."
+    return notes + [text.format(name, count) for name, count in members.items() if count > 1]
 
 
 def patches(zone: Zone) -> Iterator[tuple[str, np.ndarray | None]]:
@@ -221,7 +216,6 @@ def kinds_of(file: Any, conditions: list[Condition]) -> dict[str, str]:
 
 
 def _of_families(file: Any, label: str) -> dict[str, list[str]]:
-    """Reads the words of each family's nodes of a label."""
     families = [family for _, base in children(file, "CGNSBase_t") for family in children(base, "Family_t")]
     return {name: [word(node) for _, node in children(family, label) if " data" in node] for name, family in families}
 

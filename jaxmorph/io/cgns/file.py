@@ -92,7 +92,6 @@ def open_zones(path: pathlib.Path, file: Any) -> tuple[list[Zone], int]:
 
 
 def _bases(file: Any) -> Iterator[tuple[str, Any, int]]:
-    """Yields each base with zones: its name, its node, and the dimension of its cells."""
     for name, base in children(file, "CGNSBase_t"):
         if any(children(base, "Zone_t")):
             yield name, base, int(data(base)[0])
@@ -208,7 +207,6 @@ def _whole(zones: list[Zone], node: np.ndarray | None) -> tuple[Polyhedra, np.nd
 
 
 def _outer(zone: Zone) -> list[np.ndarray]:
-    """Finds the outer faces of an unstructured zone."""
     cells: dict[str, list[np.ndarray]] = {}
     for block in zone.content.blocks:
         cells.setdefault(block.kind, []).append(block.corners - zone.first)

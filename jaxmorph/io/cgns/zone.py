@@ -28,7 +28,6 @@ class Ragged:
         return len(self.starts) - 1
 
     def __getitem__(self, rows: np.ndarray) -> np.ndarray:
-        """Returns the values of some rows, one after the other."""
         return self.values[spread(self.starts[rows], self.starts[rows + 1])[0]]
 
 
@@ -122,12 +121,10 @@ def text(value: Any) -> str:
 
 
 def data(group: Any) -> np.ndarray:
-    """Reads the array of a node."""
     return group[" data"][()]
 
 
 def word(group: Any) -> str:
-    """Reads the characters of a node."""
     return text(data(group).tobytes())
 
 
@@ -213,7 +210,6 @@ class Zone:
         return [Coordinates(values, self.rows, slice(axis, axis + 1)) for axis, values in enumerate(sets)]
 
     def cells(self, points: np.ndarray) -> Content:
-        """Reads what the zone holds; `points` are its own."""
         if self.is_structured:
             ids = block_ids(self.shape, self.first)
             if ids.ndim < 2:

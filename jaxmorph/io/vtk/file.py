@@ -105,9 +105,9 @@ def _read(path: pathlib.Path) -> Content:
 def _data(path: pathlib.Path) -> tuple[Any, Any]:
     """Reads one file by VTK, after a look at the sizes that it announces."""
     kind: Any = legacy if path.suffix.lower() == ".vtk" else xml
-    raw, encoding = kind.checked(path.read_bytes())
-    reader = kind.reader(path, raw, encoding)
     with errors_told():
+        raw, encoding = kind.checked(path.read_bytes())
+        reader = kind.reader(path, raw, encoding)
         reader.Update()
     return reader.GetOutput(), encoding
 
