@@ -152,8 +152,8 @@ def write(
     CGNS, MFEM, MED, Exodus, PLOT3D and OpenFOAM take back only meshes that came from them.
 
     A mesh from an OpenFOAM case goes into a time folder of the case (`case/0.5`: its
-    `polyMesh/points`), or into a new folder: a copy of the case's `constant`, `system`, `0` and
-    `0.orig` with other points. Both planes of a 2-D case move alike.
+    `polyMesh/points`), or into a new folder. That is a copy of the case's `constant`, `system`, `0`
+    and `0.orig` with other points. Both planes of a 2-D case move alike.
 
     The file appears when it is complete, under a temporary name until then.
 
