@@ -89,14 +89,6 @@ def test_cgnslib_reads_what_these_tests_write(form, tmp_path):
     assert subprocess.run(words, cwd=tmp_path, check=True, capture_output=True, text=True).stdout == ""
 
 
-def test_single_precision_stays(tmp_path):
-    two_blocks(tmp_path / "h.cgns", "<f4")
-    adf.twin(tmp_path / "h.cgns", tmp_path / "a.cgns", "A", ">")
-    mesh = io.read(tmp_path / "a.cgns")
-    io.write(tmp_path / "b.cgns", mesh.moved(mesh.points * np.pi))
-    np.testing.assert_array_equal(io.read(tmp_path / "b.cgns").points, (mesh.points * np.pi).astype(np.float32))
-
-
 def heap(links=None):
     """A root with one child of each kind, for damage by hand; `links` is what a node of the kind LK says."""
     made = adf.Heap("A", "<")

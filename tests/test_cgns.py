@@ -39,15 +39,6 @@ def test_structured_zones_are_joined_and_written_back(tmp_path):
     assert {name.split("/")[-2][:-1] for name in before if before[name] != after[name]} == {"Coordinate"}
 
 
-def test_single_precision_stays(tmp_path):
-    two_blocks(tmp_path / "a.cgns", "<f4")
-    mesh = io.read(tmp_path / "a.cgns")
-    assert len(mesh.points) == 54
-    io.write(tmp_path / "b.cgns", mesh.moved(mesh.points * np.pi))
-    again = io.read(tmp_path / "b.cgns").points
-    np.testing.assert_array_equal(again, (mesh.points * np.pi).astype(np.float32))
-
-
 def test_unstructured_zones(tmp_path):
     points = unstructured(tmp_path / "a.cgns")
     mesh = io.read(tmp_path / "a.cgns")
@@ -81,8 +72,6 @@ def test_a_c_grid_is_joined_along_its_wake_and_not_at_its_wall(tmp_path):
 def test_what_is_refused(tmp_path):
     two_blocks(tmp_path / "a.cgns")
     mesh = io.read(tmp_path / "a.cgns")
-    with pytest.raises(ValueError, match="only a mesh that was read from a CGNS file"):
-        io.write(tmp_path / "b.cgns", jm.Mesh(mesh.points, mesh.cells))
     os.utime(tmp_path / "a.cgns", ns=(0, 0))
     with pytest.raises(ValueError, match="has changed since the mesh was read"):
         io.write(tmp_path / "b.cgns", mesh)
@@ -122,7 +111,7 @@ def test_polyhedra(tmp_path):
     good = (tmp_path / "a.cgns").read_bytes()
     for part, value, message in (
         ("cells/ElementConnectivity", 999, "NFACE_n names faces that are in no section NGON_n"),
-        ("faces/ElementConnectivity", 2, r"\d cells do not close, first cell \d: NGON_n or NFACE_n are damaged"),
+        ("faces/ElementConnectivity", 2, r"\d cells do not close, first cell \d: their faces are damaged"),
         ("faces/ElementStartOffset", 1, "the offsets of section faces do not cut its"),
     ):
         (tmp_path / "a.cgns").write_bytes(good)
@@ -172,16 +161,6 @@ def test_data_of_other_files_are_refused_and_never_written(tmp_path, name, how):
     with pytest.raises(ValueError, match=r"keeps its values in|is a link to|has changed"):
         io.write(tmp_path / "b.cgns", mesh.moved(mesh.points * 2))
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
-
-
-def test_a_condition_behind_a_link_is_refused(tmp_path):
-    two_blocks(tmp_path / "a.cgns")
-    two_blocks(tmp_path / "b.cgns")
-    with h5py.File(tmp_path / "a.cgns", "r+") as file:
-        zone = place_of(file, "Density").parent.parent
-        zone["ZoneBC_elsewhere"] = h5py.ExternalLink("b.cgns", "/Base")
-    with pytest.raises(ValueError, match=r"ZoneBC_elsewhere is a link to b\.cgns"):
-        io.read(tmp_path / "a.cgns")
 
 
 def test_groups_that_hold_each_other_end(tmp_path):

@@ -115,9 +115,9 @@ def test_arrays_by_node_id(tmp_path):
     for arrays, message in (
         ({"ids": moving + 1, "displacement": u}, "node ids are not of the moving patches .first 12., and 1 of the 6"),
         ({"ids": moving * 0, "displacement": u}, "5 of its 6 node ids come a second time"),
-        ({"displacement": u[:5]}, r"values of shape \(5, 3\) for 6 nodes"),
+        ({"displacement": u[:5]}, r"shape \(6, 3\) expected, found shape \(5, 3\)"),
         ({"displacement": u, "position": u}, "one array displacement or position expected"),
-        ({"ids": moving * 1.0, "displacement": u}, "whole numbers as ids"),
+        ({"ids": moving * 1.0, "displacement": u}, "ids must be whole numbers"),
         ({"displacement": u * np.nan}, "finite values"),
     ):
         np.savez(tmp_path / "bad.npz", **arrays)

@@ -52,16 +52,6 @@ def test_an_output_that_is_a_link_keeps_being_one(tmp_path):
 
 
 @posix
-def test_the_input_is_not_written_through_a_link(tmp_path):
-    io.write(tmp_path / "a.su2", small())
-    (tmp_path / "link.su2").symlink_to(tmp_path / "a.su2")
-    before = (tmp_path / "a.su2").read_bytes()
-    with pytest.raises(ValueError, match="the mesh was read from this file"):
-        io.write(tmp_path / "link.su2", io.read(tmp_path / "a.su2"))
-    assert (tmp_path / "a.su2").read_bytes() == before
-
-
-@posix
 def test_a_hard_link_to_the_old_file_keeps_its_content(tmp_path):
     (tmp_path / "a.txt").write_text("old")
     os.link(tmp_path / "a.txt", tmp_path / "b.txt")

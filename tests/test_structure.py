@@ -154,7 +154,7 @@ _host.package.arguments
 
 HOMES = """
 Block Bounds Cells Content Elements Encoding Form Grid Hierarchy Options Patch Sides
-Variable _Content _Reader
+_Content
 """
 """Names of classes that several files define: the list may only shrink."""
 

@@ -17,7 +17,6 @@ import jaxmorph as jm
 from jaxmorph import io
 
 pyvista = pytest.importorskip("pyvista")
-TYPES = ("i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", "f4", "f8")
 
 
 def mixed() -> jm.Mesh:
@@ -33,7 +32,7 @@ def mixed() -> jm.Mesh:
     return jm.Mesh(points, cells, {"far field": [0, 1], "50%20 \u00e4": [2, 3, 4]})
 
 
-@pytest.mark.parametrize("dtype", [*TYPES, "?"])
+@pytest.mark.parametrize("dtype", [*vtk_files.TYPES, "?"])
 @pytest.mark.parametrize("ending", ["vtk", "vtu"])
 def test_vtk_reads_all_arrays_that_are_written(tmp_path, ending, dtype):
     mesh = mixed()
@@ -57,39 +56,6 @@ def test_numbers_beyond_four_bytes_keep_their_value(tmp_path, large):
     mesh = bricks(1)
     io.write(tmp_path / "a.vtk", mesh, cell_data={"c": np.array([large])})
     assert pyvista.read(tmp_path / "a.vtk").cell_data["c"].tolist() == [large]
-
-
-@pytest.mark.parametrize("binary", [False, True])
-@pytest.mark.parametrize("version", [42, 51])
-def test_what_vtk_writes_is_read_with_all_arrays(tmp_path, version, binary):
-    from vtkmodules.vtkIOLegacy import vtkUnstructuredGridWriter
-
-    mesh, rng = mixed(), np.random.default_rng(0)
-    grid = mesh.to_pyvista()
-    for dtype in TYPES:
-        grid.point_data[f"p {dtype}"] = rng.integers(0, 100, (grid.n_points, 3)).astype(dtype)
-        grid.cell_data[dtype] = rng.integers(0, 100, grid.n_cells).astype(dtype)
-    grid.cell_data["flag"] = np.arange(grid.n_cells) % 2 == 0
-    grid.point_data["mean"] = np.array([np.nan, *range(1, grid.n_points)])
-    grid.field_data["names"] = ["a b", "c" * 100]
-    grid.point_data.active_scalars_name = "mean"
-    writer = vtkUnstructuredGridWriter()
-    writer.SetInputData(grid)
-    writer.SetFileVersion(version)
-    writer.SetFileName(str(tmp_path / "a.vtk"))
-    (writer.SetFileTypeToBinary if binary else writer.SetFileTypeToASCII)()
-    writer.Write()
-    read = io.read(tmp_path / "a.vtk")
-    np.testing.assert_array_equal(read.points, grid.points)
-    assert list(read.patches) == list(mesh.patches)
-    io.write(tmp_path / "b.vtk", read)
-    found = pyvista.read(tmp_path / "b.vtk")
-    np.testing.assert_array_equal(found.celltypes, grid.celltypes)
-    np.testing.assert_array_equal(found.cell_connectivity, grid.cell_connectivity)
-    for name in grid.point_data:
-        np.testing.assert_array_equal(found.point_data[name], grid.point_data[name])
-    for name in grid.cell_data:
-        np.testing.assert_array_equal(found.cell_data[name], np.asarray(grid.cell_data[name]))
 
 
 @pytest.mark.parametrize("binary", [0, 1])
@@ -143,7 +109,7 @@ def foreign(folder: pathlib.Path, kind: str, form: tuple, name: str = "a") -> pa
     return path
 
 
-@pytest.mark.parametrize("form", FORMS[::3] + FORMS[-1:], ids=str)
+@pytest.mark.parametrize("form", FORMS[:19:3] + FORMS[19:], ids=str)
 @pytest.mark.parametrize("kind", vtk_files.KINDS)
 def test_all_that_a_file_says_is_kept(tmp_path, kind, form):
     """VTK finds the same arrays, field data and cells in both files, and points to the last bit where they were moved to."""
@@ -170,18 +136,6 @@ def test_the_form_of_a_file_is_kept(tmp_path, form):
     assert first.split(b"<FieldData>")[0][:120] == second.split(b"<FieldData>")[0][:120]
     for mark in (b'format="appended"', b'format="binary"', b'format="ascii"', b'encoding="raw"', b"BINARY", b"ASCII"):
         assert (mark in first) == (mark in second)
-
-
-@pytest.mark.parametrize("ending", [".vtu", ".vtk"])
-def test_single_precision_stays_single(tmp_path, ending):
-    grid = pyvista.UnstructuredGrid(mixed().to_pyvista())
-    grid.points = np.asarray(grid.points, np.float32)
-    grid.save(tmp_path / f"a{ending}")
-    mesh = io.read(tmp_path / f"a{ending}")
-    io.write(tmp_path / f"b{ending}", mesh.moved(mesh.points / 3))
-    found = vtk_files.places(vtk_files.read(tmp_path / f"b{ending}"))
-    assert found.dtype == np.float32
-    np.testing.assert_array_equal(found, (mesh.points / 3).astype(np.float32))
 
 
 def test_polyhedra_are_those_of_openfoam(tmp_path):

@@ -21,6 +21,8 @@ READERS = {".vtu": vtkXMLUnstructuredGridReader, ".vts": vtkXMLStructuredGridRea
 WRITERS = {".vtu": vtkXMLUnstructuredGridWriter, ".vts": vtkXMLStructuredGridWriter, ".vtp": vtkXMLPolyDataWriter}
 ENDINGS = {"structured": ".vts", "surface": ".vtp"}
 
+TYPES = ("i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", "f4", "f8")
+
 BOX = np.array([[x, y, z] for z in (0, 1) for y in (0, 1) for x in (0, 1, 2, 3)], float)
 """Three cubes side by side."""
 
@@ -45,7 +47,8 @@ def with_arrays(data, *, on_cells: bool = True):
     ):
         for name, values in {
             "heat": np.linspace(0, 1, rows),
-            "id": np.arange(rows),
+            "mean": np.where(np.arange(rows) == 0, np.nan, 0.5),
+            **{dtype: np.arange(rows).astype(dtype) for dtype in TYPES},
             "u": np.ones((rows, 3), "f4"),
         }.items():
             array = numpy_to_vtk(values, deep=1)
@@ -53,7 +56,7 @@ def with_arrays(data, *, on_cells: bool = True):
             attributes.AddArray(array)
     names = vtkStringArray()
     names.SetName("names")
-    for name in ("a b", "c"):
+    for name in ("a b", "c" * 100):
         names.InsertNextValue(name)
     time = numpy_to_vtk(np.array([2.5]), deep=1)
     time.SetName("TimeValue")

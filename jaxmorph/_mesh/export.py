@@ -56,7 +56,6 @@ def to_vtk(mesh: Parts, old: Any, point_data: Arrays | None, cell_data: Arrays |
 
 
 def _for_grid(mesh: Parts, grid: Any, point_data: Arrays | None, cell_data: Arrays | None) -> tuple[Arrays, Arrays]:
-    """Checks arrays, adds those of patches, and brings those of cells into the order of a grid."""
     point_arrays, cell_arrays = _checked(mesh, point_data, cell_data)
     kinds = vtk.kinds_of(grid) if cell_arrays else np.zeros(0, object)
     if "polyhedron" not in kinds:
@@ -69,7 +68,6 @@ def _for_grid(mesh: Parts, grid: Any, point_data: Arrays | None, cell_data: Arra
 
 
 def _origin(mesh: Parts, kind: type) -> Any:
-    """Finds the library's own mesh behind a mesh's source, directly or through a file."""
     source = intact_source(mesh)
     while hasattr(source, "content"):
         source = source.content

@@ -36,10 +36,9 @@ class Mesh(Module):
     - `patches`: node ids by name, without repetition. Default: none.
     - `source`: the file's content, for `jaxmorph.io.write`. Default: none.
 
-    Nodes of a cell of order p are points like any others. They stand on its edges, faces and inside
-    at equal steps of 1 / p. A cell lists its corners first. Then come the inner nodes of its edges,
-    of its faces, and of the cell. `jaxmorph.io.read` brings the nodes of all formats into this
-    order.
+    Nodes of a cell of order p stand on its edges, faces and inside at equal steps of 1 / p. A cell
+    lists its corners first, then the inner nodes of its edges, of its faces, and of the cell.
+    `jaxmorph.io.read` brings the nodes of all formats into this order.
 
     **Raises:** `ValueError` for an unknown cell type, for corner or patch ids outside of `points`,
     and for wrong shapes.
@@ -99,9 +98,8 @@ class Mesh(Module):
     def in_file_order(self, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> np.ndarray:
         """Computes coordinates (N, D) of all nodes of the file from this mesh's `points` (n, d).
 
-        `jaxmorph.io.write` writes these coordinates. D is 3 if the file has three coordinates, also
-        for a mesh in 2-D. A node that has not moved keeps the file's coordinates in all of its
-        copies.
+        `jaxmorph.io.write` writes these. D is 3 if the file has three coordinates, also for a mesh
+        in 2-D. A node that has not moved keeps the file's coordinates in all of its copies.
 
         **Raises:** `ValueError` when the shape of `points` differs.
         """
@@ -165,7 +163,6 @@ class Mesh(Module):
         return self._with("points", places)
 
     def _with(self, name: str, value: Any) -> "Mesh":
-        """Makes a mesh that differs in one field, without checks."""
         other = object.__new__(Mesh)
         for field in dataclasses.fields(self):
             object.__setattr__(other, field.name, value if field.name == name else getattr(self, field.name))
@@ -281,7 +278,6 @@ def _matched(pattern: str, patches: Collection[str], groups: Mapping[str, Sequen
 
 
 def _hint(name: str, known: Sequence[str]) -> str:
-    """Suggests a similar known name, or the regular expression for a shell's pattern."""
     shell = re.sub(r"(?<![.\])])\*", ".*", name)
     if shell != name and not re.search(r"[\[(\\]", shell) and any(re.fullmatch(shell, patch) for patch in known):
         return f" (patterns are regular expressions: {shell!r})"

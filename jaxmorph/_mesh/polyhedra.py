@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 
 from .._host.package.rounding import SAME, canonical_order
-from .faces import BLOCK, Faces
+from .faces import BLOCK, Faces, open_cells, standard_cells
 
 SLIVER = 1e-3
 """Share of a cell's mean piece below which a piece is left out: its sign says nothing."""
@@ -39,6 +39,26 @@ class Polyhedra:
             table.append(np.bincount(sides % len(is_wanted), np.tile(centre, 2), len(is_wanted)))
         count = np.bincount(sides % len(is_wanted), minlength=len(is_wanted))
         return np.stack(table, axis=1) / np.maximum(count, 1)[:, None]
+
+
+def cells_of_faces(
+    faces: Faces, points: np.ndarray, numbers: np.ndarray | None = None
+) -> tuple[list[tuple[str, np.ndarray, np.ndarray]], Polyhedra]:
+    """Makes standard cells of cells by their faces, and tetrahedra between own nodes of all others.
+
+    It returns types, corners (k, corners) and cells (k,) of each, and whole cells. It raises
+    `ValueError` for cells that do not close, the first one by its number in `numbers`.
+    """
+    ajar = open_cells(faces)
+    if len(ajar):
+        first = ajar[0] if numbers is None else numbers[ajar[0]]
+        raise ValueError(f"{len(ajar)} cells do not close, first cell {first}: their faces are damaged")
+    typed, ids = standard_cells(faces)
+    cut = ids.pop("polyhedron", np.zeros(0, np.int64))
+    blocks = [(kind, corners.astype(np.int64), ids[kind]) for kind, corners in typed.items()]
+    if len(cut):
+        blocks.append(("tetra", *tetrahedra(faces, cut, points)))
+    return blocks, Polyhedra(faces, cut)
 
 
 def triangles(faces: Faces, chosen: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -1,6 +1,6 @@
 """VTK's unstructured grids as a `Grid`, and a `Mesh` as one of VTK's grids."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -8,8 +8,8 @@ import numpy as np
 from .._host.cells.orders import VTK_ORDER, reordered
 from .._host.cells.topology import CORNERS, DIMENSION, NODES, SHAPES, VTK, VTK_LAGRANGE, VTK_QUADRATIC
 from .exchange import Arrays, Grid, Parts, checked_parts, imported, parts
-from .faces import Faces, faces_of_cells, joined_faces, open_cells, standard_cells
-from .polyhedra import Polyhedra, spread, tetrahedra
+from .faces import Faces, faces_of_cells, joined_faces
+from .polyhedra import Polyhedra, cells_of_faces, spread
 
 POLYHEDRON = 42
 
@@ -35,7 +35,6 @@ class Whole(NamedTuple):
 
 
 def vtk(name: str) -> Any:
-    """Imports one of VTK's modules."""
     return imported(f"vtkmodules.{name}", "io")
 
 
@@ -51,14 +50,12 @@ def _arrays_of(cells: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def numbers_of(grid: Any) -> np.ndarray:
-    """Returns VTK's number of each cell's type."""
     if not grid.GetNumberOfCells():
         return np.zeros(0, np.uint8)
     return _as_numpy(grid.GetCellTypes())
 
 
 def data_of(attributes: Any) -> dict[str, np.ndarray]:
-    """Returns the numerical arrays of a grid's points or cells by name."""
     found = {}
     for k in range(attributes.GetNumberOfArrays()):
         array, name = attributes.GetArray(k), attributes.GetAbstractArray(k).GetName()
@@ -108,7 +105,6 @@ def _dimension(kind: str) -> int:
 
 
 def solid_cells(kinds: np.ndarray) -> np.ndarray:
-    """Finds the cells of the highest dimension."""
     levels = {kind: _dimension(kind) for kind in set(kinds.tolist())}
     highest = max(levels.values(), default=0)
     return np.flatnonzero(np.isin(kinds, [kind for kind, level in levels.items() if level == highest]))
@@ -124,37 +120,38 @@ def of_vtk(grid: Any) -> tuple[Grid, Whole | None]:
     Polyhedra become standard cells or are cut, as `Whole` has it. It raises `ValueError` for cells
     that no mesh has, and for ids of nodes that are not there.
     """
-    points = coordinates(grid)
-    n = len(points)
-    starts, ids = _arrays_of(grid.GetCells())
-    outside = ids[(ids < 0) | (ids >= n)]
+    points, (_, ids) = coordinates(grid), _arrays_of(grid.GetCells())
+    outside = ids[(ids < 0) | (ids >= len(points))]
     if len(outside):
-        raise ValueError(f"a cell names node {outside[0]}, but there are {n} points.")
-    kinds, numbers = kinds_of(grid), numbers_of(grid)
+        raise ValueError(f"a cell names node {outside[0]}, but there are {len(points)} points.")
+    kinds = kinds_of(grid)
     solid = solid_cells(kinds)
-    top = set(kinds[solid].tolist())
-    unknown = [kind for kind in dict.fromkeys(kinds[solid].tolist()) if kind not in NODES and _dimension(kind) > 1]
-    unknown = [kind for kind in unknown if kind != "polyhedron"]
+    top = dict.fromkeys(kinds[solid].tolist())
+    unknown = [kind for kind in top if kind not in (*NODES, "polyhedron") and _dimension(kind) > 1]
     if unknown:
         raise ValueError(f"cells of type {', '.join(unknown)} are not supported; they would be lost.")
-    blocks, rows_of = [], []
-    for kind in dict.fromkeys(kinds.tolist()):
-        rows = np.flatnonzero(kinds == kind)
-        sizes = np.diff(starts)[rows]
-        if kind in NODES and (sizes != NODES[kind]).any():
-            raise ValueError(f"cells of type {kind} have {sizes[sizes != NODES[kind]][0]} nodes, not {NODES[kind]}.")
-        if kind in top and "polyhedron" in top:
-            continue
-        for size in np.unique(sizes).tolist():
-            chosen = rows[sizes == size]
-            blocks.append((kind, _canonical(kind, ids[starts[chosen][:, None] + np.arange(size)], numbers[chosen])))
-            rows_of.append(chosen)
-    whole, outer = None, None
+    blocks, whole, outer = [], None, None
     if "polyhedron" in top:
-        more, more_rows, whole, outer = _polyhedral(grid, points.astype(float), kinds, solid)
-        blocks, rows_of = [*blocks, *more], [*rows_of, *more_rows]
-    cell_data = {name: [values[rows] for rows in rows_of] for name, values in data_of(grid.GetCellData()).items()}
-    return Grid(points, blocks, data_of(grid.GetPointData()), cell_data, outer=outer), whole
+        blocks, whole, outer = _polyhedral(grid, points.astype(float), kinds, solid)
+    for kind in dict.fromkeys(kinds.tolist()):
+        if whole is None or kind not in top:
+            blocks += _of_kind(grid, kind, np.flatnonzero(kinds == kind))
+    data = data_of(grid.GetCellData())
+    cell_data = {name: [values[rows] for *_, rows in blocks] for name, values in data.items()}
+    read = [(kind, corners) for kind, corners, _ in blocks]
+    return Grid(points, read, data_of(grid.GetPointData()), cell_data, outer=outer), whole
+
+
+def _of_kind(grid: Any, kind: str, rows: np.ndarray) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
+    """Yields type, nodes and rows of the cells of one type, those of each size apart."""
+    (starts, ids), numbers = _arrays_of(grid.GetCells()), numbers_of(grid)
+    sizes = np.diff(starts)[rows]
+    if kind in NODES and (sizes != NODES[kind]).any():
+        raise ValueError(f"cells of type {kind} have {sizes[sizes != NODES[kind]][0]} nodes, not {NODES[kind]}.")
+    for size in np.unique(sizes).tolist():
+        chosen = rows[sizes == size]
+        nodes = ids[starts[chosen][:, None] + np.arange(size)]
+        yield kind, _canonical(kind, nodes, numbers[chosen]), chosen
 
 
 def _canonical(kind: str, nodes: np.ndarray, numbers: np.ndarray) -> np.ndarray:
@@ -166,41 +163,27 @@ def _canonical(kind: str, nodes: np.ndarray, numbers: np.ndarray) -> np.ndarray:
     return reordered(kind, nodes, VTK_ORDER, None) if kind in NODES else nodes
 
 
-def _polyhedral(grid: Any, points: np.ndarray, kinds: np.ndarray, solid: np.ndarray) -> tuple[list, list, Whole, Any]:
+def _polyhedral(grid: Any, points: np.ndarray, kinds: np.ndarray, solid: np.ndarray) -> tuple[list, Whole, np.ndarray]:
     """Makes standard cells and tetrahedra of all solid cells of a grid with polyhedra.
 
-    It returns blocks, the grid's cells of each block, whole cells, and the nodes of outer faces.
+    It returns types, corners and the grid's cells, whole cells, and the nodes of outer faces.
     """
     curved = sorted({kind for kind in kinds[solid].tolist() if kind not in CORNERS and kind != "polyhedron"})
     if curved:
         raise ValueError(f"cells of type {', '.join(curved)} beside polyhedra are not supported; they would be lost.")
-    starts, ids = _arrays_of(grid.GetCells())
-    numbers = numbers_of(grid)
+    (starts, ids), numbers = _arrays_of(grid.GetCells()), numbers_of(grid)
     sides = [_sides(grid, points, solid, kinds)]
-    for kind in dict.fromkeys(kinds[solid].tolist()):
-        if kind != "polyhedron":
-            cell = np.flatnonzero(kinds[solid] == kind)
-            nodes = ids[starts[solid[cell]][:, None] + np.arange(CORNERS[kind])]
-            sides.append(faces_of_cells(kind, _canonical(kind, nodes, numbers[solid[cell]]), cell))
-    faces = joined_faces(sides)
-    ajar = open_cells(faces)
-    if len(ajar):
-        raise ValueError(f"{len(ajar)} cells do not close, first cell {solid[ajar[0]]}.")
-    typed, cell_ids = standard_cells(faces)
-    cut = cell_ids.pop("polyhedron", np.zeros(0, np.int64))
-    pieces, owner = tetrahedra(faces, cut, points) if len(cut) else (np.zeros((0, 4), np.int64), cut)
-    if len(cut):
-        typed["tetra"] = np.concatenate([typed.get("tetra", pieces[:0]), pieces])
-        cell_ids["tetra"] = np.concatenate([cell_ids.get("tetra", owner[:0]), owner])
-    blocks = [(kind, typed[kind].astype(np.int64)) for kind in sorted(typed)]
-    rows = [cell_ids[kind] for kind in sorted(typed)]
-    outer = np.unique(faces.labels[spread(*(faces.starts[np.flatnonzero(faces.neighbour < 0) + k] for k in (0, 1)))[0]])
-    return (
-        blocks,
-        [solid[row] for row in rows],
-        Whole(Polyhedra(faces, cut) if len(cut) else None, np.concatenate(rows)),
-        outer,
-    )
+    for kind in dict.fromkeys(kinds[solid][kinds[solid] != "polyhedron"].tolist()):
+        cell = np.flatnonzero(kinds[solid] == kind)
+        nodes = ids[starts[solid[cell]][:, None] + np.arange(CORNERS[kind])]
+        sides.append(faces_of_cells(kind, _canonical(kind, nodes, numbers[solid[cell]]), cell))
+    blocks, whole = cells_of_faces(joined_faces(sides), points, solid)
+    blocks.sort(key=lambda block: block[0])
+    faces, cells = whole.faces, np.concatenate([cell for *_, cell in blocks])
+    rows = np.flatnonzero(faces.neighbour < 0)
+    outer = np.unique(faces.labels[spread(faces.starts[rows], faces.starts[rows + 1])[0]])
+    of_grid = [(kind, corners, solid[cell]) for kind, corners, cell in blocks]
+    return of_grid, Whole(whole if len(whole.cut) else None, cells), outer
 
 
 def _sides(grid: Any, points: np.ndarray, solid: np.ndarray, kinds: np.ndarray) -> Faces:
@@ -256,7 +239,6 @@ def _inward(points: np.ndarray, labels: np.ndarray, begins: np.ndarray, cell: np
 
 
 def mesh_of(grid: Any) -> tuple[Parts, Whole | None]:
-    """Makes points, cells and patches of an unstructured grid, in the order that a mesh has."""
     read, whole = of_vtk(grid)
     return checked_parts(*parts(read)), whole
 

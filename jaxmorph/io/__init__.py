@@ -1,12 +1,12 @@
 """Meshes from files and into files: everything but the coordinates as it was."""
 
-from ._box import read_box as read_box
 from ._boxes import Box as Box
 from ._boxes import boxes as boxes
+from ._boxes import check_lattice_output as check_lattice_output
+from ._boxes import read_box as read_box
 from ._boxes import with_boxes as with_boxes
+from ._boxes import write_lattice as write_lattice
 from ._displacement import read_displacement as read_displacement
-from ._lattice import check_lattice_output as check_lattice_output
-from ._lattice import write_lattice as write_lattice
 from ._registry import as_written as as_written
 from ._registry import cell_arrays as cell_arrays
 from ._registry import check_output as check_output

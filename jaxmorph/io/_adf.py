@@ -8,7 +8,7 @@ hexadecimal digits in version A, integers in version B.
 import math
 import pathlib
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -22,76 +22,45 @@ _SIZES = {"int": (110, (4,)), "long": (112, (4, 8)), "float": (114, (4,)), "doub
 _HEADER_TAGS = {32: b"adf0", 64: b"adf1", 96: b"adf2", 102: b"adf3", 130: b"adf4", 182: b"adf5"}
 
 
-def is_adf(path: pathlib.Path) -> bool:
-    """Checks whether a file begins as an ADF file."""
-    with path.open("rb") as file:
-        return file.read(TAG + len(MAGIC))[TAG:] == MAGIC
-
-
 class Array:
     """A node's numbers, read and written in place: bytes `(at, count)` of the file, in pieces."""
 
-    def __init__(self, file: BinaryIO, dtype: np.dtype, shape: tuple[int, ...], pieces: list[tuple[int, int]]):
-        self._file, self.dtype, self.pieces = file, dtype, pieces
-        self.shape, self.size, self.ndim = shape, math.prod(shape), len(shape)
-
-    def __len__(self) -> int:
-        return self.shape[0]
+    def __init__(
+        self,
+        file: BinaryIO,
+        dtype: np.dtype,
+        shape: tuple[int, ...],
+        pieces: list[tuple[int, int]],
+        attrs: Mapping[str, bytes] | None = None,
+    ):
+        self._file, self.dtype, self.pieces, self.attrs = file, dtype, pieces, attrs or {}
+        self.shape, self.size = shape, math.prod(shape)
 
     def __getitem__(self, key: Any) -> np.ndarray:
-        rows, key = (key, ()) if isinstance(key, slice) else (slice(None), key)
         parts = []
-        for at, count, _ in self._spans(rows):
+        for at, count in self.pieces:
             self._file.seek(at)
             parts.append(self._file.read(count))
-        values = np.frombuffer(b"".join(parts), self.dtype).reshape(-1, *self.shape[1:])
+        values = np.frombuffer(b"".join(parts), self.dtype, self.size).reshape(self.shape)
         return values.astype(self.dtype.newbyteorder("="))[key]
 
-    def __setitem__(self, key: Any, values: np.ndarray) -> None:
+    def __setitem__(self, _: Any, values: np.ndarray) -> None:
         raw = np.ascontiguousarray(values, self.dtype).tobytes()
-        for at, count, first in self._spans(key if isinstance(key, slice) else slice(None)):
-            self._file.seek(at)
-            self._file.write(raw[first : first + count])
-
-    def _spans(self, rows: slice) -> Iterator[tuple[int, int, int]]:
-        """Yields where some rows' bytes stand in the file, their count, and the first's number."""
-        width = self.dtype.itemsize * math.prod(self.shape[1:])
-        start, stop, _ = rows.indices(len(self))
-        first, last, before = start * width, stop * width, 0
         for at, count in self.pieces:
-            low, high = max(first, before), min(last, before + count)
-            if low < high:
-                yield at + low - before, high - low, low - first
-            before += count
+            self._file.seek(at)
+            self._file.write(raw[:count])
+            raw = raw[count:]
 
 
-class Node(Mapping[str, Any]):
+class Node(dict[str, Any]):
     """A node: its children by name, and its `Array` as " data", if it has one."""
 
     def __init__(self, name: str, label: bytes):
+        super().__init__()
         self.name, self.attrs = name, {"label": label}
-        self.members: dict[str, Any] = {}
-
-    def __getitem__(self, name: str) -> Any:
-        return self.members[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self.members)
-
-    def __len__(self) -> int:
-        return len(self.members)
 
 
-def tree(path: pathlib.Path, file: BinaryIO) -> Node:
-    """Reads the tree of an open file, not its arrays.
-
-    It raises `ValueError` for links, damaged tags, what lies beyond the file, nodes in a circle,
-    and parts that overlap.
-    """
-    return _Reader(path, file).tree()
-
-
-class _Reader:
+class Reader:
     """Reads nodes, and remembers their `spans` of the file: no two may share a byte."""
 
     def __init__(self, path: pathlib.Path, file: BinaryIO):
@@ -115,6 +84,11 @@ class _Reader:
         self.spans = [(0, 186)]
 
     def tree(self) -> Node:
+        """Reads the tree of an open file, not its arrays.
+
+        It raises `ValueError` for links, damaged tags, places beyond the file, nodes in a circle,
+        and parts that overlap.
+        """
         root, below = self._node(self.root)
         waiting, seen = [(root, "", below)], {self.root}
         while waiting:
@@ -124,9 +98,9 @@ class _Reader:
                     raise ValueError(f"a node of {place or '/'} stands at two places of the tree")
                 seen.add(at)
                 child, below = self._node(at, place)
-                if child.name in node.members:
+                if child.name in node:
                     raise ValueError(f"{place or '/'} has two nodes {child.name}")
-                node.members[child.name] = child
+                node[child.name] = child
                 waiting.append((child, f"{place}/{child.name}", below))
         self.spans.sort()
         ends = np.array(self.spans)
@@ -140,18 +114,15 @@ class _Reader:
         self.file.seek(at)
         return self.file.read(count)
 
-    def hexadecimal(self, digits: bytes) -> int:
+    @staticmethod
+    def hexadecimal(digits: bytes) -> int:
         if not re.fullmatch(rb"[0-9A-Fa-f]+", digits):
             raise ValueError(f"{digits!r} where hexadecimal digits should stand")
         return int(digits, 16)
 
     def pointer(self, raw: bytes) -> int:
         """Returns the place in the file that 12 bytes mean."""
-        if self.is_old:
-            block, offset = self.hexadecimal(raw[:8]), self.hexadecimal(raw[8:])
-        else:
-            block, offset = (int(np.frombuffer(part, self.order + f"u{len(part)}")[0]) for part in (raw[:8], raw[8:]))
-        return block * BLOCK + offset
+        return self._integer(raw[:8]) * BLOCK + self._integer(raw[8:])
 
     def _tagged(self, raw: bytes, tags: dict[int, bytes]) -> None:
         for at, tag in tags.items():
@@ -159,7 +130,6 @@ class _Reader:
                 raise ValueError(f"{raw[at : at + TAG]!r} where {tag!r} should stand")
 
     def _node(self, at: int, place: str = "") -> tuple[Node, list[int]]:
-        """Reads a node, and the places of its children."""
         raw = self.read(at, NODE)
         self._tagged(raw, {0: b"node", NODE - TAG: b"tail"})
         self.spans.append((at, at + NODE))
@@ -177,7 +147,7 @@ class _Reader:
             need = math.prod(shape) * self.kinds[code].itemsize
             if need > sum(count for _, count in pieces):
                 raise ValueError(f"{place}/{node.name} has less data than its shape {shape} says")
-            node.members[" data"] = Array(self.file, self.kinds[code], shape, pieces)
+            node[" data"] = Array(self.file, self.kinds[code], shape, pieces)
         return node, self._entries(self.hexadecimal(raw[68:76]), raw[84:96])
 
     def _shape(self, raw: bytes) -> tuple[int, ...]:
@@ -185,21 +155,20 @@ class _Reader:
         number = self.hexadecimal(raw[:2])
         if number > 12:
             raise ValueError(f"{number} dimensions of an array")
-        if self.is_old:
-            sizes = [self.hexadecimal(raw[2 + 8 * k : 10 + 8 * k]) for k in range(number)]
-        else:
-            sizes = np.frombuffer(raw[2 : 2 + 8 * number], self.order + "u8").tolist()
+        sizes = [self._integer(raw[2 + 8 * k : 10 + 8 * k]) for k in range(number)]
         return tuple(sizes[::-1])
 
+    def _integer(self, raw: bytes) -> int:
+        """Reads digits of version A, the integer itself of version B."""
+        return self.hexadecimal(raw) if self.is_old else int(np.frombuffer(raw, self.order + f"u{len(raw)}")[0])
+
     def _entries(self, number: int, raw: bytes) -> list[int]:
-        """Reads where the children of a node stand."""
         if not number:
             return []
         table = self._table(self.pointer(raw), (b"sntb", b"snte"), ENTRY * number)
         return [self.pointer(table[k - POINTER : k]) for k in range(ENTRY, len(table) + 1, ENTRY)]
 
     def _pieces(self, number: int, raw: bytes) -> list[tuple[int, int]]:
-        """Finds the bytes of a node's data: one chunk, or all chunks of a table."""
         if number < 2:
             return [self._part(self.pointer(raw), (b"data", b"dend"))] if number else []
         pieces = []
@@ -213,7 +182,6 @@ class _Reader:
         return pieces
 
     def _table(self, at: int, tags: tuple[bytes, bytes], need: int) -> bytes:
-        """Reads the first bytes of a part."""
         first, count = self._part(at, tags)
         if need > count:
             raise ValueError(f"a table of {need} bytes in {count}")

@@ -1,24 +1,138 @@
-"""Free-form boxes that SU2 keeps in its mesh files, behind the markers."""
+"""Boxes of free-form deformation in files: TOML, SU2's meshes, and lattices for ParaView."""
 
 import dataclasses
+import os
+import pathlib
 from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from jaxmorph import Mesh
-from jaxmorph._host.package.arguments import checked
-from jaxmorph.shapes import Hexahedron
+from jaxmorph._host.package.arguments import checked, finite_array
+from jaxmorph._host.package.files import complete, input_path, output_path
+from jaxmorph._host.package.text import LATTICES, read
+from jaxmorph._mesh import vtk
+from jaxmorph.shapes import FreeForm, Hexahedron
 
-from ._format import Source, source_of
+from ._format import Source, faults_of, source_of
 from ._su2 import NAME, Keyword, by_zones
 from ._text import Section, decoded
 
 Points = Float[np.ndarray, "..."]
 Surface = Mapping[str, tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k d"]]]
 
+NEEDED, OPTIONAL = {"points", "moved"}, {"degree", "continuity"}
+"""Names in a table of a box, beside those that say where it lies."""
+MOST = 10**6
+"""Control points that a box may have."""
 HALF = 0.5
 """SU2's boxes of a 2-D mesh are 1 thick: control points at -1/2 and 1/2, nodes between."""
+
+
+@checked
+def read_box(
+    source: str | os.PathLike[str] | Mapping[str, Any], dimensions: int
+) -> tuple[FreeForm | Hexahedron, Float[np.ndarray, "*counts d"]]:
+    """Reads a box of control points, and the displacements of its control points.
+
+    The table has `low` and `high` (two corners of a box along the axes), or `corners` (eight, in
+    2-D four, as `Hexahedron` takes them). It has `points` (numbers of control points), and a list
+    `moved`. Each of `moved` is a table of `at` (a control point's numbers, from 0) and `by` (its
+    displacement). `degree` and `continuity` are as in `FreeForm`.
+
+    **Arguments:**
+
+    - `source`: a TOML file, or its table.
+    - `dimensions`: of the mesh, 2 or 3.
+
+    **Returns:** the box, and displacements (*counts, d).
+
+    **Raises:** `ValueError` for what is no such table, does not fit the dimensions, or moves a
+    control point that is held.
+    """
+    is_table = isinstance(source, Mapping)
+    where = "--box" if is_table else str(source)
+    table = dict(source) if is_table else read(where, input_path(source).read_bytes())
+    with faults_of(pathlib.Path(where)):
+        box = _box_of(table, dimensions)
+        control = np.zeros((*box.counts, dimensions))
+        for entry in table["moved"]:
+            if not isinstance(entry, dict) or set(entry) != {"at", "by"}:
+                raise ValueError(f"each of moved has at and by, found {entry}.")
+            at = _numbers("at", entry["at"], dimensions)
+            if (at < 0).any() or (at >= box.counts).any() or (at != np.floor(at)).any():
+                most = np.array(box.counts) - 1
+                raise ValueError(f"at = {entry['at']} is none of the control points 0 to {most}.")
+            place = tuple(at.astype(int))
+            if not box.free[place]:
+                raise ValueError(f"control point {entry['at']} is held by continuity = {box.continuity}.")
+            control[place] += _numbers("by", entry["by"], dimensions)
+    return box, control
+
+
+def _box_of(table: dict[str, Any], d: int) -> FreeForm | Hexahedron:
+    needed = NEEDED | ({"corners"} if "corners" in table else {"low", "high"})
+    if not needed <= set(table) <= needed | OPTIONAL or not isinstance(table["moved"], list):
+        listed = ", ".join(table) or "nothing"
+        raise ValueError(f"low and high or corners, points and a list moved expected, found {listed}.")
+    counts = _numbers("points", table["points"], d)
+    if not (counts >= 2).all() or (counts != np.floor(counts)).any():
+        raise ValueError("points must be 2 or more whole numbers of control points.")
+    if counts.prod() > MOST:
+        raise ValueError(f"points = {table['points']} are {counts.prod():.3g} control points; {MOST} at most.")
+    options, counts = {name: table[name] for name in OPTIONAL if name in table}, counts.astype(int).tolist()
+    if any(type(value) is not int for value in options.values()):
+        raise ValueError(f"degree and continuity are whole numbers, found {options}.")
+    if "corners" in table:
+        rows = table["corners"] if isinstance(table["corners"], list) else [table["corners"]]
+        return Hexahedron(np.array([_numbers("corners", row, d) for row in rows]), counts, **options)
+    low, high = (_numbers(name, table[name], d) for name in ("low", "high"))
+    if not (low < high).all():
+        raise ValueError("low must be below high.")
+    return FreeForm(low, np.diag(high - low), counts, **options)
+
+
+def _numbers(name: str, values: Any, d: int) -> Float[np.ndarray, " d"]:
+    good = isinstance(values, list) and len(values) == d and all(type(value) in (int, float) for value in values)
+    if not good or not np.isfinite(values).all():
+        raise ValueError(f"{name} needs {d} numbers for a mesh in {d}-D, found {values}.")
+    return np.array(values, float)
+
+
+@checked
+def write_lattice(file: str | os.PathLike[str], points: Any) -> None:
+    """Writes a lattice of control points as a structured grid in VTK's XML, which ParaView opens.
+
+    **Arguments:**
+
+    - `file`: its name ends in `.vts`.
+    - `points`: (i, j, 2) or (i, j, k, 3), as `FreeForm.lattice` gives them, before or after a
+      motion.
+
+    **Raises:** `ValueError` for another shape or another ending, `ImportError` without vtk.
+    """
+    path, points = check_lattice_output(file), finite_array("points", points, (None, None, 2), (None, None, None, 3))
+    d = points.shape[-1]
+    full = np.zeros((*points.shape[:-1], *(1,) * (3 - d), 3))
+    full[..., :d] = points.reshape(*full.shape[:-1], d)
+    grid, writer = vtk.vtk("vtkCommonDataModel").vtkStructuredGrid(), vtk.vtk("vtkIOXML").vtkXMLStructuredGridWriter()
+    grid.SetDimensions(full.shape[:-1])
+    grid.SetPoints(vtk.points_of(full.reshape(-1, 3, order="F")))
+    writer.SetInputData(grid)
+    writer.WriteToOutputStringOn()  # VTK itself raises no error where the device is full
+    writer.Write()
+    with complete(path) as partial:
+        partial.write_bytes(writer.GetOutputString().encode())
+
+
+@checked
+def check_lattice_output(file: str | os.PathLike[str]) -> pathlib.Path:
+    """Raises `ValueError` or `ImportError` where `write_lattice` cannot write; returns the path."""
+    path = output_path(file, *LATTICES)
+    vtk.vtk("vtkIOXML")
+    return path
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -56,15 +170,14 @@ def boxes(mesh: Mesh) -> tuple[Box, ...]:
     **Raises:** `ValueError` for a section that is cut short, with file and line.
     """
     source = source_of(mesh, NAME)
-    if source is None or b"FFD_" not in source.content.text:
+    if source is None or b"FFD_NBOX" not in source.content.text:
         return ()
     keywords = _keywords(source)
     starts = [k for k, keyword in enumerate(keywords) if keyword.name == "FFD_TAG"]
     ends = [*starts[1:], len(keywords)]
     if not any(keyword.name == "FFD_NBOX" for keyword in keywords):
         return ()
-    n, d = mesh.points.shape
-    return tuple(_box(keywords[a:b], n, d) for a, b in zip(starts, ends, strict=True))
+    return tuple(_box(keywords[a:b], *mesh.points.shape) for a, b in zip(starts, ends, strict=True))
 
 
 @checked
@@ -87,23 +200,19 @@ def with_boxes(mesh: Mesh, new: Sequence[Box]) -> Mesh:
     source = source_of(mesh, NAME)
     if source is None:
         raise ValueError("the mesh was not read from an SU2 file: other formats hold no free-form boxes.")
-    d = mesh.points.shape[1]
+    names, d = [box.name for box in new], mesh.points.shape[1]
     for box in new:
         if np.shape(box.control) != (*box.shape.counts, d):
-            raise ValueError(
-                f"box {box.name}: `control` has shape {np.shape(box.control)}; expected {(*box.shape.counts, d)}."
-            )
-    names = [box.name for box in new]
+            expected = (*box.shape.counts, d)
+            raise ValueError(f"box {box.name}: `control` has shape {np.shape(box.control)}; expected {expected}.")
     if len(set(names)) < len(names):
         raise ValueError(f"{len(names) - len(set(names))} of {len(names)} boxes have the name of another one.")
-    content = source.content
-    start, stop = _extent(source)
+    content, (start, stop) = source.content, _extent(source)
     end = b"\r\n" if b"\r\n" in content.text[:1000] else b"\n"
-    lines = [line.encode() for line in _lines(new, d)] if new else []
+    written = b"".join(line.encode() + end for line in _lines(new, d)) if new else b""
     before = content.text[:start]
-    if lines and before and not before.endswith(b"\n"):
+    if written and before and not before.endswith(b"\n"):
         before += end
-    written = b"".join(line + end for line in lines)
     shift = len(before) + len(written) - stop if start < content.start else 0
     text = before + written + content.text[stop:]
     changed = dataclasses.replace(content, text=text, start=content.start + shift, stop=content.stop + shift)
@@ -111,7 +220,6 @@ def with_boxes(mesh: Mesh, new: Sequence[Box]) -> Mesh:
 
 
 def _keywords(source: Source) -> Sequence[Keyword]:
-    """Finds the keywords of the file, or of the zone in it that a mesh was read from."""
     content = source.content
     zones = by_zones(source.path, content.text)
     return next(
@@ -139,25 +247,27 @@ def _box(keywords: Sequence[Keyword], n: int, d: int) -> Box:
             raise at.error(f"box {name} has no {word}=; SU2 writes it by DV_KIND= FFD_SETTING.")
         return table[word].number() if word in table else int(default or 0)
 
-    degrees = [number(f"FFD_DEGREE_{axis}") for axis in "IJK"[:d]]
-    orders = [number(f"BSPLINE_ORDER_{axis}", 0) for axis in "IJK"[:d]]
+    degrees = np.array([number(f"FFD_DEGREE_{axis}") for axis in "IJK"[:d]])
+    orders = np.array([number(f"BSPLINE_ORDER_{axis}", 0) for axis in "IJK"[:d]])
     corners = _rows(table, "FFD_CORNER_POINTS", at, d)
     if len(corners) != 2**d:
         raise at.error(f"box {name} has {len(corners)} corners; {2**d} expected in {d}-D.")
-    bent = all(1 < order <= degree + 1 for order, degree in zip(orders, degrees, strict=True))
+    is_spline = ((orders > 1) & (orders <= degrees + 1)).all()
     try:
-        shape = Hexahedron(corners, [p + 1 for p in degrees], degree=[o - 1 for o in orders] if bent else None)
+        shape = Hexahedron(corners, (degrees + 1).tolist(), degree=(orders - 1).tolist() if is_spline else None)
     except ValueError as error:
-        raise at.error(f"box {name}: {error}") from None
-    return Box(
-        name,
-        shape,
-        _control(_rows(table, "FFD_CONTROL_POINTS", at, 6), shape, at),
-        _surface(table.get("FFD_SURFACE_POINTS"), n, d),
-        number("FFD_LEVEL", 0),
-        _names(table.get("FFD_PARENTS")),
-        _names(table.get("FFD_CHILDREN")),
+        raise at.error(f"box {name}: {error}") from error
+    control = _control(_rows(table, "FFD_CONTROL_POINTS", at, 6), shape, at)
+    surface = _surface(table["FFD_SURFACE_POINTS"], n, d) if "FFD_SURFACE_POINTS" in table else {}
+    relatives = (
+        tuple(decoded(line.strip()) for line in _content(table[word]) if line.strip()) if word in table else ()
+        for word in ("FFD_PARENTS", "FFD_CHILDREN")
     )
+    return Box(name, shape, control, surface, number("FFD_LEVEL", 0), *relatives)
+
+
+def _content(keyword: Keyword) -> list[bytes]:
+    return keyword.section.text[keyword.section.start : keyword.section.stop].split(b"\n")
 
 
 def _rows(table: Mapping[str, Keyword], name: str, at: Section, width: int) -> Float[np.ndarray, "k w"]:
@@ -177,24 +287,16 @@ def _control(rows: Float[np.ndarray, "k 6"], shape: Hexahedron, at: Section) -> 
     if not len(rows):
         return np.asarray(shape.lattice())
     ids = rows[:, :3].astype(int)
-    if (
-        len(rows) != np.prod(counts)
-        or (ids < 0).any()
-        or (ids >= counts).any()
-        or len(np.unique(ids, axis=0)) < len(ids)
-    ):
+    if not np.array_equal(np.unique(ids, axis=0), list(np.ndindex(counts))) or len(ids) != np.prod(counts):
         raise at.error(f"{len(rows)} control points do not make a lattice of {' x '.join(map(str, counts))}.")
     control = np.empty((*counts, 3))
     control[tuple(ids.T)] = rows[:, 3:]
     return control if d == 3 else control.mean(axis=2)[..., :2]
 
 
-def _surface(keyword: Keyword | None, n: int, d: int) -> Surface:
+def _surface(keyword: Keyword, n: int, d: int) -> Surface:
     lists: dict[str, list[list[float]]] = {}
-    if keyword is None:
-        return {}
-    lines = [line.split() for line in keyword.section.text[keyword.section.start : keyword.section.stop].split(b"\n")]
-    lines = [line for line in lines if line]
+    lines = [words for words in map(bytes.split, _content(keyword)) if words]
     if len(lines) != keyword.number():
         raise keyword.section.error(f"FFD_SURFACE_POINTS= {keyword.value}, but {len(lines)} rows follow.")
     for row, words in enumerate(lines):
@@ -209,42 +311,28 @@ def _surface(keyword: Keyword | None, n: int, d: int) -> Surface:
     return {marker: (table[:, 0].astype(np.int64), table[:, 1 : 1 + d]) for marker, table in tables.items()}
 
 
-def _names(keyword: Keyword | None) -> tuple[str, ...]:
-    if keyword is None:
-        return ()
-    content = keyword.section.text[keyword.section.start : keyword.section.stop]
-    return tuple(decoded(line.strip()) for line in content.split(b"\n") if line.strip())
-
-
 def _lines(new: Sequence[Box], d: int) -> Iterator[str]:
-    """Yields the section line by line, as SU2 writes it."""
     yield f"FFD_NBOX= {len(new)}"
     yield f"FFD_NLEVEL= {1 + max(box.level for box in new)}"
     for box in new:
         counts, degrees = box.shape.counts, box.shape.box.degrees
+        is_bezier = list(degrees) == [count - 1 for count in counts]
         yield from (f"FFD_TAG= {box.name}", f"FFD_LEVEL= {box.level}")
         yield from (f"FFD_DEGREE_{axis}= {count - 1}" for axis, count in zip("IJK", counts, strict=False))
-        bezier = all(p == count - 1 for p, count in zip(degrees, counts, strict=True))
-        yield f"FFD_BLENDING= {'BEZIER' if bezier else 'BSPLINE_UNIFORM'}"
-        if not bezier:
+        yield f"FFD_BLENDING= {'BEZIER' if is_bezier else 'BSPLINE_UNIFORM'}"
+        if not is_bezier:
             yield from (f"BSPLINE_ORDER_{axis}= {p + 1}" for axis, p in zip("IJK", degrees, strict=False))
         yield from (f"FFD_PARENTS= {len(box.parents)}", *box.parents)
         yield from (f"FFD_CHILDREN= {len(box.children)}", *box.children)
-        corners = box.shape.given_corners
-        yield from (f"FFD_CORNER_POINTS= {len(corners)}", *("\t".join(map(repr, row)) for row in corners.tolist()))
-        yield from _control_lines(np.asarray(box.control, float), d)
+        corners = box.shape.given_corners.tolist()
+        yield from (f"FFD_CORNER_POINTS= {len(corners)}", *("\t".join(map(repr, row)) for row in corners))
+        control = np.asarray(box.control, float)
+        if d == 2:  # below and above the plane
+            control = np.stack([np.insert(control, 2, height, axis=-1) for height in (-HALF, HALF)], axis=2)
+        yield f"FFD_CONTROL_POINTS= {control[..., 0].size}"
+        for place in np.ndindex(control.shape[:-1]):
+            yield "\t".join([*map(str, place), *map(repr, control[place].tolist())])
         yield f"FFD_SURFACE_POINTS= {sum(len(nodes) for nodes, _ in box.surface.values())}"
         for marker, (nodes, places) in box.surface.items():
             for node, place in zip(nodes.tolist(), places.tolist(), strict=True):
-                yield "\t".join([marker, str(node), *map(repr, place), *[repr(HALF)] * (3 - d)])
-
-
-def _control_lines(control: Points, d: int) -> Iterator[str]:
-    full = np.empty((*control.shape[:-1], *(2,) * (3 - d), 3))
-    if d == 3:
-        full[...] = control
-    else:
-        full[..., :2], full[..., 2] = control[:, :, None], np.array([-HALF, HALF])
-    yield f"FFD_CONTROL_POINTS= {full[..., 0].size}"
-    for place in np.ndindex(full.shape[:-1]):
-        yield "\t".join([*map(str, place), *map(repr, full[place].tolist())])
+                yield "\t".join([marker, str(node), *map(repr, [*place, *[HALF] * (3 - d)])])

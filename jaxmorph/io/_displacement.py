@@ -13,7 +13,7 @@ from jaxmorph._host.package.arguments import checked
 from jaxmorph._host.package.files import input_path, read_arrays, real_array
 from jaxmorph._host.surface.gaps import closest, fans
 
-from ._surface import read_surface
+from ._surface import check_values, read_named, read_surface
 from ._text import parse, scan
 
 SHAPES = (".stl", ".obj")
@@ -60,27 +60,15 @@ def read_displacement(
         raise ValueError(f"{path}: a surface without node ids; give the surface before the motion too.")
     of_file = getattr(mesh.source, "node_ids", None)
     numbers = moving if of_file is None else of_file[moving]
-    ids, values, is_position = (
-        _arrays(path, numbers) if path.suffix.lower() == ".npz" else (*read_surface(path, points.shape[1]), is_position)
-    )
-    if values.shape != (len(ids), points.shape[1]):
-        raise ValueError(f"{path}: values of shape {values.shape} for {len(ids)} nodes in {points.shape[1]}-D.")
+    if path.suffix.lower() == ".npz":
+        ids, values, name = read_named(path, ("displacement", "position"), numbers)
+        is_position = name == "position"
+    else:
+        ids, values = read_surface(path, points.shape[1])
+    check_values(path, ids, values, points.shape[1])
     _check_ids(path, ids, numbers)
     values = values[np.argsort(ids)][np.argsort(np.argsort(moving))]
     return values - points[moving] if is_position else values
-
-
-def _arrays(path: pathlib.Path, moving: np.ndarray) -> tuple[np.ndarray, np.ndarray, bool]:
-    arrays = read_arrays(path)
-    names = [name for name in ("displacement", "position") if name in arrays]
-    if len(names) != 1:
-        raise ValueError(f"{path}: one array displacement or position expected, found {', '.join(arrays) or 'none'}.")
-    values, ids = real_array(path, arrays, names[0]), arrays.get("ids", moving)
-    if ids.dtype.kind not in "iu" or ids.ndim != 1 or not np.isfinite(values).all():
-        raise ValueError(f"{path}: whole numbers as ids (m,), and finite values, expected.")
-    if len(np.unique(ids)) < len(ids):
-        raise ValueError(f"{path}: {len(ids) - len(np.unique(ids))} of its {len(ids)} node ids come a second time.")
-    return ids, values, names[0] == "position"
 
 
 def _check_ids(path: pathlib.Path, ids: np.ndarray, moving: np.ndarray) -> None:
@@ -95,6 +83,7 @@ def _check_ids(path: pathlib.Path, ids: np.ndarray, moving: np.ndarray) -> None:
 
 
 def _between(before: pathlib.Path, after: pathlib.Path, x: np.ndarray) -> np.ndarray:
+    """Interpolates the motion between two surfaces at the places closest to `x` (m, d)."""
     old, new = read_shape(before), read_shape(after)
     if old.points.shape != new.points.shape or not np.array_equal(old.simplices, new.simplices):
         sizes = " and ".join(f"{len(surface.points)} points, {len(surface.simplices)} faces" for surface in (old, new))
@@ -102,7 +91,9 @@ def _between(before: pathlib.Path, after: pathlib.Path, x: np.ndarray) -> np.nda
     d = x.shape[1]
     if old.points.shape[1] < d or (old.simplices.shape[1] != d and d == 2):
         raise ValueError(f"{before}: a mesh in {d}-D takes {'lines of OBJ or NPZ' if d == 2 else 'a surface in 3-D'}.")
-    values, distance = carried(old, (new.points - old.points)[:, :d], x)
+    # linear on each triangle or segment, and exact at its corners
+    simplex, weights, distance = closest(old.points[old.simplices][..., :d], x)
+    values = np.einsum("mc,mck->mk", weights, (new.points - old.points)[old.simplices[simplex], :d])
     limit = OFF * np.linalg.norm(np.ptp(old.points, axis=0))
     off = np.flatnonzero(distance > limit)
     if off.size:
@@ -127,10 +118,9 @@ def read_shape(path: pathlib.Path) -> Shape:
 
     It raises `ValueError` for other endings and contents, and for simplices beyond the points.
     """
-    readers = {".stl": _stl, ".obj": _obj, ".npz": _npz}
-    if path.suffix.lower() not in readers:
-        raise ValueError(f"{path}: a surface is read from {', '.join(readers)}, found the ending {path.suffix!r}.")
-    shape = readers[path.suffix.lower()](path)
+    if path.suffix.lower() not in READERS:
+        raise ValueError(f"{path}: a surface is read from {', '.join(READERS)}, found the ending {path.suffix!r}.")
+    shape = READERS[path.suffix.lower()](path)
     if not len(shape.simplices) or shape.points.ndim != 2 or not np.isfinite(shape.points).all():
         contents = f"{len(shape.simplices)} faces between points of shape {shape.points.shape}"
         raise ValueError(f"{path}: not a surface, or a damaged one: {contents}, all finite, expected.")
@@ -178,22 +168,15 @@ def _chains(ids: np.ndarray, counts: np.ndarray) -> np.ndarray:
 
 def _npz(path: pathlib.Path) -> Shape:
     arrays = read_arrays(path)
-    kind = next((name for name in ("triangles", "lines") if name in arrays), None)
-    if kind is None or "points" not in arrays:
-        raise ValueError(
-            f"{path}: arrays points, and triangles or lines, expected; found {', '.join(arrays) or 'none'}."
-        )
-    corners = 3 if kind == "triangles" else 2
-    if arrays[kind].dtype.kind not in "iu" or arrays[kind].ndim != 2 or arrays[kind].shape[1] != corners:
-        found = f"{arrays[kind].dtype} of shape {arrays[kind].shape}"
+    kind = next((name for name in ("triangles", "lines") if name in arrays), "")
+    if not kind or "points" not in arrays:
+        listed = ", ".join(arrays) or "none"
+        raise ValueError(f"{path}: arrays points, and triangles or lines, expected; found {listed}.")
+    simplices, corners = arrays[kind], 3 if kind == "triangles" else 2
+    if simplices.dtype.kind not in "iu" or simplices.ndim != 2 or simplices.shape[1] != corners:
+        found = f"{simplices.dtype} of shape {simplices.shape}"
         raise ValueError(f"{path}: {kind} must be whole numbers (k, {corners}), found {found}.")
-    return Shape(real_array(path, arrays, "points"), arrays[kind].astype(np.int64))
+    return Shape(real_array(path, arrays, "points"), simplices.astype(np.int64))
 
 
-def carried(before: Shape, values: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Interpolates `values` (p, k) of `before` at its places closest to `x` (m, d); with distances.
-
-    It is linear on each triangle or segment, and exact at its corners.
-    """
-    simplex, weights, distance = closest(before.points[before.simplices][..., : x.shape[1]], x)
-    return np.einsum("mc,mck->mk", weights, values[before.simplices[simplex]]), distance
+READERS = {".stl": _stl, ".obj": _obj, ".npz": _npz}

@@ -10,9 +10,9 @@ import numpy as np
 from jaxmorph._host.cells.topology import DIMENSION
 from jaxmorph._mesh.exchange import Grid, Parts, Patch, regions_note
 
-from ._format import Arrays, MeshLike, Source, StampedPoints, of_grid, stamp_of
+from ._format import Arrays, MeshLike
 from ._text import decoded
-from ._tree import opened, write_points
+from ._tree import Coordinates, of_tree, opened, points_of, singles_of, write_points
 
 NAME = "Exodus"
 WHAT = "an Exodus file"
@@ -33,6 +33,11 @@ TYPES = {
 } | {(name, 2): ("line", [[0, 1]] * 2) for name in ("BAR", "BEA", "TRU", "EDG", "ROD", "SHE")}
 TYPES |= {(name, 1): ("vertex", []) for name in ("SPH", "CIR", "POI", "NOD")}
 """Types of cells by first letters and node counts of Exodus's types, and corners of each side."""
+
+_SETS = (("ss", "num_side_sets", "elem_ss", "sides"), ("ns", "num_node_sets", "node_ns", "nodes"))
+"""Of side sets and node sets: their prefix, their number, the array of members, and our word."""
+_UNREAD = {"num_edge_sets": "edge sets", "num_face_sets": "face sets", "num_elem_sets": "element sets"}
+_UNREAD |= {"num_ed_blk": "blocks of edges", "num_fa_blk": "blocks of faces"}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -55,50 +60,45 @@ def read(path: pathlib.Path) -> Parts:
     A set without a name is called by its kind and its number. Of several sets and blocks of one
     name the first one has it, others add their kind and number.
     """
-    path.open("rb").close()
     with opened(path, what=WHAT) as file:
-        columns = _columns(file)
-        points = np.stack([column.astype(float) for column in columns], axis=1)
-        _check_count(file, "num_nodes", len(points))
-        blocks = list(_blocks(path, file, points.shape[1]))
+        coordinates = list(_coordinates(file))
+        d = file["num_dim"].shape[0]
+        points = points_of(coordinates, file["num_nodes"].shape[0], d)
+        blocks = list(_blocks(path, file, d))
         _check_count(file, "num_elem", sum(len(block.corners) for block in blocks))
-        patches = list(_sets(file, blocks))
+        grid = Grid(points, [(block.kind, block.corners) for block in blocks], {}, {})
+        levels = [DIMENSION.get(block.kind, 0) for block in blocks]
+        solid = [level == max(levels) for level in levels]
+        patches = [
+            Patch(block.name, block.own, block.corners)
+            for block, is_solid in zip(blocks, solid, strict=True)
+            if not is_solid
+        ]
+        patches += [*_sets(file, _SETS[0], blocks), *_sets(file, _SETS[1], blocks)]
         for name, _, nodes in patches:
             if len(nodes) and not 0 <= nodes.min() <= nodes.max() < len(points):
                 raise ValueError(f"{name} has nodes {nodes.min() + 1} to {nodes.max() + 1} of {len(points)}")
-        notes = tuple(_notes(file, blocks))
-    content = StampedPoints(points, stamp_of(path))
-    held = content.held([column.dtype for column in columns])
-    grid = Grid(points, [(block.kind, block.corners) for block in blocks], {}, {})
-    source = Source(path, NAME, content, in_file=content.in_file, held=held, notes=notes)
-    return of_grid(path, grid, source, patches)
+        notes = list(_notes(file, [block for block, is_solid in zip(blocks, solid, strict=True) if is_solid]))
+        return of_tree(path, NAME, grid, singles_of(coordinates), patches, notes)
 
 
 def write(path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arrays) -> None:
     """Writes a copy of the file that the mesh was read from."""
-    write_points(path, mesh, NAME, _put, WHAT)
+    write_points(path, mesh, NAME, _coordinates, WHAT)
 
 
-def _put(file: Any, points: np.ndarray, old: np.ndarray) -> None:
+def _coordinates(file: Mapping[str, Any]) -> Iterator[Coordinates]:
+    """Finds the coordinates of each direction: arrays of their own, or the rows of one."""
     if "coord" in file:
-        file["coord"][...] = points.T.astype(file["coord"].dtype)
+        yield Coordinates(file["coord"], slice(None), slice(None))
         return
-    for axis, values in enumerate(points.T):
-        if not np.array_equal(values, old[:, axis]):
-            column = file[f"coord{'xyz'[axis]}"]
-            column[...] = values.astype(column.dtype)
-
-
-def _columns(file: Mapping[str, Any]) -> list[np.ndarray]:
-    """Reads the coordinates of each direction: arrays of their own, or the rows of one."""
     names = [name for name in ("coordx", "coordy", "coordz") if name in file]
-    columns = list(file["coord"][()]) if "coord" in file else [file[name][()] for name in names]
-    _check_count(file, "num_dim", len(columns))
-    return columns
+    _check_count(file, "num_dim", len(names))
+    for axis, name in enumerate(names):
+        yield Coordinates(file[name], slice(None), slice(axis, axis + 1))
 
 
 def _check_count(file: Mapping[str, Any], name: str, count: int) -> None:
-    """Raises `ValueError` where a dimension of the file is not the number of things found."""
     if file[name].shape != (count,):
         raise ValueError(f"{name} is {file[name].shape[0]}, and {count} are found")
 
@@ -124,34 +124,24 @@ def _blocks(path: pathlib.Path, file: Mapping[str, Any], dimension: int) -> Iter
         yield _Block(name or own, own, ours, corners, _SHELLS[3] if is_shell else sides)
 
 
-def _notes(file: Mapping[str, Any], blocks: list[_Block]) -> Iterator[str]:
-    """Yields sentences on what does not become patches."""
-    levels = [DIMENSION.get(block.kind, 0) for block in blocks]
-    solid = [block for block, level in zip(blocks, levels, strict=True) if level == max(levels)]
+def _notes(file: Mapping[str, Any], solid: list[_Block]) -> Iterator[str]:
     if len(solid) > 1 or any(block.name != block.own for block in solid):
         yield from regions_note(block.name for block in solid)
-    others = {"num_edge_sets": "edge sets", "num_face_sets": "face sets", "num_elem_sets": "element sets"}
-    others |= {"num_ed_blk": "blocks of edges", "num_fa_blk": "blocks of faces"}
-    for dimension, what in others.items():
+    for dimension, what in _UNREAD.items():
         if dimension in file:
             yield f"{file[dimension].shape[0]} {what} are not read, and stay in the file."
 
 
-def _sets(file: Mapping[str, Any], blocks: list[_Block]) -> Iterator[Patch]:
-    """Yields what patches are made of."""
-    levels = [DIMENSION.get(block.kind, 0) for block in blocks]
-    for block, level in zip(blocks, levels, strict=True):
-        if level < max(levels):
-            yield Patch(block.name, block.own, block.corners)
-    for what, dimension, array in (("ss", "num_side_sets", "elem_ss"), ("ns", "num_node_sets", "node_ns")):
-        numbers, names = _names(file, what, file[dimension].shape[0] if dimension in file else 0)
-        for at, name in enumerate(names, start=1):
-            members = _array(file, array, at, what)
-            rows = np.zeros(0, np.int64) if members is None else members[()].astype(np.int64) - 1
-            if what == "ss" and len(rows):
-                rows = _nodes(blocks, rows, file[f"side_ss{at}"][()].astype(np.int64) - 1)
-            own = f"{'sides' if what == 'ss' else 'nodes'}_{_number(numbers, at)}"
-            yield Patch(name or own, own, rows)
+def _sets(file: Mapping[str, Any], kind: tuple[str, str, str, str], blocks: list[_Block]) -> Iterator[Patch]:
+    what, dimension, array, own = kind
+    numbers, names = _names(file, what, file[dimension].shape[0] if dimension in file else 0)
+    for at, name in enumerate(names, start=1):
+        members = _array(file, array, at, what)
+        rows = np.zeros(0, np.int64) if members is None else members[()].astype(np.int64) - 1
+        if what == "ss" and len(rows):
+            rows = _nodes(blocks, rows, file[f"side_ss{at}"][()].astype(np.int64) - 1)
+        own_name = f"{own}_{_number(numbers, at)}"
+        yield Patch(name or own_name, own_name, rows)
 
 
 def _array(file: Mapping[str, Any], name: str, at: int, what: str) -> Any:
@@ -163,7 +153,6 @@ def _array(file: Mapping[str, Any], name: str, at: int, what: str) -> Any:
 
 
 def _names(file: Mapping[str, Any], what: str, count: int) -> tuple[np.ndarray, list[str]]:
-    """Reads the numbers and the names of blocks or sets, of which there are `count`."""
     numbers = file[f"{what}_prop1"][()] if f"{what}_prop1" in file else np.zeros(0, int)
     names = [_text(row) for row in file[f"{what}_names"][()]] if f"{what}_names" in file else [""] * count
     if len(names) != count:
@@ -176,7 +165,6 @@ def _number(numbers: np.ndarray, at: int) -> int:
 
 
 def _nodes(blocks: list[_Block], cells: np.ndarray, sides: np.ndarray) -> np.ndarray:
-    """Finds the nodes of sides of cells, which are counted through all blocks."""
     starts = np.cumsum([0, *(len(block.corners) for block in blocks)])
     if cells.shape != sides.shape or cells.min() < 0 or cells.max() >= starts[-1]:
         raise ValueError(f"a set of sides of elements {cells.min() + 1} to {cells.max() + 1} of {starts[-1]}")

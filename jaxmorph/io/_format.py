@@ -6,7 +6,7 @@ import functools
 import importlib
 import pathlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from typing import Any, Protocol, cast, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -22,6 +22,8 @@ SHARE = 0.1
 
 EVERYTHING = ((slice(None), slice(None)),)
 """The `singles` of a file that has single precision everywhere."""
+
+Arrays = Mapping[str, np.ndarray]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -64,10 +66,13 @@ def warn_of_loss(path: pathlib.Path, cells: Mapping[str, Any], held: Held, point
     # far from the origin nodes that hardly move are rounded more, and that changes nothing there
     if (off[motion >= most / 2] > SHARE * most).any():
         losses.append(f"more than a tenth of the motion, which is {most:.3g}")
-    count, shortest, node = _changed_edges(cells, held.base, points, stored)
-    if count:
-        place = place_of(points[node])
-        losses.append(f"more than a tenth of {count} edges of cells, the shortest {shortest:.3g} near ({place})")
+    start, end = _changed_edges(cells, held.base, points, stored)
+    if len(start):
+        length = np.linalg.norm(points[end] - points[start], axis=1)
+        place = place_of(points[start[length.argmin()]])
+        losses.append(
+            f"more than a tenth of {len(start)} edges of cells, the shortest {length.min():.3g} near ({place})"
+        )
     if losses:
         warn(
             f"{path}: the file holds single precision. Rounding moves nodes by up to {off.max():.3g}: {', and '.join(losses)}. "
@@ -76,13 +81,8 @@ def warn_of_loss(path: pathlib.Path, cells: Mapping[str, Any], held: Held, point
     return stored
 
 
-def _changed_edges(
-    cells: Mapping[str, Any], base: np.ndarray, points: np.ndarray, stored: np.ndarray
-) -> tuple[int, float, int]:
-    """Counts edges that rounding changes by much; also the least length, and a node there.
-
-    Edges without a length in the file do not count.
-    """
+def _changed_edges(cells: Mapping[str, Any], base: np.ndarray, points: np.ndarray, stored: np.ndarray) -> np.ndarray:
+    """Finds edges (2, k) that rounding changes by much, but those without a length in the file."""
     shift, found = stored - points, [np.zeros((0, 2), int)]
     for kind, ids in cells.items():
         for edge in EDGES[SHAPES[kind]]:
@@ -91,26 +91,18 @@ def _changed_edges(
             length = np.linalg.norm(points[end] - points[start], axis=1)
             has_length = (base[start] != base[end]).any(axis=1)
             found.append(np.sort(pairs[:, has_length & (change > SHARE * length)].T, axis=1))
-    start, end = np.unique(np.concatenate(found), axis=0).T
-    if not len(start):
-        return 0, 0.0, 0
-    length = np.linalg.norm(points[end] - points[start], axis=1)
-    return len(start), float(length.min()), int(start[length.argmin()])
-
-
-Arrays = Mapping[str, np.ndarray]
+    return np.unique(np.concatenate(found), axis=0).T
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Source:
     """The file that a mesh was read from, and the `content` that gives the file back as it was.
 
-    It is compared by identity, so that it can be a static field of a pytree however large `content`
-    is.
+    It is compared by identity: a static field of a pytree may be as large as it likes.
 
     - `polyhedra`, `cell_ids`, `groups`, `between`, `file_nodes`: as in `Mesh`.
-    - `periodic`: the periodic pairs of patches that the file names; `symmetry`: its patches in
-      symmetry planes; `kinds`: the type of each patch in the file.
+    - `periodic`, `symmetry`, `kinds`: periodic pairs of patches, patches in symmetry planes, and
+      the type of each patch, as the file names them.
     - `node_ids` (n,): numbers of the nodes in other files, None for 0, 1, 2, ...
     - `in_file`: takes points (n, d) of the mesh to points (N, 3) of the file; None where a mesh has
       the nodes of its file.
@@ -154,39 +146,18 @@ class MeshLike(Protocol):
     def source(self) -> Any: ...
 
 
-@runtime_checkable
-class Codec(Protocol):
-    """Lists the functions that the module of a format defines.
-
-    A format without the `check` of `Checking` takes back only meshes that came from it.
-    """
-
-    def read(self, path: pathlib.Path) -> Parts:
-        """Reads the mesh in a file; `ValueError` names file, place and what was found."""
-        ...
-
-    def write(self, path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arrays) -> None:
-        """Writes a new file; `cell_data` follows the order of `mesh.cells`, type by type."""
-        ...
-
-
-@runtime_checkable
-class Checking(Protocol):
-    """The function of a format that writes any mesh, or some of them."""
-
-    def check(self, path: pathlib.Path, mesh: MeshLike) -> None:
-        """Raises `ValueError` for what `write` could not do with the mesh, for any points."""
-        ...
-
-
 @dataclasses.dataclass(frozen=True)
 class Format:
     """A format: its name, its endings, and the module of this package that reads and writes it.
 
-    `magic` are the first bytes of its files, for an ending that another format has too.
+    `magic` are the first bytes of its files, for an ending that another format has too. The module
+    is imported when it is needed, and with it the extra that it may stand on. It defines
 
-    The module is imported when it is needed, and with it the extra that it may stand on. A format
-    that is a folder writes it complete or not at all by itself.
+    - `read(path) -> Parts`: `ValueError` names file, place and what was found;
+    - `write(path, mesh, point_data, cell_data)`: writes a new file. `cell_data` follows the order
+      of `mesh.cells`, type by type. A folder is written complete or not at all;
+    - `check(path, mesh)`: raises `ValueError` for what `write` could not do with the mesh, for any
+      points. Without it the format takes back only meshes that came from it.
     """
 
     name: str
@@ -196,15 +167,12 @@ class Format:
     is_folder: bool = False
     magic: tuple[bytes, ...] = ()
 
-    def codec(self) -> Codec:
-        return cast(Codec, importlib.import_module(f"{__package__}.{self.module}"))
+    def codec(self) -> Any:
+        return importlib.import_module(f"{__package__}.{self.module}")
 
 
 def source_of(mesh: MeshLike, format_name: str) -> Source | None:
-    """Returns the source of a mesh when it was read from a file of that format, whole.
-
-    A mesh with other cells than those of the file has no source.
-    """
+    """Returns the source of a mesh that was read from a file of that format and has its cells."""
     source = intact_source(mesh)
     is_of_format = isinstance(source, Source) and source.format == format_name and source.content is not None
     return source if is_of_format else None
@@ -224,14 +192,14 @@ def own_source(path: pathlib.Path, mesh: MeshLike, format_name: str) -> Source:
             f"{path}: only a mesh that was read from {article} {format_name} file can be written to one; "
             f"write .vtu or {other}."
         )
-    if hasattr(source.content, "stamp") and stamp_of(source.path) != source.content.stamp:
+    stamp = getattr(source.content, "stamp", None)
+    if stamp is not None and stamp_of(source.path) != stamp:
         raise ValueError(f"{source.path} has changed since the mesh was read from it; read it again.")
     return source
 
 
 @contextlib.contextmanager
 def faults_of(path: pathlib.Path) -> Iterator[None]:
-    """Puts the name of the file that is read before the message of a `ValueError`."""
     try:
         yield
     except ValueError as error:
@@ -259,31 +227,39 @@ def as_in_file(points: np.ndarray, old: np.ndarray) -> np.ndarray:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class FilePoints:
-    """The points of a file, of which a 2-D mesh has no z."""
+    """The points (N, k) of a file, of which a 2-D mesh has no z.
+
+    - `node` (N,): the mesh's node for each of them; None where the mesh has the nodes of the file.
+    - `stamp`: marks by which a changed file is found, for a format of copies.
+    """
 
     points: np.ndarray
+    node: np.ndarray | None = dataclasses.field(default=None, kw_only=True)
+    stamp: tuple[int, int] | None = dataclasses.field(default=None, kw_only=True)
+
+    @property
+    def is_flat(self) -> bool:
+        return self.points.shape[1] == 2 or bool(np.ptp(self.points[:, 2]) == 0)
+
+    @property
+    def _first(self) -> Any:
+        """The first copy of each node of the mesh among those of the file."""
+        return slice(None) if self.node is None else np.unique(self.node, return_index=True)[1]
 
     def in_file(self, points: np.ndarray) -> np.ndarray:
-        """Returns points with the z of the file where they have none."""
-        d = points.shape[1]
-        return np.concatenate([as_in_file(points, self.points[:, :d]), self.points[:, d:]], axis=1)
+        """Returns the file's points from the mesh's; all copies of an unmoved one stay as read."""
+        d, rows = points.shape[1], slice(None) if self.node is None else self.node
+        stays = (points == self.points[self._first, :d].astype(points.dtype))[rows]
+        moved = np.where(stays, self.points[:, :d], points[rows])
+        return np.concatenate([moved, self.points[:, d:]], axis=1)
 
     def in_mesh(self, values: np.ndarray) -> np.ndarray:
         """Returns the mesh's points from the file's, without z where all z are equal."""
-        is_flat = self.points.shape[1] == 3 and np.ptp(self.points[:, 2]) == 0
-        return values[:, :2] if is_flat else values
+        return values[self._first, : 2 if self.is_flat else 3]
 
-    def held(self, columns: list[np.dtype]) -> Held | None:
-        """Tells how a file with columns of these types holds the points; None: all digits."""
-        singles = [(slice(None), axis) for axis, dtype in enumerate(columns) if dtype.itemsize < 8]
+    def held(self, singles: Sequence[tuple[slice, Any]]) -> Held | None:
+        """Tells how a file in single precision at `singles` holds the points; None: all digits."""
         return Held(self.points, self.in_file, self.in_mesh, singles) if singles else None
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class StampedPoints(FilePoints):
-    """The points of a file, and marks by which a changed file is found."""
-
-    stamp: tuple[int, int]
 
 
 def patch_faces(mesh: MeshLike) -> dict[str, dict[str, np.ndarray]]:

@@ -9,9 +9,9 @@ import numpy as np
 from jaxmorph._host.cells.topology import DIMENSION
 from jaxmorph._mesh.exchange import Grid, Parts, Patch, regions_note
 
-from ._format import Arrays, MeshLike, Source, StampedPoints, of_grid, stamp_of
+from ._format import Arrays, MeshLike
 from ._text import decoded
-from ._tree import opened, write_points
+from ._tree import Coordinates, of_tree, opened, points_of, singles_of, write_points
 
 NAME = "MED"
 WHAT = "a MED file"
@@ -33,11 +33,11 @@ def read(path: pathlib.Path) -> Parts:
 
     A group of nodes that is called as one of elements, and has other nodes, is `NAME_nodes`.
     """
-    path.open("rb").close()
     with opened(path, what=WHAT) as file:
         name, step = _step(file)
-        points = _points(step)
-        dtype = step["NOE"]["COO"].dtype
+        coordinates = list(_coordinates(file))
+        n = int(coordinates[0].array.attrs["NBR"])
+        points, singles = points_of(coordinates, n, coordinates[0].array.size // n), singles_of(coordinates)
         blocks, families = [], []
         for kind, group in step["MAI"].items():
             if kind not in TYPES:
@@ -45,38 +45,46 @@ def read(path: pathlib.Path) -> Parts:
             ours, order = TYPES[kind]
             corners = group["NOD"][()].reshape(len(order), -1).T[:, order].astype(np.int64) - 1
             blocks.append((ours, corners))
-            families.append(group["FAM"][()] if "FAM" in group else np.zeros(len(corners), int))
-        of_nodes = step["NOE"]["FAM"][()] if "FAM" in step["NOE"] else np.zeros(len(points), int)
-        of_elements, groups = dict(_groups(file, name, "ELEME")), dict(_groups(file, name, "NOEUD"))
-    if any(len(family) != len(corners) for family, (_, corners) in zip(families, blocks, strict=True)):
-        raise ValueError(f"{path}: not {WHAT}, or a damaged one (families of other elements than there are).")
-    levels, patches, regions = [DIMENSION.get(kind, 0) for kind, _ in blocks], [], []
-    for group, numbers in of_elements.items():
-        chosen = [np.isin(family, numbers) for family in families]
-        nodes = [
-            corners[inside].ravel()
-            for (_, corners), level, inside in zip(blocks, levels, chosen, strict=True)
-            if level < max(levels) and inside.any()
-        ]
-        if nodes:
-            patches.append(Patch(group, "elements", np.concatenate(nodes)))
-        if any(inside.any() for level, inside in zip(levels, chosen, strict=True) if level == max(levels)):
-            regions.append(group)
+            families.append(_families(group, len(corners)))
+        of_nodes = _families(step["NOE"], len(points))
+        of_elements, groups = _groups(file, name, "ELEME"), _groups(file, name, "NOEUD")
+    patches, regions = _of_elements(blocks, families, of_elements)
     patches += [Patch(group, "nodes", np.flatnonzero(np.isin(of_nodes, ids))) for group, ids in groups.items()]
-    content, notes = StampedPoints(points, stamp_of(path)), tuple(regions_note(regions))
-    held = content.held([dtype] * points.shape[1])
-    source = Source(path, NAME, content, in_file=content.in_file, held=held, notes=notes)
-    return of_grid(path, Grid(points, blocks, {}, {}), source, patches)
+    return of_tree(path, NAME, Grid(points, blocks, {}, {}), singles, patches, regions_note(regions))
 
 
 def write(path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arrays) -> None:
     """Writes a copy of the file that the mesh was read from."""
-    write_points(path, mesh, NAME, _put, WHAT)
+    write_points(path, mesh, NAME, _coordinates, WHAT)
 
 
-def _put(file: Any, points: np.ndarray, _: np.ndarray) -> None:
-    coordinates = _step(file)[1]["NOE"]["COO"]
-    coordinates[...] = points.T.reshape(coordinates.shape).astype(coordinates.dtype)
+def _coordinates(file: Any) -> Iterator[Coordinates]:
+    yield Coordinates(_step(file)[1]["NOE"]["COO"], slice(None), slice(None))
+
+
+def _families(group: Any, count: int) -> np.ndarray:
+    families = group["FAM"][()] if "FAM" in group else np.zeros(count, int)
+    if len(families) != count:
+        raise ValueError("families of other elements than there are")
+    return families
+
+
+def _of_elements(
+    blocks: list[tuple[str, np.ndarray]], families: list[np.ndarray], groups: dict[str, list[int]]
+) -> tuple[list[Patch], list[str]]:
+    """Makes patches of groups of lower dimension, and lists groups of full dimension."""
+    patches, regions, levels = [], [], [DIMENSION.get(kind, 0) for kind, _ in blocks]
+    for group, numbers in groups.items():
+        chosen = [np.isin(family, numbers) for family in families]
+        parts = list(zip(blocks, levels, chosen, strict=True))
+        nodes = [
+            corners[inside].ravel() for (_, corners), level, inside in parts if level < max(levels) and inside.any()
+        ]
+        if nodes:
+            patches.append(Patch(group, "elements", np.concatenate(nodes)))
+        if any(inside.any() for _, level, inside in parts if level == max(levels)):
+            regions.append(group)
+    return patches, regions
 
 
 def _step(file: Any) -> tuple[str, Any]:
@@ -91,18 +99,11 @@ def _step(file: Any) -> tuple[str, Any]:
     return name, steps[0]
 
 
-def _points(step: Any) -> np.ndarray:
-    """Reads coordinates (n, d): the file has all x, then all y, then all z."""
-    coordinates = step["NOE"]["COO"]
-    return coordinates[()].reshape(-1, int(coordinates.attrs["NBR"])).T.astype(float)
-
-
-def _groups(file: Any, name: str, kind: str) -> Iterator[tuple[str, list[int]]]:
-    """Yields the groups of elements or of nodes, and the numbers of their families."""
+def _groups(file: Any, name: str, kind: str) -> dict[str, list[int]]:
     families = file["FAS"][name] if "FAS" in file and name in file["FAS"] else {}
     groups: dict[str, list[int]] = {}
     for family in families.get(kind, {}).values():
         for characters in family["GRO"]["NOM"][()] if "GRO" in family else ():
             group = decoded(bytes(np.asarray(characters, np.uint8)).split(b"\0")[0]).strip()
             groups.setdefault(group, []).append(int(family.attrs["NUM"]))
-    yield from groups.items()
+    return groups

@@ -1,5 +1,6 @@
 """`read` and `write` choose among the formats; what a file says beside its mesh; moved meshes."""
 
+import contextlib
 import dataclasses
 import os
 import pathlib
@@ -19,7 +20,7 @@ from jaxmorph._host.package.files import complete, output_path
 from jaxmorph._host.package.text import MESHES, is_folder
 from jaxmorph._mesh.exchange import Parts, numbers_of_cells
 
-from ._format import Checking, Format, Source, own_source, source_of, warn_of_loss
+from ._format import Format, Source, own_source, source_of, warn_of_loss
 
 FORMATS = (
     Format("SU2", MESHES["SU2"], "_su2"),
@@ -41,16 +42,15 @@ def format_of(path: pathlib.Path, source: object = None) -> Format:
     written came, or the first bytes of a file to be read. It raises `ValueError`, with the endings
     there are, for another one.
     """
+    if is_folder(path):  # it raises for unknown endings
+        return next(candidate for candidate in FORMATS if candidate.is_folder)
     found = [candidate for candidate in FORMATS if path.suffix.lower() in candidate.suffixes]
-    if len(found) > 1 and isinstance(source, Source):
-        found = [candidate for candidate in found if candidate.name == source.format] or found
+    if isinstance(source, Source):
+        found.sort(key=lambda candidate: candidate.name != source.format)
     elif len(found) > 1 and path.is_file():
         with path.open("rb") as file:
             first = file.read(8)
-        known = [candidate for candidate in found if first.startswith(candidate.magic)]
-        found = known or [candidate for candidate in found if not candidate.magic]
-    found += [candidate for candidate in FORMATS if candidate.is_folder]
-    is_folder(path)  # it raises for unknown endings
+        found.sort(key=lambda candidate: 1 if not candidate.magic else 2 - 2 * first.startswith(candidate.magic))
     return found[0]
 
 
@@ -75,14 +75,13 @@ def check_nodes(path: pathlib.Path, mesh: Parts) -> None:
 
     Pieces of polyhedra may coincide.
     """
-    cut, first = None, 0
-    if mesh.source.polyhedra is not None:
-        cut = np.isin(mesh.source.cell_ids, mesh.source.polyhedra.cut)
+    whole, first = mesh.source.polyhedra, 0
     for kind, corners in mesh.cells.items():
-        corners = np.asarray(corners)
-        chosen = None if cut is None else np.flatnonzero(~cut[first : first + len(corners)])
+        corners, rows = np.asarray(corners), slice(None)
+        if whole is not None:
+            rows = np.flatnonzero(~np.isin(mesh.source.cell_ids[first : first + len(corners)], whole.cut))
         first += len(corners)
-        twice = repeated_cells(corners) if chosen is None else chosen[repeated_cells(corners[chosen])]
+        twice = np.arange(len(corners))[rows][repeated_cells(corners[rows])]
         if len(twice):
             raise ValueError(
                 f"{path}: {len(twice)} cells of type {kind} have the nodes of another one, first cell {twice[0]} "
@@ -112,14 +111,11 @@ def read(path: str | os.PathLike[str]) -> Mesh:
     coordinates when all z of the file are equal. Patches are
 
     - SU2's markers, gmsh's physical groups, CGNS's families or boundary conditions, MED's groups,
-      OpenFOAM's patches;
+      OpenFOAM's patches, VTK's point arrays called `patch:NAME`;
     - MFEM's attributes of boundary elements, `boundary_3` for attribute 3; named sets are groups;
-    - Exodus's side sets and node sets, and its blocks of shells, beams or points beside larger
-      cells;
-    - the sides of PLOT3D's blocks, or patches that a file beside the grid names. The file is called
-      as the grid with the ending `.patches`, and holds lines `NAME BLOCK SIDE` or `NAME BLOCK I1 I2
-      J1 J2 [K1 K2]`;
-    - in VTK files the point arrays called `patch:NAME`;
+    - Exodus's side sets and node sets, and its blocks of lower dimension;
+    - the sides of PLOT3D's blocks, or patches that a file beside the grid names. It has the grid's
+      name, the ending `.patches`, and lines `NAME BLOCK SIDE` or `NAME BLOCK I1 I2 J1 J2 [K1 K2]`;
     - the one patch `boundary` for a file that names none.
 
     Where two have one name and other nodes, the second one's name has what it is at its end,
@@ -148,21 +144,16 @@ def write(
 ) -> None:
     """Writes a mesh in the format of the file's ending.
 
-    The mesh may be one read from a file and then `moved`. Written to the format it came from,
-    everything but the coordinates is kept, byte for byte in SU2, gmsh, MFEM, OpenFOAM and PLOT3D
-    files. An unmoved mesh gives the same file. Coordinates read back bit for bit, rounded once
-    where the file is in single precision, and to round-off in MFEM's files of order 3 and 4.
-    Between formats, and for generated meshes, points, cells and patches are written. SU2 and gmsh
-    express a patch by the boundary faces between its nodes. CGNS, MFEM, MED, Exodus, PLOT3D and
-    OpenFOAM take back only meshes that came from them.
+    A mesh that was read and `moved` keeps everything but its coordinates in the format it came
+    from, byte for byte in SU2, gmsh, MFEM, OpenFOAM and PLOT3D files. Coordinates read back bit for
+    bit, rounded once where the file is in single precision, and to round-off in MFEM's files of
+    order 3 and 4; `as_written` has them. Between formats, and for generated meshes, points, cells
+    and patches are written. SU2 and gmsh express a patch by the boundary faces between its nodes.
+    CGNS, MFEM, MED, Exodus, PLOT3D and OpenFOAM take back only meshes that came from them.
 
     A mesh from an OpenFOAM case goes into a time folder of the case (`case/0.5`: its
-    `polyMesh/points`), or into a new folder. The new folder is a copy of the case's `constant`,
-    `system`, `0` and `0.orig` with other points. The case stays as it is. 2-D cases (`empty`
-    patches) are meshes in two coordinates, and both planes move alike.
-
-    A warning says where single precision takes much of the motion or of small cells; `as_written`
-    has the points that the file will hold.
+    `polyMesh/points`), or into a new folder. That is a copy of the case's `constant`, `system`, `0`
+    and `0.orig` with other points. Both planes of a 2-D case move alike.
 
     The file appears when it is complete, under a temporary name until then.
 
@@ -177,8 +168,7 @@ def write(
     **Raises:** `ValueError` when `path` is the file that the mesh was read from, for arrays of a
     wrong length, points that are not finite, and what the format cannot say.
     """
-    chosen = _checked(path, mesh)
-    path = pathlib.Path(path)
+    chosen, path = _checked(path, mesh), pathlib.Path(path)
     arrays = dict(point_data or {}), dict(cell_data or {})
     if any(arrays) and not chosen.holds_arrays:
         raise ValueError(
@@ -190,19 +180,15 @@ def write(
             f"{path}: {(~finite).sum()} of {len(finite)} points are not finite, first node {np.argmin(finite)}."
         )
     as_written(path, mesh)
-    if chosen.is_folder:
-        chosen.codec().write(path, mesh, *arrays)
-        return
-    with files.complete(path) as partial:
-        chosen.codec().write(partial, mesh, *arrays)
+    with contextlib.nullcontext(path) if chosen.is_folder else complete(path) as target:
+        chosen.codec().write(target, mesh, *arrays)
 
 
 @checked
 def as_written(path: str | os.PathLike[str], mesh: Mesh) -> Float[np.ndarray, "n d"]:
     """Computes the points that reading a written file will give, bit for bit; writes nothing.
 
-    These are the points to judge: a file in single precision rounds them, and may lose a small
-    motion or the first cells at a wall.
+    A file in single precision rounds them: a small motion or the first cells at a wall may be lost.
 
     **Arguments:**
 
@@ -242,13 +228,12 @@ def check_output(path: str | os.PathLike[str], mesh: Mesh) -> bool:
 
 
 def _checked(name: str | os.PathLike[str], mesh: Mesh) -> Format:
-    """Checks the name of a file and the mesh to write there; returns the format."""
     source, chosen = mesh.source, format_of(pathlib.Path(name), mesh.source)
     path = files.output_path(name, folder=chosen.is_folder)
     if isinstance(source, Source) and files.is_same(path, source.path):
         raise ValueError(f"{path}: the mesh was read from this file; write to another one.")
     codec = chosen.codec()
-    if isinstance(codec, Checking):
+    if hasattr(codec, "check"):
         codec.check(path, mesh)
     else:
         own_source(path, mesh, chosen.name)

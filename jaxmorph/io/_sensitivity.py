@@ -14,13 +14,13 @@ from jaxtyping import Float, Int, PyTree
 
 from jaxmorph import Mesh
 from jaxmorph._host.package.arguments import checked, finite_array, rows_of
-from jaxmorph._host.package.files import complete, input_path, output_path, read_arrays, real_array
+from jaxmorph._host.package.files import complete, input_path, output_path
 from jaxmorph._host.package.rounding import rows_in
 from jaxmorph._host.package.text import GRADIENTS, SENSITIVITIES
 from jaxmorph.shapes import names
 
 from ._format import source_of
-from ._surface import read_table
+from ._surface import check_values, read_named, read_table
 from .openfoam.case import NAME
 from .openfoam.file import load
 
@@ -62,40 +62,24 @@ def read_sensitivity(
     n, d = mesh.points.shape
     moving = None if moving is None else rows_of("moving", moving, n)
     if path.suffix.lower() == ".npz":
-        ids, values = _arrays(path, n)
+        ids, values, _ = read_named(path, ("sensitivity",))
     elif is_foam_file(path):
         ids, values = np.arange(n), read_point_vectors(path, mesh)
     else:
         ids, values = read_table(path, d, NAMES)
-    if values.shape != (len(ids), d) or not np.isfinite(values).all():
-        raise ValueError(f"{path}: finite values of shape ({len(ids)}, {d}) expected, found shape {values.shape}.")
+    check_values(path, ids, values, d)
     foreign = np.setdiff1d(ids, np.arange(n))
     if foreign.size:
         raise ValueError(f"{path}: {foreign.size} node ids are not of the mesh (0 to {n - 1}), first {foreign[0]}.")
-    if moving is not None and len(ids) < n and len(np.unique(ids)) == len(ids):
-        lacking = np.setdiff1d(moving, ids)
-        if lacking.size:
-            fault = f"{lacking.size} of the {len(moving)} moving nodes are missing (first {lacking[0]})"
-            raise ValueError(f"{path}: {fault}; a surface's file has all of them, a volume's all {n} nodes.")
-        return values[rows_in(ids, moving)]
-    missing = np.setdiff1d(np.arange(n), ids)
-    if missing.size or len(ids) != n:
-        fault = f"{missing.size} of {n} nodes are missing (first {missing[0]})" if missing.size else "nodes come twice"
-        raise ValueError(f"{path}: {fault}; sensitivities of all nodes of the volume are needed.")
-    result = np.empty((n, d))
-    result[ids] = values
-    return result
-
-
-def _arrays(path: pathlib.Path, n: int) -> tuple[np.ndarray, np.ndarray]:
-    arrays = read_arrays(path)
-    if "sensitivity" not in arrays:
-        raise ValueError(f"{path}: an array sensitivity expected, found {', '.join(arrays) or 'none'}.")
-    values = real_array(path, arrays, "sensitivity")
-    ids = arrays.get("ids", np.arange(len(np.atleast_1d(values))))
-    if ids.dtype.kind not in "iu" or ids.ndim != 1:
-        raise ValueError(f"{path}: ids must be whole numbers (n,), found {ids.dtype} of shape {ids.shape}.")
-    return ids, values
+    wanted = np.arange(n) if moving is None or len(ids) >= n else moving
+    is_surface = wanted is moving
+    missing = np.setdiff1d(wanted, ids)
+    if missing.size:
+        which = f"the {len(wanted)} moving nodes" if is_surface else f"{n} nodes"
+        need = f"a surface's file has all of them, a volume's all {n} nodes"
+        need = need if is_surface else "sensitivities of all nodes of the volume are needed"
+        raise ValueError(f"{path}: {missing.size} of {which} are missing (first {missing[0]}); {need}.")
+    return values[rows_in(ids, wanted)]
 
 
 @checked
@@ -138,7 +122,6 @@ _END = re.compile(rb"\)\s*\)\s*;")
 
 
 def is_foam_file(path: pathlib.Path) -> bool:
-    """Checks whether a file is an OpenFOAM file, by its ending or its header."""
     if path.suffix == ".gz":
         return True
     with path.open("rb") as file:
@@ -155,15 +138,13 @@ def read_point_vectors(path: pathlib.Path, mesh: Mesh) -> Float[np.ndarray, "n d
     if source is None:
         raise ValueError(f"{path}: a file of OpenFOAM; it needs a mesh that was read from an OpenFOAM case.")
     file = load(path.parent, path.name)
-    kind = file.header.get("class", "")
-    entry = _INTERNAL.search(file.data, file.end)
+    kind, entry = file.header.get("class", "no class"), _INTERNAL.search(file.data, file.end)
     if kind != "pointVectorField" or entry is None or entry[1] == b"uniform":
-        found = f"{kind or 'no class'}{' with one value for all points' if kind == 'pointVectorField' else ''}"
+        found = f"{kind}{' with one value for all points' if kind == 'pointVectorField' else ''}"
         raise file.error(f"a pointVectorField with a list of vectors expected, found {found}")
     stop = None if file.is_binary else _END.search(file.data, entry.end())
     data = file.data if stop is None else file.data[: stop.end()]
-    values = dataclasses.replace(file, data=data, end=entry.end()).numbers("scalar", 3)
-    content = source.content
+    values, content = dataclasses.replace(file, data=data, end=entry.end()).numbers("scalar", 3), source.content
     if len(values) != len(content.points):
         raise file.error(f"{len(content.points)} vectors expected, one for each point of the case, found {len(values)}")
     return values if content.plane is None else content.plane.added(values)
@@ -188,18 +169,17 @@ def write_gradient(path: str | os.PathLike[str], parameters: PyTree, gradient: P
     path, variables = check_gradient_output(path), names(parameters)
     if names(gradient) != variables:
         raise ValueError(f"a gradient of {len(names(gradient))} numbers for {len(variables)} design variables.")
-    values, slopes = (
-        [float(number) for leaf in jax.tree.leaves(tree) for number in np.ravel(leaf)]
-        for tree in (parameters, gradient)
-    )
+    trees = (jax.tree.leaves(tree) for tree in (parameters, gradient))
+    rows = list(zip(variables, *([float(x) for leaf in tree for x in np.ravel(leaf)] for tree in trees), strict=True))
     stream = io.StringIO()
     if path.suffix.lower() == ".csv":
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerows([("variable", "value", "dJ_dvalue"), *zip(variables, values, slopes, strict=True)])
+        csv.writer(stream, lineterminator="\n").writerows([("variable", "value", "dJ_dvalue"), *rows])
     else:
-        rows = zip(variables, values, slopes, strict=True)
-        finite = lambda number: number if np.isfinite(number) else None  # noqa: E731
-        table = {name: {"value": finite(value), "dJ_dvalue": finite(slope)} for name, value, slope in rows}
+        keys = ("value", "dJ_dvalue")
+        table = {
+            name: {key: x if np.isfinite(x) else None for key, x in zip(keys, pair, strict=True)}
+            for name, *pair in rows
+        }
         json.dump(table, stream, indent=1)
     with complete(path) as partial:
         partial.write_text(stream.getvalue(), encoding="utf-8")

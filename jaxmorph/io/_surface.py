@@ -8,12 +8,13 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from .._host.package.arguments import checked
-from .._host.package.files import input_path
+from .._host.package.files import input_path, read_arrays, real_array
 from ._text import Section
 
 FACT = re.compile(rb"^[ \t]*[A-Za-z_]+[ \t]*=.*$", re.MULTILINE)
 """A line `NAME= value`, as SU2's older restarts have behind their rows."""
-IDS = (b"pointid", b"point_id", b"id", b"node", b"globalindex", b"global_index")
+NAME = re.compile(rb"\"[^\"]*\"|[^\s,;]+")
+IDS = ("pointid", "point_id", "id", "node", "globalindex", "global_index")
 """Names that headers give to the column of node ids, which is the first one otherwise."""
 MAGIC = 535532
 """The first number of a binary restart, in four bytes of either order."""
@@ -54,36 +55,57 @@ def read_table(
     text = path.read_bytes()
     if wanted and MAGIC in (int.from_bytes(text[:4], "little"), int.from_bytes(text[:4], "big")):
         return _restart(path, text, wanted[:d])
-    for mark in (b"%", b"#"):
-        text = b"\n".join(line.partition(mark)[0] for line in text.split(b"\n"))
-    text = FACT.sub(b"", text)
+    text = FACT.sub(b"", re.sub(rb"[%#][^\n]*", b"", text))
     start = _after_header(text)
-    names = [name.strip(b"\"'").lower() for name in re.findall(rb"\"[^\"]*\"|[^\s,;]+", text[:start])]
-    text = text.replace(b",", b" ").replace(b";", b" ")
-    section = Section(path, text, start, len(text))
+    names = [name.strip(b"\"'").lower().decode(errors="replace") for name in NAME.findall(text[:start])]
+    section = Section(path, re.sub(rb"[,;]", b" ", text), start, len(text))
     rows = section.rows(np.float64)
     if not len(rows.counts):
         raise ValueError(f"{path}: no rows of node id and {d} numbers in this file.")
-    columns = [0, *range(1, d + 1)]
-    if wanted and all(name.encode() in names for name in wanted[:d]):
-        number = next((k for k, name in enumerate(names) if name in IDS), 0)
-        columns = [number, *(names.index(name.encode()) for name in wanted[:d])]
-    width = len(names) if max(columns) > d else d + 1
+    columns, width, expected = list(range(d + 1)), d + 1, f"a node id and {d} numbers"
+    if wanted and {*wanted[:d]} <= {*names}:
+        columns = [next((k for k, name in enumerate(names) if name in IDS), 0), *map(names.index, wanted[:d])]
+        if max(columns) > d:
+            width, expected = len(names), f"{len(names)} numbers, as in the header,"
     wrong = np.flatnonzero(rows.counts != width)
     if wrong.size:
-        expected = f"a node id and {d} numbers" if width == d + 1 else f"{width} numbers, as in the header,"
-        contents = f"found {rows.counts[wrong[0]]} numbers"
-        raise section.error(f"{expected} expected, {contents}.", int(wrong[0]))
+        raise section.error(f"{expected} expected, found {rows.counts[wrong[0]]} numbers.", int(wrong[0]))
     table = rows.values.reshape(-1, width)[:, columns]
     wrong = np.flatnonzero(~np.isfinite(table).all(axis=1) | (table[:, 0] != np.floor(table[:, 0])) | (table[:, 0] < 0))
     if wrong.size:
         raise section.error(f"found {table[wrong[0]].tolist()}, not a node id and {d} finite numbers.", int(wrong[0]))
     ids = table[:, 0].astype(np.int64)
-    _, first = np.unique(ids, return_index=True)
-    if len(first) < len(ids):
-        row = int(np.setdiff1d(np.arange(len(ids)), first)[0])
-        raise section.error(f"node {ids[row]} comes a second time.", row)
+    copies = np.setdiff1d(np.arange(len(ids)), np.unique(ids, return_index=True)[1])
+    if copies.size:
+        raise section.error(f"node {ids[copies[0]]} comes a second time.", int(copies[0]))
     return ids, np.ascontiguousarray(table[:, 1:])
+
+
+def read_named(
+    path: pathlib.Path, names: tuple[str, ...], ids: Int[np.ndarray, " m"] | None = None
+) -> tuple[Int[np.ndarray, " m"], np.ndarray, str]:
+    """Reads node ids, the one array of an NPZ file that has one of `names`, and its name.
+
+    A file without the array `ids` has rows for `ids`, by default for 0, 1, 2, ...
+    """
+    arrays = read_arrays(path)
+    found = [name for name in names if name in arrays]
+    if len(found) != 1:
+        listed = ", ".join(arrays) or "none"
+        raise ValueError(f"{path}: one array {' or '.join(names)} expected, found {listed}.")
+    values = real_array(path, arrays, found[0])
+    ids = arrays.get("ids", np.arange(len(np.atleast_1d(values))) if ids is None else ids)
+    if ids.dtype.kind not in "iu" or ids.ndim != 1:
+        raise ValueError(f"{path}: ids must be whole numbers (n,), found {ids.dtype} of shape {ids.shape}.")
+    if len(np.unique(ids)) < len(ids):
+        raise ValueError(f"{path}: {len(ids) - len(np.unique(ids))} of its {len(ids)} node ids come a second time.")
+    return ids, values, found[0]
+
+
+def check_values(path: pathlib.Path, ids: np.ndarray, values: np.ndarray, d: int) -> None:
+    """Raises `ValueError` for values that are not finite or not of the shape (len(ids), d)."""
+    if values.shape != (len(ids), d) or not np.isfinite(values).all():
+        raise ValueError(f"{path}: finite values of shape ({len(ids)}, {d}) expected, found shape {values.shape}.")
 
 
 def _restart(
@@ -94,18 +116,16 @@ def _restart(
     begin = 4 * HEADER
     k, n = np.frombuffer(content[:begin].ljust(begin, b"\0"), f"{order}i4")[1:3].astype(int).tolist()
     start = begin + WIDTH * k
-    if k < 1 or n < 1 or len(content) < start + 8 * n * k:
+    size = start + 8 * n * k
+    if k < 1 or n < 1 or len(content) < size:
         raise ValueError(
-            f"{path}: a binary restart of {n} nodes and {k} columns has {start + 8 * n * k} bytes or more, "
-            f"found {len(content)}."
+            f"{path}: a binary restart of {n} nodes and {k} columns has {size} bytes or more, found {len(content)}."
         )
-    words = [content[begin + WIDTH * i : begin + WIDTH * (i + 1)].partition(b"\0")[0] for i in range(k)]
-    names = [word.decode(errors="replace").strip("\"' ").lower() for word in words]
-    missing = [name for name in wanted if name not in names]
+    words = np.frombuffer(content, f"S{WIDTH}", k, begin).tolist()
+    names = [word.partition(b"\0")[0].decode(errors="replace").strip("\"' ").lower() for word in words]
+    missing = ", ".join(name for name in wanted if name not in names)
     if missing:
-        raise ValueError(
-            f"{path}: a binary restart without the columns {', '.join(missing)}; it has {', '.join(names)}."
-        )
+        raise ValueError(f"{path}: a binary restart without the columns {missing}; it has {', '.join(names)}.")
     values = np.frombuffer(content, f"{order}f8", count=n * k, offset=start).reshape(n, k).astype(float)
     return np.arange(n), values[:, [names.index(name) for name in wanted]]
 

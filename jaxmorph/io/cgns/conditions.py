@@ -1,24 +1,29 @@
 """Boundary of a CGNS file: conditions, their types and families, and interfaces between zones."""
 
+import collections
 import contextlib
 import dataclasses
 from collections.abc import Iterable, Iterator, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from .zone import Content, Ragged, Zone, children, data, word
+from .zone import Condition, Ragged, Zone, children, data, word
 
 NORMAL = {"IFaceCenter": 0, "JFaceCenter": 1, "KFaceCenter": 2}
+SYMMETRY = "BCSymmetryPlane"
+UNSAID = ("", "Null", "FamilySpecified")
+ONE_TO_ONE = "GridConnectivity1to1_t"
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Connection:
-    """A periodic interface: its nodes, its donor's nodes, and a rotation's centre and angles.
+    """A periodic interface: nodes of its zone and of its donor, a rotation's centre and angles.
 
     Centre and angles are zero for a translation.
     """
 
+    zone: str
     name: str
     nodes: np.ndarray
     others: np.ndarray
@@ -26,34 +31,32 @@ class Connection:
     angles: np.ndarray
 
 
-def connections(zone: Zone, contents: Mapping[str, tuple[Zone, Content]]) -> Iterator[Connection]:
+def connections(zone: Zone, zones: Mapping[str, Zone]) -> Iterator[Connection]:
     """Yields the periodic interfaces of a zone whose nodes are named on both sides."""
-    for name, interface, turns in _interfaces(zone, "GridConnectivity1to1_t", "GridConnectivity_t"):
-        parts, donor = dict(interface.items()), word(interface).rpartition("/")[2]
+    for name, interface, turns in _interfaces(zone, ONE_TO_ONE, "GridConnectivity_t"):
+        parts, donor = dict(interface.items()), zones.get(word(interface).rpartition("/")[2])
         what = [kind for kind in ("PointRange", "PointList") if {kind, f"{kind}Donor"} <= parts.keys()]
-        if not turns or not what or donor not in contents:
+        if not turns or not what or donor is None:
             continue
-        place, sides = _place(parts), []
-        for part, other in ((what[0], zone.name), (f"{what[0]}Donor", donor)):
-            sides.append(_nodes(contents[other], name, place, data(parts[part]), what[0] == "PointRange"))
-        if sides[0] is None or sides[1] is None:
+        place, is_range = _place(parts), what[0] == "PointRange"
+        nodes = _nodes(zone, name, place, data(parts[what[0]]), is_range)
+        others = _nodes(donor, name, place, data(parts[f"{what[0]}Donor"]), is_range)
+        if nodes is None or others is None:
             continue
         values = {key: data(array).astype(float).ravel() for key, array in children(turns[0], "DataArray_t")}
         centre, angles = (values.get(key, np.zeros(3)) for key in ("RotationCenter", "RotationAngle"))
-        yield Connection(name, np.unique(sides[0]), np.unique(sides[1]), centre, angles)
+        yield Connection(zone.name, name, np.unique(nodes), np.unique(others), centre, angles)
 
 
-def joints(zone: Zone, content: Content) -> Iterator[np.ndarray]:
-    """Yields the nodes of interfaces at which the zone goes on in another one."""
-    for name, interface, turns in _interfaces(zone, "GridConnectivity1to1_t"):
+def _joints(zone: Zone) -> Iterator[np.ndarray]:
+    for name, interface, turns in _interfaces(zone, ONE_TO_ONE):
         if not turns and "PointRange" in interface:
             with contextlib.suppress(ValueError):  # a wrong range of an interface does no harm
-                nodes = _nodes((zone, content), name, "Vertex", data(interface["PointRange"]), True)
+                nodes = _nodes(zone, name, "Vertex", data(interface["PointRange"]), True)
                 yield np.zeros(0, np.int64) if nodes is None else np.unique(nodes)
 
 
 def _interfaces(zone: Zone, *labels: str) -> Iterator[tuple[str, Any, list[Any]]]:
-    """Yields the name and node of each interface, and its nodes that say how it repeats."""
     for _, connectivity in children(zone.group, "ZoneGridConnectivity_t"):
         for label in labels:
             for name, interface in children(connectivity, label):
@@ -65,98 +68,93 @@ def _place(parts: Mapping[str, Any]) -> str:
     return word(parts["GridLocation"]) if "GridLocation" in parts else "Vertex"
 
 
-def left_interfaces(zone: Zone, contents: Mapping[str, tuple[Zone, Content]]) -> Iterator[str]:
+def left_interfaces(zone: Zone, found: Iterable[Connection]) -> Iterator[str]:
     """Yields the names of interfaces that are not read: without equal nodes, or overset holes."""
-    known = {interface.name for interface in connections(zone, contents)}
-    known |= {name for name, _, turns in _interfaces(zone, "GridConnectivity1to1_t") if not turns}
-    for name, *_ in _interfaces(zone, "GridConnectivity1to1_t", "GridConnectivity_t", "OversetHoles_t"):
+    known = {interface.name for interface in found if interface.zone == zone.name}
+    known |= {name for name, _, turns in _interfaces(zone, ONE_TO_ONE) if not turns}
+    for name, *_ in _interfaces(zone, ONE_TO_ONE, "GridConnectivity_t", "OversetHoles_t"):
         if name not in known:
             yield f"{zone.name}/{name}"
 
 
-class Condition(NamedTuple):
-    """A boundary condition: the patch that it is of, its own name, and its node in the file."""
-
-    patch: str
-    name: str
-    node: Any
-
-    @property
-    def kind(self) -> str:
-        return word(self.node) if " data" in self.node else ""
-
-
-def conditions(zones: list[Zone]) -> tuple[dict[str, list[Condition]], list[str]]:
-    """Lists each zone's boundary conditions, and sentences on those of one name.
+def read_conditions(zones: list[Zone]) -> list[str]:
+    """Reads each zone's boundary conditions; returns sentences on those of one name.
 
     Conditions of one family are one patch, and so are those of one name and type without a family.
     Another type, or a name that a family has too, makes a patch of its own, called by the zone too.
     """
-    found: dict[str, list[Condition]] = {zone.name: [] for zone in zones}
-    alone, families = [], set()
     for zone in zones:
         for _, zone_bc in children(zone.group, "ZoneBC_t"):
             for name, node in children(zone_bc, "BC_t"):
-                family = [word(child) for _, child in children(node, "FamilyName_t")]
-                families |= {*family[:1]}
-                found[zone.name].append(Condition(family[0] if family else name, name, node))
-                alone += [] if family else [(zone.name, len(found[zone.name]) - 1)]
-    notes, kinds, members = [], {}, {}
-    for zone_name, at in alone:
-        condition = found[zone_name][at]
+                family = next((word(child) for _, child in children(node, "FamilyName_t")), "")
+                zone.conditions.append(Condition(zone.name, name, node, family, family or name))
+    every = [condition for zone in zones for condition in zone.conditions]
+    alone, families = [each for each in every if not each.family], {each.family for each in every if each.family}
+    notes, kinds, members = [], {}, collections.Counter()
+    for condition in alone:
         name = condition.name
         if name not in families and kinds.setdefault(name, condition.kind) == condition.kind:
-            members.setdefault(name, []).append(zone_name)
+            members[name] += 1
             continue
-        patch = f"{name}_{zone_name}"
-        while patch in families | kinds.keys():
-            patch = f"{patch}_{zone_name}"
-        found[zone_name][at], kinds[patch] = condition._replace(patch=patch), condition.kind
+        while condition.patch in families | kinds.keys():
+            condition.patch += f"_{condition.zone}"
+        kinds[condition.patch] = condition.kind
         other = "family" if name in families else "condition of another type"
         notes.append(
-            f"the boundary condition {name} of zone {zone_name} is called as a {other}: it is the patch {patch}."
+            f"the boundary condition {name} of zone {condition.zone} is called as a {other}: "
+            f"it is the patch {condition.patch}."
         )
-    for name, of_zones in members.items():
-        if len(of_zones) > 1:
-            notes.append(f"the boundary conditions {name} of {len(of_zones)} zones, of one type, are one patch.")
-    return found, notes
+    text = "the boundary conditions {} of {} zones, of one type, are one patch."
+    return notes + [text.format(name, count) for name, count in members.items() if count > 1]
 
 
-def patches(zone: Zone, content: Content, several: list[Condition]) -> Iterator[tuple[str, np.ndarray | None]]:
+def patches(zone: Zone) -> Iterator[tuple[str, np.ndarray | None]]:
     """Yields the patch and the nodes of each boundary condition; None for a condition on cells.
 
     gmsh writes these for volumes. Conditions where the zone goes on in another zone are left out. A
     zone without any condition or interface has its sections of faces as patches, as SU2 reads them.
     """
-    joined = {nodes.tobytes() for nodes in joints(zone, content)}
-    for patch, name, condition in several:
-        parts = dict(condition.items())
-        places = [part for part in ("PointRange", "PointList", "ElementRange", "ElementList") if part in parts]
-        if not places:
-            raise zone.error(f"boundary condition {name} says neither a range nor a list of points")
-        place = "FaceCenter" if places[0].startswith("Element") else _place(parts)
-        if "InwardNormalIndex" in parts and place in ("FaceCenter", "CellCenter"):
-            place = list(NORMAL)[int(np.argmax(np.abs(data(parts["InwardNormalIndex"]))))]
-        nodes = _nodes((zone, content), name, place, data(parts[places[0]]), places[0].endswith("Range"))
+    joined = {nodes.tobytes() for nodes in _joints(zone)}
+    for condition in zone.conditions:
+        nodes = _nodes_of(zone, condition)
         if nodes is None or np.unique(nodes).tobytes() not in joined:
-            yield patch, nodes
-    if not several and not list(children(zone.group, "ZoneGridConnectivity_t")):
-        for section in content.elements.values():
-            if section.dimension == content.dimension - 1 and not isinstance(section.vertices, Ragged):
+            yield condition.patch, nodes
+    if not zone.conditions and not any(children(zone.group, "ZoneGridConnectivity_t")):
+        for section in zone.content.elements.values():
+            if section.dimension == zone.content.dimension - 1 and not isinstance(section.vertices, Ragged):
                 yield section.section, section.vertices.ravel()
 
 
-def _nodes(where: tuple[Zone, Content], name: str, place: str, chosen: np.ndarray, is_range: bool) -> np.ndarray | None:
-    """Finds nodes of a range or list of points, faces or elements; None for a region of cells."""
-    # ranges may run backwards; one that ends before the first node, or a list without entries,
-    # is empty
+def _nodes_of(zone: Zone, condition: Condition) -> np.ndarray | None:
+    parts = dict(condition.node.items())
+    what = next((part for part in ("PointRange", "PointList", "ElementRange", "ElementList") if part in parts), None)
+    if what is None:
+        raise zone.error(f"boundary condition {condition.name} says neither a range nor a list of points")
+    place = "FaceCenter" if what.startswith("Element") else _place(parts)
+    if "InwardNormalIndex" in parts and place in ("FaceCenter", "CellCenter"):
+        place = list(NORMAL)[int(np.argmax(np.abs(data(parts["InwardNormalIndex"]))))]
+    return _nodes(zone, condition.name, place, data(parts[what]), what.endswith("Range"))
+
+
+def _nodes(zone: Zone, name: str, place: str, chosen: np.ndarray, is_range: bool) -> np.ndarray | None:
+    """Finds nodes of a range or list of points, faces or elements; None for a region of cells.
+
+    A range may run backwards. One that ends before the first node is empty.
+    """
     chosen = np.atleast_2d(chosen).astype(np.int64)
     first, last = chosen.reshape(2, -1) if is_range else (chosen, chosen)
     if not chosen.size or ((last < first) & (last < 1)).any():
         return np.zeros(0, np.int64)
-    if where[0].is_structured:
-        return _of_block(where[0], name, place, chosen, is_range)
-    return _of_elements(*where, name, place, chosen.ravel(), is_range)
+    if zone.is_structured:
+        return _of_block(zone, name, place, chosen, is_range)
+    is_vertex, sections = place == "Vertex", zone.content.elements.items()
+    most = max((begin + len(section.vertices) for begin, section in sections), default=1) - 1
+    most = zone.count if is_vertex else most
+    if (is_vertex and chosen.min() < 1) or chosen.max() > most:
+        what = f"vertices beyond 1 to {most}" if is_vertex else f"elements beyond the last one, {most}"
+        raise zone.error(f"boundary condition {name} names {what}")
+    numbers = np.arange(chosen.min(), chosen.max() + 1) if is_range else chosen.ravel()
+    return numbers - 1 + zone.first if is_vertex else _of_elements(zone, name, numbers)
 
 
 def _of_block(zone: Zone, name: str, place: str, chosen: np.ndarray, is_range: bool) -> np.ndarray | None:
@@ -192,77 +190,46 @@ def _normal(low: np.ndarray, high: np.ndarray, shape: tuple[int, ...], place: st
     return int(np.argmax(np.where((low == high) & (sizes > 1), rank, -1)))
 
 
-def _of_elements(
-    zone: Zone, content: Content, name: str, place: str, chosen: np.ndarray, is_range: bool
-) -> np.ndarray | None:
-    sections = content.elements.items()
-    most = (
-        zone.count
-        if place == "Vertex"
-        else max((begin + len(section.vertices) for begin, section in sections), default=1) - 1
-    )
-    if place == "Vertex" and (chosen.min() < 1 or chosen.max() > most):
-        raise zone.error(f"boundary condition {name} names vertices beyond 1 to {most}")
-    if chosen.max() > most:
-        raise zone.error(f"boundary condition {name} names elements beyond the last one, {most}")
-    numbers = np.arange(chosen.min(), chosen.max() + 1) if is_range else chosen
-    if place == "Vertex":
-        return numbers - 1 + zone.first
+def _of_elements(zone: Zone, name: str, numbers: np.ndarray) -> np.ndarray | None:
     nodes, count, solid = [np.zeros(0, np.int64)], 0, 0
-    for begin, section in sections:
+    for begin, section in zone.content.elements.items():
         rows = numbers[(numbers >= begin) & (numbers < begin + len(section.vertices))] - begin
         count += len(rows)
-        if section.dimension < content.dimension:
+        if section.dimension < zone.content.dimension:
             nodes.append(section.vertices[rows].ravel())
         else:
             solid += len(rows)
     if count < len(numbers):
-        raise zone.error(
-            f"boundary condition {name}: {len(numbers) - count} of its {len(numbers)} elements are not there"
-        )
+        missing = len(numbers) - count
+        raise zone.error(f"boundary condition {name}: {missing} of its {len(numbers)} elements are not there")
     return None if solid == count else np.concatenate(nodes)
-
-
-SYMMETRY = "BCSymmetryPlane"
-UNSAID = ("", "Null", "FamilySpecified")
 
 
 def kinds_of(file: Any, conditions: list[Condition]) -> dict[str, str]:
     """Finds each patch's type: its conditions' or family's; several in turn, if they differ."""
     families = _of_families(file, "FamilyBC_t")
-    types: dict[str, list[str]] = {}
+    types: dict[str, dict[str, None]] = {}
     for condition in conditions:
-        kind = condition.kind
-        types.setdefault(condition.patch, []).extend(families.get(condition.patch, []) if kind in UNSAID else [kind])
-    kinds = {
-        patch: ", ".join(dict.fromkeys(kind for kind in several if kind not in UNSAID))
-        for patch, several in types.items()
-    }
-    return {patch: kind for patch, kind in kinds.items() if kind}
+        kinds = families.get(condition.patch, []) if condition.kind in UNSAID else [condition.kind]
+        types.setdefault(condition.patch, {}).update((kind, None) for kind in kinds if kind not in UNSAID)
+    return {patch: ", ".join(kinds) for patch, kinds in types.items() if kinds}
 
 
 def _of_families(file: Any, label: str) -> dict[str, list[str]]:
-    """Reads the words of each family's nodes of a label."""
     families = [family for _, base in children(file, "CGNSBase_t") for family in children(base, "Family_t")]
     return {name: [word(node) for _, node in children(family, label) if " data" in node] for name, family in families}
 
 
-def symmetry_of(kinds: dict[str, str]) -> tuple[str, ...]:
-    """Lists the patches that lie in symmetry planes."""
-    return tuple(patch for patch, kind in kinds.items() if kind == SYMMETRY)
-
-
-def groups_of(file: Any, conditions: list[Condition], names: Iterable[str]) -> dict[str, tuple[str, ...]]:
+def groups_of(file: Any, conditions: list[Condition], known: Iterable[str]) -> dict[str, tuple[str, ...]]:
     """Lists patches by the families that their family is part of, and by additional families.
 
     gmsh names physical groups so. Names of patches are no groups.
     """
     above = _of_families(file, "FamilyName_t")
     groups: dict[str, dict[str, None]] = {}
-    for patch, _, condition in conditions:
-        more = [word(family) for _, family in children(condition, "AdditionalFamilyName_t")]
-        for group in [*above.get(patch, []), *more]:
-            groups.setdefault(group, {})[patch] = None
-    known = set(names)
-    groups = {name: {patch: None for patch in several if patch in known} for name, several in groups.items()}
-    return {name: tuple(several) for name, several in groups.items() if name not in known and several}
+    for condition in conditions:
+        more = [word(family) for _, family in children(condition.node, "AdditionalFamilyName_t")]
+        for group in [*above.get(condition.patch, []), *more]:
+            if group not in known and condition.patch in known:
+                groups.setdefault(group, {})[condition.patch] = None
+    return {name: tuple(several) for name, several in groups.items()}

@@ -9,11 +9,12 @@ import numpy as np
 
 from jaxmorph._host.cells import topology
 from jaxmorph._host.cells.orders import CGNS_ORDER, reordered
-from jaxmorph._mesh.faces import Faces, open_cells, standard_cells
-from jaxmorph._mesh.polyhedra import Polyhedra, spread, tetrahedra
+from jaxmorph._mesh.faces import Faces
+from jaxmorph._mesh.polyhedra import Polyhedra, cells_of_faces, spread
 
 from .._joined import block_cells, block_ids, block_sides
 from .._text import decoded
+from .._tree import Coordinates
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -27,7 +28,6 @@ class Ragged:
         return len(self.starts) - 1
 
     def __getitem__(self, rows: np.ndarray) -> np.ndarray:
-        """Returns the values of some rows, one after the other."""
         return self.values[spread(self.starts[rows], self.starts[rows + 1])[0]]
 
 
@@ -47,28 +47,17 @@ class Block:
 def polyhedra(
     polygons: dict[int, Ragged], cells: list[Ragged], points: np.ndarray, first: int
 ) -> tuple[list[Block], list[np.ndarray], Polyhedra]:
-    """Makes cells by type, others as tetrahedra between own nodes, and outer faces by corners.
-
-    The whole cells come last.
+    """Makes cells by type, others as tetrahedra between own nodes; outer faces; and whole cells.
 
     `polygons` are faces by the number of the first, vertices from 0. `first` is the id of vertex 0,
-    `points` are the zone's points. It raises `ValueError` for cells with faces that are not there,
-    or that more than two cells have.
+    `points` are the zone's points.
     """
-    faces = _faces(polygons, cells)
-    ajar = open_cells(faces)
-    if len(ajar):
-        raise ValueError(f"{len(ajar)} cells do not close, first cell {ajar[0]}: NGON_n or NFACE_n are damaged")
-    typed, ids = standard_cells(faces)
-    cut = ids.pop("polyhedron", np.zeros(0, np.int64))
-    blocks = [Block(kind, corners + first, ids[kind]) for kind, corners in typed.items()]
-    if len(cut):
-        pieces, owner = tetrahedra(faces, cut, points)
-        blocks.append(Block("tetra", pieces + first, owner))
-    faces, sizes = dataclasses.replace(faces, labels=faces.labels + first), np.diff(faces.starts)
-    outer = [np.flatnonzero((faces.neighbour < 0) & (sizes == size)) for size in np.unique(sizes).tolist()]
-    outer = [faces.corners(chosen, int(sizes[chosen[0]])) for chosen in outer if len(chosen)]
-    return blocks, outer, Polyhedra(faces, cut)
+    cells_by_type, whole = cells_of_faces(_faces(polygons, cells), points)
+    blocks = [Block(kind, corners + first, cell) for kind, corners, cell in cells_by_type]
+    faces = dataclasses.replace(whole.faces, labels=whole.faces.labels + first)
+    sizes = np.where(faces.neighbour < 0, np.diff(faces.starts), 0)
+    outer = [faces.corners(np.flatnonzero(sizes == size), size) for size in np.unique(sizes[sizes > 0]).tolist()]
+    return blocks, outer, Polyhedra(faces, whole.cut)
 
 
 def _faces(polygons: dict[int, Ragged], cells: list[Ragged]) -> Faces:
@@ -132,12 +121,10 @@ def text(value: Any) -> str:
 
 
 def data(group: Any) -> np.ndarray:
-    """Reads the array of a node."""
     return group[" data"][()]
 
 
 def word(group: Any) -> str:
-    """Reads the characters of a node."""
     return text(data(group).tobytes())
 
 
@@ -165,9 +152,27 @@ class Content:
     dimension: int = 3
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(eq=False)
+class Condition:
+    """A boundary condition: its zone, its name and node in the file, and its patch."""
+
+    zone: str
+    name: str
+    node: Any
+    family: str
+    patch: str = ""
+
+    @property
+    def kind(self) -> str:
+        return word(self.node) if " data" in self.node else ""
+
+
+@dataclasses.dataclass(eq=False)
 class Zone:
-    """A zone: its node in the file, sizes of vertices (one if unstructured), first node's id."""
+    """A zone: its node in the file, sizes of vertices (one if unstructured), first node's id.
+
+    What it holds is read into `content` and `conditions`.
+    """
 
     path: pathlib.Path
     name: str
@@ -175,67 +180,59 @@ class Zone:
     shape: tuple[int, ...]
     is_structured: bool
     first: int
+    content: Content = dataclasses.field(default_factory=lambda: Content([]))
+    conditions: list[Condition] = dataclasses.field(default_factory=list)
 
     @property
     def count(self) -> int:
         return int(np.prod(self.shape))
 
+    @property
+    def rows(self) -> slice:
+        return slice(self.first, self.first + self.count)
+
     def error(self, message: str) -> ValueError:
         return ValueError(f"{self.path}, zone {self.name}: {message}.")
 
-    def coordinates(self) -> list[Any]:
-        """Returns the data sets of x, y[, z].
-
-        It raises `ValueError` for other coordinates, rind planes, and coordinates in another file.
-        """
+    def coordinates(self) -> list[Coordinates]:
+        """Finds x, y[, z]. It raises `ValueError` for other coordinates, and for rind planes."""
         grids = dict(children(self.group, "GridCoordinates_t"))
         if not grids:
             raise self.error("no GridCoordinates")
         grid = grids.get("GridCoordinates", next(iter(grids.values())))
         names = dict(children(grid, "DataArray_t"))
-        wanted = [name for name in ("CoordinateX", "CoordinateY", "CoordinateZ") if name in names]
-        if len(wanted) < 2 or any(data(rind).any() for _, rind in children(grid, "Rind_t")):
+        sets = [names[f"Coordinate{axis}"][" data"] for axis in "XYZ" if f"Coordinate{axis}" in names]
+        if len(sets) < 2 or any(data(rind).any() for _, rind in children(grid, "Rind_t")):
             raise self.error(f"Cartesian coordinates without rind planes expected, found {', '.join(names) or 'none'}")
-        sets = [names[name][" data"] for name in wanted]
         for values in sets:
             if values.size != self.count:
                 raise self.error(f"{values.size} coordinates for {self.count} vertices")
-        return sets
+        return [Coordinates(values, self.rows, slice(axis, axis + 1)) for axis, values in enumerate(sets)]
 
     def cells(self, points: np.ndarray) -> Content:
-        """Reads what the zone holds; `points` are its own."""
         if self.is_structured:
             ids = block_ids(self.shape, self.first)
             if ids.ndim < 2:
                 raise self.error(f"a block of {' x '.join(map(str, self.shape))} vertices has no cells")
             return Content([Block(*block_cells(ids))], block_sides(ids))
-        blocks, elements, polygons, volumes, sides = [], {}, {}, [], []
-        for name, section in children(self.group, "Elements_t"):
-            parts = dict(section.items())
-            kind, start = int(data(section)[0]), int(data(parts["ElementRange"])[0])
-            connectivity = data(parts["ElementConnectivity"]).astype(np.int64).ravel()
-            if kind in (NGON, NFACE):
-                rows = self._ragged(name, parts, connectivity, least=3 if kind == NGON else 4)
-                if kind == NFACE:
-                    elements[start] = Elements(name, 3, rows)
-                    volumes.append(rows)
-                    continue
-                self._check(name, rows.values)
-                elements[start] = Elements(name, 2, Ragged(rows.values - 1 + self.first, rows.starts))
-                polygons[start] = Ragged(rows.values - 1, rows.starts)
-                if "ParentElements" in parts:
-                    sides.append(self._parents(name, start, rows, data(parts["ParentElements"])))
-                continue
-            after = start
-            for begin, number, corners in self._section(name, kind, connectivity, start):
-                self._check(name, corners)
-                corners = reordered(TYPES[number], corners, CGNS_ORDER, None) - 1 + self.first
-                elements[begin] = Elements(name, DIMENSION[number], corners)
-                blocks.append(Block(TYPES[number], corners))
-                after = begin + len(corners)
-            if after != (end := int(data(parts["ElementRange"]).ravel()[-1]) + 1):
-                raise self.error(f"section {name} has {after - start} elements, and the range of {end - start}")
-        volumes = volumes or _cells_of(sides)
+        blocks, elements, polygons, volumes, parents = [], {}, {}, [], []
+        for name, node in children(self.group, "Elements_t"):
+            section = _Section(self, name, node)
+            if section.kind == NFACE:
+                volumes.append(section.ragged(least=4))
+                elements[section.start] = Elements(name, 3, volumes[-1])
+            elif section.kind == NGON:
+                faces = section.ragged(least=3)
+                section.check(faces.values)
+                polygons[section.start] = Ragged(faces.values - 1, faces.starts)
+                elements[section.start] = Elements(name, 2, Ragged(faces.values - 1 + self.first, faces.starts))
+                parents += section.parents(len(faces))
+            else:
+                for begin, number, corners in section.runs():
+                    ids = reordered(TYPES[number], corners, CGNS_ORDER, None) - 1 + self.first
+                    elements[begin] = Elements(name, DIMENSION[number], ids)
+                    blocks.append(Block(TYPES[number], ids))
+        volumes = volumes or _cells_of(parents)
         if not volumes or not polygons:
             return Content(blocks, elements=elements)
         try:
@@ -244,78 +241,94 @@ class Zone:
             raise self.error(str(error)) from error
         return Content(blocks + more, outer, elements, whole)
 
-    def _ragged(self, name: str, parts: dict[str, Any], connectivity: np.ndarray, least: int) -> Ragged:
-        """Cuts a section's numbers into its faces or cells, of `least` numbers or more each.
+
+class _Section:
+    """A section of elements: the number of the first one, how many there are, and their numbers."""
+
+    def __init__(self, zone: Zone, name: str, node: Any):
+        self.zone, self.name, self.node, self.kind = zone, name, node, int(data(node)[0])
+        ends = data(node["ElementRange"]).astype(np.int64).ravel()
+        self.start, self.count = int(ends[0]), int(ends[-1] - ends[0]) + 1
+        self.values = data(node["ElementConnectivity"]).astype(np.int64).ravel()
+
+    def error(self, message: str) -> ValueError:
+        return self.zone.error(f"section {self.name} {message}")
+
+    def check(self, vertices: np.ndarray) -> None:
+        if vertices.size and (vertices.min() < 1 or vertices.max() > self.zone.count):
+            raise self.error(f"names vertices beyond 1 to {self.zone.count}")
+
+    def ragged(self, least: int) -> Ragged:
+        """Cuts the numbers into faces or cells, of `least` numbers or more each.
 
         Before version 4 of CGNS each row begins with its count, later offsets cut the numbers.
         """
-        if "ElementStartOffset" not in parts:
-            rows = _counted(connectivity)
-            wanted = np.diff(data(parts["ElementRange"]).astype(np.int64).ravel())[-1] + 1
-            if rows is None or len(rows) != wanted or (np.diff(rows.starts) < least).any():
-                raise self.error(
-                    f"section {name} has no ElementStartOffset, and its {len(connectivity)} numbers are not {wanted} rows "
-                    f"of a count, {least} or more, and so many numbers"
-                )
-            return rows
-        rows = Ragged(connectivity, data(parts["ElementStartOffset"]).astype(np.int64).ravel())
-        if rows.starts[0] != 0 or rows.starts[-1] != len(connectivity) or (np.diff(rows.starts) < least).any():
-            raise self.error(
-                f"the offsets of section {name} do not cut its {len(connectivity)} numbers into rows of {least} or more"
-            )
+        count, what = (
+            len(self.values),
+            f"numbers are not {self.count} rows of a count, {least} or more, and so many numbers",
+        )
+        if "ElementStartOffset" in self.node:
+            rows = Ragged(self.values, data(self.node["ElementStartOffset"]).astype(np.int64).ravel())
+            is_good = rows.starts[0] == 0 and rows.starts[-1] == count
+            fault = f"the offsets of section {self.name} do not cut its {count} numbers into rows of {least} or more"
+        else:
+            rows = _counted(self.values)
+            is_good = len(rows) == self.count
+            fault = f"section {self.name} has no ElementStartOffset, and its {count} {what}"
+        if not is_good or (np.diff(rows.starts) < least).any():
+            raise self.zone.error(fault)
         return rows
 
-    def _parents(self, name: str, start: int, faces: Ragged, parents: np.ndarray) -> np.ndarray:
+    def parents(self, count: int) -> list[np.ndarray]:
         """Lists pairs (k, 2) of cell and face, the face negative where it points into the cell."""
-        if parents.shape != (2, len(faces)):
-            raise self.error(f"section {name} has ParentElements for {parents.size // 2} of its {len(faces)} faces")
-        number = start + np.arange(len(faces))
-        pairs = np.stack([parents.astype(np.int64).ravel(), np.concatenate([number, -number])], axis=1)
-        return pairs[pairs[:, 0] > 0]
+        if "ParentElements" not in self.node:
+            return []
+        cells = data(self.node["ParentElements"])
+        if cells.shape != (2, count):
+            raise self.error(f"has ParentElements for {cells.size // 2} of its {count} faces")
+        number = self.start + np.arange(count)
+        pairs = np.stack([cells.astype(np.int64).ravel(), np.concatenate([number, -number])], axis=1)
+        return [pairs[pairs[:, 0] > 0]]
 
-    def _check(self, name: str, vertices: np.ndarray) -> None:
-        if vertices.size and (vertices.min() < 1 or vertices.max() > self.count):
-            raise self.error(f"section {name} names vertices beyond 1 to {self.count}")
+    def runs(self) -> Iterator[tuple[int, int, np.ndarray]]:
+        """Yields elements of one type after another: number of the first, type, vertices."""
+        start, at, values = self.start, 0, self.values
+        head = int(self.kind == MIXED)  # each element begins with its type
+        while at < len(values):
+            number = int(values[at]) if head else self.kind
+            width = head + self._size(number)
+            rows = values[at : at + (len(values) - at) // width * width].reshape(-1, width)
+            other = np.flatnonzero(rows[:, 0] != number) if head else rows[:0, 0]
+            rows = rows[: other[0]] if other.size else rows
+            if not len(rows):
+                break
+            self.check(rows[:, head:])
+            yield start, number, rows[:, head:]
+            at, start = at + rows.size, start + len(rows)
+        if at != len(values):
+            raise self.error(f"has {len(values)} numbers, of which the last {len(values) - at} are no whole element")
+        if start != self.start + self.count:
+            raise self.error(f"has {start - self.start} elements, and the range of {self.count}")
 
-    def _known(self, name: str, number: int) -> None:
+    def _size(self, number: int) -> int:
         if number in NODES:
-            return
-        what = f"section {name} has elements of type {number}"
+            return NODES[number]
+        what = f"has elements of type {number}"
         if number in PARTIAL:
             raise self.error(
                 f"{what}, of order 3 or 4 without all inner nodes; of these orders complete elements are read"
             )
         raise self.error(f"{what}; linear elements, elements of order 2 to 4 and polyhedra are read")
 
-    def _section(self, name: str, kind: int, values: np.ndarray, start: int):
-        """Yields elements of one type after another: number of the first, type, vertices."""
-        if kind != MIXED:
-            self._known(name, kind)
-            if len(values) % NODES[kind]:
-                raise self.error(f"section {name} has {len(values)} vertices for elements of {NODES[kind]} each")
-            yield start, kind, values.reshape(-1, NODES[kind])
-            return
-        at = 0
-        while at < len(values):
-            number = int(values[at])
-            self._known(name, number)
-            width = 1 + NODES[number]
-            rows = values[at : at + (len(values) - at) // width * width].reshape(-1, width)
-            other = np.flatnonzero(rows[:, 0] != number)
-            count = int(other[0]) if other.size else len(rows)
-            yield start, number, rows[:count, 1:]
-            at, start = at + count * width, start + count
 
-
-def _counted(values: np.ndarray) -> Ragged | None:
-    """Cuts numbers into rows that begin with their count; None where the counts do not fit."""
-    ends, at, numbers = [], 0, values.tolist()
+def _counted(values: np.ndarray) -> Ragged:
+    """Cuts numbers into rows that begin with their count; none where the counts do not fit."""
+    counts, at, numbers = [], 0, values.tolist()
     while 0 <= at < len(numbers):
-        ends.append(at)
+        counts.append(at)
         at += numbers[at] + 1 if numbers[at] >= 0 else len(numbers) + 1
     if at != len(numbers):
-        return None
-    counts = np.array(ends, np.int64)
+        return Ragged(values, np.zeros(1, np.int64))
     return Ragged(np.delete(values, counts), np.concatenate([[0], np.cumsum(values[counts])]))
 
 

@@ -11,7 +11,7 @@ from jaxmorph._mesh import vtk
 from jaxmorph._mesh.exchange import PREFIX, Parts
 from jaxmorph._mesh.export import to_vtk
 
-from .._format import Arrays, FilePoints, MeshLike, Source, faults_of, source_of
+from .._format import EVERYTHING, Arrays, FilePoints, MeshLike, Source, faults_of, source_of
 from . import legacy, xml
 from .checks import errors_told
 
@@ -44,11 +44,11 @@ def read(path: pathlib.Path) -> Parts:
     with faults_of(path):
         content = _read(path)
         mesh, whole = vtk.mesh_of(vtk.unstructured(content.data))
-    polyhedra, cell_ids = whole or (None, None)
     places = vtk.coordinates(content.data)
     points = FilePoints(np.asarray(places, float))
-    known = {"in_file": points.in_file, "held": points.held([places.dtype] * 3), "notes": mesh.source.notes}
-    return mesh._replace(source=Source(path, NAME, content, polyhedra, cell_ids, **known))
+    held = points.held(EVERYTHING if places.dtype == np.float32 else ())
+    known = {"in_file": points.in_file, "held": held, "notes": mesh.source.notes}
+    return mesh._replace(source=Source(path, NAME, content, *(whole or (None, None)), **known))
 
 
 def check(path: pathlib.Path, mesh: MeshLike) -> None:
@@ -105,9 +105,9 @@ def _read(path: pathlib.Path) -> Content:
 def _data(path: pathlib.Path) -> tuple[Any, Any]:
     """Reads one file by VTK, after a look at the sizes that it announces."""
     kind: Any = legacy if path.suffix.lower() == ".vtk" else xml
-    raw, encoding = kind.checked(path.read_bytes())
-    reader = kind.reader(path, raw, encoding)
     with errors_told():
+        raw, encoding = kind.checked(path.read_bytes())
+        reader = kind.reader(path, raw, encoding)
         reader.Update()
     return reader.GetOutput(), encoding
 

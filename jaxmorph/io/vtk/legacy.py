@@ -105,7 +105,6 @@ class _Sections:
     edits: list[tuple[int, int, bytes]] = dataclasses.field(default_factory=list)
 
     def readable(self) -> bytes:
-        """Returns the file as VTK reads it, after `edits`."""
         starts, stops, texts = zip(*self.edits, (len(self.raw), 0, b""), strict=True)
         kept = (self.raw[a:b] for a, b in zip((0, *stops), starts, strict=False))
         return b"".join(part for pair in zip(kept, texts, strict=True) for part in pair)
@@ -122,46 +121,47 @@ class _Sections:
         return []
 
     def skip(self, key: str, *words: str) -> None:
-        """Goes over the section, or the array, that a line begins."""
         key = key.upper()
         if key in (*CELLS, "POINTS", "CELL_TYPES", "POINT_DATA", "CELL_DATA"):
             self.section = " ".join([key, *words])
-        if key == "METADATA":
-            self._notes()
-        elif key == "FIELD":
-            self._field(int(words[1]))
-        elif key == "DIMENSIONS":
-            self.points = math.prod(max(int(word), 0) for word in words[:3])
-            if self.points > LATTICE + 8 * len(self.raw):
-                raise ValueError(f"a lattice of {self.points} points in {len(self.raw)} bytes")
-        elif key == "POINTS":
-            if self.points not in (None, int(words[0])):
-                raise ValueError(f"a grid has {self.points} points")
-            self.after(3 * int(words[0]), words[1])
-        elif key in CELLS:
-            self._cells(int(words[0]), int(words[1]))
-        elif key == "CELL_TYPES":
-            self._check_polyhedra(self.after(int(words[0]), "int"))
-        elif key in ("POINT_DATA", "CELL_DATA"):
-            self.rows = int(words[0])
-            if self.rows and not self.raw[self.at :].strip():
-                raise ValueError("no arrays")
-        elif key in ("X_COORDINATES", "Y_COORDINATES", "Z_COORDINATES"):
-            self.after(int(words[0]), words[1])
-        elif key not in ("SPACING", "ORIGIN", "ASPECT_RATIO"):
+        known = {"METADATA": self._notes, "FIELD": self._field, "DIMENSIONS": self._lattice, "POINTS": self._points}
+        known |= {"CELL_TYPES": self._types, "POINT_DATA": self._data, "CELL_DATA": self._data}
+        known |= dict.fromkeys(CELLS, self._cells) | dict.fromkeys(("SPACING", "ORIGIN", "ASPECT_RATIO"), self._nothing)
+        known |= dict.fromkeys(("X_COORDINATES", "Y_COORDINATES", "Z_COORDINATES"), self._numbers)
+        if key in known:
+            known[key](*words)
+        elif self.rows < 0:
+            raise ValueError(f"{' '.join([key, *words])[:60]!r} is neither a section nor an array")
+        else:
             self._attribute(key, words)
 
+    def _nothing(self, *_: str) -> None:
+        """A line that is all of its section."""
+
+    def _numbers(self, count: str, name: str) -> None:
+        self.after(int(count), name)
+
+    def _lattice(self, *sizes: str) -> None:
+        self.points = math.prod(max(int(size), 0) for size in sizes[:3])
+        if self.points > LATTICE + 8 * len(self.raw):
+            raise ValueError(f"a lattice of {self.points} points in {len(self.raw)} bytes")
+
+    def _points(self, count: str, name: str) -> None:
+        if self.points not in (None, int(count)):
+            raise ValueError(f"a grid has {self.points} points")
+        self.after(3 * int(count), name)
+
+    def _data(self, rows: str, *_: str) -> None:
+        self.rows = int(rows)
+        if self.rows and not self.raw[self.at :].strip():
+            raise ValueError("no arrays")
+
     def _attribute(self, key: str, words: tuple[str, ...]) -> None:
-        """Goes over an array of points or cells that is no field."""
-        if self.rows < 0:
-            raise ValueError(f"{' '.join([key, *words])[:60]!r} is neither a section nor an array")
         colour = "float" if self.is_text else "unsigned_char"
         if key == "LOOKUP_TABLE":
             self.after(4 * int(words[1]), colour)
-        elif key == "COLOR_SCALARS":
-            self.after(self.rows * int(words[1]), colour)
-        elif key == "TEXTURE_COORDINATES":
-            self.after(self.rows * int(words[1]), words[2])
+        elif key in ("COLOR_SCALARS", "TEXTURE_COORDINATES"):
+            self.after(self.rows * int(words[1]), (*words, colour)[2])
         elif key == "SCALARS":
             if (table := self.words())[:1] != ["LOOKUP_TABLE"]:
                 raise ValueError(f"{' '.join(table)[:60]!r} where LOOKUP_TABLE is expected")
@@ -169,7 +169,7 @@ class _Sections:
         else:
             self.after(self.rows * COLUMNS[key], words[1])
 
-    def _notes(self) -> None:
+    def _notes(self, *_: str) -> None:
         """Goes over notes on an array, of which VTK is to read only the names of components."""
         begin, words = self.at, [b""]
         while words and words[0] != b"INFORMATION":
@@ -184,11 +184,10 @@ class _Sections:
         line, self.at = self.raw[self.at : end], end
         return line
 
-    def _field(self, count: int) -> None:
-        """Goes over a field of so many arrays."""
+    def _field(self, name: str, count: str) -> None:
         if self.rows < 0 and self.section:
             raise ValueError("a field of arrays, but neither POINT_DATA nor CELL_DATA before it")
-        for _ in range(count):
+        for _ in range(int(count)):
             words = self.words()
             while words == ["METADATA"]:
                 self._notes()
@@ -202,36 +201,28 @@ class _Sections:
                 raise ValueError(f"an array of {columns} times {rows} numbers, for {self.rows} rows")
             self.after(columns * rows, words[3])
 
-    def _cells(self, count: int, size: int) -> None:
+    def _cells(self, *sizes: str) -> None:
         """Goes over cells: the number of nodes stands before them up to 5.0, then in offsets."""
-        if not self.is_old:
-            found = []
-            for key, length in (("OFFSETS", count), ("CONNECTIVITY", size)):
-                words = self.words()
-                if words[:1] != [key]:
-                    raise ValueError(f"no {key}")
-                found.append(self.after(length, words[1]))
-            self.ends, self.nodes = found
-            if count and (self.ends[0] != 0 or self.ends[-1] != size or (self.ends[1:] < self.ends[:-1]).any()):
-                raise ValueError(f"offsets that are not those of {size} nodes")
+        count, size = map(int, sizes[:2])
+        if self.is_old:
+            self.nodes = self.after(size, "int")
+            self.ends = _ends(self.nodes)
+            if self.ends[-1] != size or len(self.ends) - 1 != count:
+                raise ValueError(f"{len(self.ends) - 1} cells of {self.ends[-1]} numbers")
             return
-        self.nodes = self.after(size, "int")
-        # Cells of one size are gone through together: numbers of nodes stand at equal steps.
-        place, block, begins = 0, 1, [np.zeros(0, np.int64)]
-        while place < size:
-            step = int(self.nodes[place]) + 1
-            rows = self.nodes[place : place + block * step : step] if step > 0 else self.nodes[:0]
-            same = len(rows) if (rows == step - 1).all() else int((rows != step - 1).argmax())
-            if not same:
-                raise ValueError(f"a cell of {step - 1} nodes")
-            begins.append(place + step * np.arange(same))
-            place, block = place + same * step, 2 * block if same == block else 1
-        self.ends = np.append(np.concatenate(begins), place)
-        if place != size or len(self.ends) - 1 != count:
-            raise ValueError(f"{len(self.ends) - 1} cells of {place} numbers")
+        self.ends, self.nodes = self._list("OFFSETS", count), self._list("CONNECTIVITY", size)
+        if count and (self.ends[0] != 0 or self.ends[-1] != size or (self.ends[1:] < self.ends[:-1]).any()):
+            raise ValueError(f"offsets that are not those of {size} nodes")
 
-    def _check_polyhedra(self, kinds: np.ndarray) -> None:
+    def _list(self, key: str, count: int) -> np.ndarray:
+        words = self.words()
+        if words[:1] != [key]:
+            raise ValueError(f"no {key}")
+        return self.after(count, words[1])
+
+    def _types(self, count: str, *_: str) -> None:
         """Raises `ValueError` where cells that are polyhedra do not list their faces."""
+        kinds = self.after(int(count), "int")
         rows = np.flatnonzero(kinds == vtk.POLYHEDRON)
         if len(rows) and len(kinds) != len(self.ends) - 1:
             raise ValueError(f"{len(kinds)} types, for other cells")
@@ -286,6 +277,21 @@ class _Sections:
                 size = {3: 1, 2: 2, 1: 4, 0: 8}[self.raw[self.at] >> 6]
                 head = int.from_bytes(self.raw[self.at : self.at + size], "big")
                 self.at += size + (head & ((1 << (8 * size - 2)) - 1))
+
+
+def _ends(nodes: np.ndarray) -> np.ndarray:
+    """Finds where cells begin that count their nodes, and where the last one ends."""
+    # Cells of one size are gone through together: numbers of nodes stand at equal steps.
+    place, block, begins = 0, 1, [np.zeros(0, np.int64)]
+    while place < len(nodes):
+        step = int(nodes[place]) + 1
+        rows = nodes[place : place + block * step : step] if step > 0 else nodes[:0]
+        same = len(rows) if (rows == step - 1).all() else int((rows != step - 1).argmax())
+        if not same:
+            raise ValueError(f"a cell of {step - 1} nodes")
+        begins.append(place + step * np.arange(same))
+        place, block = place + same * step, 2 * block if same == block else 1
+    return np.append(np.concatenate(begins), place)
 
 
 def reader(_: pathlib.Path, raw: bytes, encoding: Encoding) -> Any:

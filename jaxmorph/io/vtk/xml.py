@@ -6,6 +6,7 @@ VTK asks for memory as the file's numbers say, and takes lists in text as far as
 import base64
 import binascii
 import dataclasses
+import itertools
 import math
 import os
 import pathlib
@@ -16,12 +17,12 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from jaxmorph._mesh.vtk import POLYHEDRON, data_of, vtk
+from jaxmorph._mesh.vtk import POLYHEDRON, vtk
 
-from .checks import check_ends, check_streams, errors_told, numbers
+from .checks import check_ends, check_streams, numbers
 
 SMALL, UNPACKED = 2 * 10**8, 100
-"""Bytes that a packed file may become in any case, and that one of its bytes may become."""
+"""Bytes that a packed array may become in any case, and that a byte of its file may become."""
 
 TYPES = {f"{sign}Int{bits}": f"{code}{bits // 8}" for sign, code in (("", "i"), ("U", "u")) for bits in (8, 16, 32, 64)}
 TYPES |= {"Float32": "f4", "Float64": "f8", "String": "u1"}
@@ -33,6 +34,13 @@ KINDS = ("UnstructuredGrid", "StructuredGrid", "PolyData")
 STREAM = ("faces", "faceoffsets")
 LISTS = ("face_connectivity", "face_offsets", "polyhedron_to_faces", "polyhedron_offsets")
 """Arrays of polyhedra, up to version 2.2 and since."""
+
+OPTIONS = {
+    "header_type": ("UInt32", "UInt64"),
+    "byte_order": ("LittleEndian", "BigEndian"),
+    "compressor": ("", "vtkZLibDataCompressor", "vtkLZ4DataCompressor", "vtkLZMADataCompressor"),
+}
+"""What the root of a file may say of its arrays, the default first."""
 
 SECTIONS = ("Cells", "Verts", "Lines", "Strips", "Polys")
 
@@ -56,58 +64,73 @@ class _File:
     root: ElementTree.Element
     appended: bytes | memoryview
     encoding: Encoding
+    limit: int
 
-    @property
-    def head(self) -> np.dtype:
-        order = ">" if self.encoding.order == "BigEndian" else "<"
-        return np.dtype({"UInt32": "u4", "UInt64": "u8"}[self.encoding.header]).newbyteorder(order)
+    def dtype(self, name: str) -> np.dtype:
+        return np.dtype(TYPES[name]).newbyteorder(">" if self.encoding.order == "BigEndian" else "<")
 
-    def size(self, array: ElementTree.Element) -> tuple[int, bytes]:
-        """Finds the number of bytes that an array has, by the sizes before it, and its text."""
-        is_inline, width = array.get("format") == "binary", self.head.itemsize
-        data, is_text = self.appended, is_inline or not self.encoding.is_raw
-        start = 0 if is_inline else int(array.get("offset", "-1"))
-        if is_inline:
+    def values(self, array: ElementTree.Element) -> np.ndarray:
+        kind = array.get("type", "")
+        if array.get("format", "ascii") == "ascii":
+            return numbers((array.text or "").encode(), TYPES[kind])
+        unpacked = b"".join(self._unpacked(*block) for block in self.blocks(array))
+        return np.frombuffer(unpacked, self.dtype(kind))
+
+    def count(self, array: ElementTree.Element) -> int:
+        """Counts an array's numbers, without unpacking them."""
+        if array.get("format", "ascii") == "ascii":
+            return len(self.values(array))
+        size = sum(size for size, _ in self.blocks(array))
+        count, rest = divmod(size, self.dtype(array.get("type", "")).itemsize)
+        if rest:
+            raise ValueError(f"{size} bytes")
+        return count
+
+    def blocks(self, array: ElementTree.Element) -> list[tuple[int, bytes | memoryview]]:
+        """Finds the blocks of an array's bytes, and the size of each when it is unpacked."""
+        head, data, start, is_text = self.dtype(self.encoding.header), self.appended, 0, True
+        if array.get("format") == "binary":
             data = "".join((array.text or "").split()).encode()
-        if not 0 <= start <= len(data):
-            raise ValueError(f"it begins at byte {start} of {len(data)}")
-        (count,) = self._numbers(data, start, 1, is_text)
-        if not self.encoding.compressor:
-            return count, self._stream(data, start, 1, count, is_text)
-        if count * width > len(data):
-            raise ValueError(f"{count} blocks in {len(data)} bytes")
-        _, size, last, *packed = self._numbers(data, start, 3 + count, is_text) if count else (0, 0, 0)
-        total = size * (count - (last > 0)) + last
-        if count and not max(last, 1) <= size <= total + (1 << 24):
-            raise ValueError(f"blocks of {size} bytes for {total}")
-        return total, self._stream(data, start, 3 + count if count else 1, sum(packed), is_text)
-
-    def _stream(self, data: bytes | memoryview, start: int, heads: int, count: int, is_text: bool) -> bytes:
-        """Returns a header and `count` bytes. Raises `ValueError` where they are not there."""
-        head = heads * self.head.itemsize
-        if not is_text:
-            end = start + head + count
-            held = len(data) - start - head
         else:
-            # the header is a text of its own where blocks follow or it is padded
-            begin = start + 4 * -(-head // 3)
-            is_apart = bool(self.encoding.compressor) or data[begin - 1 : begin] == b"="
-            begin, wanted = (begin, count) if is_apart else (start, head + count)
-            end = begin + 4 * -(-wanted // 3)
-            held = len(base64.b64decode(data[begin:end], validate=True)) - wanted + count
-        if held < count:
-            raise ValueError(f"{count} bytes, of which the file has {max(held, 0)}")
-        return bytes(data[start:end])
+            start, is_text = int(array.get("offset", "-1")), not self.encoding.is_raw
+        first, end = _taken(data, start, head.itemsize, is_text)
+        (count,) = np.frombuffer(first, head).tolist()
+        if not self.encoding.compressor:
+            # in base64 the header is a text of its own only where it is padded
+            is_apart = not is_text or bytes(data[end - 1 : end]) == b"="
+            begin, skipped = (end, 0) if is_apart else (start, head.itemsize)
+            return [(count, _taken(data, begin, skipped + count, is_text)[0][skipped:])]
+        if not count:
+            return []
+        heads, end = _taken(data, start, (3 + count) * head.itemsize, is_text)
+        _, size, last, *packed = np.frombuffer(heads, head).tolist()
+        sizes = [size] * (count - 1) + [last or size]
+        if min(sizes) < 1 or sum(sizes) > self.limit:
+            raise ValueError(f"blocks of {size} bytes become {sum(sizes)} when unpacked; no mesh does")
+        body, _ = _taken(data, end, sum(packed), is_text)
+        ends = np.cumsum([0, *packed]).tolist()
+        return [(size, body[a:b]) for size, (a, b) in zip(sizes, itertools.pairwise(ends), strict=True)]
 
-    def _numbers(self, data: bytes | memoryview, start: int, count: int, is_text: bool) -> list[int]:
-        """Reads the first numbers of a header, in base64 or as they are."""
-        size = count * self.head.itemsize
-        data = data[start : start + (4 * -(-size // 3) if is_text else size)]
-        if is_text:
-            data = base64.b64decode(data, validate=True)
-        if len(data) < size:
-            raise ValueError("the file ends in an array")
-        return np.frombuffer(data, self.head, count).tolist()
+    def _unpacked(self, size: int, block: bytes | memoryview) -> bytes | memoryview:
+        if not self.encoding.compressor:
+            return block
+        unpacked = bytearray(size)
+        if (
+            getattr(vtk("vtkIOCore"), self.encoding.compressor)().Uncompress(bytes(block), len(block), unpacked, size)
+            != size
+        ):
+            raise ValueError("a block that does not unpack")
+        return bytes(unpacked)
+
+
+def _taken(data: bytes | memoryview, at: int, count: int, is_text: bool) -> tuple[bytes | memoryview, int]:
+    """Takes bytes, as they are or in base64, and finds where the next ones begin."""
+    end = at + (4 * -(-count // 3) if is_text else count)
+    piece = data[at:end] if at >= 0 else b""
+    piece = base64.b64decode(piece, validate=True) if is_text else piece
+    if len(piece) < count:
+        raise ValueError(f"{count} bytes, of which the file has {len(piece)}")
+    return piece[:count], end
 
 
 def checked(raw: bytes) -> tuple[bytes, Encoding]:
@@ -118,73 +141,62 @@ def checked(raw: bytes) -> tuple[bytes, Encoding]:
     file = _opened(raw)
     if file.encoding.kind not in KINDS:
         raise ValueError(f"{file.encoding.kind!r} in it is no mesh; read are {', '.join(KINDS)}.")
-    size = sum(math.prod(_check(file, array, rows)) for array, rows in _arrays(file.root))
-    if size > SMALL + UNPACKED * len(raw):
-        raise ValueError(f"{len(raw)} bytes become {size} when unpacked; no mesh does.")
+    for array, rows in _arrays(file.root):
+        name = array.get("Name", "Points")
+        try:
+            _check(file, array, rows, name)
+        except binascii.Error as error:
+            raise ValueError(f"the array {name!r} is damaged ({error}).") from error
     for piece in file.root.iter("Piece"):
         for section in piece:
             if section.tag in SECTIONS:
-                _check_cells(file, piece, section)
+                _check_cells(file, section)
     return raw, file.encoding
 
 
-def _check_cells(file: _File, piece: ElementTree.Element, section: ElementTree.Element) -> None:
+def _check(file: _File, array: ElementTree.Element, rows: int, name: str) -> None:
+    for key in array.iter("InformationKey"):
+        if int(key.get("length", "0")) > len(key):
+            raise ValueError(f"{key.get('length')} values in {key.get('name')!r}, of which {len(key)} are there.")
+    kind, width = array.get("type", ""), int(array.get("NumberOfComponents", "1"))
+    if kind not in TYPES:
+        raise ValueError(f"the array {name!r} is of type {kind!r}.")
+    what = "strings" if kind == "String" else "numbers"  # VTK reads as many as are announced
+    try:
+        count = int((file.values(array) == 0).sum()) if kind == "String" else file.count(array)
+    except ValueError as error:
+        raise ValueError(f"the array {name!r} is damaged ({error}).") from error
+    if width < 1 or (rows >= 0 and count != rows * width):
+        raise ValueError(f"{count} {what} in {name}, {rows * width} expected: a damaged file, or one cut short.")
+
+
+def _check_cells(file: _File, section: ElementTree.Element) -> None:
     """Raises `ValueError` where lists of nodes and faces do not end as their arrays do.
 
-    VTK takes memory as the ends say, and crashes. So it reads them first, as arrays of a file
-    without cells.
+    VTK takes memory as the ends say, and crashes.
     """
     arrays = {array.get("Name", ""): array for array in section.iterfind("DataArray")}
     if len(arrays) != len(section.findall("DataArray")):
         raise ValueError(f"two arrays of one name in {section.tag}.")
-    has_faces = bool(arrays.keys() & {*STREAM, *LISTS})
-    found = _values(file, [array for name, array in arrays.items() if has_faces or name in ("offsets", "types")])
-    count = _check(file, arrays["connectivity"], -1)[0] if "connectivity" in arrays else 0
-    check_ends(found.get("offsets", np.zeros(0, np.int64)), count, "connectivity")
-    if not (found.get("types", np.zeros(0)) == POLYHEDRON).any():
+    count = file.count(arrays["connectivity"]) if "connectivity" in arrays else 0
+    ends = file.values(arrays["offsets"]) if "offsets" in arrays else np.zeros(0, np.int64)
+    check_ends(ends, count, "connectivity")
+    types = file.values(arrays["types"]) if "types" in arrays else np.zeros(0)
+    if not (types == POLYHEDRON).any():
         return
-    if found.keys() >= {*STREAM}:
-        ends = found["faceoffsets"][found["faceoffsets"] >= 0].astype(np.int64)  # -1 for other cells
-        check_streams(found["faces"], np.append(0, ends[:-1])[: len(ends)], ends)
-    elif found.keys() >= {*LISTS}:
-        faces, face_ends, of_cells, cell_ends = (found[name] for name in LISTS)
-        check_ends(cell_ends, len(of_cells), "polyhedron_to_faces")
-        check_ends(face_ends, len(faces), "face_connectivity")
-        if len(cell_ends) != len(found["types"]) or not 0 <= of_cells.min(initial=0) <= of_cells.max(initial=0) < len(
-            face_ends
-        ):
-            raise ValueError(
-                f"polyhedra of {len(cell_ends)} cells name {of_cells.max(initial=0)}, of {len(face_ends)} faces."
-            )
-    else:
-        raise ValueError(f"polyhedra without {' and '.join({*LISTS} - found.keys())}.")
-
-
-def _values(file: _File, arrays: list[ElementTree.Element]) -> dict[str, np.ndarray]:
-    """Reads arrays by VTK as those of a file of one point."""
-    root = ElementTree.Element("VTKFile", file.root.attrib | {"type": "ImageData"})
-    image = ElementTree.SubElement(root, "ImageData", {"WholeExtent": "0 0 0 0 0 0"})
-    fields = ElementTree.SubElement(image, "FieldData")
-    ElementTree.SubElement(image, "Piece", {"Extent": "0 0 0 0 0 0"})
-    appended, empty = b"", {}
-    for array in arrays:
-        count, _ = _check(file, array, -1)
-        if not count:  # VTK crashes
-            empty[array.get("Name", "")] = np.zeros(0, np.int64)
-            continue
-        copy = ElementTree.SubElement(fields, "DataArray", array.attrib | {"NumberOfTuples": str(count)})
-        copy.text = array.text
-        if array.get("format") == "appended":
-            copy.set("offset", str(len(appended)))
-            appended += file.size(array)[1]
-    encoding = b"raw" if file.encoding.is_raw else b"base64"
-    tail = b'<AppendedData encoding="%s">_%s</AppendedData>' % (encoding, appended) if appended else b""
-    new = vtk("vtkIOXML").vtkXMLImageDataReader()
-    new.ReadFromInputStringOn()
-    new.SetInputString(ElementTree.tostring(root).removesuffix(b"</VTKFile>") + tail + b"</VTKFile>")
-    with errors_told():
-        new.Update()
-    return empty | data_of(new.GetOutput().GetFieldData())
+    if arrays.keys() >= {*STREAM}:
+        faces, ends = (file.values(arrays[name]) for name in STREAM)
+        ends = ends[ends >= 0].astype(np.int64)  # -1 for other cells
+        check_streams(faces, np.append(0, ends[:-1])[: len(ends)], ends)
+        return
+    if not arrays.keys() >= {*LISTS}:
+        raise ValueError(f"polyhedra without {' and '.join({*LISTS} - arrays.keys())}.")
+    faces, face_ends, of_cells, cell_ends = (file.values(arrays[name]) for name in LISTS)
+    check_ends(cell_ends, len(of_cells), "polyhedron_to_faces")
+    check_ends(face_ends, len(faces), "face_connectivity")
+    most = of_cells.max(initial=0)
+    if len(cell_ends) != len(types) or not 0 <= of_cells.min(initial=0) <= most < len(face_ends):
+        raise ValueError(f"polyhedra of {len(cell_ends)} cells name {most}, of {len(face_ends)} faces.")
 
 
 def reader(path: pathlib.Path, _: bytes, encoding: Encoding) -> Any:
@@ -213,7 +225,6 @@ def written(data: Any, encoding: Encoding) -> bytes:
 
 
 def named_files(path: pathlib.Path) -> list[tuple[str, pathlib.Path]]:
-    """Lists the files that a file of pieces or blocks names, with the names of blocks."""
     root = _opened(path.read_bytes()).root
     named = [(each.get("name", ""), each.get("Source") or each.get("file")) for each in root.iter()]
     found = [(name, path.parent / file) for name, file in named if file]
@@ -223,70 +234,36 @@ def named_files(path: pathlib.Path) -> list[tuple[str, pathlib.Path]]:
     return found
 
 
-def _check(file: _File, array: ElementTree.Element, rows: int) -> tuple[int, int]:
-    """Compares an array with its rows, -1 for any; returns its count and size of numbers."""
-    for key in array.iter("InformationKey"):
-        if int(key.get("length", "0")) > len(key):
-            raise ValueError(f"{key.get('length')} values in {key.get('name')!r}, of which {len(key)} are there.")
-    name, kind, width = array.get("Name", "Points"), array.get("type", ""), int(array.get("NumberOfComponents", "1"))
-    if kind not in TYPES:
-        raise ValueError(f"the array {name!r} is of type {kind!r}.")
-    dtype, is_text = np.dtype(TYPES[kind]), array.get("format", "ascii") == "ascii"
-    try:
-        values = numbers((array.text or "").encode(), TYPES[kind]) if is_text else np.zeros(0)
-        count, rest = (len(values), 0) if is_text else divmod(file.size(array)[0], dtype.itemsize)
-    except (ValueError, binascii.Error) as error:
-        raise ValueError(f"the array {name!r} is damaged ({error}).") from error
-    if kind == "String":  # VTK reads as many as are announced
-        if not is_text:
-            copy = ElementTree.Element("DataArray", array.attrib | {"type": "UInt8", "Name": "text"})
-            copy.text = array.text
-            values = _values(file, [copy])["text"]
-        ends = int((values == 0).sum())
-        if ends != rows * width:
-            raise ValueError(f"{ends} strings in {name}, {rows * width} expected: a damaged file, or one cut short.")
-        return count, 1
-    if width < 1 or rest or (rows >= 0 and count != rows * width):
-        raise ValueError(f"{count} numbers in {name}, {rows * width} expected: a damaged file, or one cut short.")
-    return count, dtype.itemsize
-
-
 def _arrays(root: ElementTree.Element) -> Iterator[tuple[ElementTree.Element, int]]:
     """Lists all arrays, with the number of rows that each should have, or -1."""
     for grid in root:
-        extents = [_sizes(part.get("Extent", "0 -1")) for part in grid if part.tag == "Piece"]
-        whole = grid.get("WholeExtent")
-        if whole is not None and sum(map(math.prod, extents)) != math.prod(_sizes(whole)):
+        pieces = [part for part in grid if part.tag == "Piece"]
+        whole, cells = grid.get("WholeExtent"), [_sizes(piece.get("Extent", "0 -1"))[1] for piece in pieces]
+        if whole is not None and sum(cells) != _sizes(whole)[1]:
             raise ValueError(f"its pieces are not those of the extent {whole}: a damaged file, or one cut short.")
         for part in grid:
-            sections = part if part.tag == "Piece" else [part]
-            rows = _rows(part) if part.tag == "Piece" else {}
+            sections, rows = (part, _rows(part)) if part.tag == "Piece" else ([part], {})
             for section in sections:
-                of_section = rows.get(section.tag, {})
+                known = rows.get(section.tag, {})
                 for array in section:
                     if array.tag in ("DataArray", "Array"):
-                        known = of_section.get(
-                            array.get("Name", ""), of_section.get("", array.get("NumberOfTuples", -1))
-                        )
-                        yield array, int(known)
+                        other = known.get("", array.get("NumberOfTuples", -1))
+                        yield array, int(known.get(array.get("Name", ""), other))
 
 
-def _sizes(extent: str) -> list[int]:
-    """Counts cells along the axes of a structured grid; an axis of one point has one."""
+def _sizes(extent: str) -> tuple[int, int]:
+    """Counts points and cells of a structured grid; an axis of one point has one cell."""
     ends = [int(end) for end in extent.split()]
-    return [max(high - low, 1) for low, high in zip(ends[::2], ends[1::2], strict=True)]
+    steps = [high - low for low, high in zip(ends[::2], ends[1::2], strict=True)]
+    return math.prod(step + 1 for step in steps), math.prod(max(step, 1) for step in steps)
 
 
 def _rows(piece: ElementTree.Element) -> dict[str, dict[str, int]]:
     """Counts the rows of a piece's arrays by section and name; "" stands for any name."""
-    extent = piece.get("Extent")
-    kinds = {kind: int(piece.get(f"NumberOf{kind}", 0)) for kind in ("Verts", "Lines", "Strips", "Polys")}
-    if extent is None:
-        points, cells = int(piece.get("NumberOfPoints", 0)), int(piece.get("NumberOfCells", sum(kinds.values())))
-    else:
-        ends = [int(end) for end in extent.split()]
-        points = math.prod(high - low + 1 for low, high in zip(ends[::2], ends[1::2], strict=True))
-        cells = math.prod(_sizes(extent))
+    extent, kinds = piece.get("Extent"), {kind: int(piece.get(f"NumberOf{kind}", 0)) for kind in SECTIONS[1:]}
+    points, cells = int(piece.get("NumberOfPoints", 0)), int(piece.get("NumberOfCells", sum(kinds.values())))
+    if extent is not None:
+        points, cells = _sizes(extent)
     if min(points, cells, *kinds.values()) < 0:
         raise ValueError(f"{points} points and {cells} cells are announced.")
     rows = {"Points": {"": points}, "PointData": {"": points}, "CellData": {"": cells}}
@@ -294,10 +271,8 @@ def _rows(piece: ElementTree.Element) -> dict[str, dict[str, int]]:
 
 
 def _opened(raw: bytes) -> _File:
-    """Takes a file apart: XML, and what is appended to it."""
-    at = raw.find(b"<AppendedData")
+    at, end = raw.find(b"<AppendedData"), raw.rfind(b"</AppendedData>")
     tag = re.compile(rb"[^>]*>\s*_").match(raw, at) if at >= 0 else None
-    end = raw.rfind(b"</AppendedData>")
     if at >= 0 and (tag is None or end < tag.end()):
         raise ValueError("no AppendedData that begin with '_' and end: a damaged file, or one cut short.")
     try:
@@ -306,13 +281,17 @@ def _opened(raw: bytes) -> _File:
         raise ValueError(f"not one of VTK's XML files, or a damaged one ({error}).") from error
     if root.tag != "VTKFile":
         raise ValueError(f"not one of VTK's XML files; it begins with <{root.tag}>.")
+    is_raw = tag is not None and b"raw" in tag[0]
+    appended = memoryview(raw)[tag.end() : end] if tag else b""
+    appended = appended if is_raw else b"".join(bytes(appended).split())
+    return _File(root, appended, _encoding(root, is_raw), SMALL + UNPACKED * len(raw))
+
+
+def _encoding(root: ElementTree.Element, is_raw: bool) -> Encoding:
     formats = {array.get("format", "ascii") for array in root.iter("DataArray")}
     mode = next((mode for mode in ("appended", "binary") if mode in formats), "ascii")
-    names = {"header": root.get("header_type", "UInt32"), "order": root.get("byte_order", "LittleEndian")}
-    if names["header"] not in ("UInt32", "UInt64") or names["order"] not in ("LittleEndian", "BigEndian"):
-        raise ValueError(f"headers of type {names['header']!r}, bytes in the order {names['order']!r}.")
-    encoding = Encoding(
-        root.get("type", ""), mode, tag is not None and b"raw" in tag[0], root.get("compressor", ""), **names
-    )
-    appended = memoryview(raw)[tag.end() : end] if tag else b""
-    return _File(root, appended if encoding.is_raw else b"".join(bytes(appended).split()), encoding)
+    said = {name: root.get(name) or options[0] for name, options in OPTIONS.items()}
+    for name, options in OPTIONS.items():
+        if said[name] not in options:
+            raise ValueError(f"the {name} {said[name]!r} is none of {', '.join(filter(None, options))}.")
+    return Encoding(root.get("type", ""), mode, is_raw, said["compressor"], said["header_type"], said["byte_order"])
