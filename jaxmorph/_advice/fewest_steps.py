@@ -51,12 +51,11 @@ def fewest_steps(
 
     A number of steps is good when no cell is inverted and the smallest corner Jacobian stays above
     `min_jacobian_ratio` of its initial value. When even `max_steps` steps are not good, the result
-    has the largest fraction of the motion that they reach, by bisection to 1/1000.
-
-    With `improve`, the mesh that `max_steps` steps tangle is given to `jm.improve`, whose targets
-    are the cells of `mesh`; nodes slide and repeat as the plan has them. If that is not good
-    either, the largest fraction is sought beyond the one of steps alone, to 1/100. Each trial then
-    costs a march and an improvement: seconds for 10,000 cells.
+    has the largest fraction of the motion that they reach, by bisection to 1/1000. With `improve`,
+    the mesh that `max_steps` steps tangle is given to `jm.improve`, whose targets are the cells of
+    `mesh`; nodes slide and repeat as the plan has them. If that is not good either, the largest
+    fraction is sought beyond the one of steps alone, to 1/100. Each trial then costs a march and an
+    improvement: seconds for 10,000 cells.
 
     **Arguments:**
 

@@ -63,12 +63,11 @@ def inspect(
 
     Two neighbouring surface nodes contradict each other in two cases. One moves, the other is
     fixed, and the displacement is larger than their distance: a wall slides along a fixed boundary.
-    Or both move, and their distance more than doubles. No method moves such a mesh well.
-
-    With the mesh, it measures how much is left of gaps between walls, and finds moved walls that
-    cross another boundary or themselves. Faces that crossed before do not count, nor do faces that
-    share a node or touch in coincident nodes, as at a sharp trailing edge. Faces with a node that
-    is neither moving nor fixed are left out. If one step folds cells, it tries what may help: round
+    Or both move, and their distance more than doubles. No method moves such a mesh well. With the
+    mesh, it measures how much is left of gaps between walls, and finds moved walls that cross
+    another boundary or themselves. Faces that crossed before do not count, nor do faces that share
+    a node or touch in coincident nodes, as at a sharp trailing edge. Faces with a node that is
+    neither moving nor fixed are left out. If one step folds cells, it tries what may help: round
     walls that slide, 2, 4 and 8 steps, methods on cells.
 
     **Arguments:**
@@ -278,7 +277,6 @@ def overshoot(
     A node lies behind a part that rests if three conditions hold. The nearest node of the moving
     surface rests. The part that moves lies on the other side of this node, as the upper side of an
     airfoil does for nodes below it. And the node is no farther away than the surface is long.
-
     `moved` is what `deform` returns, where it is known.
     """
     points, moving = np.asarray(plan.points), np.asarray(plan.moving)

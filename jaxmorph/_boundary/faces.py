@@ -268,7 +268,6 @@ class SmoothFaces(Faceted):
     A place p of a face goes up to p + (p' - p) / 2, where p' is the mean of the places below p on
     the tangent planes of the face's nodes. A parabola is met exactly, faces in one plane stay it.
     The normal is the mean of the nodes' normals. It has no jump, but the surface has a tiny one.
-
     Source: Boubekeur and Alexa, Phong tessellation, ACM Trans. Graph. 27, 2008.
     """
 

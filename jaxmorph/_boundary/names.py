@@ -140,9 +140,8 @@ SYMMETRY = frozenset({"BCSymmetryPlane", "symmetry", "symmetryPlane", "axis"})
 """Kinds of symmetry planes."""
 
 INSIDE = "cyclic", "processor", "empty", "wedge", "overset"
-"""Beginnings of the kinds of patches that are no outer boundary.
-
-An overset patch lies inside of another grid: its nodes follow.
+"""Beginnings of the kinds of patches that are no outer boundary. An overset patch lies inside of
+another grid: its nodes follow.
 """
 
 

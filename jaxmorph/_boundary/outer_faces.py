@@ -52,10 +52,8 @@ def boundary_faces(mesh: Mesh, *patches: str) -> dict[str, np.ndarray]:
 
     - `patches`: names of patches, as `Mesh.patch` takes them. Default: the whole boundary.
 
-    **Returns:** ids (k, corners) by type: `line`, `triangle` and `quad`.
-
-    **Raises:** `ValueError` for a name that is no patch, and for a mesh without cells of its
-    dimension.
+    **Returns:** ids (k, corners) by type: `line`, `triangle` and `quad`. **Raises:** `ValueError`
+    for a name that is no patch, and for a mesh without cells of its dimension.
     """
     outer = outer_faces(mesh)
     if outer is None:

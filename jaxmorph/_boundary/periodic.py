@@ -23,11 +23,9 @@ class Periodic:
 
     Examples are passages of a cascade, sectors of a wheel and ends of a duct. A method sees the
     neighbours of the surface, and every pair of nodes takes its mean displacement. Both patches
-    move: they may change shape, but stay copies of each other.
-
-    Without `translation`, `rotation`, `about` and `axis`, the transform is the translation between
-    the middles of the patches. If the patches do not match, it is a rotation about an axis of
-    coordinates (in 2-D about the origin).
+    move: they may change shape, but stay copies of each other. Without `translation`, `rotation`,
+    `about` and `axis`, the transform is the translation between the middles of the patches. If the
+    patches do not match, it is a rotation about an axis of coordinates (in 2-D about the origin).
 
     **Arguments:**
 

@@ -68,11 +68,10 @@ class Slide:
 
     Examples are blade tips along a shroud, and a body along the sides of its box. Nodes between two
     sliding patches, or a patch and a symmetry plane, stay on both. Corners of the mesh, the apex of
-    a cone, and fixed nodes do not move. Moving nodes of the patch stay on it.
-
-    On a plane, a cylinder and other given surfaces the motion is smooth. On the patch's own faces
-    the motion has a kink where a node crosses an edge. Nodes of curved cells follow the polynomials
-    of their faces, if these are of one type.
+    a cone, and fixed nodes do not move. Moving nodes of the patch stay on it. On a plane, a
+    cylinder and other given surfaces the motion is smooth. On the patch's own faces the motion has
+    a kink where a node crosses an edge. Nodes of curved cells follow the polynomials of their
+    faces, if these are of one type.
 
     **Arguments:**
 

@@ -118,32 +118,24 @@ def improve(
 
     with T from target to cell, and chi the determinant of T, regularised: finite on inverted cells.
     Newton's method minimises the sum in five stages, in which the barrier at chi = 0 sharpens.
-    SciPy solves the sparse systems on the host.
-
-    With `worst`, stages follow that raise the worst cell at the cost of the mean. The energy e of a
-    corner becomes e / ((1 - s e) (1 - r / det T)): it stays below 1 / s, and det T above r. Both
-    bounds close in from stage to stage. The result has the largest of the stages' smallest
-    Jacobians. It is the result without `worst` where no stage has a larger smallest Jacobian ratio,
-    or where one inverts more cells or proves fewer. So it is where the ratio gains 0.5 % or less
-    and the largest skewness grows.
-
-    Traced in `points`, and differentiable in both modes with respect to the places of the fixed
-    nodes, by the implicit function theorem: derivatives are as accurate as `residual` is small.
-    Those with respect to the places of inner nodes, where the search starts, are zero. Close over
-    `mesh`; do not trace it. Use float64.
-
-    Nodes of symmetry planes and sliding patches move along them, and keep the distance that
-    `points` has. The two nodes of a periodic pair move alike. Nodes between two walls stay on both.
-    Corners, and nodes on the axis of a rotation, do not move. The surface of a patch's own faces is
-    a smooth one through their nodes. On a curved wall a node turns by less than 90 degrees from its
-    start; near 90 degrees, `residual` is infinite.
-
-    Nothing is promised for a boundary that crosses itself: see `after`, or `str` of the result.
-    `unproven` counts cells that may fold between their corners.
-
-    Sources: Garanzha et al., Foldover-free maps in 50 lines of code, ACM Trans. Graph. 40, 2021;
-    Teran et al., Robust quasistatic finite elements and flesh simulation, SCA 2005; Garanzha et
-    al., In the Quest for Scale-optimal Mappings, ACM Trans. Graph. 43, 2024.
+    SciPy solves the sparse systems on the host. With `worst`, stages follow that raise the worst
+    cell at the cost of the mean. The energy e of a corner becomes e / ((1 - s e) (1 - r / det T)):
+    it stays below 1 / s, and det T above r. Both bounds close in from stage to stage. The result
+    has the largest of the stages' smallest Jacobians. It is the result without `worst` where no
+    stage has a larger smallest Jacobian ratio, or where one inverts more cells or proves fewer. So
+    it is where the ratio gains 0.5 % or less and the largest skewness grows. Traced in `points`,
+    and differentiable in both modes with respect to the places of the fixed nodes, by the implicit
+    function theorem: derivatives are as accurate as `residual` is small. Those with respect to the
+    places of inner nodes, where the search starts, are zero. Close over `mesh`; do not trace it.
+    Use float64. Nodes of symmetry planes and sliding patches move along them, and keep the distance
+    that `points` has. The two nodes of a periodic pair move alike. Nodes between two walls stay on
+    both. Corners, and nodes on the axis of a rotation, do not move. The surface of a patch's own
+    faces is a smooth one through their nodes. On a curved wall a node turns by less than 90 degrees
+    from its start; near 90 degrees, `residual` is infinite. Nothing is promised for a boundary that
+    crosses itself: see `after`, or `str` of the result. `unproven` counts cells that may fold
+    between their corners. Sources: Garanzha et al., Foldover-free maps in 50 lines of code, ACM
+    Trans. Graph. 40, 2021; Teran et al., Robust quasistatic finite elements and flesh simulation,
+    SCA 2005; Garanzha et al., In the Quest for Scale-optimal Mappings, ACM Trans. Graph. 43, 2024.
 
     **Arguments:**
 

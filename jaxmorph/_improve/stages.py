@@ -19,9 +19,8 @@ from .._quality.distortion import Bounds
 from .motion import Distortion, Ways
 
 QUARTER = 0.05
-"""Least cosine between a wall's normals where a node starts and where it ends.
-
-Below it, the end is no minimum.
+"""Least cosine between a wall's normals where a node starts and where it ends. Below it, the end is
+no minimum.
 """
 
 SHARPEST, GENTLER, STAGES = 1e-3, 0.3, 5

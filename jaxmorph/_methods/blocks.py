@@ -11,9 +11,8 @@ from .base import BLOCK, AbstractField, AbstractMethod, AbstractPlacing
 from .sparse import Interpolation
 
 WIDER = 256
-"""Factor of the size of blocks on platforms that are no CPU.
-
-A GPU wants millions of elements at once, and few launches.
+"""Factor of the size of blocks on platforms that are no CPU. A GPU wants millions of elements at
+once, and few launches.
 """
 
 FEW = 64

@@ -19,11 +19,9 @@ class DelaunayGraph(AbstractPlacing):
     The graph stands on the undeformed surface and carries displacements, so that the map is one
     linear operator for any motion. A surface node follows itself alone, whatever the graph does
     around it; of several coincident nodes the first one (moving before fixed) stands for all in the
-    graph.
-
-    The graph is discontinuous in the base coordinates: nodes on one circle or sphere can be joined
-    in several ways, and change from one to another. Coordinates are rounded far below the distance
-    of nodes first, so round-off does not choose.
+    graph. The graph is discontinuous in the base coordinates: nodes on one circle or sphere can be
+    joined in several ways, and change from one to another. Coordinates are rounded far below the
+    distance of nodes first, so round-off does not choose.
 
     **Raises:** `prepare` raises a `ValueError` for points outside of the convex hull of the
     surface.

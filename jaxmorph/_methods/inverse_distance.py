@@ -35,17 +35,14 @@ class InverseDistanceFactors(eqx.Module):
 class InverseDistance(AbstractMethod):
     """Moves each point by a mean of the surface's displacements, weighted by distance.
 
-    The method is that of Luke, Collins and Blades (Journal of Computational Physics 231, 2012).
-
-    The weight of node i is A_i ((L / r)^far + (alpha L / r)^near). A_i is its share of the boundary
+    The method is that of Luke, Collins and Blades (Journal of Computational Physics 231, 2012). The
+    weight of node i is A_i ((L / r)^far + (alpha L / r)^near). A_i is its share of the boundary
     faces; without cells it is 1. L is the largest distance of a surface node from the middle of the
     moving nodes. There is no system to solve. IDWarp has the defaults of the weights, and
-    `rotations=True`.
-
-    With `rotations` each node also turns its surroundings, as its normal turns: a body that pitches
-    keeps the cells around it. The normals come from the boundary faces, so `prepare` needs the
-    mesh. The displacement is then not linear in `u` (`method.linear` says so). Derivatives are
-    complete, at u = 0 too. A node's rotation about its own normal is not seen.
+    `rotations=True`. With `rotations` each node also turns its surroundings, as its normal turns: a
+    body that pitches keeps the cells around it. The normals come from the boundary faces, so
+    `prepare` needs the mesh. The displacement is then not linear in `u` (`method.linear` says so).
+    Derivatives are complete, at u = 0 too. A node's rotation about its own normal is not seen.
 
     **Arguments:**
 

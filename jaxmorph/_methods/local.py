@@ -15,9 +15,8 @@ from .sparse import InterpolatedField, Reach, Searched, squared_distance
 from .surface import Surface
 
 REACH = 1.25
-"""Distance in radii within which nodes are searched for.
-
-By the part beyond 1 another node may come nearer than the nearest node.
+"""Distance in radii within which nodes are searched for. By the part beyond 1 another node may come
+nearer than the nearest node.
 """
 
 SPACING = 2.0
@@ -42,12 +41,11 @@ class LocalCorrection(AbstractPlacing):
     u(x) = psi(|x - x_k| / R) u_k, with the nearest node k and Wendland's C2 function psi. In this
     way Rendall and Allen correct what a reduced set of sources misses on the surface (Journal of
     Computational Physics 228 and 229, 2009 and 2010). The field is exact at the surface's nodes. It
-    needs no system and no graph, so the mesh may reach beyond the hull of its boundary.
-
-    The field jumps where the nearest node changes, by as much as the offsets of two neighbours
-    differ. Of nodes that are equally near the first counts. Between two walls closer than twice the
-    radius it may tear cells; `NearWall` does not. Alone it reproduces no polynomial, and cells fold
-    where the offset is a good part of the radius.
+    needs no system and no graph, so the mesh may reach beyond the hull of its boundary. The field
+    jumps where the nearest node changes, by as much as the offsets of two neighbours differ. Of
+    nodes that are equally near the first counts. Between two walls closer than twice the radius it
+    may tear cells; `NearWall` does not. Alone it reproduces no polynomial, and cells fold where the
+    offset is a good part of the radius.
 
     **Arguments:**
 

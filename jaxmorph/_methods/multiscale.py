@@ -25,14 +25,12 @@ class Multiscale(AbstractPlacing):
     every node before its own. The system is triangular and sparse, and its solution a forward
     substitution (Kedward, Allen and Rendall, J. Comput. Phys. 345, 2017, the second stage). The
     field is exact at the surface's nodes, has continuous derivatives, and is zero beyond the radii.
-    Points may lie anywhere: there is no graph, and no hull.
-
-    The order of the nodes is discontinuous in their coordinates. Distances within a relative 1e-9
-    are equal, and the first node in the order of coordinates counts, so round-off decides nothing.
-
-    As a correction, the sources of the coarse field come before all other nodes. Alone, the first
-    function reaches across the whole surface, and not even a translation is reproduced.
-    `Multiscale.whole` makes the method with its first stage.
+    Points may lie anywhere: there is no graph, and no hull. The order of the nodes is discontinuous
+    in their coordinates. Distances within a relative 1e-9 are equal, and the first node in the
+    order of coordinates counts, so round-off decides nothing. As a correction, the sources of the
+    coarse field come before all other nodes. Alone, the first function reaches across the whole
+    surface, and not even a translation is reproduced. `Multiscale.whole` makes the method with its
+    first stage.
     """
 
     @staticmethod
@@ -47,10 +45,8 @@ class Multiscale(AbstractPlacing):
         - `fraction`: share of the nodes in the first stage, spread evenly over the surface, from 0
           to 1. Default 0.05.
 
-        **Returns:** a `SurfaceReconstruction`.
-
-        **Raises:** `ValueError` for a radius that is not positive, and a fraction that is not
-        between 0 and 1.
+        **Returns:** a `SurfaceReconstruction`. **Raises:** `ValueError` for a radius that is not
+        positive, and a fraction that is not between 0 and 1.
         """
         base = RBF(WendlandC2(radius), reduction=Share(fraction), fixed_reduction=Share(fraction), degree=None)
         return SurfaceReconstruction(base, Multiscale())

@@ -17,9 +17,8 @@ from .sparse import InterpolatedField, Interpolation
 from .surface import Surface
 
 NEIGHBOURS = 6
-"""Wall nodes whose displacements a point near the wall averages.
-
-One more node sets the distance at which weights vanish.
+"""Wall nodes whose displacements a point near the wall averages. One more node sets the distance at
+which weights vanish.
 """
 
 REACH = 0.5
@@ -37,17 +36,14 @@ class NearWall(AbstractPlacing):
 
     u = chi u_wall + (1 - chi) u_correction. Here chi is Wendland's C2 function of the distance to
     the wall over `width`. The displacement u_wall is a mean over the nearest wall nodes, weighted
-    by inverse distance (Franke and Little's weights, which end continuously).
-
-    A Delaunay graph lays chords over a concave or flat wall. Points above a chord then move
-    differently from wall nodes under it, by more than the thickness of a boundary layer's first
-    cell. Points that follow the nearest wall keep their place in the layer. The map is one fixed
-    sparse operator, exact at the surface's nodes.
-
-    By default the width is half of the largest distance from a wall's node to the nearest matched
-    node of its wall. Matched nodes are sources at which the coarse field takes the displacement.
-    For a wall without matched nodes, the width is a quarter of the mean chord: of half of the
-    wall's length, in 3-D half of its area over its span.
+    by inverse distance (Franke and Little's weights, which end continuously). A Delaunay graph lays
+    chords over a concave or flat wall. Points above a chord then move differently from wall nodes
+    under it, by more than the thickness of a boundary layer's first cell. Points that follow the
+    nearest wall keep their place in the layer. The map is one fixed sparse operator, exact at the
+    surface's nodes. By default the width is half of the largest distance from a wall's node to the
+    nearest matched node of its wall. Matched nodes are sources at which the coarse field takes the
+    displacement. For a wall without matched nodes, the width is a quarter of the mean chord: of
+    half of the wall's length, in 3-D half of its area over its span.
 
     **Arguments:**
 

@@ -197,9 +197,8 @@ def tabulate(nodes: np.ndarray, used: np.ndarray, count: int) -> tuple[np.ndarra
 
 
 SLACK = 0.05
-"""Share of a radius by which a search goes beyond it.
-
-Where a new base differs by less than half of it, no other pairs are looked at.
+"""Share of a radius by which a search goes beyond it. Where a new base differs by less than half of
+it, no other pairs are looked at.
 """
 
 

@@ -36,9 +36,8 @@ def deform(plan: Plan, u: Real[ArrayLike, "m d"] | Sequence[Any]) -> Float[Array
     - `plan`: what `prepare` returned.
     - `u`: displacements (m, d) of the moving nodes, in the mesh's unit.
 
-    **Returns:** all points (n, d), in the mesh's own node order and unit.
-
-    **Raises:** `ValueError` when the shape of `u` is not (m, d).
+    **Returns:** all points (n, d), in the mesh's own node order and unit. **Raises:** `ValueError`
+    when the shape of `u` is not (m, d).
     """
     parts = slabs(len(plan.volume.points), plan, u) if isinstance(plan, Plan) and plan.layout is None else ()
     if not parts:
@@ -82,10 +81,8 @@ def pullback(
     - `u`: displacements (m, d) of the moving nodes. Where `plan.is_linear`, only the shape matters.
     - `cotangent`: dJ/d(points) at all points (n, d), in the mesh's own node order.
 
-    **Returns:** dJ/du (m, d).
-
-    **Raises:** `ValueError` when the shape of `u` is not (m, d), or the shape of `cotangent` not
-    (n, d).
+    **Returns:** dJ/du (m, d). **Raises:** `ValueError` when the shape of `u` is not (m, d), or the
+    shape of `cotangent` not (n, d).
     """
     number = shares(plan, u, cotangent) if isinstance(plan, Plan) and plan.layout is None else 1
     if number == 1:
@@ -124,9 +121,8 @@ def velocity(plan: Plan, u: Float[ArrayLike, "m d"], u_dot: Float[ArrayLike, "m 
     - `u`: displacements (m, d) at this time.
     - `u_dot`: velocities (m, d) of the moving nodes.
 
-    **Returns:** velocities (n, d), zero at fixed nodes.
-
-    **Raises:** `ValueError` when the shape of `u` or `u_dot` is not (m, d).
+    **Returns:** velocities (n, d), zero at fixed nodes. **Raises:** `ValueError` when the shape of
+    `u` or `u_dot` is not (m, d).
     """
     u, u_dot = jnp.asarray(u, plan.points.dtype), jnp.asarray(u_dot, plan.points.dtype)
     if u.shape != u_dot.shape:

@@ -107,11 +107,10 @@ class Plan(Module):
     """Everything that `deform` needs to know about a mesh: an immutable pytree of arrays.
 
     `prepare` makes it. It survives `jax.tree` round trips, pickling and
-    `equinox.tree_serialise_leaves`, and passes through `jit`, `vmap` and `grad` like any array.
-
-    The fields `surface` and `volume` belong to the driver. So do `carried` (by a step of `march`)
-    and `layout` (over devices). In a plan of a piece (`SurfaceHalf.attach`), node ids from
-    len(points) on stand for nodes of other pieces.
+    `equinox.tree_serialise_leaves`, and passes through `jit`, `vmap` and `grad` like any array. The
+    fields `surface` and `volume` belong to the driver. So do `carried` (by a step of `march`) and
+    `layout` (over devices). In a plan of a piece (`SurfaceHalf.attach`), node ids from len(points)
+    on stand for nodes of other pieces.
     """
 
     method: AbstractMethod

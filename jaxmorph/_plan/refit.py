@@ -92,11 +92,10 @@ def refit(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Plan:
     """Computes a plan anew on other base coordinates: ids stay, floats are computed.
 
     Traced. It is meant for another mesh of one family. For the steps of one motion call `march`:
-    after a large motion, points have left their simplices and extrapolate.
-
-    The patches' own faces, and translations of periodic pairs, are taken from the new points.
-    Symmetry planes, surfaces given to `jm.Slide`, and rotations stay. Points that do not lie on
-    them are refused, unless the points are traced.
+    after a large motion, points have left their simplices and extrapolate. The patches' own faces,
+    and translations of periodic pairs, are taken from the new points. Symmetry planes, surfaces
+    given to `jm.Slide`, and rotations stay. Points that do not lie on them are refused, unless the
+    points are traced.
 
     **Arguments:**
 

@@ -25,10 +25,8 @@ def shard(plan: Plan, devices: Sequence[Any]) -> Plan:
     - `plan`: what `prepare` returned.
     - `devices`: JAX's devices.
 
-    **Returns:** a `Plan`.
-
-    **Raises:** `ValueError` without devices, for a plan that is laid over devices already, and for
-    a method that solves for all nodes at once.
+    **Returns:** a `Plan`. **Raises:** `ValueError` without devices, for a plan that is laid over
+    devices already, and for a method that solves for all nodes at once.
     """
     if plan.layout is not None:
         raise ValueError("this plan is laid over devices already: shard the plan that `prepare` returned.")

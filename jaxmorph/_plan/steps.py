@@ -36,10 +36,8 @@ def march(
     - `mesh`: the plan's mesh, for `rebuild`: methods see its cells and boundary faces again.
       Default: points alone, which methods on cells refuse.
 
-    **Returns:** the plans of all steps, for `replay`, and the points (n, d) at the end.
-
-    **Raises:** `ValueError` when `path` is not (k, m, d), for a mesh of other points, and where
-    `prepare` does.
+    **Returns:** the plans of all steps, for `replay`, and the points (n, d) at the end. **Raises:**
+    `ValueError` when `path` is not (k, m, d), for a mesh of other points, and where `prepare` does.
     """
     _check_march(plan, rebuild, mesh)
     points, surface, plans = plan.points, None, []
@@ -62,9 +60,8 @@ def replay(plans: Sequence[Plan], path: Real[ArrayLike, "k m d"] | Sequence[Any]
     - `plans`: the plans that `march` returned.
     - `path`: displacements (k, m, d), one entry for every plan, as for `march`.
 
-    **Returns:** the points (n, d) at the end.
-
-    **Raises:** `ValueError` when `path` does not have one entry (m, d) for every plan.
+    **Returns:** the points (n, d) at the end. **Raises:** `ValueError` when `path` does not have
+    one entry (m, d) for every plan.
     """
     if not plans:
         raise ValueError("`plans` is empty: pass the plans that `march` returned.")

@@ -1,12 +1,11 @@
 """Distance of cells from target shapes, as an energy.
 
-It stays finite, with a useful gradient, on inverted cells.
-
-At each corner of a cell, and at the centre of a hexahedron, the edges that leave it are the columns
-of A. The edges of the target cell are the columns of W, and T = A W^-1 takes the target to the
-cell. This is the target-matrix paradigm (Knupp, Algebraic mesh quality metrics, SIAM J. Sci.
-Comput. 23, 2001). The determinant in the denominators is regularised as in Garanzha et al.,
-Foldover-free maps in 50 lines of code, ACM Trans. Graph. 40, 2021.
+It stays finite, with a useful gradient, on inverted cells. At each corner of a cell, and at the
+centre of a hexahedron, the edges that leave it are the columns of A. The edges of the target cell
+are the columns of W, and T = A W^-1 takes the target to the cell. This is the target-matrix
+paradigm (Knupp, Algebraic mesh quality metrics, SIAM J. Sci. Comput. 23, 2001). The determinant in
+the denominators is regularised as in Garanzha et al., Foldover-free maps in 50 lines of code, ACM
+Trans. Graph. 40, 2021.
 """
 
 import functools

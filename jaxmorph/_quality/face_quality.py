@@ -97,10 +97,8 @@ def face_quality(mesh: Mesh, points: Float[Any, "n d"] | None = None) -> FaceQua
     - `mesh`: cells that fill a region in 2-D or 3-D.
     - `points`: where the nodes are (n, d); None for where the mesh has them.
 
-    **Returns:** a `FaceQuality`.
-
-    **Raises:** `ValueError` for a mesh without cells, for surfaces in 3-D, and for another shape of
-    `points`.
+    **Returns:** a `FaceQuality`. **Raises:** `ValueError` for a mesh without cells, for surfaces in
+    3-D, and for another shape of `points`.
     """
     return measured(mesh, Sides.listed(mesh), points)
 

@@ -3,11 +3,9 @@
 Each function takes the cell's type and `x`, the corners of k cells: one vector for each corner,
 numbered as VTK numbers them, relative to the first one. For the measures without a unit they are
 divided by the cell's size, so that products of lengths stay within float32. The formulas read as
-for one cell.
-
-The definitions come from Verdict, the library behind VTK's cell quality (Stimpson et al., The
-Verdict geometric quality library, SAND2007-1751). They are written so that every derivative is
-finite, on cells of no size too.
+for one cell. The definitions come from Verdict, the library behind VTK's cell quality (Stimpson et
+al., The Verdict geometric quality library, SAND2007-1751). They are written so that every
+derivative is finite, on cells of no size too.
 """
 
 import functools

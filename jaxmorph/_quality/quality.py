@@ -29,17 +29,14 @@ def quality(mesh: Mesh, points: Real[ArrayLike, "n d"] | Sequence[Any] | None = 
     """Measures a mesh's cells at `points`, judged relative to the undeformed `mesh.points`.
 
     Traced: `jit`, `grad` and `vmap` work over `points`, and over a mesh given as an argument.
-    Derivatives are finite on degenerate cells too.
-
-    The sign that a volume should have is that of the mesh, whichever way round its cells are
-    numbered. Cells numbered the other way round than their neighbours (a matter of ids, not of
-    coordinates) are turned. The sign is then that of the volume which the connected part of the
-    mesh encloses. So a cell on the wrong side of a face that it shares is folded, and cells of
-    mixed handedness are fine. `inverted`, `smooth_quality`, `proof`, `proven_margin`, `distortion`,
-    `improve` and `largest_step` take the same sign.
-
-    With `points`, a cell is inverted where its volume, or the Jacobian at one of its corners, has
-    not the sign of the undeformed mesh. Curved cells have a lattice of places, and the place where
+    Derivatives are finite on degenerate cells too. The sign that a volume should have is that of
+    the mesh, whichever way round its cells are numbered. Cells numbered the other way round than
+    their neighbours (a matter of ids, not of coordinates) are turned. The sign is then that of the
+    volume which the connected part of the mesh encloses. So a cell on the wrong side of a face that
+    it shares is folded, and cells of mixed handedness are fine. `inverted`, `smooth_quality`,
+    `proof`, `proven_margin`, `distortion`, `improve` and `largest_step` take the same sign. With
+    `points`, a cell is inverted where its volume, or the Jacobian at one of its corners, has not
+    the sign of the undeformed mesh. Curved cells have a lattice of places, and the place where
     bounds on their Jacobian find it least, instead of corners: a fold anywhere is found. A linear
     hexahedron that folds between its corners is not: `proof` finds it. A cell that is folded on the
     undeformed mesh is inverted until a motion unfolds it, and counts in `from_start`. Not judged
@@ -47,13 +44,10 @@ def quality(mesh: Mesh, points: Real[ArrayLike, "n d"] | Sequence[Any] | None = 
     convex from the start. A corner has no sign within the round-off of the coordinates. One of a
     cell that is no simplex has none either where its Jacobian is 1e-4 of the product of its edges
     or less: flat or collapsed. A folded piece of a polyhedron is fine where the polyhedron as a
-    whole is not folded.
-
-    Without `points`, the mesh is judged by itself. A cell is then inverted where its volume or a
-    corner's Jacobian has not the sign of the mesh.
-
-    Neighbours are found on the host from the ids, under `jit` when it traces. For traced cells (a
-    mesh given to `jit` as an argument) that is in each call: close over the mesh instead.
+    whole is not folded. Without `points`, the mesh is judged by itself. A cell is then inverted
+    where its volume or a corner's Jacobian has not the sign of the mesh. Neighbours are found on
+    the host from the ids, under `jit` when it traces. For traced cells (a mesh given to `jit` as an
+    argument) that is in each call: close over the mesh instead.
 
     **Arguments:**
 
@@ -89,7 +83,6 @@ def inverted(mesh: Mesh, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Bool
     - `points`: where the nodes are now (n, d), in the unit of `mesh.points`.
 
     **Returns:** one flag for each cell (k,), one type of cells after another, as in `mesh.cells`.
-
     **Raises:** `ValueError` as `quality` does.
     """
     current = places(mesh, points)

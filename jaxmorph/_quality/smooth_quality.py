@@ -159,10 +159,8 @@ def soft_maximum(
       closer to the maximum.
     - `axis`: the axis along which to take it. Default: all values.
 
-    **Returns:** a number, or an array without that axis.
-
-    **Raises:** `ValueError` for a sharpness that is not positive and finite, and an axis that is
-    not there.
+    **Returns:** a number, or an array without that axis. **Raises:** `ValueError` for a sharpness
+    that is not positive and finite, and an axis that is not there.
     """
     values, sharpness = jnp.asarray(values), number("sharpness", 0)(sharpness)
     if axis is not None and not -values.ndim <= axis < values.ndim:

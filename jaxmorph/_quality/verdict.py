@@ -412,10 +412,8 @@ def judge(
       `is_linear`. Default True. Where they do not, the ends of steps alone are proven.
     - `part`: number of the part of a mesh that `mesh` is, for `Verdict.together`.
 
-    **Returns:** a `Verdict`.
-
-    **Raises:** `ValueError` for points of another shape, and for a limit on a measure that the
-    cells do not have.
+    **Returns:** a `Verdict`. **Raises:** `ValueError` for points of another shape, and for a limit
+    on a measure that the cells do not have.
     """
     limits = Limits() if limits is None else limits
     if part is not None:

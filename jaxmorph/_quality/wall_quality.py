@@ -58,13 +58,10 @@ def wall_quality(
     The area-weighted mean of skewness hides both. The first grid line of a wall node is the edge
     that leaves the wall most nearly along its normal on the undeformed mesh. The wall's normal at a
     node is that of the faces around it, weighted by their area. In 3-D a neighbour on the wall says
-    how the wall turns about the normal.
-
-    Traced over `points`. The ids are found on the host at each call: close over the mesh.
-
-    Of curved cells all nodes of the wall count. The normal is that of the sides' own polynomials at
-    the node. The first grid line goes through the whole cell: its angle is that of its tangent at
-    the wall, its height that of its other end.
+    how the wall turns about the normal. Traced over `points`. The ids are found on the host at each
+    call: close over the mesh. Of curved cells all nodes of the wall count. The normal is that of
+    the sides' own polynomials at the node. The first grid line goes through the whole cell: its
+    angle is that of its tangent at the wall, its height that of its other end.
 
     **Arguments:**
 

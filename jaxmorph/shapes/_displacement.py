@@ -29,9 +29,8 @@ def displacement(shape: AnyShape, plan: Plan, parameters: PyTree) -> Float[Array
     - `plan`: from `prepare`.
     - `parameters`: what the shape takes; traced, for derivatives.
 
-    **Returns:** displacement (m, d); row i is that of node `plan.moving[i]`.
-
-    **Raises:** `ValueError` where the shape returns another number of positions.
+    **Returns:** displacement (m, d); row i is that of node `plan.moving[i]`. **Raises:**
+    `ValueError` where the shape returns another number of positions.
     """
     return moves(shape, plan.moving_points, parameters)
 
@@ -40,9 +39,8 @@ def displacement(shape: AnyShape, plan: Plan, parameters: PyTree) -> Float[Array
 def path(shape: AnyShape, x: Numbers, parameters: PyTree, steps: int) -> Float[Array, "k m d"]:
     """Computes total displacements after equal steps of the parameters: the path of `march`.
 
-    A rotation in steps is a path of rotated positions. Traced in positions and parameters.
-
-    The path of positions (m, d) begins at `shape.neutral()` and ends at `parameters`.
+    A rotation in steps is a path of rotated positions. Traced in positions and parameters. The path
+    of positions (m, d) begins at `shape.neutral()` and ends at `parameters`.
 
     **Raises:** `ValueError` for a plain function in several steps, and as `displacement` does.
     """

@@ -52,7 +52,6 @@ def wall_normals(mesh: Mesh, *patches: str) -> Float[np.ndarray, "m d"]:
     side of an airfoil a node is on.
 
     **Returns:** vectors (m, d), in the order of `mesh.patch(*patches)`; 0 for a node of no face.
-
     **Raises:** `ValueError` for patches without faces on the boundary of the mesh's cells.
     """
     nodes, points = mesh.patch(*patches), np.asarray(mesh.points, float)

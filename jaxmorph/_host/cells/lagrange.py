@@ -10,11 +10,10 @@ corners at 0 and 1:
 
 In the canonical order corners come first, then inner nodes of the `EDGES`, from first to second
 corner. Those of the `FACES` go in rows along the first edge, from the first corner towards the
-last. At the end come inner nodes of the cell, the first coordinate fastest.
-
-The shape functions are polynomials whose exponents are the lattice; for a pyramid the space of
-Bergot et al. (J. Sci. Comput. 42, 2010), polynomials in (x / (1 - z), y / (1 - z), 1 - z). They
-take a place in a pyramid as x / (1 - z), y / (1 - z), z, by which its apex has directions.
+last. At the end come inner nodes of the cell, the first coordinate fastest. The shape functions are
+polynomials whose exponents are the lattice; for a pyramid the space of Bergot et al. (J. Sci.
+Comput. 42, 2010), polynomials in (x / (1 - z), y / (1 - z), 1 - z). They take a place in a pyramid
+as x / (1 - z), y / (1 - z), z, by which its apex has directions.
 """
 
 import dataclasses

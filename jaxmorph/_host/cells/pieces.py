@@ -124,10 +124,9 @@ ON_EDGES = {
         "pyramid": numbers("89abe gch8e hdi9e jfgbe"),
     },
 }
-"""Pieces of cells without inner nodes; a is node 10.
-
-Each corner is cut off, with the middles of its edges. What is left goes from one of its nodes to
-its sides: inner polygons of the faces, and triangles where corners were.
+"""Pieces of cells without inner nodes; a is node 10. Each corner is cut off, with the middles of
+its edges. What is left goes from one of its nodes to its sides: inner polygons of the faces, and
+triangles where corners were.
 """
 
 UNITS = {

@@ -87,10 +87,9 @@ SPREAD = 10
 """Ratio of the largest to the smallest eigenvalue that the smoother reduces."""
 
 STRONG = 0.3
-"""Least entry, relative to the most negative entry of its row, by which unknowns are joined.
-
-In a thin layer of hexahedra, the neighbour across the layer has the entry -16/36, nodes beside it
--4/36, other nodes a positive entry. So only lines across the layer are joined.
+"""Least entry, relative to the most negative entry of its row, by which unknowns are joined. In a
+thin layer of hexahedra, the neighbour across the layer has the entry -16/36, nodes beside it -4/36,
+other nodes a positive entry. So only lines across the layer are joined.
 """
 
 COARSEST = 90

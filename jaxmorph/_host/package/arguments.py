@@ -202,9 +202,8 @@ SIMPLE = {
     Callable: Rule("a function", lambda value: callable(value) and not isinstance(value, type)),
 }
 KINDS = {"Float": "fiuV", "Real": "fiuV", "Int": "iu", "Integer": "iu", "Bool": "b", "Shaped": "fiubcV"}
-"""NumPy's letters for the numbers of an annotated array.
-
-Whole numbers count as real numbers. V is bfloat16 and similar types.
+"""NumPy's letters for the numbers of an annotated array. Whole numbers count as real numbers. V is
+bfloat16 and similar types.
 """
 
 MANY = {

@@ -139,11 +139,9 @@ def complete(path: pathlib.Path, *, folder: bool = False, name_errors: bool = Tr
     """Yields a temporary file or folder that replaces `path` at the end; a failure leaves nothing.
 
     If `path` is a symbolic link, its target is replaced. The new file has the permissions of the
-    old file.
-
-    Raises `FileNotFoundError` if the parent folder does not exist, and `ValueError` if `path` is a
-    folder, a device or a pipe. An `OSError` of the writer names `path`. A caller with errors of its
-    own passes `name_errors=False`, and writes within `named`.
+    old file. Raises `FileNotFoundError` if the parent folder does not exist, and `ValueError` if
+    `path` is a folder, a device or a pipe. An `OSError` of the writer names `path`. A caller with
+    errors of its own passes `name_errors=False`, and writes within `named`.
     """
     target = pathlib.Path(os.path.realpath(path))
     if not target.parent.is_dir():

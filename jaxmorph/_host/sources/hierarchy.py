@@ -148,10 +148,9 @@ def padded(target: np.ndarray, centre: np.ndarray, count: int) -> tuple[np.ndarr
 
 
 Sweep = tuple[np.ndarray, np.ndarray]
-"""The order in which a triangular system is solved: s steps of r rows.
-
-A row adds up to `WIDTH` entries of its owner: positions (s, r, WIDTH) in the list of entries, -1
-for padding, and owners (s, r).
+"""The order in which a triangular system is solved: s steps of r rows. A row adds up to `WIDTH`
+entries of its owner: positions (s, r, WIDTH) in the list of entries, -1 for padding, and owners (s,
+r).
 """
 
 

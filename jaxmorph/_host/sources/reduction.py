@@ -16,11 +16,10 @@ from ..package.rounding import SAME, Tree, canonical_order, first_largest, neare
 class AbstractReduction(abc.ABC):
     """Chooses source points: called with points (k, d), it returns distinct ids, ascending.
 
-    Your own reduction is a frozen (hashable) dataclass with one method, `__call__`.
-
-    A choice is discontinuous in the coordinates: as nodes move, another node becomes a source. In
-    the library's own reductions, lengths within a relative 1e-9 are equal, and the first of equals
-    in the order of coordinates counts.
+    Your own reduction is a frozen (hashable) dataclass with one method, `__call__`. A choice is
+    discontinuous in the coordinates: as nodes move, another node becomes a source. In the library's
+    own reductions, lengths within a relative 1e-9 are equal, and the first of equals in the order
+    of coordinates counts.
     """
 
     most_on_far_walls: ClassVar[int] = 0
@@ -176,9 +175,7 @@ class KDTree(AbstractSeparated):
           taken.
         - `points`: coordinates (n, d) of the moving nodes.
 
-        **Returns:** a `KDTree`.
-
-        **Raises:** `ValueError` for a count below d + 1.
+        **Returns:** a `KDTree`. **Raises:** `ValueError` for a count below d + 1.
         """
         points, count = finite_array("points", points, (None, 2), (None, 3)), whole("count", count)
         points = points.astype(float)

@@ -5,9 +5,8 @@ import numpy as np
 from ..linear.products import cross
 
 AFTER, BEFORE = 1e-9, 1e-6
-"""Slack of a crossing after and before the motion, relative to the faces.
-
-Faces that nearly touched before are not reported.
+"""Slack of a crossing after and before the motion, relative to the faces. Faces that nearly touched
+before are not reported.
 """
 
 PARALLEL = 1e-9

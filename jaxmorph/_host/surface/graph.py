@@ -181,11 +181,10 @@ class Location:
 def locate(surface: np.ndarray | Graph, points: np.ndarray, wanted: np.ndarray) -> Location:
     """Finds the surface nodes whose simplex holds a point, for all `wanted` points.
 
-    Coordinates in single precision count as exact numbers, except for points on the hull.
-
-    `surface` are the surface nodes (b, d), or their graph, `points` (n, d) all points, and `wanted`
-    (w,) the ids of those to locate. Raises `MeshError` for points outside of the surface's convex
-    hull, `ValueError` for a surface without extent in some direction.
+    Coordinates in single precision count as exact numbers, except for points on the hull. `surface`
+    are the surface nodes (b, d), or their graph, `points` (n, d) all points, and `wanted` (w,) the
+    ids of those to locate. Raises `MeshError` for points outside of the surface's convex hull,
+    `ValueError` for a surface without extent in some direction.
     """
     graph = surface if isinstance(surface, Graph) else graph_of(surface)
     points = points.astype(np.float64, copy=False)

@@ -36,12 +36,10 @@ def walls(
     Moving and fixed nodes are on different walls. `faces` are rows of `points`, counterclockwise as
     seen from outside of the mesh. With faces, a wall continues from a face to its neighbours, but
     not round a corner of less than 135 degrees with the mesh inside. Floor and side of a box are
-    two walls, both sides of an airfoil are one.
-
-    Without faces, chains of nearest neighbours (2 in 2-D, 8 in 3-D) join nodes. In structured 3-D
-    meshes a chain may stay within one section of a wing, so parts that are curves are joined to the
-    parts beside them. Nodes of symmetry planes, marked by `in_planes` (b,), take the wall of the
-    nearest other node.
+    two walls, both sides of an airfoil are one. Without faces, chains of nearest neighbours (2 in
+    2-D, 8 in 3-D) join nodes. In structured 3-D meshes a chain may stay within one section of a
+    wing, so parts that are curves are joined to the parts beside them. Nodes of symmetry planes,
+    marked by `in_planes` (b,), take the wall of the nearest other node.
     """
     label = np.full(len(points), -1)
     groups = [in_order(np.asarray(group)) for _, group in sorted((faces or {}).items()) if len(group)]

@@ -109,12 +109,11 @@ class AbstractCellMethod(AbstractMethod):
 
     The matrix is symmetric, and its rows add to zero: a translation is reproduced. Nodes at one
     place are one node. Nodes on a symmetry plane slide in it. Nodes in no cell rest, and so do
-    cells without a connection to a moving or fixed node.
-
-    The solve runs on the host, within traced code. In 2-D it factors the matrix. In 3-D a large
-    system takes conjugate gradients with a multigrid cycle. If they do not converge, up to 60,000
-    unknowns are factored; with more unknowns `prepare` raises. The factors of the last two systems
-    stay in memory. The transpose costs as much as the solve.
+    cells without a connection to a moving or fixed node. The solve runs on the host, within traced
+    code. In 2-D it factors the matrix. In 3-D a large system takes conjugate gradients with a
+    multigrid cycle. If they do not converge, up to 60,000 unknowns are factored; with more unknowns
+    `prepare` raises. The factors of the last two systems stay in memory. The transpose costs as
+    much as the solve.
     """
 
     def pairs(self, kind: str) -> tuple[tuple[int, int], ...]:

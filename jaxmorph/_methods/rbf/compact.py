@@ -78,7 +78,6 @@ class CompactRBF(AbstractPlacing):
     nodes. It has no polynomial, so alone it does not even reproduce a translation. It may be a
     correction too. Cells fold where the motion is a good part of the radius, so take a radius of
     several times the largest displacement. Memory is that of the pairs of nodes within the radius.
-
     Nodes at one place have one function: within 1.5e-8 (3.5e-4 in float32) times the radius or the
     extent of the surface, whichever is less, they are equal in the matrix. The function takes the
     mean of their displacements, of moving nodes alone where fixed nodes are among them. Each node

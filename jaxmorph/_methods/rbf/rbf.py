@@ -50,12 +50,10 @@ class Iterative(Module):
     (Faul, Goodsell and Powell, IMA Journal of Numerical Analysis 25, 2005). Sources are ordered
     from far apart to close (Schaefer, Katzfuss and Owhadi, SIAM Journal on Scientific Computing 43,
     2021). A source carries the function that is 1 at its place and 0 at the nearest sources before
-    it. The first sources are solved densely.
-
-    The system is symmetric, so its solve serves derivatives too. `prepare` finds sources and
-    neighbours, and `refit` does not change them. Where no solve converges, `prepare` raises. A
-    field is NaN if it misses its sources by a thousand tolerances, or by a thousandth of the
-    displacement where that is less.
+    it. The first sources are solved densely. The system is symmetric, so its solve serves
+    derivatives too. `prepare` finds sources and neighbours, and `refit` does not change them. Where
+    no solve converges, `prepare` raises. A field is NaN if it misses its sources by a thousand
+    tolerances, or by a thousandth of the displacement where that is less.
 
     **Arguments:**
 

@@ -3,11 +3,9 @@
 On a simplex with barycentric coordinates lambda, a polynomial of degree q is the sum over |alpha| =
 q of b_alpha multinomial(alpha) lambda^alpha. The terms are positive and add up to 1. So the
 polynomial lies between its least and its largest coefficient, and the coefficients at corners are
-its values there.
-
-A space is a tuple with (dimension, degree) of each factor. Coefficients of a product are in C order
-of its factors' indices. Scaled coefficients are b_alpha multinomial(alpha): they multiply as
-coefficients of ordinary polynomials do.
+its values there. A space is a tuple with (dimension, degree) of each factor. Coefficients of a
+product are in C order of its factors' indices. Scaled coefficients are b_alpha multinomial(alpha):
+they multiply as coefficients of ordinary polynomials do.
 """
 
 import functools

@@ -159,12 +159,9 @@ def proof(
     written in the Bernstein basis, whose least coefficient is a lower bound on it. Where that is
     negative and no corner is, the cell is cut into parts, whose bounds are closer. A bound includes
     round-off, so that `valid` is a proof for the coordinates as they are. The handedness of cells
-    is that of the undeformed mesh, as `quality` finds it.
-
-    It runs on the host, in double precision. `proven_margin` is traced.
-
-    Sources: Johnen, Remacle, Geuzaine, Geometrical validity of curvilinear finite elements, J.
-    Comput. Phys. 233, 2013.
+    is that of the undeformed mesh, as `quality` finds it. It runs on the host, in double precision.
+    `proven_margin` is traced. Sources: Johnen, Remacle, Geuzaine, Geometrical validity of
+    curvilinear finite elements, J. Comput. Phys. 233, 2013.
 
     **Arguments:**
 
@@ -175,10 +172,8 @@ def proof(
     - `depth`: how often a cell is cut where its sign is open, default 4. Each cut halves all edges,
       and the time. A cell with few open parts is cut up to twice as often.
 
-    **Returns:** a `Proof`.
-
-    **Raises:** `ValueError` for a mesh without cells of its own dimension, for a shape of `points`
-    or `base` other than that of `mesh.points`, and for traced points.
+    **Returns:** a `Proof`. **Raises:** `ValueError` for a mesh without cells of its own dimension,
+    for a shape of `points` or `base` other than that of `mesh.points`, and for traced points.
     """
     whole("depth", depth, 0)
     states = {"points": mesh.points if points is None else points} | ({} if base is None else {"base": base})
