@@ -26,8 +26,6 @@ class InverseDistanceIds(eqx.Module):
 
 
 class InverseDistanceFactors(eqx.Module):
-    """Each node's share of the boundary faces, and the length L."""
-
     area: Float[Array, " b"]
     extent: Float[Array, ""]
 
@@ -50,7 +48,7 @@ class InverseDistance(AbstractMethod):
     - `alpha`: share of L within which the nearest nodes prevail. Default 0.25.
     - `rotations`: whether nodes turn. Default False.
 
-    **Raises:** `ValueError` for a number that is not positive. `prepare` raises it for rotations
+    **Raises:** `ValueError` for a number that is not positive, and in `prepare` for rotations
     without boundary faces.
     """
 
@@ -128,7 +126,7 @@ class InverseDistanceField(AbstractField):
 
 
 def _power(squared: Float[Array, "..."], exponent: float) -> Float[Array, "..."]:
-    """Computes a power of a root; a whole power by products, many times faster."""
+    """Powers of a root; a whole power by products, many times faster."""
     if exponent != int(exponent):
         return squared ** (exponent / 2)
     whole = jax.lax.integer_pow(squared, int(exponent) // 2)
@@ -136,7 +134,7 @@ def _power(squared: Float[Array, "..."], exponent: float) -> Float[Array, "..."]
 
 
 def _vectors(corners: Float[Array, "k c d"]) -> Float[Array, "k d"]:
-    """Computes the area of each face times its normal: of an edge, a triangle or a quad."""
+    """The area of each face times its normal: of an edge, a triangle or a quad."""
     if corners.shape[1] == 2:
         edge = corners[:, 1] - corners[:, 0]
         return jnp.stack([edge[:, 1], -edge[:, 0]], axis=1)
@@ -151,7 +149,7 @@ def _normals(faces: Faces, surface: Float[Array, "b d"]) -> Float[Array, "b d"]:
 
 
 def _areas(faces: Faces, surface: Float[Array, "b d"]) -> Float[Array, " b"]:
-    """Computes each node's share of its faces; a node without any has the mean share."""
+    """Each node's share of its faces; a node without any has the mean share."""
     total = jnp.zeros(len(surface), surface.dtype)
     for ids in faces.values():
         total = total.at[ids].add(norm(_vectors(surface[ids]))[:, None] / ids.shape[1])
@@ -159,7 +157,7 @@ def _areas(faces: Faces, surface: Float[Array, "b d"]) -> Float[Array, " b"]:
 
 
 def _turns(faces: Faces, surface: Float[Array, "b d"], u: Float[Array, "b d"]) -> Float[Array, "b d d"]:
-    """Computes the least rotations from normals to changed normals, less the identity."""
+    """The least rotations from normals to changed normals, less the identity."""
     # Normals are linear in 2-D, and quadratic in 3-D: N(x + u) = N(x) + N'(x) u + N(u). So their
     # change is zero, bit for bit, where u is.
     before, change = jax.jvp(lambda places: _normals(faces, places), (surface,), (u,))

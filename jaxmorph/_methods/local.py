@@ -15,8 +15,8 @@ from .sparse import InterpolatedField, Reach, Searched, squared_distance
 from .surface import Surface
 
 REACH = 1.25
-"""Distance in radii within which nodes are searched for. By the part beyond 1 another node may come
-nearer than the nearest node.
+"""Search distance in radii. In the part beyond 1 another node may come nearer than the nearest
+node.
 """
 
 SPACING = 2.0
@@ -29,8 +29,6 @@ class LocalIds(eqx.Module):
 
 
 class LocalFactors(eqx.Module):
-    """The radius over each node, and whether the nearest nodes were surely found."""
-
     radius: Float[Array, " b"]
     is_certain: Bool[Array, ""]
 
@@ -38,8 +36,8 @@ class LocalFactors(eqx.Module):
 class LocalCorrection(AbstractPlacing):
     """Moves a point with the nearest surface node, by a share that fades with distance.
 
-    u(x) = psi(|x - x_k| / R) u_k, with the nearest node k and Wendland's C2 function psi. In this
-    way Rendall and Allen correct what a reduced set of sources misses on the surface (Journal of
+    u(x) = psi(|x - x_k| / R) u_k, with the nearest node k and Wendland's C2 function psi. So
+    Rendall and Allen correct what a reduced set of sources misses on the surface (Journal of
     Computational Physics 228 and 229, 2009 and 2010). The field is exact at the surface's nodes. It
     needs no system and no graph, so the mesh may reach beyond the hull of its boundary. The field
     jumps where the nearest node changes, by as much as the offsets of two neighbours differ. Of
@@ -55,7 +53,7 @@ class LocalCorrection(AbstractPlacing):
 
     **Raises:** `ValueError` for a radius that is not positive and finite. `refit` raises it where
     another node has come within the radius of a point, and is nearer than the point's own node by a
-    quarter of the radius. Traced code answers NaN there.
+    quarter of the radius; traced code answers NaN there.
     """
 
     radius: Float[Array, ""] | None = eqx.field(default=None, converter=length_or_none("radius"))

@@ -18,9 +18,8 @@ T = TypeVar("T")
 class Cells:
     """The cells of a mesh of n points, and the planes in which nodes slide.
 
-    - `corners`: node ids (k, corners) by type, the cells of highest dimension alone.
-    - `normals` (p, d): unit normals of the symmetry planes, parallel or at right angles to each
-      other.
+    - `corners`: node ids (k, corners) by type, of the cells of highest dimension.
+    - `normals` (p, d): unit normals of the symmetry planes, parallel or at right angles.
     - `on_plane` (n, p): whether a node lies on a plane.
     """
 
@@ -31,15 +30,11 @@ class Cells:
 
 @dataclasses.dataclass(frozen=True)
 class Surface:
-    """The moving and fixed nodes as `AbstractMethod.connect` sees them, on the host.
-
-    A row of the surface is one of its b nodes.
+    """The moving and fixed nodes as `AbstractMethod.connect` sees them, on the host: b rows.
 
     - `points` (b, d): coordinates. The first `moving` rows move, all further rows are fixed.
-    - `nodes` (b,): for each row its id among the points of `connect`, -1 for a row that is not
-      among them.
-    - `moving`: the number of moving rows.
-    - `images` (b,): for each row the row of which it is the mirror image, or itself.
+    - `nodes` (b,): each row's id among the points of `connect`, or -1.
+    - `images` (b,): the row of which each row is the mirror image, or itself.
     - `matched`: rows whose displacement vanishes: a coarse field's sources, as its correction sees
       them.
     - `faces`: the boundary faces between rows, (k, corners) by type (`line` in 2-D), or None
@@ -48,9 +43,9 @@ class Surface:
       plane, or None without cells.
     - `cells`: the mesh's cells and symmetry planes, or None for points alone, or a part of a mesh.
     - `in_planes` (b,): the rows that lie in a symmetry plane and are neither moving nor fixed.
-    - `listed` (b,): for each row its place among the nodes as the caller lists them, or None where
-      rows go in that order. A reduction sees points so: `motions` of `Greedy` have a row for each.
-    - `values`: what was made `once`, by key.
+    - `listed` (b,): each row's place in the caller's list of nodes, or None for the same order: a
+      reduction sees points so, as the `motions` of `Greedy`.
+    - `values`: cache of `once`.
     """
 
     points: np.ndarray
@@ -67,7 +62,6 @@ class Surface:
 
     @property
     def walls(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Finds each row's wall (b,), two ends of each wall (w, 2), and its mean chord (w,)."""
         return self.once("walls", self._walls)
 
     def _walls(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -75,16 +69,15 @@ class Surface:
         return wall, *chords(self.points, wall, self.faces)
 
     def once(self, key: Any, make: Callable[[], T]) -> T:
-        """Makes a value once for all surfaces that are `altered` from this one.
-
-        `key` names the value, with all that it depends on beside the surface.
+        """Caches a value for all surfaces that are `altered` from this one. `key` names it, with
+        all that it depends on beside the surface.
         """
         if key not in self.values:
             self.values[key] = make()
         return self.values[key]
 
     def altered(self, **fields: Any) -> "Surface":
-        """Returns the surface with other `nodes` or `matched` rows; it shares all made `once`."""
+        """Returns the surface with other `nodes` or `matched` rows, and the same cache."""
         return dataclasses.replace(self, **fields)
 
     def reduced(self, moving: AbstractReduction, fixed: AbstractReduction) -> np.ndarray:
@@ -95,7 +88,9 @@ class Surface:
         return np.concatenate([first, drop_near(self.points, second, first, min(closest, closest_fixed))])
 
     def _chosen(self, reduction: AbstractReduction, rows: np.ndarray, others: np.ndarray) -> tuple[np.ndarray, float]:
-        """Chooses rows by a reduction, with images; returns also how close two of them may come."""
+        """Chooses rows by a reduction, with images; returns also the least distance of two of
+        them.
+        """
         # A source too close to its own image gives way to the nearest node that is not too close,
         # one on the plane if there is any. Two sources that are not too close are farther from each
         # other's images: all nodes lie on one side of a plane.
@@ -117,9 +112,8 @@ class Surface:
         return rows[np.isin(self.images[rows], chosen)], closest
 
     def _on_far_walls(self, reduction: AbstractReduction, rows: np.ndarray, others: np.ndarray) -> np.ndarray:
-        """Chooses rows of walls that are farther from the `others` (s, d) than they are long.
-
-        A wall's rows are chosen as if it were alone. There are none where they would be too many.
+        """Chooses rows of walls that are farther from the `others` (s, d) than they are long, as if
+        each wall were alone; none where they would be too many.
         """
         chosen = [rows[:0]]
         if not reduction.most_on_far_walls or self.faces is None or not len(rows):
@@ -139,7 +133,6 @@ class Surface:
         return self.altered(nodes=nodes), np.concatenate([points, self.points[absent]])
 
     def rows(self, n: int) -> np.ndarray:
-        """Finds the surface's row of each of n points; b for a point off the surface."""
         rows = np.full(n, len(self.points), dtype=np.int32)
         present = np.flatnonzero(self.nodes >= 0)
         rows[self.nodes[present]] = present

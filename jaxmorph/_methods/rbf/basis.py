@@ -22,16 +22,14 @@ from ..base import number
 class AbstractBasis(Module):
     """A radial function phi of the squared distance r2 (any shape, the mesh's units squared).
 
-    A basis of your own needs `__call__` alone. Two class attributes say when the interpolation is
-    well posed and how it scales; their defaults suit every positive definite function with a
-    radius:
+    A basis of your own needs `__call__` alone. The defaults of two class attributes suit every
+    positive definite function with a radius:
 
     - `min_degree`: the lowest degree of the polynomial with which the interpolation matrix is
-      regular (None: no polynomial needed). For a conditionally positive definite function of order
-      k it is k - 1.
+      regular (None: no polynomial needed): k - 1 for a conditionally positive definite function of
+      order k.
     - `scale_free`: True if phi of a scaled distance differs from a multiple of phi by a polynomial
-      of `min_degree`. Distances are then taken in units of the sources' extent, which conditions
-      the matrix.
+      of `min_degree`. Distances are then in units of the sources' extent: better conditioned.
     """
 
     min_degree: ClassVar[int | None] = None
@@ -181,9 +179,8 @@ class WendlandC2(AbstractCompactBasis):
 
 
 class WendlandC4(AbstractCompactBasis):
-    """Evaluates phi = (1 - xi)^6 (35/3 xi^2 + 6 xi + 1), with xi = r / `support_radius`.
-
-    It has four continuous derivatives (Wendland 1995).
+    """Evaluates phi = (1 - xi)^6 (35/3 xi^2 + 6 xi + 1), xi = r / `support_radius`: C4 (Wendland
+    1995).
     """
 
     value = staticmethod(lambda xi: (1 - xi) ** 6 * (35 / 3 * xi**2 + 6 * xi + 1))
@@ -191,10 +188,7 @@ class WendlandC4(AbstractCompactBasis):
 
 
 class WendlandC6(AbstractCompactBasis):
-    """Evaluates phi = (1 - xi)^8 (32 xi^3 + 25 xi^2 + 8 xi + 1), with xi = r / `support_radius`.
-
-    It has six continuous derivatives (Wendland 1995).
-    """
+    """Evaluates phi = (1 - xi)^8 (32 xi^3 + 25 xi^2 + 8 xi + 1), xi = r / `support_radius`: C6."""
 
     value = staticmethod(lambda xi: (1 - xi) ** 8 * (32 * xi**3 + 25 * xi**2 + 8 * xi + 1))
     slope = staticmethod(lambda xi: -11 * (1 - xi) ** 7 * (16 * xi**2 + 7 * xi + 1))

@@ -33,9 +33,8 @@ from .system import (
 
 class RBFFactors(eqx.Module):
     """Sources in coordinates of order one, and the factored system (eq. 3) of t = s + p equations.
-
-    `order` are the rows as the pivots have them. With `cardinals`, the factored system is that of
-    the first sources alone.
+    `order` are the rows as pivoted. With `cardinals`, the factored system is that of the first
+    sources.
     """
 
     sources: Float[Array, "s d"]
@@ -56,8 +55,6 @@ class RBFFactors(eqx.Module):
 
 
 class RBFField(AbstractField):
-    """Evaluates eq. (4)."""
-
     basis: AbstractBasis
     degree: int | None = eqx.field(static=True)
     sources: Float[Array, "s d"]
@@ -89,9 +86,8 @@ class RBFField(AbstractField):
 
 
 class Expansion(Module):
-    """Radial functions and a polynomial without coefficients: basis, degree and ridge.
-
-    Sources and points are in scaled coordinates; `scale` is the factor that scaled them.
+    """Basis, degree and ridge. Sources and points are in coordinates that the factor `scale`
+    scaled.
     """
 
     basis: AbstractBasis
@@ -130,7 +126,6 @@ class Expansion(Module):
         return jnp.concatenate([kernel, polynomial(points, self.degree)], axis=1)
 
     def field(self, factors: RBFFactors, values: Float[Array, "s k"], dtype) -> RBFField:
-        """Makes the field with given values at the sources, in a given precision. Traced."""
         terms = polynomial(factors.sources[:1], self.degree).shape[1]
         right = jnp.concatenate([values, jnp.zeros((terms, values.shape[1]), values.dtype)])
         solve = factors.solve if factors.cardinals is None else lambda right: self._iterated(factors, right)
@@ -165,7 +160,7 @@ class Expansion(Module):
         )
 
     def _times_kernel(self, factors: RBFFactors, beta: Float[Array, "s k"]) -> Float[Array, "s k"]:
-        """Multiplies by the kernel's matrix, block by block. To be differentiated."""
+        """Multiplies by the kernel's matrix, block by block. Differentiable."""
         sources, phi = factors.sources, Radial(self.basis, factors.scale)
 
         def of_block(points):
@@ -196,9 +191,8 @@ NEAR = 1e-3
 
 
 def is_sound(error: float, dtype, message: Callable[[str], str], otherwise: str) -> bool:
-    """Raises or warns where rounding changes displacements by an `error` relative to their size.
-
-    `message` is that of a fault; `otherwise` is the fault of an error that is not finite.
+    """Raises or warns where rounding changes displacements by an `error` relative to their size:
+    `message` of a fault, which is `otherwise` where the error is not finite.
     """
     if error <= (NOTICEABLE if jnp.finfo(dtype).bits == 64 else NOTICEABLE_SINGLE):
         return True
@@ -212,10 +206,9 @@ def is_sound(error: float, dtype, message: Callable[[str], str], otherwise: str)
 
 @compiled
 def rounding(expansion: Expansion, factors: RBFFactors, values: Float[Array, "s k"]) -> Float[Array, ""]:
-    """Measures how much rounding changes the interpolation, at the sources and between them.
-
-    It takes one step of iterative refinement: the field of what the first field misses at the
-    sources. It is infinite for a system without a solution.
+    """Measures how much rounding changes the interpolation, at the sources and between them, by one
+    step of iterative refinement: the field of what the first field misses at the sources. It is
+    infinite for a system without a solution.
     """
     sources, count = factors.sources, len(values)
 
@@ -238,7 +231,6 @@ def rounding(expansion: Expansion, factors: RBFFactors, values: Float[Array, "s 
 
 @compiled
 def is_solved(expansion: Expansion, factors: RBFFactors, values: Float[Array, "s k"]) -> Bool[Array, ""]:
-    """Checks whether the iterations converge for the values."""
     return jnp.isfinite(expansion.field(factors, values, values.dtype).beta).all()
 
 
