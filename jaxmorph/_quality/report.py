@@ -1,4 +1,4 @@
-"""Reports on cells: the base of those of `quality`, `face_quality` and `proof`, and the first."""
+"""Reports on cells: the base class, and the report of `quality`."""
 
 from collections.abc import Callable
 from typing import Any, ClassVar
@@ -73,8 +73,8 @@ class Report:
         - `by`: the measure to rank by. By default inverted cells come first. Cells alike are then
           ranked by skewness, faces' smallest pyramid, or the margin of a `Proof`.
 
-        **Raises:** `ValueError` for a measure that is not known, and a `k` that is negative or no
-        whole number.
+        **Raises:** `ValueError` for an unknown measure, and a `k` that is negative or no whole
+        number.
         """
         whole("k", k, 0)
         ids, has_levels = np.flatnonzero(self.counted), by is None
@@ -94,8 +94,7 @@ class Report:
 
     def raise_if_inverted(self) -> None:
         """Raises `ValueError` on the host for inverted cells: how many, and where the first is.
-
-        It does not work inside `jit`: there `inverted` is a value like any other.
+        Inside `jit` it does not work: there `inverted` is a value like any other.
         """
         bad = np.flatnonzero(np.asarray(self.is_inverted) & self.counted)
         if len(bad):

@@ -1,4 +1,4 @@
-"""Faces of a mesh, and the cells beside them: what measures by faces need of the ids."""
+"""Faces of a mesh, and the cells beside them, for measures by faces."""
 
 import dataclasses
 import functools
@@ -17,7 +17,7 @@ from .._mesh.mesh import Mesh
 T = TypeVar("T")
 
 BLOCK = 1 << 14
-"""Faces measured together: their columns stay in a core's cache."""
+"""Faces in a block: their columns stay in a core's cache."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -51,7 +51,7 @@ class Group:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Block:
-    """Holds some faces of a group: the `rows` of the group, all shared or none."""
+    """Some faces of a group: the `rows` of the group, all shared or none."""
 
     group: Group
     rows: slice
@@ -77,7 +77,7 @@ class Block:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Sides:
-    """Holds all faces by their number of corners, and the number of cells, `total`."""
+    """All faces by their number of corners, and the number of cells, `total`."""
 
     groups: tuple[Group, ...]
     total: int
@@ -85,9 +85,7 @@ class Sides:
     @classmethod
     def listed(cls, mesh: Mesh) -> "Sides":
         """Lists the faces of the cells of the highest dimension, polyhedra and polygons whole.
-
-        Raises `ValueError` where cells do not fill the mesh's dimension, and for a mesh without
-        cells.
+        Raises `ValueError` for a mesh without cells, or whose cells do not fill its dimension.
         """
         if mesh.is_curved:
             raise ValueError("OpenFOAM's measures are for linear cells; `quality` measures curved cells.")

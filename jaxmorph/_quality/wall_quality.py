@@ -20,8 +20,7 @@ from .vector import Vector, angle, by_place, cross, dot, norm
 class WallQuality(Module):
     """Result of `wall_quality` at w wall nodes: arrays (w,).
 
-    - `nodes`: their ids, ascending. A wall node without an edge that leaves the wall is not among
-      them.
+    - `nodes`: their ids, ascending, without nodes from which no edge leaves the wall.
     - `angle`: degrees by which the first grid line has left its own angle to the wall; 0 on the
       undeformed mesh.
     - `height`: distance from the wall at which that line ends, along the wall's normal, over the
@@ -72,11 +71,8 @@ def wall_quality(
       softness takes its place, smooth and less by `softness` at most. Default None: none. `height`
       has no kink.
 
-    **Returns:** a `WallQuality`.
-
-    **Raises:** `ValueError` for a patch that is not there, ids out of range, and nodes that hold no
-    side of a cell on the boundary. Also for a mesh without cells, and a shape of `points` other
-    than that of `mesh.points`.
+    **Raises:** `ValueError` for an unknown patch, ids out of range, nodes that hold no side of a
+    cell on the boundary, a mesh without cells, and another shape of `points`.
     """
     current = places(mesh, points)
     if softness is not None and is_known(softness):
@@ -103,7 +99,7 @@ def _measured(
 
 
 def _components(lines: Lines, x: Float[Either, "n d"]) -> tuple[Vector, Float[Either, " w"]]:
-    """Computes components of first grid lines along the wall's normal and the wall, and heights."""
+    """Components of first grid lines along the wall's normal and the wall, and heights."""
     xp = namespace(x)
     areas = xp.zeros((len(lines.nodes), x.shape[1]), x.dtype)
     for rows, area in lines.areas(x):

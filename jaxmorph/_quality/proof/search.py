@@ -17,7 +17,7 @@ from .bernstein import Space
 from .form import form_of
 
 ROOM = 1 << 16
-"""Coefficients that are computed together: they stay in the processor's cache."""
+"""Coefficients in a block: they stay in the processor's cache."""
 
 DEPTH = 4
 """Default of `proof`: parts of a sixteenth of a cell's edges where the sign is open."""
@@ -32,8 +32,7 @@ class Bounds:
 
     - `at`: places (f, k) among the factors of the space.
     - `lower`, `upper`: beyond round-off.
-    - `is_flat`: the least coefficient and the least value are zero to round-off: no subdivision
-      decides the sign.
+    - `is_flat`: both are zero to round-off: no subdivision decides the sign.
     """
 
     lower: Float[np.ndarray, " k"]
@@ -45,9 +44,8 @@ class Bounds:
 def bounds(
     space: Space, coefficients: Float[np.ndarray, "n k"], round_off: Float[np.ndarray, " k"], depth: int
 ) -> Bounds:
-    """Bounds polynomials by coefficients, on parts of a 2^depth-th where the sign needs them.
-
-    Of a cell with few open parts these are cut further.
+    """Bounds polynomials by coefficients, on parts of a 2^depth-th where the sign needs them; of a
+    cell with few open parts further.
     """
     k, d = coefficients.shape[1], sum(m for m, _ in space)
     search = _Search(space, depth, round_off, np.full(k, np.inf), np.full(k, np.inf), np.zeros((d, k)))
@@ -64,7 +62,7 @@ def blocks(rows: Int[np.ndarray, " p"], coefficients: int) -> Iterator[Int[np.nd
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Search:
-    """Knowledge of each cell: its parts' least coefficient, the least value, and its place."""
+    """Each cell's least coefficient of its parts, the least value, and its place."""
 
     space: Space
     depth: int
@@ -74,9 +72,8 @@ class _Search:
     at: np.ndarray
 
     def look(self, coefficients: Float[np.ndarray, "n p"], cell: np.ndarray, path: Int[np.ndarray, "l p"]) -> None:
-        """Looks at parts of cells, and cuts those of open sign; negative cells are done.
-
-        The `path` to a part has the number that it has among its parent's parts, level by level.
+        """Looks at parts of cells, and cuts those of open sign; negative cells are done. The `path`
+        to a part has the number that it has among its parent's parts, level by level.
         """
         least, level, slack = coefficients.min(axis=0), len(path), self.round_off[cell]
         lowest = self._compare(coefficients, cell, path)
@@ -105,7 +102,7 @@ class _Search:
 
 
 def _place(space: Space, path: Int[np.ndarray, "l p"], corner: Int[np.ndarray, " p"]) -> Float[np.ndarray, "f p"]:
-    """Computes the places of parts' corners, by barycentric coordinates from the parts outwards."""
+    """Places of parts' corners, by barycentric coordinates from the parts outwards."""
     corners = np.unravel_index(corner, [m + 1 for m, _ in space])
     paths, found = np.unravel_index(path, [2**m for m, _ in space]), []
     for (m, _), own, parts in zip(space, corners, paths, strict=True):
@@ -121,11 +118,10 @@ def has_least(kind: str, d: int) -> bool:
 
 
 def least_jacobian(kind: str, x: list[Float[Either, "nodes k"]]) -> Float[Either, " k"]:
-    """Computes the least det J of curved cells, in the handedness of their volume.
-
-    `x` are the components of the nodes, relative to the first one. Where det J is positive all
-    over, it is the least at a corner. Where it is not, the place is that of `proof`: a negative
-    value is found wherever the bounds say `invalid`.
+    """The least det J of curved cells, in the handedness of their volume. `x` are the components of
+    the nodes, relative to the first one. Where det J is positive all over, it is the least at a
+    corner. Elsewhere the place is that of `proof`: a negative value is found wherever the bounds
+    say `invalid`.
     """
     form, k = form_of(kind), x[0].shape[1]
     if namespace(x[0]) is np:
