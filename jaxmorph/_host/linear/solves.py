@@ -1,7 +1,7 @@
 """Solvers of a sparse symmetric system: factors, conjugate gradients, and a multigrid cycle.
 
 SciPy's conjugate gradients stop at the residual alone, and sum by a BLAS whose threads cost a
-second core. The cycle has pyamg's levels, swept by SciPy's products. pyamg's Gauss-Seidel sweeps
+second core. The cycle has pyamg's levels, swept by SciPy's products: pyamg's Gauss-Seidel sweeps
 take two to three times as long, and its polynomials take bounds from random vectors.
 """
 
@@ -17,14 +17,12 @@ DIRECT = 12_000
 
 
 def is_factored(unknowns: int, dimension: int) -> bool:
-    """Decides whether a system of a mesh is small enough to be factored."""
     return dimension == 2 or unknowns <= DIRECT
 
 
 class Factors:
-    """Factors of a sparse symmetric matrix, by pivots on the diagonal.
-
-    Their order is that of minimum degree, or, with `is_ordered`, of the matrix.
+    """Factors of a sparse symmetric matrix, by pivots on the diagonal, in the order of minimum
+    degree, or, with `is_ordered`, of the matrix.
     """
 
     def __init__(self, matrix: Any, *, is_ordered: bool = False):
@@ -58,8 +56,8 @@ def conjugate_gradients(
     """Solves for a right side (k,), up to negative curvature (Nocedal and Wright, algorithm 7.1).
 
     `inverse` is the preconditioner. `is_enough` decides from the solution, the residual and the
-    residual's image under `inverse`; there are at most `limit` steps. Returns x (k,), and True if
-    it `is_enough`. If the first direction has negative curvature, x is the direction.
+    residual's image under `inverse`. Returns x (k,), and whether it `is_enough` within `limit`
+    steps. If the first direction has negative curvature, x is the direction.
     """
     x, residual, along, before = np.zeros_like(right), right.copy(), np.zeros_like(right), 1.0
     for _ in range(limit):
@@ -87,9 +85,9 @@ SPREAD = 10
 """Ratio of the largest to the smallest eigenvalue that the smoother reduces."""
 
 STRONG = 0.3
-"""Least entry, relative to the most negative entry of its row, by which unknowns are joined. In a
-thin layer of hexahedra, the neighbour across the layer has the entry -16/36, nodes beside it -4/36,
-other nodes a positive entry. So only lines across the layer are joined.
+"""Least entry, relative to the most negative of its row, that joins unknowns. In a thin layer of
+hexahedra the neighbour across has -16/36, nodes beside it -4/36, others a positive entry: only
+lines across the layer are joined.
 """
 
 COARSEST = 90
@@ -100,8 +98,7 @@ COARSEST = 90
 class Level:
     """A matrix (k, k) of the cycle, and the way to the next matrix.
 
-    - `prolongation` (k, coarse): the interpolation from the next level; `restriction`: its
-      transpose.
+    - `prolongation` (k, coarse): from the next level; `restriction`: its transpose.
     - `inverse` (k,): one over the diagonal.
     - `top`: a bound of the eigenvalues of the matrix over its diagonal, by Gershgorin's circles.
     """

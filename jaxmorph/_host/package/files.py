@@ -15,9 +15,8 @@ import numpy as np
 
 
 def input_path(path: str | os.PathLike[str]) -> pathlib.Path:
-    """Checks the name of a file or folder to read; returns a path, also where nothing exists.
-
-    Raises `ValueError` for a device or a pipe, and for a name with a null byte.
+    """Returns the path of a file or folder to read, also where nothing exists. Raises `ValueError`
+    for a device or a pipe, and for a name with a null byte.
     """
     path = _without_null(path)
     if path.exists() and not (path.is_file() or path.is_dir()):
@@ -28,9 +27,8 @@ def input_path(path: str | os.PathLike[str]) -> pathlib.Path:
 
 
 def file_path(path: str | os.PathLike[str]) -> pathlib.Path:
-    """Returns the name of a file to write as a path.
-
-    Raises `ValueError` for a name with a null byte, and for the name of a folder.
+    """Returns the path of a file to write. Raises `ValueError` for a name with a null byte, and for
+    a folder.
     """
     name = os.fspath(path)
     if name.endswith((os.sep, os.altsep or os.sep)):
@@ -45,10 +43,9 @@ def _without_null(path: str | os.PathLike[str]) -> pathlib.Path:
 
 
 def output_path(path: str | os.PathLike[str], *endings: str, folder: bool = False) -> pathlib.Path:
-    """Checks the name of a file, or of a folder, to write, before any work; returns it as a path.
-
-    Raises `ValueError` for a name without one of the `endings`, if there are any, without a parent
-    folder, and for a folder, a device or a pipe.
+    """Checks the path of a file, or of a folder, to write, before any work. Raises `ValueError` for
+    a name without one of the `endings`, if there are any, without a parent folder, and for a
+    folder, a device or a pipe.
     """
     path = _without_null(path) if folder else file_path(path)
     if endings and path.suffix.lower() not in endings:
@@ -60,7 +57,6 @@ def output_path(path: str | os.PathLike[str], *endings: str, folder: bool = Fals
 
 
 def is_same(a: pathlib.Path, b: pathlib.Path) -> bool:
-    """Checks whether two paths lead to one file."""
     try:
         return os.path.samefile(a, b)
     except OSError:
@@ -70,10 +66,8 @@ def is_same(a: pathlib.Path, b: pathlib.Path) -> bool:
 def check_apart(
     outputs: Iterable[tuple[str, pathlib.Path]], inputs: Mapping[str, Iterable[str | os.PathLike[str] | None]]
 ) -> None:
-    """Raises `ValueError` for an output that is an input, and for two outputs in one file.
-
-    Outputs come with the names that messages give them. Inputs are listed by what is read from
-    them: `the mesh is`.
+    """Raises `ValueError` for an output that is an input, and for two outputs in one file. Outputs
+    come with the names that messages give them, inputs by what is read: `the mesh is`.
     """
     read = [(pathlib.Path(file), what) for what, files in inputs.items() for file in files if file is not None]
     written: dict[pathlib.Path, str] = {}
@@ -88,9 +82,8 @@ def check_apart(
 
 
 def read_arrays(path: pathlib.Path, what: str = "an NPZ file") -> dict[str, np.ndarray]:
-    """Reads the arrays of an NPZ file by name, without objects.
-
-    Raises `ValueError` for a damaged file, and one that is not `what` is expected.
+    """Reads the arrays of an NPZ file by name, without objects. Raises `ValueError` for a damaged
+    file, or one that is not `what` is expected.
     """
     with path.open("rb") as file:
         try:
@@ -111,7 +104,6 @@ def _member(archive: zipfile.ZipFile, name: str) -> np.ndarray:
 
 
 def real_array(path: pathlib.Path, arrays: dict[str, np.ndarray], name: str) -> np.ndarray:
-    """Returns an array of a file as floats; raises `ValueError` if it holds no real numbers."""
     if arrays[name].dtype.kind not in "fiu":
         raise ValueError(f"{path}: the array {name} holds {arrays[name].dtype}; real numbers expected.")
     return arrays[name].astype(float)

@@ -38,8 +38,6 @@ FLAT = 64
 class Graph:
     """The Delaunay graph of a surface, in which any number of points can be located.
 
-    `graph_of` makes it.
-
     - `unique` (k,), `nodes` (k, d): ids of the distinct nodes, and their places relative to
       `centre`, over `size`.
     - `delaunay`: the simplices between the distinct nodes.
@@ -56,9 +54,8 @@ class Graph:
     slack: float
 
     def smallest_weight(self, simplex: np.ndarray, points: np.ndarray) -> np.ndarray:
-        """Computes least barycentric coordinates (k,) of points (k, d) in simplices (k,).
-
-        It is -inf where the simplex is -1 or not higher than `flat`.
+        """Least barycentric coordinates (k,) of points (k, d) in simplices (k,); -inf where the
+        simplex is -1 or not higher than `flat`.
         """
         smallest = np.empty(len(points))
 
@@ -95,10 +92,9 @@ def graph_of(surface: np.ndarray) -> Graph:
 
 
 class _Graph(Delaunay):
-    """A triangulation with a closed form of the barycentric transforms.
-
-    SciPy calls LAPACK for every simplex, at twenty times the cost. It fails for flat simplices, and
-    then `find_simplex` searches through all simplices.
+    """A triangulation with a closed form of the barycentric transforms. SciPy calls LAPACK for
+    every simplex, at twenty times the cost. It fails for flat simplices, and then `find_simplex`
+    searches through all simplices.
     """
 
     @functools.cached_property
@@ -134,24 +130,22 @@ def _graph(nodes: np.ndarray, flat: float) -> Delaunay:
 
 
 def _without_coincident(unit: np.ndarray, closest: float) -> np.ndarray:
-    """Lists distinct nodes in canonical order: of coincident ones the first, or a moving one."""
+    """Distinct nodes in canonical order: of duplicates the first, or a moving one."""
     rows = drop_close(unit, np.arange(len(unit)), closest)
     return rows[canonical_order(unit[rows])]
 
 
 def _snapped(nodes: np.ndarray) -> np.ndarray:
-    """Rounds coordinates to about `SNAP` of the distance of the nearest node.
-
-    So the last bits of the mesh do not reach qhull.
+    """Rounds coordinates to about `SNAP` of the distance of the nearest node, so that the last bits
+    of the mesh do not reach qhull.
     """
     step = 2 ** np.floor(np.log2(SNAP * spacing(nodes)) + BETWEEN)[:, None]
     return np.floor(nodes / step + BETWEEN) * step
 
 
 def _jittered(nodes: np.ndarray, phase: int) -> np.ndarray:
-    """Moves nodes by `JITTER` of the distance of their nearest nodes, by a function of place alone.
-
-    Unlike random numbers, a sine of very short wave length does not depend on the order of nodes.
+    """Moves nodes by `JITTER` of the distance of their nearest nodes, by a function of place alone:
+    unlike random numbers, a sine of very short wave length does not depend on the order of nodes.
     """
     dimension = nodes.shape[1]
     waves = 1e6 * np.sqrt(np.array([[2.0, 3.0, 5.0], [7.0, 11.0, 13.0], [17.0, 19.0, 23.0]]))[:dimension, :dimension]
@@ -244,7 +238,6 @@ def _search(graph: Graph, points: np.ndarray, simplex: np.ndarray) -> tuple[np.n
 
 def _beyond_hull(graph: Graph, targets: np.ndarray) -> np.ndarray:
     """Measures how far points surely lie beyond the plane of a facet of the hull: 0 or less inside.
-
     A small facet says little about a distant point: jitter and round-off may have turned it.
     """
     corners = graph.nodes[graph.delaunay.convex_hull]
