@@ -101,21 +101,17 @@ def compare(
     plan = compared.plans[0]
     ```
 
-    By default these are tried: the default method, `interpolated` (the same without the fit:
-    `SurfaceReconstruction(RBF(reduction=KDTree(64, extremes=True)))`), `DelaunayGraph`,
-    `Multiscale.whole`, `Biharmonic`, `LinearElasticity`, `TorsionalSprings` and
-    `InverseDistance(rotations=True)`. The last one is not linear in `u`. Methods on the cells are
-    left out beyond 100,000 points in 2-D and 40,000 in 3-D, and inverse distances beyond 3e8 pairs
-    of a point and a node of the surface. The table says so.
-
     **Arguments:**
 
     - `boundary`: the boundary of a mesh.
     - `motions`: displacements (s, m, d) of the moving nodes that the mesh is to bear: modes, or
       samples. Each is deformed and judged once by each method.
-    - `methods`: methods to try, by their names in the table. Default: those above.
-
-    **Returns:** a `Comparison`.
+    - `methods`: methods by their names in the table. Default: the default method, `interpolated`
+      (the same without the fit: `SurfaceReconstruction(RBF(reduction=KDTree(64, extremes=True)))`),
+      `DelaunayGraph`, `Multiscale.whole`, `Biharmonic`, `LinearElasticity`, `TorsionalSprings` and
+      `InverseDistance(rotations=True)`, which is not linear in `u`. Methods on the cells are left
+      out beyond 100,000 points in 2-D and 40,000 in 3-D, and inverse distances beyond 3e8 pairs of
+      a point and a node of the surface. The table says so.
 
     **Raises:** `ValueError` when `motions` is not (s, m, d), is zero or not finite, for a boundary
     of points alone, and for `methods` that are no methods by name. Also what `prepare` raises where
@@ -154,7 +150,7 @@ def _checked_motions(motions: Any, expected: tuple[int, int]) -> np.ndarray:
 
 
 def _makers(boundary: Boundary, methods: Mapping[str, AbstractMethod] | None) -> dict[str, Any]:
-    """Returns a function for each method that makes it; it raises for a method that is left out."""
+    """A function for each method that makes it; it raises for a method that is left out."""
     if methods is None:
         wall = Lengths(boundary.points[boundary.moving], boundary.points[boundary.fixed])
         makers = {entry.name: functools.partial(entry.make, wall) for entry in METHODS if entry.is_tried}

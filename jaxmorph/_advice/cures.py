@@ -45,9 +45,8 @@ class Cure:
 
 @dataclasses.dataclass(frozen=True)
 class Turn:
-    """The rigid motion nearest to a displacement, in space also for a mesh in 2-D.
-
-    `rotation` turns about `centre`, which moves by `shift` along the axis.
+    """The rigid motion nearest to a displacement, in space also for a mesh in 2-D: `rotation` about
+    `centre`, which moves by `shift` along the axis.
     """
 
     rotation: Rotation
@@ -66,7 +65,7 @@ class Turn:
         return cls(rotation, middle + arm, way - change @ arm)
 
     def path(self, points: Float[np.ndarray, "m 3"], u: Float[np.ndarray, "m 3"], steps: int) -> list[np.ndarray]:
-        """Computes the displacement at the end of each step; what is no rotation grows evenly."""
+        """The displacement at the end of each step; what is no rotation grows evenly."""
         arms = points - self.centre
         rest = u + arms - self.rotation.apply(arms)
         shares = [step / steps for step in range(1, steps + 1)]
@@ -90,9 +89,8 @@ def in_space(points: Float[np.ndarray, "k d"]) -> Float[np.ndarray, "k 3"]:
 def cures(
     mesh: Mesh, moving: Int[np.ndarray, " m"], fixed: Int[np.ndarray, " f"], u: Float[np.ndarray, "m d"]
 ) -> Iterator[Cure]:
-    """Lists what may help a mesh whose `moving` nodes move by `u`, the surest first.
-
-    It lists nothing for a mesh so large that trials take long.
+    """What may help a mesh whose `moving` nodes move by `u`, the surest first; nothing for a mesh
+    so large that trials take long.
     """
     points, dimension = in_space(np.asarray(mesh.points)), mesh.points.shape[1]
     if len(points) > MOST_POINTS[dimension]:

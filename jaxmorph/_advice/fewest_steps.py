@@ -24,8 +24,7 @@ class Steps:
     - `points`: the points (n, d) at the end, with `report` of their quality.
     - `plans`: one plan a step; `replay` repeats them along `path` (count, m, d), up to the
       improvement.
-    - `improvement`: what `improve` made of the last step's mesh, or None where the steps alone are
-      good.
+    - `improvement`: of the last step's mesh, or None where the steps alone are good.
     """
 
     count: int
@@ -61,17 +60,13 @@ def fewest_steps(
 
     - `plan`: what `prepare` returned.
     - `mesh`: the mesh whose cells are judged.
-    - `motion`: `motion(t)` for t from 0 to 1 is the total displacement (m, d) of the moving nodes;
-      `motion(1)` is all of it.
+    - `motion`: `motion(t)` for t from 0 to 1 is the total displacement (m, d) of the moving nodes.
     - `min_jacobian_ratio`: the least corner Jacobian, relative to its initial value, default 0.05.
     - `max_steps`: the most steps to try, default 16.
     - `improve`: whether to improve a mesh that even `max_steps` steps tangle, default False.
 
-    **Returns:** a `Steps`.
-
     **Raises:** `ValueError` when `max_steps` is less than 1, `min_jacobian_ratio` is not from 0 to
-    1, or `plan` and `mesh` differ in their points. Also for a `motion(t)` that is not (m, d) or not
-    finite.
+    1, `plan` and `mesh` differ in their points, or a `motion(t)` is not (m, d) or not finite.
     """
     whole("max_steps", max_steps)
     between("min_jacobian_ratio", min_jacobian_ratio, 0, 1, "[)")

@@ -45,7 +45,7 @@ UNRESOLVED = 1 / 3
 """Share of the largest displacement that sources may miss between them."""
 
 ROWS = 4096
-"""Points whose distances from all sources are in memory together."""
+"""Points in a block of distances from all sources."""
 
 LEAVES = (64, 128, 256, 512, 1024, 2048)
 """Numbers of leaves of a k-d tree that are tried."""
@@ -78,10 +78,8 @@ def inspect(
     - `nodes`: the mesh's ids of the plan's points, where the plan is of a part of it
       (`prepare_in_chunks`). Default: all.
 
-    **Returns:** an `Inspection`, which names nodes of the mesh.
-
-    **Raises:** `ValueError` when the shape of `u` is not (m, d), or a component is not finite, or
-    the mesh has another number of points than the plan.
+    **Returns:** an `Inspection`, which names nodes of the mesh. **Raises:** `ValueError` for a `u`
+    that is not (m, d) or not finite, and for a mesh with another number of points than the plan.
     """
     if mesh is None or nodes is not None:
         return inspected(plan, u, mesh, nodes)
@@ -124,9 +122,8 @@ def inspected(plan: Plan, u: Any, mesh: Mesh | None, nodes: Any, moved: np.ndarr
 def _of_faces(
     mesh: Mesh, nodes: np.ndarray, vectors: np.ndarray, moving: int
 ) -> tuple[np.ndarray | None, dict[str, Any]]:
-    """Checks what needs faces: the faces' simplices, and what is found of them, by field.
-
-    The mesh's `nodes` (o,) move by `vectors` (o, d); the caller gave the first `moving` vectors.
+    """Checks what needs faces: the faces' simplices, and the findings, by field. The mesh's `nodes`
+    (o,) move by `vectors` (o, d); the caller gave the first `moving` vectors.
     """
     cut, left, node = simplices(mesh, nodes), None, None
     if cut is None:
@@ -200,7 +197,7 @@ def _slope(points: np.ndarray, u: np.ndarray) -> float:
 
 
 def torn_pairs(points: np.ndarray, vectors: np.ndarray, is_fixed: np.ndarray) -> np.ndarray:
-    """Finds pairs of neighbouring rows with contradictory displacements, the worst first."""
+    """Pairs of neighbouring rows with contradictory displacements, the worst first."""
     count = min(2 * points.shape[1], len(points) - 1)
     distance, nearest = map(np.asarray, Tree(points).query(points, k=count + 1))
     first, second = np.repeat(np.arange(len(points)), count), nearest[:, 1:].ravel()
@@ -224,9 +221,8 @@ def share_faces(pairs: np.ndarray, faces: np.ndarray, count: int) -> np.ndarray:
 
 
 def crossings(cut: tuple[np.ndarray, np.ndarray], mesh: Mesh, nodes: np.ndarray, vectors: np.ndarray) -> Crossings:
-    """Finds where the boundary crosses itself after its `nodes` (o,) move by `vectors` (o, d).
-
-    `cut` is what `simplices` returned for the nodes.
+    """Finds where the boundary crosses itself after its `nodes` (o,) move by `vectors` (o, d);
+    `cut` are the `simplices` of the nodes.
     """
     (faces, ids), points = cut, np.asarray(mesh.points, dtype=float)
     before = points[nodes]
@@ -240,10 +236,8 @@ def crossings(cut: tuple[np.ndarray, np.ndarray], mesh: Mesh, nodes: np.ndarray,
 
 
 def simplices(mesh: Mesh, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    """Cuts the boundary faces between `nodes` (o,) into simplices (f, d); None without faces.
-
-    A simplex has rows of `nodes`, seen from outside. It also returns the number (f,) of the file's
-    face that each is a part of.
+    """Cuts the boundary faces between `nodes` (o,) into simplices (f, d), rows of `nodes`, seen
+    from outside; None without faces. Also returns the number (f,) of the file's face of each.
     """
     outer = outer_faces(mesh)
     if outer is None:
@@ -304,9 +298,8 @@ def overshoot(
 
 
 def missed(points: np.ndarray, u: np.ndarray, sources: np.ndarray) -> float:
-    """Measures what an interpolation from `sources` misses of `u` (m, d) at `points` (m, d).
-
-    It is relative to the largest displacement, and zero without one. The interpolation is that by
+    """Measures what an interpolation from `sources` misses of `u` (m, d) at `points` (m, d),
+    relative to the largest displacement, and zero without one. The interpolation is that by
     distances, and a constant; SciPy's `RBFInterpolator` takes a tenth of a second to import.
     """
     largest = np.linalg.norm(u, axis=1).max(initial=0)
@@ -324,7 +317,7 @@ def missed(points: np.ndarray, u: np.ndarray, sources: np.ndarray) -> float:
 
 
 def leaves_enough(points: np.ndarray, u: np.ndarray) -> int | None:
-    """Finds the least of `LEAVES` whose sources miss less than a third of `u`, or None."""
+    """The least of `LEAVES` whose sources miss less than a third of `u`, or None."""
     for leaves in LEAVES:
         sources = KDTree(leaves, extremes=True)(points)
         if missed(points, u, sources) <= UNRESOLVED:

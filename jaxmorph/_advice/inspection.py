@@ -168,7 +168,6 @@ class Inspection:
             )
 
     def renumbered(self, ids: np.ndarray) -> "Inspection":
-        """Renumbers the inspection for a larger mesh, in which node k is node `ids[k]`."""
         ids, names = np.asarray(ids), ("contradictions", "put_back", "ended")
         rows = {name: ids[getattr(self, name)] for name in names}
         return dataclasses.replace(self, offset_node=int(ids[self.offset_node]), **rows)

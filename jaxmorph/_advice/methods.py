@@ -34,14 +34,14 @@ class Entry:
     - `name`: its name as a word, for flags and the table of `compare`.
     - `path`: the class, or its constructor, in `_methods`: `cells.equations.Laplacian` stands in
       `cells/equations.py`.
-    - `sentence`: what it is, for help and the output of commands.
+    - `sentence`: for help and the output of commands.
     - `needs_cells`: True where it solves on the mesh's cells.
-    - `sources`: which nodes of the wall are sources: `some` (then the number is free), `all` or
+    - `sources`: nodes of the wall that are sources: `some` (then the number is free), `all` or
       `none`.
     - `is_tried`: True where `compare` tries it, beside the default.
     - `is_cure`: True where `jaxmorph deform` tries it after the default has inverted cells.
     - `title`: its name in tables of the benchmarks, where that is not `name`.
-    - `numbers`, `options`: what it is called with, the numbers from the lengths of a boundary.
+    - `numbers`, `options`: its arguments, the numbers from the lengths of a boundary.
     """
 
     name: str

@@ -18,14 +18,12 @@ from .holes import distance_from_edges, inside, rim
 from .walls import ALONG_AXIS, AbstractWall, Flat
 
 BLOCK = 512
-"""Nodes whose nearest faces are searched together."""
+"""Nodes in a block."""
 
 
 class FlatFaces(Flat):
-    """The plane (the line in 2-D) of a patch's own faces.
-
-    - `nodes` (v,), `vertices` (v, d): ids or rows of the patch's nodes, and their places.
-    - `faces` (e, d): corners, as rows of `vertices`.
+    """The plane (the line in 2-D) of a patch's own faces. `nodes` (v,) are ids or rows of the
+    patch's nodes, `vertices` (v, d) their places, `faces` (e, d) corners, as rows of `vertices`.
     """
 
     nodes: Int[Array | np.ndarray, " v"]
@@ -162,7 +160,7 @@ def normal_of(corners: Float[Array, "d d"]) -> Float[Array, " d"]:
 
 
 def faces_around(elements: Int[np.ndarray, "e c"], count: int) -> Int[np.ndarray, "v w"]:
-    """Lists the faces at each of `count` vertices and its neighbours; the last face fills a row."""
+    """The faces at each of `count` vertices and its neighbours; the last face fills a row."""
     ids = np.repeat(np.arange(len(elements)), elements.shape[1])
     touch = csr_array((np.ones(ids.size), (elements.ravel(), ids)), shape=(count, len(elements)))
     near = csr_array(touch @ touch.T @ touch)
@@ -213,7 +211,7 @@ class CurvedFaces(Faceted):
     def _searched(
         self, x: Float[Array, " d"], start: Float[Array, " e"], coefficients: Float[Array, "k d"]
     ) -> Float[Array, " e"]:
-        """Finds the coordinates of a face's place near x, inside of the face."""
+        """The coordinates of a face's place near x, inside of the face."""
         place = functools.partial(_place, powers=polynomials(self.kind)[0])
 
         def nearer(at, _):
@@ -248,7 +246,7 @@ def _solved(matrix: Float[Array, "e e"], right: Float[Array, " e"]) -> Float[Arr
 
 @functools.cache
 def polynomials(kind: str) -> tuple[np.ndarray, np.ndarray]:
-    """Returns exponents (k, e) of a side's polynomial, and coefficients (k, s) by its nodes."""
+    """Exponents (k, e) of a side's polynomial, and coefficients (k, s) by its nodes."""
     name, completion = lagrange_types()[kind].completion()
     complete = lagrange_types()[name]
     monomials = np.prod(complete.reference[:, None] ** complete.lattice[None], axis=2)
@@ -272,10 +270,9 @@ class SmoothFaces(Faceted):
     """
 
     def _normals(self, vertices):
-        """Computes unit normals at the vertices, exact on a sphere (a circle in 2-D).
-
-        Source: Max, Weights for computing vertex normals from facet normals, J. Graph. Tools 4,
-        1999. At a rim, where faces lie on one side only, the normals of inner vertices go on.
+        """Unit normals at the vertices, exact on a sphere (a circle in 2-D). At a rim, where faces
+        lie on one side only, the normals of inner vertices go on. Source: Max, Weights for
+        computing vertex normals from facet normals, J. Graph. Tools 4, 1999.
         """
         faces = jnp.asarray(self.faces)
         corners, size = vertices[faces], faces.shape[1]
@@ -296,10 +293,9 @@ class SmoothFaces(Faceted):
     def _beyond(
         self, vertices: Float[Array, "v d"], unit: Float[Array, "v d"], is_rim: Bool[Array, " v"]
     ) -> Float[Array, "v d"]:
-        """Continues the normals of inner vertices along edges, exact on a sphere.
-
-        A short edge counts most: sides of quads count more than diagonals. Without inner neighbours
-        a vertex keeps its normal.
+        """Continues the normals of inner vertices along edges, exact on a sphere. A short edge
+        counts most: sides of quads count more than diagonals. Without inner neighbours a vertex
+        keeps its normal.
         """
         faces = jnp.asarray(self.faces)
         total, weights, size = jnp.zeros_like(unit), jnp.zeros(len(unit), unit.dtype), faces.shape[1]
@@ -329,7 +325,7 @@ class SmoothFaces(Faceted):
 def _raised(
     x: Float[Array, " d"], corners: Float[Array, "w d d"], normals: Float[Array, "w d d"]
 ) -> tuple[Float[Array, " d"], Float[Array, " d"]]:
-    """Finds the place of the surface above the nearest place of the faces, and the normal there."""
+    """The place of the surface above the nearest place of the faces, and the normal there."""
     place, chosen = _closest(x, corners)
     corner, normal = corners[chosen], normals[chosen]
     sides = corner[1:] - corner[0][None]

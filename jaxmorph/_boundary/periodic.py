@@ -29,8 +29,8 @@ class Periodic:
 
     **Arguments:**
 
-    - `patch`, `partner`: names of patches, or ids of their nodes. The transform leads from `patch`
-      to `partner`.
+    - `patch`, `partner`: names of patches, or ids of their nodes; the transform leads from the
+      first to the second.
     - `translation`: vector (d,), in the mesh's units. Default: found.
     - `rotation`: angle in radians. Default: found from the middles of the patches.
     - `about`: a point (d,) on the axis of the rotation. Default: the origin.
@@ -143,7 +143,7 @@ class Pairing(eqx.Module):
         return dataclasses.replace(self, shift=shift)
 
     def misses(self, points: Float[np.ndarray, "n d"]) -> Float[np.ndarray, " q"]:
-        """Measures distances of second nodes from their partners' images, on the host."""
+        """Distances of second nodes from their partners' images, on the host."""
         return np.linalg.norm(points[self.first] @ self.matrix.T + self.shift - points[self.second], axis=1)
 
     def matched(self, base: Float[Array, "n d"], points: Float[Array, "n d"]) -> Float[Array, "n d"]:
@@ -224,9 +224,8 @@ def paired(
 
 
 def across_one_layer(planes: Sequence[Plane], points: Float[np.ndarray, "n d"]) -> tuple[Pairing, ...]:
-    """Pairs the nodes of two parallel planes that hold all nodes, around one layer of cells.
-
-    The pairs move alike, and make no images. There are none where the planes' nodes do not match.
+    """Pairs the nodes of two parallel planes that hold all nodes, around one layer of cells. The
+    pairs move alike, and make no images. There are none where the planes' nodes do not match.
     """
     nodes = [np.flatnonzero(plane.holds(points)) for plane in planes]
     for k, other in itertools.combinations(range(len(planes)), 2):
@@ -265,7 +264,7 @@ def _paired(
 def _partners(
     periodic: Periodic, first: np.ndarray, second: np.ndarray, points: np.ndarray, images: np.ndarray
 ) -> np.ndarray:
-    """Finds the second node at the image of each first node; each once."""
+    """The second node at the image of each first node; each once."""
     exact = points[second].astype(float)
     distance, nearest = map(np.asarray, Tree(exact).query(images))
     gaps = np.minimum(spacing(exact), np.ptp(points.astype(float), axis=0).max())
@@ -290,7 +289,7 @@ def _partners(
 
 
 def _transform(periodic: Periodic, middle: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-    """Returns matrix, shift and angle of the transform: 0 for a translation."""
+    """Matrix, shift and angle of the transform: 0 for a translation."""
     dimension = len(middle)
     _check_vectors(periodic, dimension)
     if not periodic.is_rotation:
@@ -327,7 +326,7 @@ def _sharp(shift: np.ndarray) -> np.ndarray:
 
 
 def _generator(axis: np.ndarray | None, dimension: int) -> tuple[np.ndarray, np.ndarray]:
-    """Returns the matrix of the cross product with the axis, and the projection across the axis."""
+    """The matrix of the cross product with the axis, and the projection across the axis."""
     if axis is None:
         return np.array([[0.0, -1.0], [1.0, 0.0]]), np.eye(dimension)
     x, y, z = axis / np.linalg.norm(axis)

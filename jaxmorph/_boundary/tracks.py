@@ -23,10 +23,8 @@ SMOOTH = np.cos(np.deg2rad(5))
 
 
 class Track(eqx.Module):
-    """Nodes that stay on one wall, or on the edge between two walls.
-
-    - `rows` (k,): ids or rows of the nodes.
-    - `walls`: one or two walls.
+    """Nodes that stay on one wall, or on the edge between two `walls`. `rows` (k,) are ids or
+    rows.
     """
 
     rows: Int[Array | np.ndarray, " k"]
@@ -38,7 +36,7 @@ class Track(eqx.Module):
         return all(wall.is_flat for wall in self.walls)
 
     def normals(self, points: Float[Array, "n d"]) -> Float[Array, "k w d"]:
-        """Computes, in each row, orthogonal unit vectors that span the walls' normals. Traced."""
+        """In each row, orthogonal unit vectors that span the walls' normals. Traced."""
         places = self.project(points[self.rows])
         first, *others = (wall.height(places)[1] for wall in self.walls)
         frame = [first]
@@ -71,7 +69,6 @@ class Track(eqx.Module):
         return nearer(x, None)[0] if is_exact else jax.lax.scan(nearer, x, length=STEPS)[0]
 
     def at(self, points: Float[Array, "n d"]) -> "Track":
-        """Moves the track to other base points. Traced."""
         return Track(self.rows, tuple(wall.at(points) for wall in self.walls))
 
     def renumbered(self, place: Int[np.ndarray, " n"]) -> "Track":
@@ -88,7 +85,7 @@ def smoothed(track: Track) -> Track:
 
 
 def _least(normals, above):
-    """Computes the shortest vectors with the components `above` along one or two normals."""
+    """The shortest vectors with the components `above` along one or two normals."""
     first, *others = (jnp.broadcast_to(normal, (len(above[0]), normal.shape[-1])) for normal in normals)
     if not others:
         return above[0][:, None] * first
@@ -102,12 +99,11 @@ def _least(normals, above):
 def tracks_of(
     walls: Sequence[tuple[AbstractWall, np.ndarray]], planes: Sequence[Plane], points: np.ndarray
 ) -> tuple[tuple[Track, ...], np.ndarray]:
-    """Groups nodes of sliding patches by walls, as tracks; also lists nodes that cannot slide.
-
-    Corners and the apex of a cone cannot slide.
+    """Groups nodes of sliding patches by walls, as tracks; also lists nodes that cannot slide:
+    corners and the apex of a cone.
     """
-    # A node has a row of flags: the walls and planes on which it lies. Nodes with equal rows are
-    # one track. A node on as many walls as there are dimensions cannot slide.
+    # A node has a row of flags: the walls and planes on which it lies. Equal rows are one track. A
+    # node on as many walls as there are dimensions cannot slide.
     n, dimension = points.shape
     flags = np.zeros((n, len(walls) + len(planes)), dtype=bool)
     is_apex = np.zeros(n, dtype=bool)

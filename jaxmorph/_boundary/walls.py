@@ -46,8 +46,6 @@ class AbstractWall(Module):
 
 
 class Flat(AbstractWall):
-    """A plane, or a line in 2-D."""
-
     normal: Float[Array | np.ndarray, " d"]
     origin: Float[Array | np.ndarray, " d"]
 
@@ -62,9 +60,8 @@ class Flat(AbstractWall):
 
 
 class Round(AbstractWall):
-    """A circle in 2-D, a surface of revolution in 3-D.
-
-    The profile is a line, or a cubic spline of the radius.
+    """A circle in 2-D, a surface of revolution in 3-D, with a line or a cubic spline as its
+    profile.
 
     - `axis`, `origin` (d,): the axis, zero in 2-D, and a point on it.
     - `line` (3,): (a, b, c) with a z + b r = c and a^2 + b^2 = 1 at places z along the axis and

@@ -19,8 +19,8 @@ from .._quality.distortion import Bounds
 from .motion import Distortion, Ways
 
 QUARTER = 0.05
-"""Least cosine between a wall's normals where a node starts and where it ends. Below it, the end is
-no minimum.
+"""Least cosine between a wall's normals at a node's start and end. Below it, the end is no
+minimum.
 """
 
 SHARPEST, GENTLER, STAGES = 1e-3, 0.3, 5
@@ -34,7 +34,7 @@ CLOSE = 0.03
 
 
 class Search(NamedTuple):
-    """Settings that all stages share: the Hessian's pattern, and when a stage ends."""
+    """Settings of all stages: the Hessian's pattern, and when a stage ends."""
 
     blocks: Pattern
     tolerance: Float[Array, ""]
@@ -71,10 +71,9 @@ def softened(distortion: Distortion, base: Float[Array, "n d"], search: Search) 
 
 
 def stiffened(plain: Minimum, base: Float[Array, "n d"], search: Search) -> Minimum:
-    """Finds the minimum within the closest bounds on distortion and size that leave room for it.
-
-    Bounds stand on rungs. Between jumps they do not depend on the points, so the derivative of the
-    last minimum is the derivative of the whole search.
+    """Finds the minimum within the closest feasible bounds on distortion and size. Bounds stand on
+    rungs. Between jumps they do not depend on the points, so the derivative of the last minimum is
+    the derivative of the whole search.
     """
     y, held = map(jax.lax.stop_gradient, (plain.y, base))
     distortion, y, steps = _climbed(plain.distortion, y, held, search)
@@ -84,9 +83,8 @@ def stiffened(plain: Minimum, base: Float[Array, "n d"], search: Search) -> Mini
 
 @compiled
 def _climbed(distortion: Distortion, y, base, search: Search):
-    """Moves the bounds rung by rung until the worst samples leave no room for the next.
-
-    Returns the rungs where the smallest determinant is largest, and the steps of all rungs.
+    """Moves the bounds rung by rung until the worst samples leave no room for the next. Returns the
+    rungs where the smallest determinant is largest, and the steps of all rungs.
     """
     distortion, enough = distortion.movable(), jnp.stack([jnp.maximum(search.tolerance, CLOSE)] * 2)
 
@@ -154,7 +152,7 @@ _least = compiled(Distortion.least)
 
 @compiled
 def judged(plain: Distortion, minimum: Minimum, base: Float[Array, "n d"]):
-    """Computes the distortion without stiffness, the slope with it, the points, and lost pieces."""
+    """The distortion without stiffness, the slope with it, the points, and lost pieces."""
     distortion, y, _ = minimum
     value, slope = plain(y, base), jax.grad(distortion)(y, base)
     points, ways = distortion.points(y, base), distortion.ways
@@ -201,9 +199,8 @@ class _Inverse(lx.AbstractLinearOperator):
 
 
 class HessianSolver(lx.AbstractLinearSolver):
-    """A solver with the energy's Hessian at a minimum, on the host: implicit differentiation.
-
-    Its operator is the derivative of the energy's gradient, as optimistix builds it.
+    """A solver with the energy's Hessian at a minimum, on the host: implicit differentiation. Its
+    operator is the derivative of the energy's gradient, as optimistix builds it.
     """
 
     distortion: Distortion
@@ -233,9 +230,8 @@ def _(operator):
 
 
 class ProjectedNewton(optx.AbstractQuasiNewton):
-    """Newton's method; far from a minimum without negative curvature, so that steps descend.
-
-    Teran et al., Robust quasistatic finite elements and flesh simulation, SCA 2005.
+    """Newton's method; far from a minimum without negative curvature, so that steps descend (Teran
+    et al., Robust quasistatic finite elements and flesh simulation, SCA 2005).
     """
 
     rtol: Any

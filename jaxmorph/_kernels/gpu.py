@@ -41,7 +41,6 @@ ELEMENTWISE = {
 
 
 def has_kernels() -> bool:
-    """Checks whether JAX's default device is a GPU of NVIDIA for which Pallas compiles."""
     if jax.default_backend() != "gpu":
         return False
     major = re.match(r"(\d+)\.\d+$", str(getattr(jax.devices()[0], "compute_capability", "")))  # of AMD: gfx90a
@@ -53,7 +52,6 @@ CALLS = {"jit": "jaxpr", "pjit": "jaxpr", "custom_jvp_call": "call_jaxpr", "clos
 
 
 def is_elementwise(phi: Callable, dtype: Any) -> bool:
-    """Checks whether a function of one array uses only operations that a kernel may use."""
     with as_for_cpu():
         closed = jax.make_jaxpr(phi)(jax.ShapeDtypeStruct((BLOCK,), dtype))
     return not any(jnp.ndim(const) for const in closed.consts) and _allowed(closed.jaxpr)
@@ -74,9 +72,8 @@ def fused_sum(
     points: Float[Array, "c d"],
     constants: Sequence[Float[Array, ""]] = (),
 ) -> Float[Array, "c k"]:
-    """Computes `phi(squared distances of points and sources, *constants) @ weights`, for CUDA.
-
-    A program of the kernel has a block of points, and, if there are few points, a part of the
+    """Returns `phi(squared distances of points and sources, *constants) @ weights`, for CUDA. A
+    program of the kernel has a block of points, and, if there are few points, a part of the
     sources. All blocks have one size: the last block overlaps the block before it. A thread keeps
     the sums of its points in registers, and the loop runs over the sources.
     """
@@ -114,7 +111,7 @@ def fused_sum(
 
 
 def _layout(n: int, count: int) -> tuple[int, int, int, int]:
-    """Lays out `n` points and `count` sources: block, warps, count of blocks, sources of a part."""
+    """For `n` points and `count` sources: block, warps, count of blocks, sources of a part."""
     block, warps = (BLOCK, WARPS) if n >= FEW else (min(FEW_BLOCK, 1 << int(math.log2(n))), FEW_WARPS)
     blocks = -(-n // block)
     return block, warps, blocks, count if n >= FEW else max(LEAST_SHARE, -(-count * blocks // PROGRAMS))

@@ -37,7 +37,7 @@ def deform(plan: Plan, u: Real[ArrayLike, "m d"] | Sequence[Any]) -> Float[Array
     - `u`: displacements (m, d) of the moving nodes, in the mesh's unit.
 
     **Returns:** all points (n, d), in the mesh's own node order and unit. **Raises:** `ValueError`
-    when the shape of `u` is not (m, d).
+    for another shape of `u`.
     """
     parts = slabs(len(plan.volume.points), plan, u) if isinstance(plan, Plan) and plan.layout is None else ()
     if not parts:
@@ -81,8 +81,7 @@ def pullback(
     - `u`: displacements (m, d) of the moving nodes. Where `plan.is_linear`, only the shape matters.
     - `cotangent`: dJ/d(points) at all points (n, d), in the mesh's own node order.
 
-    **Returns:** dJ/du (m, d). **Raises:** `ValueError` when the shape of `u` is not (m, d), or the
-    shape of `cotangent` not (n, d).
+    **Returns:** dJ/du (m, d). **Raises:** `ValueError` for another shape of `u` or `cotangent`.
     """
     number = shares(plan, u, cotangent) if isinstance(plan, Plan) and plan.layout is None else 1
     if number == 1:
@@ -112,17 +111,16 @@ def _of_points(plan: Plan, cotangent: Any) -> Float[Array, "n d"]:
 def velocity(plan: Plan, u: Float[ArrayLike, "m d"], u_dot: Float[ArrayLike, "m d"]) -> Float[Array, "n d"]:
     """Computes the velocity of every node from the velocity of the moving nodes.
 
-    The volume of a cell changes at the rate of the velocity's flux through the faces of the cell,
-    to round-off: the geometric conservation law.
+    The volume of a cell changes at the rate of the velocity's flux through its faces, to round-off:
+    the geometric conservation law.
 
     **Arguments:**
 
     - `plan`: what `prepare` returned.
-    - `u`: displacements (m, d) at this time.
-    - `u_dot`: velocities (m, d) of the moving nodes.
+    - `u`, `u_dot`: displacements and velocities (m, d) of the moving nodes at this time.
 
-    **Returns:** velocities (n, d), zero at fixed nodes. **Raises:** `ValueError` when the shape of
-    `u` or `u_dot` is not (m, d).
+    **Returns:** velocities (n, d), zero at fixed nodes. **Raises:** `ValueError` for another shape
+    of `u` or `u_dot`.
     """
     u, u_dot = jnp.asarray(u, plan.points.dtype), jnp.asarray(u_dot, plan.points.dtype)
     if u.shape != u_dot.shape:
@@ -131,10 +129,9 @@ def velocity(plan: Plan, u: Float[ArrayLike, "m d"], u_dot: Float[ArrayLike, "m 
 
 
 def with_transposes(plan: Any, parts: int = 1) -> Any:
-    """Adds the tables, for so many shares of points, to a plan of known arrays, and to its guide.
-
-    They are made once for a plan. A plan that is traced, or laid over devices, stays as it is: its
-    transpose scatters, or has tables.
+    """Adds the tables, for so many shares of points, to a plan of known arrays, and to its guide,
+    once. A plan that is traced, or laid over devices, stays as it is: its transpose scatters, or
+    has tables.
     """
     if not isinstance(plan, Plan) or plan.layout is not None or not is_readable(plan):
         return plan
@@ -171,15 +168,14 @@ STEP = 1536
 
 
 def slabs(count: int, *arguments: Any) -> list[tuple[np.ndarray, int]]:
-    """Divides points into slabs: first rows and counts; none for traced calls or few points.
-
-    All have one size, and so one program; some overlap. The number of cores does not change them:
+    """Divides points into slabs: first rows and counts; none for traced calls or few points. All
+    have one size, and so one program; some overlap. They do not depend on the number of cores:
     results have equal bits.
     """
     if count < 2 * LEAST or not is_direct(arguments):
         return []
     # Every slab ends with the points that are left over when all are divided into steps, as the
-    # last slab has to. The rows that a slab shares with the next slab are cut off.
+    # last slab has to. Rows shared with the next slab are cut off.
     rest, number = count % STEP, min(MOST, count // LEAST // 2 * 2)
     stride = -(-(count - rest) // (number * STEP)) * STEP
     size = stride + rest

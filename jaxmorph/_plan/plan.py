@@ -24,10 +24,9 @@ from .devices import Layout, over_points, rows_here
 
 
 class SurfacePart(eqx.Module):
-    """The surface and the solve, which every device holds whole.
-
-    The o own rows are the moving, fixed and guided nodes. The b rows are own rows and their images.
-    In a plan of a piece, `nodes` has numbers from n on for nodes that the piece lacks.
+    """The surface and the solve, which every device holds whole. The o own rows are the moving,
+    fixed and guided nodes. The b rows are own rows and their images. In a plan of a piece, `nodes`
+    has numbers from n on for nodes that the piece lacks.
     """
 
     points: Float[Array, "b d"]
@@ -86,10 +85,8 @@ class Guide(Module):
 
 
 class VolumePart(eqx.Module):
-    """Per-point arrays, split over devices.
-
-    Every leaf has one row per mesh point, except tables of transposes. `rests` marks nodes of no
-    cell.
+    """Per-point arrays, split over devices. Every leaf has one row per mesh point, except tables of
+    transposes. `rests` marks nodes of no cell.
     """
 
     points: Float[Array, "n d"]
@@ -99,7 +96,7 @@ class VolumePart(eqx.Module):
     rests: Bool[Array, " n"] | None = None
 
     def seen(self, at: Float[Array, " d"]) -> Float[Array, "n d"]:
-        """Returns the points as a method sees them: nodes of no cell are `at` one place."""
+        """The points as a method sees them: nodes of no cell are `at` one place."""
         return self.points if self.rests is None else jnp.where(self.rests[:, None], at[None], self.points)
 
 
@@ -108,9 +105,9 @@ class Plan(Module):
 
     `prepare` makes it. It survives `jax.tree` round trips, pickling and
     `equinox.tree_serialise_leaves`, and passes through `jit`, `vmap` and `grad` like any array. The
-    fields `surface` and `volume` belong to the driver. So do `carried` (by a step of `march`) and
-    `layout` (over devices). In a plan of a piece (`SurfaceHalf.attach`), node ids from len(points)
-    on stand for nodes of other pieces.
+    fields `surface`, `volume`, `carried` (by a step of `march`) and `layout` (over devices) belong
+    to the driver. In a plan of a piece (`SurfaceHalf.attach`), node ids from len(points) on stand
+    for nodes of other pieces.
     """
 
     method: AbstractMethod
@@ -172,9 +169,8 @@ class Plan(Module):
 
     @property
     def sources(self) -> Int[np.ndarray, " s"]:
-        """Node ids of the coarse field's sources, on the host: moving ones first, without images.
-
-        A source is a control point of the field: the centre of one radial basis function.
+        """Node ids of the coarse field's sources, on the host: moving ones first, without images. A
+        source is a control point of the field: the centre of one radial basis function.
         """
         rows = np.asarray(self.method.control(self.surface.ids).sources, dtype=np.int64)
         rows = rows[np.asarray(self.images.kind)[rows] == 0]
@@ -215,7 +211,6 @@ class Plan(Module):
         return kept(self, extended(self, u))
 
     def __repr__(self) -> str:
-        """Describes the plan, whose leaves may be concrete, stacked or traced, shapes, or None."""
         points, nodes = self.volume.points, self.surface.nodes
         parts = [f"{self.n_moving} moving"]
         if hasattr(points, "shape") and hasattr(nodes, "shape"):

@@ -53,15 +53,10 @@ def replay(plans: Sequence[Plan], path: Real[ArrayLike, "k m d"] | Sequence[Any]
     """Repeats the steps of a `march` with the recorded ids: the points are equal.
 
     Traced; differentiable with respect to `path`, and to the base coordinates through
-    `refit(plans[0], points)`.
+    `refit(plans[0], points)`. `plans` are those that `march` returned, and `path` (k, m, d) has an
+    entry for every plan, as for `march`.
 
-    **Arguments:**
-
-    - `plans`: the plans that `march` returned.
-    - `path`: displacements (k, m, d), one entry for every plan, as for `march`.
-
-    **Returns:** the points (n, d) at the end. **Raises:** `ValueError` when `path` does not have
-    one entry (m, d) for every plan.
+    **Returns:** the points (n, d) at the end. **Raises:** `ValueError` for another shape of `path`.
     """
     if not plans:
         raise ValueError("`plans` is empty: pass the plans that `march` returned.")
@@ -82,7 +77,7 @@ def replay(plans: Sequence[Plan], path: Real[ArrayLike, "k m d"] | Sequence[Any]
 
 
 def _targets(plan: Plan, path) -> Float[Array, "k o d"]:
-    """Computes the places (k, o, d) of the surface's own rows at the end of every step."""
+    """Places (k, o, d) of the surface's own rows at the end of every step."""
     path = jnp.asarray(path, plan.points.dtype)
     m, d = plan.n_moving, plan.points.shape[1]
     if path.ndim != 3 or path.shape[1:] != (m, d):
