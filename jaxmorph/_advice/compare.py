@@ -28,8 +28,7 @@ from .._quality.quality import quality
 from .._quality.wall_quality import wall_quality
 from .methods import METHODS, MOST_POINTS, Lengths
 
-MOST_PAIRS = 300_000_000
-"""Points times nodes of the surface up to which inverse distances are tried."""
+MOST_PAIRS = 300_000_000  # points times nodes of the surface up to which inverse distances are tried
 
 COLUMNS = ("sources", "inverted", "ratio", "angle", "seconds")
 

@@ -19,14 +19,9 @@ from .._quality.quality import quality
 from .largest_step import largest_step
 from .methods import METHODS, MOST_POINTS, Lengths, entry
 
-STEPS = 2, 4, 8
-"""Numbers of steps that are tried."""
-
-ROUND = 1e-3
-"""Largest change of radius, or of place along the axis, over the radius, of a round patch."""
-
-TURNS = 0.1
-"""Angle of a motion in radians from which on its path turns, and round patches may slide."""
+STEPS = 2, 4, 8  # numbers of steps that are tried
+ROUND = 1e-3  # largest change of radius, or of place along the axis, over the radius, of a round patch
+TURNS = 0.1  # angle of a motion in radians from which on its path turns, and round patches may slide
 
 
 @dataclasses.dataclass(frozen=True)

@@ -29,26 +29,13 @@ from .._quality.quality import quality
 from .cures import advice_on_folds
 from .inspection import Crossings, Inspection
 
-PUT_BACK = 0.01
-"""Share of the largest motion by which planes, surfaces and pairs may change a moving node's."""
-
-TOUCHING = 1e-9
-"""Distance of a node from another wall, relative to the surface's extent: no gap there."""
-
-SAME = 1e-9
-"""Distance of nodes at one place, relative to the extent: two sides of a cut or of a sharp edge."""
-
-RESTS = 1e-3
-"""Share of the largest displacement below which a part of the surface rests."""
-
-UNRESOLVED = 1 / 3
-"""Share of the largest displacement that sources may miss between them."""
-
-ROWS = 4096
-"""Points in a block of distances from all sources."""
-
-LEAVES = (64, 128, 256, 512, 1024, 2048)
-"""Numbers of leaves of a k-d tree that are tried."""
+PUT_BACK = 0.01  # share of the largest motion by which planes, surfaces and pairs may change a moving node's
+TOUCHING = 1e-9  # distance of a node from another wall, relative to the surface's extent: no gap there
+SAME = 1e-9  # distance of nodes at one place, relative to the extent: two sides of a cut or of a sharp edge
+RESTS = 1e-3  # share of the largest displacement below which a part of the surface rests
+UNRESOLVED = 1 / 3  # share of the largest displacement that sources may miss between them
+ROWS = 4096  # points in a block of distances from all sources
+LEAVES = (64, 128, 256, 512, 1024, 2048)  # numbers of leaves of a k-d tree that are tried
 
 
 @checked

@@ -7,11 +7,8 @@ import numpy as np
 
 from .._plan.judge import ends
 
-STEEP = 0.5
-"""Slope of a displacement along the wall above which a fitted field strains cells more."""
-
-NARROW = 0.2
-"""Share of a gap, left after a motion, below which one step folds cells in it."""
+STEEP = 0.5  # slope of a displacement along the wall above which a fitted field strains cells more
+NARROW = 0.2  # share of a gap, left after a motion, below which one step folds cells in it
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -11,8 +11,7 @@ if typing.TYPE_CHECKING:
     from .._methods.base import AbstractMethod
 
 
-MOST_POINTS = {2: 100_000, 3: 40_000}
-"""Points of a mesh, by dimension, up to which methods on its cells are tried."""
+MOST_POINTS = {2: 100_000, 3: 40_000}  # points of a mesh, by dimension, up to which methods on its cells are tried
 
 
 @dataclasses.dataclass(frozen=True)

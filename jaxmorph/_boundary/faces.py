@@ -17,8 +17,7 @@ from .._kernels.values import norm
 from .holes import distance_from_edges, inside, rim
 from .walls import ALONG_AXIS, AbstractWall, Flat
 
-BLOCK = 512
-"""Nodes in a block."""
+BLOCK = 512  # nodes in a block
 
 
 class FlatFaces(Flat):
@@ -169,8 +168,7 @@ def faces_around(elements: Int[np.ndarray, "e c"], count: int) -> Int[np.ndarray
     return near.indices[np.minimum(near.indptr[:-1, None] + steps, len(near.indices) - 1)].astype(np.int32)
 
 
-SEARCH, POLISH = 8, 2
-"""Steps of Gauss and Newton inside each face near a point; of Newton on the nearest face."""
+SEARCH, POLISH = 8, 2  # steps of Gauss and Newton inside each face near a point; of Newton on the nearest face
 
 
 class CurvedFaces(Faceted):
@@ -253,11 +251,8 @@ def polynomials(kind: str) -> tuple[np.ndarray, np.ndarray]:
     return complete.lattice, np.linalg.solve(monomials, completion)
 
 
-LIFTS = 4
-"""Steps along the normal to the surface; each leaves a small share of the distance."""
-
-CANCELLED = 1e-3
-"""Length of a sum of unit normals, over their number, that is no direction: a thin plate's."""
+LIFTS = 4  # steps along the normal to the surface; each leaves a small share of the distance
+CANCELLED = 1e-3  # length of a sum of unit normals, over their number, that is no direction: a thin plate's
 
 
 class SmoothFaces(Faceted):

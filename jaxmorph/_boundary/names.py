@@ -17,8 +17,7 @@ from .symmetry import Plane, check_planes, planes_through
 
 USE = 'prepare(mesh, "airfoil", "farfield") with a Mesh, or prepare(points, moving_ids, fixed_ids)'
 
-SMALL = 1e4
-"""Smallest extent of a mesh, relative to the length whose cube is the smallest normal number."""
+SMALL = 1e4  # smallest extent of a mesh, relative to the length whose cube is the smallest normal number
 
 
 def checked_points(points: Any) -> np.ndarray:

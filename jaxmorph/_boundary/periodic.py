@@ -75,8 +75,7 @@ class Periodic:
         return not (self.rotation is None and self.about is None and self.axis is None)
 
 
-ALONG_AXIS = 1e-9
-"""Component of a translation, relative to the largest component, that counts as zero."""
+ALONG_AXIS = 1e-9  # component of a translation, relative to the largest component, that counts as zero
 
 
 class Pairing(eqx.Module):
@@ -204,8 +203,7 @@ def check_pairings(pairings: Sequence[Pairing], planes: Sequence[Plane], size: f
                 raise ValueError("two periodic transforms must commute: all rotations need one axis.")
 
 
-MISMATCH = 1e-4
-"""Largest allowed distance of a node from its partner's image, relative to the node spacing."""
+MISMATCH = 1e-4  # largest allowed distance of a node from its partner's image, relative to the node spacing
 
 
 def paired(

@@ -25,8 +25,7 @@ from .walls import AbstractWall, Flat, Round
 
 Walls = list[tuple[AbstractWall, np.ndarray]]
 
-DEVIATION = 1e-5
-"""Distance of nodes on a surface, relative to the patch's extent: files have few digits."""
+DEVIATION = 1e-5  # distance of nodes on a surface, relative to the patch's extent: files have few digits
 
 
 @dataclasses.dataclass(frozen=True, eq=False, init=False)

@@ -11,8 +11,7 @@ from .._host.package.errors import MeshError, place_of, worst_first
 from .._host.package.rounding import roundoff
 from .._kernels.module import Module
 
-TOLERANCE = 1e-8
-"""Distance from a plane, relative to the mesh's extent, within which a node lies on it."""
+TOLERANCE = 1e-8  # distance from a plane, relative to the mesh's extent, within which a node lies on it
 
 
 class Plane(Module):
@@ -84,8 +83,7 @@ class Plane(Module):
         return (points - self.origin) @ self.normal
 
 
-MOST = 6
-"""Most planes of one patch: the sides of a box."""
+MOST = 6  # most planes of one patch: the sides of a box
 
 
 def planes_through(

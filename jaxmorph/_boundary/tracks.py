@@ -15,11 +15,8 @@ from .periodic import Pairing
 from .symmetry import Plane
 from .walls import AbstractWall, Flat, Round
 
-STEPS = 6
-"""Newton steps to a curved wall, or to the edge between two walls; they converge quadratically."""
-
-SMOOTH = np.cos(np.deg2rad(5))
-"""Cosine of the angle below which two sliding patches meet without an edge."""
+STEPS = 6  # Newton steps to a curved wall, or to the edge between two walls; they converge quadratically
+SMOOTH = np.cos(np.deg2rad(5))  # cosine of the angle below which two sliding patches meet without an edge
 
 
 class Track(eqx.Module):

@@ -9,8 +9,7 @@ from jaxtyping import Array, Bool, Float, Int
 from .._kernels.module import Module
 from .._kernels.values import norm
 
-ALONG_AXIS = 1e-7
-"""Component of a unit normal that counts as zero: coordinates in files have few digits."""
+ALONG_AXIS = 1e-7  # component of a unit normal that counts as zero: coordinates in files have few digits
 
 
 class AbstractWall(Module):

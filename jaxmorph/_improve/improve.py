@@ -26,11 +26,8 @@ from .stages import Minimum, Search, judged, softened, stiffened
 
 MINIMUM = 1e-2
 
-SAME = 1e-6
-"""Difference of two margins that is round-off."""
-
-GAIN = 5e-3
-"""Relative gain in the smallest Jacobian ratio that pays for a larger skewness."""
+SAME = 1e-6  # difference of two margins that is round-off
+GAIN = 5e-3  # relative gain in the smallest Jacobian ratio that pays for a larger skewness
 
 
 class Improvement(Module):

@@ -70,8 +70,7 @@ class Ways(eqx.Module):
         return points
 
 
-SHIFT = 1e-12
-"""Added to a Hessian's diagonal (order one): it may be singular where cells are inverted."""
+SHIFT = 1e-12  # added to a Hessian's diagonal (order one): it may be singular where cells are inverted
 
 
 class Distortion(eqx.Module):

@@ -29,8 +29,7 @@ SHARPEST, GENTLER, STAGES = 1e-3, 0.3, 5
 SHARE, RUNG, RUNGS = 0.95, 1.02, 40
 """Worst sample over its bound where a stage begins, ratio of two rungs, and most stages."""
 
-CLOSE = 0.03
-"""Least tolerance between two stages of stiffening: a looser one would end them too early."""
+CLOSE = 0.03  # least tolerance between two stages of stiffening: a looser one would end them too early
 
 
 class Search(NamedTuple):
@@ -165,8 +164,7 @@ def judged(plain: Distortion, minimum: Minimum, base: Float[Array, "n d"]):
     return value, slope, points, plain.lost(points)
 
 
-NEAR = 1.0
-"""Largest derivative (order one) at which the whole Hessian is taken: quadratic convergence."""
+NEAR = 1.0  # largest derivative (order one) at which the whole Hessian is taken: quadratic convergence
 
 
 def _on_host(solver: Callable, pattern: Pattern, blocks, shift, right: Float[Array, "n d"]) -> Float[Array, "n d"]:

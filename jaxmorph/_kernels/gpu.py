@@ -15,20 +15,14 @@ from jaxtyping import Array, Float
 
 from .compile import as_for_cpu
 
-BLOCK, WARPS = 512, 2
-"""Points of a program of the kernel, and its groups of 32 threads: eight points a thread."""
-
-FEW = 2**19
-"""Points below which sources are divided too: blocks of points alone do not fill a card."""
-
-FEW_BLOCK, FEW_WARPS = 64, 1
-"""`BLOCK` and `WARPS` for fewer points."""
+BLOCK, WARPS = 512, 2  # points of a program of the kernel, and its groups of 32 threads: eight points a thread
+FEW = 2**19  # points below which sources are divided too: blocks of points alone do not fill a card
+FEW_BLOCK, FEW_WARPS = 64, 1  # `BLOCK` and `WARPS` for fewer points
 
 PROGRAMS, LEAST_SHARE = 2**17, 256
 """Number of programs that keep a card busy to the end, and least number of sources of a program."""
 
-LEAST_CAPABILITY = 8
-"""Major compute capability below which Triton, by which Pallas compiles, has no kernels."""
+LEAST_CAPABILITY = 8  # major compute capability below which Triton, by which Pallas compiles, has no kernels
 
 ELEMENTWISE = {
     *("abs", "add", "cos", "div", "exp", "exp2", "integer_pow", "log", "log1p", "logistic"),

@@ -85,8 +85,7 @@ def linear_primitive(name: str, compute: Callable, rows: Callable, turned: Calla
     return primitive
 
 
-MOST_ROWS = 4
-"""Most rows that one loop sums on a GPU; a displacement has two or three."""
+MOST_ROWS = 4  # most rows that one loop sums on a GPU; a displacement has two or three
 
 
 # The transpose of a sum over a kernel's block contracts a few rows of a cotangent with the block's

@@ -12,13 +12,11 @@ from jaxtyping import Array, ArrayLike, Float
 
 from .compile import is_for_cpu
 
-_ROOT_HALF = 0x3FE6A09E00000000
-"""The bits of sqrt(1/2), rounded down to a multiple of 2^32."""
+_ROOT_HALF = 0x3FE6A09E00000000  # the bits of sqrt(1/2), rounded down to a multiple of 2^32
 
 _ONE = 0x3FF0000000000000
 _MANTISSA = 0x000FFFFFFFFFFFFF
-_EXPONENT_1 = 0x0010000000000000
-"""One more in the exponent."""
+_EXPONENT_1 = 0x0010000000000000  # one more in the exponent
 
 _TWO_52 = 0x4330000000000000
 """The bits of 2^52; with an integer k < 2^52 in the mantissa, they are the bits of 2^52 + k."""

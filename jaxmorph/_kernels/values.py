@@ -9,8 +9,7 @@ import numpy as np
 from jax.core import Tracer  # pyright: ignore[reportAttributeAccessIssue]
 from jaxtyping import Array, Float
 
-Either = Any
-"""An array of JAX or NumPy, for formulas with `namespace`."""
+Either = Any  # an array of JAX or NumPy, for formulas with `namespace`
 
 
 def namespace(array: Any) -> Any:

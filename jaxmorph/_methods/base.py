@@ -15,8 +15,7 @@ from .._kernels.module import Module
 from .._kernels.values import is_known
 from .surface import Surface
 
-BLOCK = 512
-"""Points in a block: memory, also of derivatives, is that of one block."""
+BLOCK = 512  # points in a block: memory, also of derivatives, is that of one block
 
 
 def _no_rows() -> np.ndarray:

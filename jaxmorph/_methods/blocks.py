@@ -15,8 +15,7 @@ WIDER = 256
 launches.
 """
 
-FEW = 64
-"""Most blocks of a single program on any platform; two programs are traced for more."""
+FEW = 64  # most blocks of a single program on any platform; two programs are traced for more
 
 
 def map_points(field: AbstractField, points: Float[Array, "n d"], ids: PyTree) -> Float[Array, "n d"]:

@@ -14,8 +14,7 @@ from .base import AbstractField, AbstractMethod, number
 from .rbf.system import block_size, squared_distances
 from .surface import Surface
 
-SMALLEST = 1e-12
-"""Distance, relative to the surface's extent, below which a point is at a node."""
+SMALLEST = 1e-12  # distance, relative to the surface's extent, below which a point is at a node
 
 Faces = Mapping[str, Int[Array, "k c"]]
 

@@ -19,8 +19,7 @@ REACH = 1.25
 node.
 """
 
-SPACING = 2.0
-"""The automatic radius, relative to the width of the layer of `NearWall`."""
+SPACING = 2.0  # the automatic radius, relative to the width of the layer of `NearWall`
 
 
 class LocalIds(eqx.Module):

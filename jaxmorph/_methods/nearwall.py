@@ -16,17 +16,10 @@ from .rbf.basis import WendlandC2
 from .sparse import InterpolatedField, Interpolation
 from .surface import Surface
 
-NEIGHBOURS = 6
-"""Wall nodes that a point averages; one more node sets the distance at which weights vanish."""
-
-REACH = 0.5
-"""Width of the layer, relative to the largest distance from a wall's node to its nearest source."""
-
-CHORD = 0.25
-"""Width of the layer of a wall without matched sources, relative to its mean chord."""
-
-SLIGHTLY = 1e-6
-"""Relative difference that keeps the maximum of equal lengths from having a kink."""
+NEIGHBOURS = 6  # wall nodes that a point averages; one more node sets the distance at which weights vanish
+REACH = 0.5  # width of the layer, relative to the largest distance from a wall's node to its nearest source
+CHORD = 0.25  # width of the layer of a wall without matched sources, relative to its mean chord
+SLIGHTLY = 1e-6  # relative difference that keeps the maximum of equal lengths from having a kink
 
 
 class NearWall(AbstractPlacing):

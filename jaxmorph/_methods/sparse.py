@@ -18,8 +18,7 @@ from .._kernels.linear import linear_primitive
 from .._kernels.values import as_jax
 from .base import AbstractField
 
-WIDTH = 16
-"""Entries in a row of the table."""
+WIDTH = 16  # entries in a row of the table
 
 
 class Table(eqx.Module):
@@ -85,8 +84,7 @@ class Interpolation(eqx.Module):
         return dataclasses.replace(self, table=dataclasses.replace(table, weights=gathered))
 
 
-_made: dict[tuple[int, int, int], tuple[Table, weakref.ref]] = {}
-"""Cache of the tables of arrays of weights."""
+_made: dict[tuple[int, int, int], tuple[Table, weakref.ref]] = {}  # cache of the tables of arrays of weights
 
 
 def _rounded(rows: int) -> int:

@@ -157,14 +157,9 @@ def transposable(plan: Any, *arguments: Any) -> Any:
 # XLA splits the loop over a program's blocks among threads operation by operation, and they wait
 # for each other at each. Programs of one slab of points each have nothing to wait for. XLA runs the
 # programs that one thread begins one after the other, so a thread for each core begins them.
-LEAST = 2**16
-"""Points of a slab below which a program of its own costs more than it gains."""
-
-MOST = 64
-"""Slabs of all points, and shares of a sum: more cores than these would not make a call faster."""
-
-STEP = 1536
-"""Slabs begin at multiples of this, as blocks do: a block's size changes its last bits."""
+LEAST = 2**16  # points of a slab below which a program of its own costs more than it gains
+MOST = 64  # slabs of all points, and shares of a sum: more cores than these would not make a call faster
+STEP = 1536  # slabs begin at multiples of this, as blocks do: a block's size changes its last bits
 
 
 def slabs(count: int, *arguments: Any) -> list[tuple[np.ndarray, int]]:

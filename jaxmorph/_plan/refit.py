@@ -72,8 +72,7 @@ def base_points(plan: Plan, points: Any) -> Float[Array, "n d"]:
     return points
 
 
-DEVIATION = 1e-5
-"""Largest distance of new base points from a plane or wall, relative to its nodes' extent."""
+DEVIATION = 1e-5  # largest distance of new base points from a plane or wall, relative to its nodes' extent
 
 ANEW = "Call `prepare` with the new mesh and its boundaries."
 WORDS = {

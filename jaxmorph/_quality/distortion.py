@@ -41,8 +41,7 @@ IDEAL = {
 """Corners of the ideal cell of each type, edges of length one."""
 
 
-NEAR = 0.1
-"""Least volume of an affine target cell, over that of an ideal cell."""
+NEAR = 0.1  # least volume of an affine target cell, over that of an ideal cell
 
 
 class Target(NamedTuple):

@@ -19,8 +19,7 @@ from .sides import Block, Group, Sides
 
 Vectors = Float[np.ndarray, "_d _f"]
 
-FLOOR = 1e-300
-"""Least divisor."""
+FLOOR = 1e-300  # least divisor
 
 MEASURES = ("skewness", "aspect_ratio", "non_orthogonality", "volume", "pyramid", "volume_ratio")
 

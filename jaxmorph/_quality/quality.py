@@ -20,8 +20,7 @@ from .proof.search import has_least, least_jacobian
 from .report import QualityReport
 from .vector import ByType, Vector, by_place, by_type, joined, mean, stack
 
-FLAT = 1e-4
-"""Sine of a corner's angle up to which it is flat; 3-D: Jacobian over its edges' product."""
+FLAT = 1e-4  # sine of a corner's angle up to which it is flat; 3-D: Jacobian over its edges' product
 
 
 @checked

@@ -16,8 +16,7 @@ from .._mesh.mesh import Mesh
 
 T = TypeVar("T")
 
-BLOCK = 1 << 14
-"""Faces in a block: their columns stay in a core's cache."""
+BLOCK = 1 << 14  # faces in a block: their columns stay in a core's cache
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -90,11 +90,8 @@ def angle(a: Vector, b: Vector) -> Scalar:
     return xp.where(none, 0, xp.arctan2(sine, xp.where(none, 1, cosine)))
 
 
-BLOCK = 1 << 16
-"""Cells in a block."""
-
-CACHED = 1 << 13
-"""Cells in a block of NumPy: intermediate values stay in the processor's cache."""
+BLOCK = 1 << 16  # cells in a block
+CACHED = 1 << 13  # cells in a block of NumPy: intermediate values stay in the processor's cache
 
 
 def by_place(function: Function) -> Function:

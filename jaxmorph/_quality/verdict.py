@@ -22,8 +22,7 @@ BY_FACES = {"face_skewness": "skewness", "face_aspect_ratio": "aspect_ratio"}
 """Measures of faces, by their names in limits and tables. The plain names are those of corners."""
 
 LABELS = {"non_orthogonality": "non-orthogonality", "pyramid": "face pyramid"}
-PROVEN = "min_proven_margin"
-"""The limit that `Limits.proven` sets, to 0."""
+PROVEN = "min_proven_margin"  # the limit that `Limits.proven` sets, to 0
 
 RATIOS = (("min", "volume_ratio"), ("min", "jacobian_ratio"))
 ROWS = tuple((kind, name) for name in ("skewness", "aspect_ratio", "non_orthogonality") for kind in ("mean", "max"))

@@ -178,11 +178,8 @@ class Modes(AbstractLinearShape):
         return lambda amplitudes: jnp.tensordot(self._numbers(amplitudes, x), self.fields.astype(x.dtype), 1)
 
 
-LAST = (0.1015, 0.1036)
-"""Last coefficient of the thickness: for a blunt trailing edge, and for a sharp edge."""
-
-REACH = 2.0
-"""Chords before and behind the crest of the mean line in which feet are searched."""
+LAST = (0.1015, 0.1036)  # last coefficient of the thickness: for a blunt trailing edge, and for a sharp edge
+REACH = 2.0  # chords before and behind the crest of the mean line in which feet are searched
 
 HALVINGS = 56
 

@@ -127,8 +127,7 @@ def moves(shape: AnyShape, x: Float[Array, "m d"], parameters: PyTree) -> Float[
     return moved - x
 
 
-LISTED = 12
-"""Names in a message, at most."""
+LISTED = 12  # names in a message, at most
 
 
 @checked

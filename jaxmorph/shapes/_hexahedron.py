@@ -13,11 +13,8 @@ from ._arguments import Numbers, check_finite, positions_in
 from ._freeform import FreeForm
 from ._shape import AbstractLinearShape, Move
 
-STEPS = 30
-"""Steps of Newton's method; a box that is no parallelepiped takes about six."""
-
-OUTSIDE = 2.0
-"""Coordinate of a position far from the box, whose place is not found."""
+STEPS = 30  # steps of Newton's method; a box that is no parallelepiped takes about six
+OUTSIDE = 2.0  # coordinate of a position far from the box, whose place is not found
 
 SQUARE = np.array([(0, 0), (1, 0), (1, 1), (0, 1)])
 ORDER = {2: SQUARE, 3: np.array([(*corner, k) for k in (0, 1) for corner in SQUARE])}

@@ -12,8 +12,7 @@ from jaxtyping import Float
 from .._host.package.arguments import checked, finite_array
 from .._host.package.files import input_path, output_path
 
-FIELDS = ("design", "value", "constraints", "measures")
-"""Fields of an iteration in the file."""
+FIELDS = ("design", "value", "constraints", "measures")  # fields of an iteration in the file
 
 
 class History:

@@ -8,8 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-SLAB = 8192
-"""Points in a block: intermediate sums are larger than the result."""
+SLAB = 8192  # points in a block: intermediate sums are larger than the result
 
 
 def splines(t: Float[Array, " m"], count: int, degree: int) -> Float[Array, "m k"]:

@@ -13,17 +13,10 @@ from .._kernels.module import Module
 from ._arguments import Numbers, known_positions, rows_of
 from ._walls import simplices_of
 
-SAME = 1e-9
-"""Distance in chords within which two nodes stand at one place."""
-
-TIE = 1e-12
-"""Difference in chords within which two tours are equally long."""
-
-AT = 1e-3
-"""Share of an edge within which the nose or the tail is the node at its end."""
-
-BLUNT = 0.1
-"""Largest length in chords of a blunt tail whose corner is given as the tail."""
+SAME = 1e-9  # distance in chords within which two nodes stand at one place
+TIE = 1e-12  # difference in chords within which two tours are equally long
+AT = 1e-3  # share of an edge within which the nose or the tail is the node at its end
+BLUNT = 0.1  # largest length in chords of a blunt tail whose corner is given as the tail
 
 CORNER, SHARP = np.cos(np.deg2rad([45, 135]))
 """Cosines of the turn of a loop at a corner of a blunt tail: an upper and a lower bound."""

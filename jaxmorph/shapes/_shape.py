@@ -30,8 +30,7 @@ class AbstractShape(Module):
         """Makes the parameters that move nothing."""
 
 
-Move = Callable[[Any], Float[Array, "m d"]]
-"""Takes parameters to displacements of given positions."""
+Move = Callable[[Any], Float[Array, "m d"]]  # takes parameters to displacements of given positions
 
 
 class AbstractLinearShape(AbstractShape):

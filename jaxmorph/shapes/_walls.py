@@ -75,8 +75,7 @@ def _areas(corners: Float[np.ndarray, "f c d"]) -> Float[np.ndarray, "f d"]:
     return np.cross(corners[:, 2] - corners[:, 0], corners[:, -1] - corners[:, 1]) / 2
 
 
-WIDTHS = {2: (2,), 3: (3, 4)}
-"""Corners of a wall's faces, by the dimension of its positions."""
+WIDTHS = {2: (2,), 3: (3, 4)}  # corners of a wall's faces, by the dimension of its positions
 
 
 def faces_of(faces: Any, shape: tuple[int, ...]) -> list[Int[np.ndarray, "k c"]]:

@@ -14,8 +14,7 @@ import numpy as np
 from .lagrange import PLACES, inner_places, lagrange_types, lattice
 from .topology import SHAPES, numbers
 
-Sides = Mapping[str, tuple[tuple[int, ...], ...]]
-"""Corners of the edges, or of the faces, by shape."""
+Sides = Mapping[str, tuple[tuple[int, ...], ...]]  # corners of the edges, or of the faces, by shape
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

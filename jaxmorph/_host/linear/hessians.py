@@ -7,11 +7,8 @@ from scipy import sparse
 
 from .solves import Factors, conjugate_gradients, inner_product, is_factored
 
-DAMPING = (1e-2, 1e-1, 1.0, 10.0)
-"""Damping terms of the diagonal, tried in turn until a matrix is positive."""
-
-ROUGH = 1e-2
-"""Relative residual that is enough for a step of Newton's method."""
+DAMPING = (1e-2, 1e-1, 1.0, 10.0)  # damping terms of the diagonal, tried in turn until a matrix is positive
+ROUGH = 1e-2  # relative residual that is enough for a step of Newton's method
 
 
 class Pattern(NamedTuple):

@@ -5,8 +5,7 @@ from typing import Any
 
 import numpy as np
 
-Components = Any
-"""A sequence of numbers or arrays: a tuple, a list, or an array whose first axis runs over them."""
+Components = Any  # a sequence of numbers or arrays: a tuple, a list, or an array whose first axis runs over them
 
 
 def dot(a: Components, b: Components) -> Any:

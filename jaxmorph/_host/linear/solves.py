@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.sparse import linalg
 
-DIRECT = 12_000
-"""Unknowns up to which a 3-D system is factored; 2-D systems always are: factors stay sparse."""
+DIRECT = 12_000  # unknowns up to which a 3-D system is factored; 2-D systems always are: factors stay sparse
 
 
 def is_factored(unknowns: int, dimension: int) -> bool:
@@ -81,8 +80,7 @@ def inner_product(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.einsum("i,i->", a, b))
 
 
-SPREAD = 10
-"""Ratio of the largest to the smallest eigenvalue that the smoother reduces."""
+SPREAD = 10  # ratio of the largest to the smallest eigenvalue that the smoother reduces
 
 STRONG = 0.3
 """Least entry, relative to the most negative of its row, that joins unknowns. In a thin layer of
@@ -90,8 +88,7 @@ hexahedra the neighbour across has -16/36, nodes beside it -4/36, others a posit
 lines across the layer are joined.
 """
 
-COARSEST = 90
-"""Most unknowns of the last level, solved by a dense inverse: few enough for unthreaded BLAS."""
+COARSEST = 90  # most unknowns of the last level, solved by a dense inverse: few enough for unthreaded BLAS
 
 
 @dataclasses.dataclass(frozen=True)

@@ -14,17 +14,10 @@ from ..cells.adjacency import parts_of
 from ..package.rounding import distinct
 from .solves import Factors, by_component, conjugate_gradients, hierarchy, inner_product, is_factored
 
-ACCURACY = 1e-9
-"""Residual relative to the right side, and error relative to the solution, that end CG."""
-
-LIMIT = 500
-"""Most steps of conjugate gradients. A mesh of 65,000 nodes takes 50."""
-
-RESORT = 60_000
-"""Unknowns up to which a 3-D system is factored if CG does not converge, as on thin layers."""
-
-LATEST = 2
-"""Number of the latest systems whose factors are cached."""
+ACCURACY = 1e-9  # residual relative to the right side, and error relative to the solution, that end CG
+LIMIT = 500  # most steps of conjugate gradients. A mesh of 65,000 nodes takes 50.
+RESORT = 60_000  # unknowns up to which a 3-D system is factored if CG does not converge, as on thin layers
+LATEST = 2  # number of the latest systems whose factors are cached
 
 _kept: collections.deque[tuple[tuple[np.ndarray, ...], Callable]] = collections.deque(maxlen=LATEST)
 _lock = threading.Lock()

@@ -14,8 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-NOTHING = np.zeros((), object)
-"""Placeholder for a value that is no array."""
+NOTHING = np.zeros((), object)  # placeholder for a value that is no array
 
 Function = typing.TypeVar("Function", bound=Callable)
 

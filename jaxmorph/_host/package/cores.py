@@ -10,14 +10,9 @@ from typing import Any, Generic, TypeVar
 
 T = TypeVar("T")
 
-SWITCH = "JAXMORPH_CPUS"
-"""The environment variable that limits the cores to use."""
-
-BLOCK = 1 << 16
-"""Rows in a block of one core."""
-
-AHEAD = 2
-"""Pieces of work for each core in advance."""
+SWITCH = "JAXMORPH_CPUS"  # the environment variable that limits the cores to use
+BLOCK = 1 << 16  # rows in a block of one core
+AHEAD = 2  # pieces of work for each core in advance
 
 
 def cores() -> int:

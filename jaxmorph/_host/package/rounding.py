@@ -11,14 +11,9 @@ from scipy.spatial import KDTree
 
 from .cores import cores
 
-SAME = 1e-9
-"""Relative difference up to which two numbers count as equal."""
-
-TIES = 4
-"""Nearest places that are searched first; if all are equally near, more are searched."""
-
-FEW = 4096
-"""Points of a search up to which threads cost more than they gain."""
+SAME = 1e-9  # relative difference up to which two numbers count as equal
+TIES = 4  # nearest places that are searched first; if all are equally near, more are searched
+FEW = 4096  # points of a search up to which threads cost more than they gain
 
 
 class Tree(KDTree):
@@ -88,8 +83,7 @@ def few_by(tree: Tree, points: np.ndarray, count: int, slack: float) -> np.ndarr
     return nearest
 
 
-BETWEEN = 0.618
-"""Place of the borders of Morton's cells, relative to their size: off structured grids."""
+BETWEEN = 0.618  # place of the borders of Morton's cells, relative to their size: off structured grids
 
 
 def canonical_order(points: np.ndarray) -> np.ndarray:

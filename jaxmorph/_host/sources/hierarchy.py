@@ -10,11 +10,8 @@ from ..package.rounding import SAME, Tree, canonical_order, first_largest, neare
 from .farthest import FarthestPoints
 from .reduction import AbstractReduction
 
-BATCH = 256
-"""Candidates for the next nodes in a batch."""
-
-WIDTH = 8
-"""Entries in a row of a sweep's table."""
+BATCH = 256  # candidates for the next nodes in a batch
+WIDTH = 8  # entries in a row of a sweep's table
 
 
 def farthest_first(points: np.ndarray, earlier: np.ndarray, images: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -4,14 +4,9 @@ import numpy as np
 
 from ..linear.products import cross
 
-AFTER, BEFORE = 1e-9, 1e-6
-"""Slack of a crossing, relative to the faces: faces that nearly touched before do not count."""
-
-PARALLEL = 1e-9
-"""Sine of the angle below which an edge lies along a face, and does not cross it."""
-
-TOGETHER = 1 << 17
-"""Pairs of faces in a block."""
+AFTER, BEFORE = 1e-9, 1e-6  # slack of a crossing, relative to the faces: faces that nearly touched before do not count
+PARALLEL = 1e-9  # sine of the angle below which an edge lies along a face, and does not cross it
+TOGETHER = 1 << 17  # pairs of faces in a block
 
 
 def crossing_faces(

@@ -6,8 +6,7 @@ from scipy import spatial
 from ..package.rounding import Tree
 from .neighbours import nearest_boxes_first, searched_together
 
-CLOSEST = 12
-"""Faces of other walls, of nearest middles, to which a node's distance is measured."""
+CLOSEST = 12  # faces of other walls, of nearest middles, to which a node's distance is measured
 
 
 def share_left(
@@ -69,8 +68,7 @@ def distance_from_segment(x: np.ndarray, start: np.ndarray, end: np.ndarray) -> 
 
 BLOCK = 1 << 12
 
-NEAR = 8
-"""Nearest simplices that bound the distance to all others."""
+NEAR = 8  # nearest simplices that bound the distance to all others
 
 
 def fans(ids: np.ndarray, counts: np.ndarray) -> np.ndarray:

@@ -18,20 +18,14 @@ from ..package.errors import MeshError, place_of, worst_first
 from ..package.rounding import BETWEEN, canonical_order, morton_order, roundoff, spacing
 from ..sources.reduction import drop_close
 
-JITTER = 1e-8
-"""Relative to the nearest node's distance: at 1e-9 location is slow, at 1e-7 weights go wrong."""
-
-SNAP = 2e-9
-"""Rounding of coordinates for qhull, relative to the nearest node; well below `JITTER`."""
-
-TRIALS = 4
-"""Most jitters tried: qhull now and then ends with a precision error on good nodes."""
+JITTER = 1e-8  # relative to the nearest node's distance: at 1e-9 location is slow, at 1e-7 weights go wrong
+SNAP = 2e-9  # rounding of coordinates for qhull, relative to the nearest node; well below `JITTER`
+TRIALS = 4  # most jitters tried: qhull now and then ends with a precision error on good nodes
 
 OPTIONS = "Qbb Qc Qz Q12 Q5"
 """SciPy's options of qhull, without a last check of outer planes, which simplices do not use."""
 
-FLAT = 64
-"""A simplex lower than this times the round-off of the coordinates holds no point."""
+FLAT = 64  # a simplex lower than this times the round-off of the coordinates holds no point
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -154,8 +148,7 @@ def _jittered(nodes: np.ndarray, phase: int) -> np.ndarray:
     return nodes + JITTER * spacing(nodes)[:, None] * np.sin(angle + np.arange(dimension) + phase)
 
 
-TOLERANCE = 1e-6
-"""A point whose smallest weight is below minus this is searched again."""
+TOLERANCE = 1e-6  # a point whose smallest weight is below minus this is searched again
 
 
 @dataclasses.dataclass(frozen=True)

@@ -8,11 +8,8 @@ import numpy as np
 from ..package.cores import by_blocks
 from ..package.rounding import SAME, Tree, few_by, morton_order, nearest_few, roundoff
 
-FEW = 16
-"""Most walls for which every wall has a search tree of its own."""
-
-AROUND = 8
-"""Neighbours among whose distances a leap is searched."""
+FEW = 16  # most walls for which every wall has a search tree of its own
+AROUND = 8  # neighbours among whose distances a leap is searched
 
 Once = Callable[[Any, Callable[[], Any]], Any]
 

@@ -12,17 +12,10 @@ from ..sources.farthest import farthest
 SHARP = np.cos(np.deg2rad(45))
 """Cosine of the angle at a concave corner from which on its two faces belong to different walls."""
 
-REACH = 1.5
-"""Distance of neighbours, relative to that of the eighth nearest node (2-D: second nearest)."""
-
-CURVED = 4
-"""Most nodes of a curve, as its extent over the nearest node's distance; surfaces have more."""
-
-SAMPLE = 16
-"""Nodes of a curve that vote for the next part."""
-
-AROUND = 512
-"""Nearest nodes among which a node finds its vote; if votes fail, all nodes are searched."""
+REACH = 1.5  # distance of neighbours, relative to that of the eighth nearest node (2-D: second nearest)
+CURVED = 4  # most nodes of a curve, as its extent over the nearest node's distance; surfaces have more
+SAMPLE = 16  # nodes of a curve that vote for the next part
+AROUND = 512  # nearest nodes among which a node finds its vote; if votes fail, all nodes are searched
 
 
 def walls(

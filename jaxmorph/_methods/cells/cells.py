@@ -19,8 +19,7 @@ from ..base import AbstractField, AbstractMethod
 from ..blocks import fold_rows
 from ..surface import Surface
 
-CELLS = 4096
-"""Cells in a block."""
+CELLS = 4096  # cells in a block
 
 
 class CellIds(eqx.Module):

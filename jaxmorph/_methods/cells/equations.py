@@ -55,8 +55,7 @@ class ByDistance(AbstractStiffness):
         return distance ** -self.exponent.astype(distance.dtype)
 
 
-SLIVER = 1e-6
-"""Share of a cell's largest Jacobian below which a quadrature point fades out."""
+SLIVER = 1e-6  # share of a cell's largest Jacobian below which a quadrature point fades out
 
 
 def gradients(kind: str, corners: Float[Array, "c d"]) -> tuple[Float[Array, "q c d"], Float[Array, " q"]]:

@@ -19,11 +19,8 @@ from ..surface import Surface
 from .basis import WendlandC2
 from .expansion import is_sound, warn_of_close
 
-NEIGHBOURS = 200
-"""Nodes within the automatic radius of half of the moving nodes."""
-
-INSIDE = 1 - 1e-6
-"""Share of a squared radius at which a function counts as zero: its value there is 1e-24."""
+NEIGHBOURS = 200  # nodes within the automatic radius of half of the moving nodes
+INSIDE = 1 - 1e-6  # share of a squared radius at which a function counts as zero: its value there is 1e-24
 
 
 class CompactIds(eqx.Module):

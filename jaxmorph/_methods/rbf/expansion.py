@@ -186,8 +186,7 @@ class Expansion(Module):
 USELESS, NOTICEABLE, NOTICEABLE_SINGLE = 3e-2, 1e-6, 1e-3
 """Relative changes of displacements by rounding: an error, a warning, one in float32."""
 
-NEAR = 1e-3
-"""Distance of two sources, relative to the distance of sources around, that is worth a warning."""
+NEAR = 1e-3  # distance of two sources, relative to the distance of sources around, that is worth a warning
 
 
 def is_sound(error: float, dtype, message: Callable[[str], str], otherwise: str) -> bool:

@@ -10,23 +10,15 @@ from jaxtyping import Array, Float, Int
 
 from .system import polynomial, squared_distances
 
-LIMIT = 150
-"""Most products of a solve. A sound matrix takes 10 to 20."""
-
-ROUNDS = 3
-"""Solves for what rounding leaves of the residual."""
-
-STALLED = 0.5
-"""Least share of the residual that another solve takes away: the rest is the product's rounding."""
+LIMIT = 150  # most products of a solve. A sound matrix takes 10 to 20.
+ROUNDS = 3  # solves for what rounding leaves of the residual
+STALLED = 0.5  # least share of the residual that another solve takes away: the rest is the product's rounding
 
 MISSED, NOTICEABLE = 1e3, 1e-3
 """A field is NaN that misses its sources by this many tolerances, and share of the displacement."""
 
-ROUNDINGS = 100
-"""Units of rounding below which no tolerance goes: what single precision can reach."""
-
-GIVE = 1e-10
-"""Corner of a small system, relative to its kernel, for neighbours that lie in one plane."""
+ROUNDINGS = 100  # units of rounding below which no tolerance goes: what single precision can reach
+GIVE = 1e-10  # corner of a small system, relative to its kernel, for neighbours that lie in one plane
 
 Product = Callable[[Float[Array, "s k"]], Float[Array, "s k"]]
 

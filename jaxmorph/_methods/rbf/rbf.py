@@ -23,8 +23,7 @@ from .basis import AbstractBasis, ThinPlateSpline
 from .expansion import Expansion, RBFFactors, is_solved, is_sound, nearest_two, rounding, warn_of_close
 from .iterations import ROUNDINGS, Cardinals, OrderedIds, local_weights
 
-MANY = 8192
-"""Sources beyond which the system is solved by iterations."""
+MANY = 8192  # sources beyond which the system is solved by iterations
 
 DENSE, SHARE = (1000, 6000), 6
 """Least and greatest number of sources solved densely by default; between, one of every `SHARE`."""

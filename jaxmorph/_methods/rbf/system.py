@@ -22,14 +22,9 @@ from ..base import BLOCK
 from ..blocks import fold_rows, map_rows
 from .basis import AbstractBasis
 
-KERNEL_BLOCK = 2**17
-"""Elements of the kernel in a block of points: 1 MiB in float64, for a core's own cache."""
-
-MOST_FUSED = 48
-"""Columns of weights beyond which a product of matrices is faster than the GPU's kernel."""
-
-SQUARE = 256
-"""Sources along each side of a block of the symmetric product: 512 KiB in float64."""
+KERNEL_BLOCK = 2**17  # elements of the kernel in a block of points: 1 MiB in float64, for a core's own cache
+MOST_FUSED = 48  # columns of weights beyond which a product of matrices is faster than the GPU's kernel
+SQUARE = 256  # sources along each side of a block of the symmetric product: 512 KiB in float64
 
 
 def polynomial(points: Float[Array, "k d"], degree: int | None) -> Float[Array, "k p"]:

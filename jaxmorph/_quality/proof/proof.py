@@ -247,8 +247,7 @@ def _bounded(
     }
 
 
-TRACED_ROOM = 1 << 22
-"""Coefficients in a block of JAX."""
+TRACED_ROOM = 1 << 22  # coefficients in a block of JAX
 
 
 @checked

@@ -16,14 +16,9 @@ from . import bernstein
 from .bernstein import Space
 from .form import form_of
 
-ROOM = 1 << 16
-"""Coefficients in a block: they stay in the processor's cache."""
-
-DEPTH = 4
-"""Default of `proof`: parts of a sixteenth of a cell's edges where the sign is open."""
-
-FEW = 64
-"""Open parts of a cell up to which they are cut beyond the depth, at most twice as often."""
+ROOM = 1 << 16  # coefficients in a block: they stay in the processor's cache
+DEPTH = 4  # default of `proof`: parts of a sixteenth of a cell's edges where the sign is open
+FEW = 64  # open parts of a cell up to which they are cut beyond the depth, at most twice as often
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
