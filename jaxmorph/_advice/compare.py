@@ -149,7 +149,6 @@ def _checked_motions(motions: Any, expected: tuple[int, int]) -> np.ndarray:
 
 
 def _makers(boundary: Boundary, methods: Mapping[str, AbstractMethod] | None) -> dict[str, Any]:
-    """A function for each method that makes it; it raises for a method that is left out."""
     if methods is None:
         wall = Lengths(boundary.points[boundary.moving], boundary.points[boundary.fixed])
         makers = {entry.name: functools.partial(entry.make, wall) for entry in METHODS if entry.is_tried}

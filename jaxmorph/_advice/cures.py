@@ -67,7 +67,6 @@ class Turn:
         return [(self.rotation**share).apply(arms) - arms + share * rest for share in shares]
 
     def keeps(self, points: Float[np.ndarray, "k 3"], dimension: int) -> bool:
-        """Checks whether points turn within a cylinder about the axis, or a plane across it."""
         if not self.rotation.magnitude():
             return False
         axis = self.rotation.as_rotvec() / self.rotation.magnitude()

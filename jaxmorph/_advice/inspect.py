@@ -79,7 +79,6 @@ def inspect(
 
 
 def inspected(plan: Plan, u: Any, mesh: Mesh | None, nodes: Any, moved: np.ndarray | None = None) -> Inspection:
-    """Checks a displacement as `inspect` does; `moved` (n, d) is its `deform`, where known."""
     plan.check_surface("inspect")
     if nodes is None and mesh is not None and tuple(mesh.points.shape) != tuple(plan.points.shape):
         raise ValueError(
@@ -184,7 +183,6 @@ def _slope(points: np.ndarray, u: np.ndarray) -> float:
 
 
 def torn_pairs(points: np.ndarray, vectors: np.ndarray, is_fixed: np.ndarray) -> np.ndarray:
-    """Pairs of neighbouring rows with contradictory displacements, the worst first."""
     count = min(2 * points.shape[1], len(points) - 1)
     distance, nearest = map(np.asarray, Tree(points).query(points, k=count + 1))
     first, second = np.repeat(np.arange(len(points)), count), nearest[:, 1:].ravel()

@@ -174,7 +174,6 @@ class Inspection:
 
 
 def remedies(rests: np.ndarray, touches: np.ndarray) -> str:
-    """Describes what tears pairs (k,), and what to try: walls touch, a gap, or both nodes move."""
     slides, gap, both = (int(mask.sum()) for mask in (touches, rests & ~touches, ~rests))
     at = "" if slides == len(rests) else f"At {slides} of them a fixed boundary touches the moving one. "
     texts = (

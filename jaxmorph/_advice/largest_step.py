@@ -1,6 +1,4 @@
-"""The largest step of a surface in a direction before a cell breaks a bound: exact, for the mesh
-moves linearly.
-"""
+"""The largest, exact step of a surface in a direction before a cell breaks a bound."""
 
 import dataclasses
 import itertools
@@ -184,7 +182,6 @@ class Bounds:
         return best
 
     def hold(self, points: Float[Array, "n d"]) -> Bool[Array, ""]:
-        """Checks whether every corner is above its bound; traced."""
         return jnp.all(self.ratios(points) > self.min_jacobian_ratio)
 
     def ratios(self, points: Float[Array, "n d"]) -> Float[Array, " s"]:
@@ -227,8 +224,8 @@ class DesignedMesh(Module):
 
 
 def least_undeformed(mesh: Mesh) -> Float[np.ndarray, " k"]:
-    """The least det J that is proven of each undeformed cell. Raises `ValueError` for cells that
-    are not proven valid.
+    """The least proven det J of each undeformed cell; a `ValueError` for cells that are not
+    valid.
     """
     undeformed = proof(mesh, mesh.points)
     if undeformed.valid < undeformed.count:

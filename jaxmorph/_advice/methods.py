@@ -16,8 +16,6 @@ MOST_POINTS = {2: 100_000, 3: 40_000}  # points of a mesh, by dimension, up to w
 
 @dataclasses.dataclass(frozen=True)
 class Lengths:
-    """Lengths of a boundary, from the points of its moving (m, d) and its fixed nodes (f, d)."""
-
     moving: Any
     fixed: Any
 

@@ -88,7 +88,6 @@ class Faceted(AbstractWall):
         return dataclasses.replace(self, nodes=place[np.asarray(self.nodes)])
 
     def nearest(self, x: Float[Array, "k d"]) -> tuple[Float[Array, "k d"], Float[Array, "k d"]]:
-        """Finds the nearest points of the faces, and the unit normals there."""
         vertices = jnp.asarray(self.vertices, x.dtype)
         normals = self._normals(vertices)
         return jax.lax.map(lambda point: self._nearest(point, vertices, normals), x, batch_size=BLOCK)
@@ -209,7 +208,6 @@ class CurvedFaces(Faceted):
     def _searched(
         self, x: Float[Array, " d"], start: Float[Array, " e"], coefficients: Float[Array, "k d"]
     ) -> Float[Array, " e"]:
-        """The coordinates of a face's place near x, inside of the face."""
         place = functools.partial(_place, powers=polynomials(self.kind)[0])
 
         def nearer(at, _):
@@ -320,7 +318,6 @@ class SmoothFaces(Faceted):
 def _raised(
     x: Float[Array, " d"], corners: Float[Array, "w d d"], normals: Float[Array, "w d d"]
 ) -> tuple[Float[Array, " d"], Float[Array, " d"]]:
-    """The place of the surface above the nearest place of the faces, and the normal there."""
     place, chosen = _closest(x, corners)
     corner, normal = corners[chosen], normals[chosen]
     sides = corner[1:] - corner[0][None]

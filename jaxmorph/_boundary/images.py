@@ -35,7 +35,6 @@ class Images(eqx.Module):
     pairings: tuple[Pairing, ...]
 
     def at(self, pairings: Sequence[Pairing]) -> "Images":
-        """Takes the translations of `pairings` in place of its own. Traced."""
         shifts, moved = self.shifts, []
         for p, (old, new) in enumerate(zip(self.pairings, pairings, strict=True)):
             shift = jnp.asarray(new.shift, shifts.dtype)
@@ -44,12 +43,10 @@ class Images(eqx.Module):
         return dataclasses.replace(self, shifts=shifts, pairings=tuple(moved))
 
     def points(self, points: Float[Array, "o d"]) -> Float[Array, "b d"]:
-        """Coordinates of all rows, also of the images."""
         rows = self.vectors(points)
         return rows if len(self.shifts) == 1 else rows + self.shifts.astype(points.dtype)[self.kind]
 
     def vectors(self, u: Float[Array, "o d"]) -> Float[Array, "b d"]:
-        """Displacements of all rows, also of the images."""
         if len(self.matrices) == 1:
             return u[self.rows]
         turns = self.matrices.astype(u.dtype)[self.kind]
@@ -64,7 +61,6 @@ class Images(eqx.Module):
         return u
 
     def within(self, u: Float[Array, "n d"], on_plane: Bool[Array, "n p"]) -> Float[Array, "n d"]:
-        """Removes the components of displacements normal to the nodes' planes."""
         for k, normal in enumerate(self.normals):
             normal = normal.astype(u.dtype)
             u = jnp.where(on_plane[:, k, None], u - (u @ normal)[:, None] * normal[None], u)

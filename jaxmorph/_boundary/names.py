@@ -54,7 +54,6 @@ def check_finite(points: np.ndarray) -> None:
 
 
 def names_in(values: Any) -> tuple[str, ...] | None:
-    """The names of patches, if `values` is one name or several; None for other values."""
     if isinstance(values, str):
         return (values,)
     is_list = isinstance(values, list | tuple | set | frozenset)
@@ -96,7 +95,6 @@ def several(name: str, value: Any, kinds: type | tuple[type, ...], example: str)
 
 
 def planes_named(symmetry: Any, points: np.ndarray, mesh: Mesh | None) -> tuple[Plane, ...]:
-    """Lists planes, and the planes of patches of a mesh, without repetition."""
     planes: list[Plane] = []
     for entry in several("symmetry", symmetry, Plane if mesh is None else (Plane, str), PLANES):
         of_entry = (entry,) if isinstance(entry, Plane) or mesh is None else planes_of(mesh, entry)

@@ -33,7 +33,6 @@ class OuterFaces:
         return cls(corners, ids)
 
     def count(self, chosen: Mapping[str, np.ndarray] | None = None) -> int:
-        """Counts the file's faces; with masks `chosen` by type, only faces with a chosen part."""
         ids = [numbers if chosen is None else numbers[chosen[kind]] for kind, numbers in self.ids.items()]
         return len(np.unique(np.concatenate(ids))) if ids else 0
 

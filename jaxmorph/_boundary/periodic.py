@@ -262,7 +262,6 @@ def _paired(
 def _partners(
     periodic: Periodic, first: np.ndarray, second: np.ndarray, points: np.ndarray, images: np.ndarray
 ) -> np.ndarray:
-    """The second node at the image of each first node; each once."""
     exact = points[second].astype(float)
     distance, nearest = map(np.asarray, Tree(exact).query(images))
     gaps = np.minimum(spacing(exact), np.ptp(points.astype(float), axis=0).max())
@@ -287,7 +286,6 @@ def _partners(
 
 
 def _transform(periodic: Periodic, middle: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-    """Matrix, shift and angle of the transform: 0 for a translation."""
     dimension = len(middle)
     _check_vectors(periodic, dimension)
     if not periodic.is_rotation:
@@ -324,7 +322,6 @@ def _sharp(shift: np.ndarray) -> np.ndarray:
 
 
 def _generator(axis: np.ndarray | None, dimension: int) -> tuple[np.ndarray, np.ndarray]:
-    """The matrix of the cross product with the axis, and the projection across the axis."""
     if axis is None:
         return np.array([[0.0, -1.0], [1.0, 0.0]]), np.eye(dimension)
     x, y, z = axis / np.linalg.norm(axis)

@@ -152,7 +152,6 @@ def _of_revolution(slide: Slide, on: Revolution, patch: np.ndarray) -> Round:
 
 
 def _line_or_profile(patch: np.ndarray, axis: np.ndarray, origin: np.ndarray) -> tuple[np.ndarray | None, np.ndarray]:
-    """The line (3,) of a `Round` through nodes, or None, and their profile (k, 2)."""
     arm, size = patch - origin, np.ptp(patch, axis=0).max()
     along = arm @ axis
     profile = np.stack([along, np.linalg.norm(arm - along[:, None] * axis, axis=1)], axis=1)

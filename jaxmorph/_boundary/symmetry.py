@@ -18,12 +18,8 @@ class Plane(Module):
     """A symmetry plane: nodes on the plane stay in the plane.
 
     Nodes within 1e-8 of the mesh's extent, or within the round-off of float32 coordinates, lie on
-    the plane. All other nodes are on one side. `Plane.through` finds a patch's plane.
-
-    **Arguments:**
-
-    - `normal`: direction (d,) of any length but zero.
-    - `origin`: a point (d,) of the plane, in the mesh's units.
+    the plane. All other nodes are on one side. The `normal` (d,) has any length but zero; `origin`
+    is a point (d,) of the plane. `Plane.through` finds a patch's plane.
 
     **Raises:** `ValueError` for a normal that is zero, and for different dimensions of both.
     """

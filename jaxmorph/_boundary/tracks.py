@@ -73,7 +73,6 @@ class Track(eqx.Module):
 
 
 def smoothed(track: Track) -> Track:
-    """Replaces linear faces of a track's walls by the smooth surface through their nodes."""
     walls = [
         SmoothFaces(wall.nodes, wall.vertices, wall.faces, wall.around) if type(wall) is Faceted else wall
         for wall in track.walls
@@ -145,7 +144,6 @@ def check_repeated(
     points: np.ndarray,
     free: Bool[np.ndarray, " n"],
 ) -> None:
-    """Refuses a free node whose walls, transformed, are not its partner's walls."""
     if not tracks or not pairings:
         return
     exact, dimension = points.astype(float), points.shape[1]

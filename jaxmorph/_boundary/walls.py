@@ -32,7 +32,6 @@ class AbstractWall(Module):
         return self
 
     def renumbered(self, place: Int[np.ndarray, " n"]) -> "AbstractWall":
-        """Renumbers the wall's nodes k to `place[k]`."""
         return self
 
     def has_end(self, x: Float[np.ndarray, "k d"]) -> Bool[np.ndarray, " k"]:

@@ -24,15 +24,12 @@ from .motion import Distortion, Ways
 
 @dataclasses.dataclass(frozen=True)
 class Constraints:
-    """Nodes that are `held`, and `tracks` and `pairings` that lead other boundary nodes."""
-
     held: np.ndarray
     tracks: tuple[Track, ...]
     pairings: tuple[Pairing, ...]
 
 
 def constraints_of(boundary: Boundary, mesh: Mesh) -> Constraints:
-    """The constraints of a boundary; nodes of the outside in no list are held."""
     points, data = boundary.points, np.concatenate([boundary.moving, boundary.fixed])
     sliding = np.concatenate([np.zeros(0, dtype=int), *(track.rows for track in boundary.tracks)])
     on_plane = [np.flatnonzero(plane.holds(points)) for plane in boundary.planes]

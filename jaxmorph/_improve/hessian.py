@@ -24,7 +24,6 @@ SWEEPS = 5  # sweeps of Jacobi rotations in 3-D: four or five converge to round-
 
 
 def symmetric_eigen(matrix: Matrix) -> tuple[list[Scalar], list[Vector]]:
-    """Eigenvalues and eigenvectors of symmetric matrices (d, d) by Jacobi's method."""
     d = len(matrix)
     start = tuple(tuple(row) for row in matrix)
     zero, one = jnp.zeros_like(matrix[0][0]), jnp.ones_like(matrix[0][0])

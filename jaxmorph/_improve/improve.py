@@ -79,8 +79,6 @@ class Improvement(Module):
 
 @dataclasses.dataclass(frozen=True)
 class Options:
-    """Arguments of `improve`: the target and the weight of the energy, and when the search ends."""
-
     ideal: bool = False
     size_weight: float = 0.5
     worst: bool = False

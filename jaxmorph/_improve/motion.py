@@ -20,11 +20,9 @@ from .hessian import blocks
 
 
 class Ways(eqx.Module):
-    """Leads nodes along walls, and the second node of a periodic pair as its first moves.
-
-    - `follows` (n,): True for the second node of a pair.
-    - `normals` (n, q, d): unit vectors that span the normals of the walls where a node starts; zero
-      vectors fill up the list.
+    """Leads nodes along walls, and the second node of a periodic pair, marked by `follows` (n,), as
+    its first moves. `normals` (n, q, d) are unit vectors that span the normals of the walls where a
+    node starts, filled up by zero vectors.
     """
 
     tracks: tuple[Track, ...]
@@ -117,12 +115,10 @@ class Distortion(eqx.Module):
             yield kind, goal.counts > 0, *samples(kind, corners(points, ids), goal)
 
     def least(self, y: Float[Array, "n d"], base: Float[Array, "n d"]) -> Float[Array, ""]:
-        """The smallest determinant of T: negative if a cell is inverted."""
         rows = self._samples(self.points(y, base))
         return jnp.min(jnp.stack([jnp.min(jnp.where(counts, tau, 1)) for _, counts, _, tau in rows]))
 
     def worst(self, y: Float[Array, "n d"], base: Float[Array, "n d"]) -> Float[Array, ""]:
-        """The largest distortion of a sample, without stiffness."""
         worst = []
         for _, counts, squared, tau in self._samples(self.points(y, base)):
             values = energy(squared, tau, self.softness, self.size, y.shape[1])

@@ -18,10 +18,7 @@ from .._kernels.compile import compiled
 from .._quality.distortion import Bounds
 from .motion import Distortion, Ways
 
-QUARTER = 0.05
-"""Least cosine between a wall's normals at a node's start and end. Below it, the end is no
-minimum.
-"""
+QUARTER = 0.05  # least cosine between a wall's normals at a node's start and end; below it, no minimum
 
 SHARPEST, GENTLER, STAGES = 1e-3, 0.3, 5
 """Softness of the barrier in the last stage, its largest factor per stage, and most stages."""
@@ -33,8 +30,6 @@ CLOSE = 0.03  # least tolerance between two stages of stiffening: a looser one w
 
 
 class Search(NamedTuple):
-    """Settings of all stages: the Hessian's pattern, and when a stage ends."""
-
     blocks: Pattern
     tolerance: Float[Array, ""]
     max_steps: int
@@ -46,8 +41,6 @@ class Search(NamedTuple):
 
 
 class Minimum(NamedTuple):
-    """Place where a distortion is least, and the number of steps up to there."""
-
     distortion: Distortion
     y: Float[Array, "n d"]
     steps: Int[Array, ""] | int
@@ -151,7 +144,6 @@ _least = compiled(Distortion.least)
 
 @compiled
 def judged(plain: Distortion, minimum: Minimum, base: Float[Array, "n d"]):
-    """The distortion without stiffness, the slope with it, the points, and lost pieces."""
     distortion, y, _ = minimum
     value, slope = plain(y, base), jax.grad(distortion)(y, base)
     points, ways = distortion.points(y, base), distortion.ways
@@ -173,8 +165,6 @@ def _on_host(solver: Callable, pattern: Pattern, blocks, shift, right: Float[Arr
 
 
 class _Inverse(lx.AbstractLinearOperator):
-    """The inverse of a Hessian, applied on the host."""
-
     pattern: Pattern
     blocks: Float[Array, "d d pairs"]
     shift: Float[Array, " n"]

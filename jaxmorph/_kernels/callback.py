@@ -58,7 +58,6 @@ def _lowered(context: Any, *operands: Any, **params: Any) -> Sequence[Any]:
 
 
 def _sharding(context: Any) -> Any:
-    """Makes one device of several call the host, as JAX does for its own callbacks."""
     layout = context.module_context.axis_context
     if isinstance(layout, mlir.ShardingContext) and layout.num_devices == 1:
         return None

@@ -31,7 +31,7 @@ Function = TypeVar("Function", bound=Callable)
 
 
 class Constant(eqx.Module):
-    """A static value. A call with arrays alone as leaves is asynchronous; `equinox.filter_jit`
+    """A static value: a call with arrays alone as leaves is asynchronous, `equinox.filter_jit`
     waits.
     """
 

@@ -104,7 +104,6 @@ def few_rows_times_transposed(rows: Float[Array, "k c"], block: Float[Array, "s 
 
 
 def _contract(rows, block, axis):
-    """Sums the product over the last axis of `rows` and over `axis` of the matrix `block`."""
     dimensions = (((rows.ndim - 1,), (axis,)), ((), ()))
     return jax.lax.dot_general(rows, block, dimensions, precision="highest")  # a GPU would round float32 to ten bits
 

@@ -38,8 +38,6 @@ class Module(eqx.Module):
 
 
 class Method(_BoundMethod):
-    """A module's method: a tree as Equinox's are, and equal to the method of an equal module."""
-
     def __hash__(self) -> int:
         return hash((self.__func__, self.__self__))
 

@@ -10,11 +10,7 @@ from .._kernels.compile import is_for_cpu
 from .base import BLOCK, AbstractField, AbstractMethod, AbstractPlacing
 from .sparse import Interpolation
 
-WIDER = 256
-"""Factor of a block's size off the CPU: a GPU wants millions of elements at once, and few
-launches.
-"""
-
+WIDER = 256  # factor of a block's size off the CPU: a GPU wants many elements at once, and few launches
 FEW = 64  # most blocks of a single program on any platform; two programs are traced for more
 
 
@@ -112,7 +108,6 @@ def with_tables(placed: PyTree, count: int, parts: int = 1) -> PyTree:
 
 
 def without_tables(placed: PyTree) -> PyTree:
-    """Drops the tables, so that every leaf has one row a point."""
     return _map_rows_of(lambda rows: rows.without_table(), placed)
 
 

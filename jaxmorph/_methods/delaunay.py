@@ -59,7 +59,6 @@ def _begun(surface: Surface) -> Beside[Graph]:
 
 
 def barycentric(x: Float[Array, " d"], corners: list[Float[Array, " d"]], at_node) -> list[Float[Array, ""]]:
-    """Computes barycentric coordinates (eqs. 6 and 7) in closed form; (1, 0, ...) `at_node`."""
     edges = [corner - corners[0] for corner in corners[1:]]
     rows = cofactors(edges)
     whole = jnp.where(at_node, 1, dot(rows[0], edges[0]))

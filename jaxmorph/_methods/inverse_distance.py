@@ -87,8 +87,6 @@ class InverseDistance(AbstractMethod):
 
 
 class InverseDistanceField(AbstractField):
-    """Evaluates the weighted mean; `turns` are the nodes' rotations less the identity."""
-
     method: InverseDistance
     factors: InverseDistanceFactors
     surface: Float[Array, "b d"]
@@ -156,7 +154,6 @@ def _areas(faces: Faces, surface: Float[Array, "b d"]) -> Float[Array, " b"]:
 
 
 def _turns(faces: Faces, surface: Float[Array, "b d"], u: Float[Array, "b d"]) -> Float[Array, "b d d"]:
-    """The least rotations from normals to changed normals, less the identity."""
     # Normals are linear in 2-D, and quadratic in 3-D: N(x + u) = N(x) + N'(x) u + N(u). So their
     # change is zero, bit for bit, where u is.
     before, change = jax.jvp(lambda places: _normals(faces, places), (surface,), (u,))

@@ -14,11 +14,7 @@ from .rbf.basis import WendlandC2
 from .sparse import InterpolatedField, Reach, Searched, squared_distance
 from .surface import Surface
 
-REACH = 1.25
-"""Search distance in radii. In the part beyond 1 another node may come nearer than the nearest
-node.
-"""
-
+REACH = 1.25  # search distance in radii: beyond 1 another node may come nearer than the nearest node
 SPACING = 2.0  # the automatic radius, relative to the width of the layer of `NearWall`
 
 
@@ -42,17 +38,14 @@ class LocalCorrection(AbstractPlacing):
     jumps where the nearest node changes, by as much as the offsets of two neighbours differ. Of
     nodes that are equally near the first counts. Between two walls closer than twice the radius it
     may tear cells; `NearWall` does not. Alone it reproduces no polynomial, and cells fold where the
-    offset is a good part of the radius.
-
-    **Arguments:**
-
-    - `radius`: R, in the mesh's units. Default None: for each wall the largest distance from one of
-      its nodes to the nearest source, or half of the mean chord of a wall without sources. Rendall
-      and Allen take a multiple of the largest offset, which would not be linear in `u`.
+    offset is a good part of the radius. The `radius` R is in the mesh's units. By default it is for
+    each wall the largest distance from one of its nodes to the nearest source, or half of the mean
+    chord of a wall without sources. Rendall and Allen take a multiple of the largest offset, which
+    would not be linear in `u`.
 
     **Raises:** `ValueError` for a radius that is not positive and finite. `refit` raises it where
     another node has come within the radius of a point, and is nearer than the point's own node by a
-    quarter of the radius; traced code answers NaN there.
+    quarter of the radius. Traced code answers NaN there.
     """
 
     radius: Float[Array, ""] | None = eqx.field(default=None, converter=length_or_none("radius"))

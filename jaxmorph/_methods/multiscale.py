@@ -37,12 +37,9 @@ class Multiscale(AbstractPlacing):
     def whole(radius, fraction: float = 0.05) -> SurfaceReconstruction:
         """Returns the method with both stages: a dense system for some nodes, this for the rest.
 
-        **Arguments:**
-
-        - `radius`: of the first stage's Wendland C2 functions, in the mesh's units: the size of the
-          body or larger.
-        - `fraction`: share of the nodes in the first stage, spread evenly over the surface, from 0
-          to 1. Default 0.05.
+        `radius` is that of the first stage's Wendland C2 functions, in the mesh's units: the size
+        of the body or larger. `fraction`, from 0 to 1, is the share of the nodes in the first
+        stage, spread evenly over the surface.
 
         **Raises:** `ValueError` for numbers outside of these ranges.
         """
@@ -98,9 +95,7 @@ class Sweep(eqx.Module):
 
 
 class Hierarchy(eqx.Module):
-    """The nearest node before each node, and the entries (row, column) of the system. A node
-    without a function is its own nearest node.
-    """
+    """The nearest node before each node, itself without a function; and entries (row, column)."""
 
     nearest: Int[Array, " b"]
     row: Int[Array, " e"]
@@ -122,8 +117,6 @@ class Hierarchy(eqx.Module):
 
 
 class MultiscaleFactors(eqx.Module):
-    """Squared radii of the functions, and entries of the matrix below its diagonal of ones."""
-
     squared: Float[Array, " b"]
     entries: Float[Array, " e"]
 

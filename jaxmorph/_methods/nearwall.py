@@ -148,7 +148,6 @@ class Extent(eqx.Module):
 
 
 def layer_width(width: Float[Either, ""] | None, extent: Extent, surface: Float[Either, "b d"]) -> Float[Either, " b"]:
-    """The layer's width over each surface node: of its wall, unless `width` is set."""
     xp = namespace(surface)
     if width is not None:
         return xp.full(len(surface), xp.asarray(width, surface.dtype))

@@ -76,7 +76,6 @@ class Interpolation(eqx.Module):
         return dataclasses.replace(self, table=None)
 
     def with_table_of(self, old: "Interpolation") -> "Interpolation":
-        """Takes over the table of rows with equal ids, with the weights of these rows. Traced."""
         table = old.table
         if table is None:
             return self.without_table()
@@ -186,8 +185,6 @@ half of that.
 
 
 class Searched(eqx.Module):
-    """Base coordinates in which nodes within a `distance` were searched for."""
-
     points: Float[Array, "n d"]
     surface: Float[Array, "b d"]
     distance: Float[Array, ""]

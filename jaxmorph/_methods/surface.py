@@ -88,9 +88,7 @@ class Surface:
         return np.concatenate([first, drop_near(self.points, second, first, min(closest, closest_fixed))])
 
     def _chosen(self, reduction: AbstractReduction, rows: np.ndarray, others: np.ndarray) -> tuple[np.ndarray, float]:
-        """Chooses rows by a reduction, with images; returns also the least distance of two of
-        them.
-        """
+        """Chooses rows by a reduction, with images; also returns the least distance of two."""
         # A source too close to its own image gives way to the nearest node that is not too close,
         # one on the plane if there is any. Two sources that are not too close are farther from each
         # other's images: all nodes lie on one side of a plane.

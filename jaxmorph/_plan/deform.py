@@ -28,13 +28,8 @@ def deform(plan: Plan, u: Real[ArrayLike, "m d"] | Sequence[Any]) -> Float[Array
     """Moves the mesh: node `plan.moving[i]` by `u[i]`; fixed nodes stay, all other nodes follow.
 
     A method that is `exact` moves and fixes these nodes exactly; a reduced `RBF` alone does so
-    approximately. The motion is one step, and linear in `u` where `plan.is_linear`. Traced. Judge
-    the result with `quality`: `deform` knows nothing of cells.
-
-    **Arguments:**
-
-    - `plan`: what `prepare` returned.
-    - `u`: displacements (m, d) of the moving nodes, in the mesh's unit.
+    approximately. The motion is one step, and linear in `u` (m, d), in the mesh's unit, where
+    `plan.is_linear`. Traced. Judge the result with `quality`: `deform` knows nothing of cells.
 
     **Returns:** all points (n, d), in the mesh's own node order and unit. **Raises:** `ValueError`
     for another shape of `u`.
@@ -109,18 +104,13 @@ def _of_points(plan: Plan, cotangent: Any) -> Float[Array, "n d"]:
 
 @checked
 def velocity(plan: Plan, u: Float[ArrayLike, "m d"], u_dot: Float[ArrayLike, "m d"]) -> Float[Array, "n d"]:
-    """Computes the velocity of every node from the velocity of the moving nodes.
+    """Computes the velocity of every node from the velocities `u_dot` of the moving nodes.
 
-    The volume of a cell changes at the rate of the velocity's flux through its faces, to round-off:
-    the geometric conservation law.
+    Both `u`, the displacements at this time, and `u_dot` are (m, d). The volume of a cell changes
+    at the rate of the velocity's flux through its faces, to round-off: the geometric conservation
+    law.
 
-    **Arguments:**
-
-    - `plan`: what `prepare` returned.
-    - `u`, `u_dot`: displacements and velocities (m, d) of the moving nodes at this time.
-
-    **Returns:** velocities (n, d), zero at fixed nodes. **Raises:** `ValueError` for another shape
-    of `u` or `u_dot`.
+    **Returns:** velocities (n, d), zero at fixed nodes. **Raises:** `ValueError` for other shapes.
     """
     u, u_dot = jnp.asarray(u, plan.points.dtype), jnp.asarray(u_dot, plan.points.dtype)
     if u.shape != u_dot.shape:
@@ -179,7 +169,6 @@ def slabs(count: int, *arguments: Any) -> list[tuple[np.ndarray, int]]:
 
 @compiled
 def joined(parts: tuple[Float[Array, "s d"], ...], count: int) -> Float[Array, "n d"]:
-    """Joins the results of slabs of `count` points."""
     *others, last = parts
     stride, before = len(last) - count % STEP, count - len(last)
     return jnp.concatenate([*(part[: min(stride, before - k * stride)] for k, part in enumerate(others)), last])

@@ -52,12 +52,8 @@ class BoundaryQuality:
 def boundary_quality(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> BoundaryQuality:
     """Measures, on the host, how well moved points keep planes, sliding surfaces and pairs.
 
-    The points may come from `deform`, the last step of a `march`, `improve`, or another tool.
-
-    **Arguments:**
-
-    - `plan`: what `prepare` returned, or the first plan of a `march`.
-    - `points`: moved points (n, d), in the unit of the plan.
+    The points (n, d) come from `deform`, the last step of a `march` (with its first plan),
+    `improve`, or another tool.
 
     **Raises:** `ValueError` for another shape of `points`, and for a plan of a piece that lacks
     nodes of the surface: judge `half.plan`.

@@ -254,8 +254,6 @@ def extended(plan: Plan, u: Any) -> Float[Array, "o d"]:
 
 
 class Shared(eqx.Module):
-    """Data common to all points: the field, images, and places (or displacements) of nodes."""
-
     field: AbstractField
     assigned: Float[Array, "a d"]
     nodes: Int[Array, " a"]
@@ -300,7 +298,6 @@ def move(shared: Shared, volume: VolumePart, at: Int[Array, " a"]) -> Float[Arra
 
 
 def moved_surface(plan: Plan, vectors: Float[Array, "o d"]) -> Float[Array, "o d"]:
-    """Moves the surface's own rows alone, as `deform_surface` does with an exact method."""
     vectors, guide = kept(plan, vectors), plan.surface.guide
     return plan.surface_points + vectors if guide is None else guide.placed(vectors)
 

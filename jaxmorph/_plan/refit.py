@@ -84,17 +84,13 @@ WORDS = {
 
 @checked
 def refit(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Plan:
-    """Computes a plan anew on other base coordinates: ids stay, floats are computed.
+    """Computes a plan anew on other base coordinates `points` (n, d): ids stay, floats are
+    computed.
 
     Traced. It is meant for another mesh of one family. For the steps of one motion call `march`:
     after a large motion, points have left their simplices and extrapolate. The patches' own faces,
     and translations of periodic pairs, are taken from the new points. Symmetry planes, surfaces
     given to `jm.Slide`, and rotations stay; known points that do not lie on them are refused.
-
-    **Arguments:**
-
-    - `plan`: the plan.
-    - `points`: the new base coordinates (n, d), in the unit of the old ones.
 
     **Raises:** `ValueError` for another shape of `points`, and for a plan of a piece: prepare the
     new surface, and attach the piece to it. Also where nodes leave a symmetry plane or a given
@@ -119,7 +115,6 @@ def refit(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Plan:
 
 
 def with_boundary_of(plan: Plan, other: Plan) -> Plan:
-    """Gives a plan the walls and transforms of another plan of its mesh and boundary."""
     guide = other.surface.guide
     return plan if guide is None else _with(plan, guide.tracks, guide.pairings)
 

@@ -67,11 +67,6 @@ def save(path: str | os.PathLike[str], plan: Plans) -> None:
     members of an `enum`, tuples, lists, dictionaries by string, and objects of dataclasses (also of
     `equinox.Module`). The file has a temporary name until it is complete.
 
-    **Arguments:**
-
-    - `path`: the file to write.
-    - `plan`: a `Plan`, several plans in a sequence, or a `SurfaceHalf`.
-
     **Raises:** `ValueError`, with the place in the plan, for other fields (functions, say), and
     your own class with the name of a jaxmorph class. Also for a plan laid over devices (save the
     plan that `prepare` returned), and a `path` that is a folder, or whose folder is missing.
@@ -91,12 +86,9 @@ def save(path: str | os.PathLike[str], plan: Plans) -> None:
 def load(path: str | os.PathLike[str], classes: Sequence[type] = ()) -> Any:
     """Reads what `save` wrote. Arrays go to JAX's default device.
 
-    **Arguments:**
-
-    - `path`: the file.
-    - `classes`: your own classes that the plan may hold: a basis, a method and its factors, a
-      reduction. Default: none. A file can name only these and jaxmorph's classes, so that a file
-      from elsewhere does no harm.
+    `classes` are your own classes that the plan may hold: a basis, a method and its factors, a
+    reduction. A file can name only these and jaxmorph's classes, so that a file from elsewhere does
+    no harm.
 
     **Raises:** `ValueError` for a file that is no plan, is damaged or cut short, or is of another
     version. Also for a class that is unknown or has other fields, and for float64 while JAX's x64

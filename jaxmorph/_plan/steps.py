@@ -90,7 +90,6 @@ def _targets(plan: Plan, path) -> Float[Array, "k o d"]:
 
 @compiled
 def _advance(plan: Plan, target: Float[Array, "o d"]) -> tuple[Float[Array, "n d"], Float[Array, "o d"] | None]:
-    """Moves the surface to the target, with moved fixed nodes; a piece returns all of it too."""
     vectors = target - plan.surface_points
     points = deform_surface(plan, vectors)
     if not plan.is_piece:

@@ -138,8 +138,6 @@ def energy(
 
 
 class Bounds(NamedTuple):
-    """Bounds on samples: the distortion stays below 1 / `stiffness`, det T above `least`."""
-
     stiffness: Any
     least: Any = 0.0
 
@@ -160,7 +158,6 @@ def stiffened(energy: Float[Array, "*shape"], tau: Float[Array, "*shape"], bound
 def energy_of_cells(
     kind: str, x: list[Vector], goal: Target, softness: Any, size: float, bounds: Bounds | None = None
 ) -> Float[Array, " k"]:
-    """The mean energy of each cell's samples, stiffened if there are `bounds`."""
     squared, tau = samples(kind, x, goal)
     values = energy(squared, tau, softness, size, len(goal.inverse))
     if bounds is None:
@@ -181,7 +178,6 @@ def node_scales(kinds: dict[str, Any], targets: dict[str, Target], n: int) -> Fl
 
 
 def signs_of_pieces(mesh: Mesh) -> dict[str, Any]:
-    """The sign of each piece of `linear_cells` by type: that by which its cell is judged."""
     dtype = jax.dtypes.canonicalize_dtype(mesh.points.dtype)
     with jax.ensure_compile_time_eval():
         signs = jnp.concatenate([standard.sign for standard in standards_of(mesh, dtype).values()])

@@ -85,15 +85,11 @@ class FaceQuality(Report):
 def face_quality(mesh: Mesh, points: Float[Any, "n d"] | None = None) -> FaceQuality:
     """Measures cells by their faces on the host, as OpenFOAM's checkMesh does.
 
-    `quality` has the traced measures; of polyhedra it sees the pieces, this the whole. Without
-    polyhedra and with flat faces, both have one non-orthogonality. Inverted cells differ: `quality`
-    takes the Jacobians at the corners, for finite elements, this the volumes and the pyramids of
-    faces, for finite volumes.
-
-    **Arguments:**
-
-    - `mesh`: cells that fill a region in 2-D or 3-D.
-    - `points`: where the nodes are (n, d); None for where the mesh has them.
+    The `mesh` fills a region in 2-D or 3-D; `points` (n, d) are by default its own. `quality` has
+    the traced measures; of polyhedra it sees the pieces, this the whole. Without polyhedra and with
+    flat faces, both have one non-orthogonality. Inverted cells differ: `quality` takes the
+    Jacobians at the corners, for finite elements, this the volumes and the pyramids of faces, for
+    finite volumes.
 
     **Raises:** `ValueError` for a mesh without cells, surfaces in 3-D, and another shape of
     `points`.
@@ -158,7 +154,6 @@ def _add(sums: Vectors, cells: np.ndarray, vectors: Vectors) -> None:
 def _of_shape(
     sides: Sides, shape: _Shape, points: Float[np.ndarray, "n d"], old: Float[np.ndarray, " k"]
 ) -> FaceQuality:
-    """Makes the report; `old` are the undeformed volumes, times `d`."""
     columns, (d, total) = np.ascontiguousarray(points.T), shape.middle.shape
     counted, noise = sides.counts > 0, 8 * np.finfo(float).eps * np.abs(points).max()
     is_wrong, cosine, skewness = np.zeros(total, dtype=bool), np.ones(total), np.zeros(total)
@@ -234,8 +229,6 @@ def _pyramids(centres: Vectors, areas: Vectors, means: Vectors, block: Block) ->
 
 
 class _Across(NamedTuple):
-    """Measures of a block of faces, and the heights of cells' middles below them, by view."""
-
     size: np.ndarray
     skewness: np.ndarray
     cosine: np.ndarray

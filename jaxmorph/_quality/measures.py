@@ -4,7 +4,7 @@ Each function takes the cell's type and `x`, the corners of k cells: one vector 
 numbered as VTK numbers them, relative to the first one. For measures without unit they are divided
 by the cell's size, so that products of lengths stay within float32. The definitions are those of
 Verdict, the library behind VTK's cell quality (Stimpson et al., The Verdict geometric quality
-library, SAND2007-1751), written with finite derivatives, on cells of no size too.
+library, SAND2007-1751). Derivatives are finite, on cells of no size too.
 """
 
 import functools
@@ -249,7 +249,6 @@ def scaled(x: list[Vector], size: Float[Either, " k"]) -> list[Vector]:
 
 
 def reach(x: list[Vector]) -> Float[Either, " k"]:
-    """The largest coordinate, without sign and derivative."""
     xp = namespace(x[0][0])
     return constant(functools.reduce(xp.maximum, [xp.abs(component) for corner in x for component in corner]))
 

@@ -35,23 +35,22 @@ def quality(mesh: Mesh, points: Real[ArrayLike, "n d"] | Sequence[Any] | None = 
     shares is folded, and cells of mixed handedness are fine. `inverted`, `smooth_quality`, `proof`,
     `proven_margin`, `distortion`, `improve` and `largest_step` take the same sign. A cell is
     inverted where its volume, or the Jacobian at one of its corners, has not the sign of the
-    undeformed mesh; without `points`, the sign of the mesh itself. Instead of corners, curved cells
-    have a lattice of places, and the place where bounds on their Jacobian find it least: a fold
-    anywhere is found. A linear hexahedron that folds between its corners is not: `proof` finds it.
-    A cell that is folded on the undeformed mesh is inverted until a motion unfolds it, and counts
-    in `from_start`. Not judged are corners that had no sign, or the wrong one in a cell that was
-    not folded, as in a quad not convex from the start. A corner has no sign within the round-off of
-    the coordinates. One of a cell that is no simplex has none either where its Jacobian is 1e-4 of
-    the product of its edges or less: flat or collapsed. A folded piece of a polyhedron is fine
-    where the polyhedron as a whole is not folded. Neighbours are found on the host from the ids,
-    under `jit` when it traces. For traced cells (a mesh given to `jit` as an argument) that is in
-    each call: close over the mesh instead.
+    undeformed mesh. Without `points`, the mesh is judged by itself, by its own sign. Instead of
+    corners, curved cells have a lattice of places, and the place where bounds on their Jacobian
+    find it least: a fold anywhere is found. A linear hexahedron that folds between its corners is
+    not: `proof` finds it. A cell that is folded on the undeformed mesh is inverted until a motion
+    unfolds it, and counts in `from_start`. Not judged are corners that had no sign, or the wrong
+    one in a cell that was not folded, as in a quad not convex from the start. A corner has no sign
+    within the round-off of the coordinates. One of a cell that is no simplex has none either where
+    its Jacobian is 1e-4 of the product of its edges or less: flat or collapsed. A folded piece of a
+    polyhedron is fine where the polyhedron as a whole is not folded. Neighbours are found on the
+    host from the ids, under `jit` when it traces. For traced cells (a mesh given to `jit` as an
+    argument) that is in each call: close over the mesh instead.
 
     **Arguments:**
 
     - `mesh`: the mesh with its cells; `mesh.points` is undeformed.
-    - `points`: where the nodes are now (n, d), in the unit of `mesh.points`. Default: none, the
-      mesh is judged by itself.
+    - `points`: where the nodes are now (n, d), in the unit of `mesh.points`. Default: none.
 
     **Returns:** a `QualityReport` of arrays, one entry for each cell, in the dtype of `points`.
     **Raises:** `ValueError` for a mesh without cells, and another shape of `points`.
@@ -84,7 +83,6 @@ def inverted(mesh: Mesh, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Bool
 def places(
     mesh: Mesh, points: Real[ArrayLike, "n d"] | Sequence[Any] | None, name: str = "points"
 ) -> Float[Array, "n d"]:
-    """Returns the points to judge: `points`, or the mesh's; `name` is the argument's."""
     if not isinstance(mesh, Mesh):
         raise ValueError(f"the first argument must be a Mesh: quality(mesh, points), not {type(mesh).__name__}.")
     if not sum(len(corners) for corners in mesh.cells.values()):
@@ -103,8 +101,6 @@ def check_solid(mesh: Mesh, reason: str) -> None:
 
 
 class Links(NamedTuple):
-    """The cell behind each face, each cell's sign by numbering, and its part."""
-
     neighbour: Int[Either, " f"]
     sign: Int[Either, " k"]
     part: Int[Either, " k"]

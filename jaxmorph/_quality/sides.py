@@ -50,8 +50,6 @@ class Group:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Block:
-    """Some faces of a group: the `rows` of the group, all shared or none."""
-
     group: Group
     rows: slice
     is_shared: bool
@@ -76,8 +74,6 @@ class Block:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Sides:
-    """All faces by their number of corners, and the number of cells, `total`."""
-
     groups: tuple[Group, ...]
     total: int
 

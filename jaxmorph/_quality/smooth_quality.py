@@ -21,9 +21,7 @@ from .vector import ByType, Vector, by_type, dot, joined
 
 
 class SmoothQuality(Module):
-    """Smooth measures of k cells: arrays (k,), in the order of `QualityReport`; angles in
-    degrees.
-    """
+    """Smooth measures of k cells: arrays (k,), as in `QualityReport`; angles in degrees."""
 
     skewness: Float[Array, " k"]
     aspect_ratio: Float[Array, " k"]
@@ -130,7 +128,6 @@ def _largest_angle(degrees: Float[Array, "f k"], is_inner: Bool[Array, "f k"], s
 
 
 def _soft_maximum_where(values: Float[Array, "m k"], counts: Bool[Array, "m k"], sharpness) -> Float[Array, " k"]:
-    """The soft maximum of the values that count; 0 where none does."""
     number = jnp.sum(counts, axis=0)
     weights = jnp.where((number > 0)[None], counts, True).astype(values.dtype)
     largest = jax.scipy.special.logsumexp(sharpness * values, b=weights, axis=0)

@@ -41,7 +41,6 @@ class Vector(tuple):
 
 
 def corners(points: Float[Either, "n d"], ids: Shaped[Either, "k c"]) -> list[Vector]:
-    """Gathers one vector for each corner of k cells."""
     axes = [points[:, axis] for axis in range(points.shape[1])]
     return [Vector(axis[ids[:, corner]] for axis in axes) for corner in range(ids.shape[1])]
 

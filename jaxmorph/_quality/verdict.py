@@ -233,7 +233,6 @@ class Verdict:
     judged: Judged | None = dataclasses.field(default=None, compare=False, repr=False)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Drops the arrays of all cells."""
         return vars(self.of_part())
 
     def of_part(self) -> "Verdict":
@@ -332,7 +331,6 @@ class Verdict:
         return "\n".join(lines + worst)
 
     def _starts(self) -> list[float | None]:
-        """Lists the extremes before the motion; a ratio to the mesh before has none."""
         if self.before is None:
             return [None] * len(self.gates)
         return [None if gate.name == "min_jacobian_ratio" else gate.extreme.value for gate in self.before.gates]
@@ -438,7 +436,6 @@ def _verdict(judged: Judged, limits: Limits, before: Verdict | None) -> Verdict:
 
 
 def _gate(judged: Judged, name: str, limit: float) -> tuple[Gate, np.ndarray]:
-    """Compares a measure with its limit; also returns the ids of the cells beyond."""
     kind, values = name[:3], judged.values(name[4:]).astype(float)
     badness = np.where(np.isnan(values), np.inf, values if kind == "max" else -values)
     rows = np.flatnonzero(badness > (limit if kind == "max" else -limit))

@@ -99,7 +99,6 @@ def _measured(
 
 
 def _components(lines: Lines, x: Float[Either, "n d"]) -> tuple[Vector, Float[Either, " w"]]:
-    """Components of first grid lines along the wall's normal and the wall, and heights."""
     xp = namespace(x)
     areas = xp.zeros((len(lines.nodes), x.shape[1]), x.dtype)
     for rows, area in lines.areas(x):

@@ -47,7 +47,6 @@ def known_positions(x: Numbers, name: str = "x") -> Float[np.ndarray, "m d"]:
 
 
 def check_finite(**arrays: Any) -> None:
-    """Raises `ValueError` for the first array that can be read and is not finite."""
     for name, values in arrays.items():
         if values is not None and is_known(values) and not (finite := np.isfinite(np.asarray(values, float))).all():
             raise ValueError(f"{(~finite).sum()} of {finite.size} numbers of `{name}` are not finite.")

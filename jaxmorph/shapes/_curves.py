@@ -114,12 +114,8 @@ def _power(distance: Float[Array, " m"], exponent: float) -> Float[Array, " m"]:
 class BSplineCurve(AbstractLinearShape):
     """A B-spline along a curve of nodes, which follow control points by their arc length.
 
-    The parameters are the displacements (count, d) of the control points.
-
-    **Arguments:**
-
-    - `points`: (m, d) the nodes in order, end to end; neighbours must not coincide.
-    - `count`: control points, more than `degree`, the degree of the spline.
+    The nodes are `points` (m, d) in order, end to end; neighbours must not coincide. The parameters
+    are the displacements (count, d) of the control points, more than the `degree` of the spline.
 
     **Raises:** `ValueError` for other arguments, and positions other than `points`.
     """
@@ -188,12 +184,9 @@ class NACA4(AbstractShape):
     """Turns a NACA 4-digit airfoil into another: exact for its own nodes, smooth nearby.
 
     The parameters are (camber, place, thickness) in chords: (0.04, 0.4, 0.12) is the NACA 4412. A
-    node keeps its place on the mean line; its height above it scales with the thickness.
-
-    **Arguments:**
-
-    - `camber`, `place`, `thickness`: of the given airfoil.
-    - `chord`: of the airfoil; from (0, 0) to (1, 0) by default.
+    node keeps its place on the mean line; its height above it scales with the thickness. `camber`,
+    `place` and `thickness` are those of the given airfoil, `chord` its chord; from (0, 0) to (1, 0)
+    by default.
 
     **Raises:** `ValueError` for a thickness that is not above 0, and a place outside of 0 to 1.
     """
@@ -236,7 +229,6 @@ def _mean_line(s, airfoil: Float[Array, " 3"]) -> tuple[Float[Array, "..."], Flo
 
 
 def _away(s, t, height, airfoil: Float[Array, " 3"]) -> Float[Array, "..."]:
-    """Computes how far positions are beyond the mean line's normal at s: 0 at their foot."""
     ordinate, slope = _mean_line(s, airfoil)
     return s - t + (ordinate - height) * slope
 

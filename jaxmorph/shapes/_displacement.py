@@ -142,13 +142,10 @@ def names(parameters: PyTree) -> list[str]:
 
 @checked
 def varied(parameters: PyTree, changes: Mapping[str, Any]) -> PyTree:
-    """Sets some parameters by name, on the host.
+    """Sets some of a shape's parameters by name, on the host.
 
-    **Arguments:**
-
-    - `parameters`: what a shape takes.
-    - `changes`: values by the names that `names` gives, or of whole arrays (`wing.box`); an
-      unambiguous end of a name is enough (`twist`).
+    `changes` has values by the names that `names` gives, or of whole arrays (`wing.box`); an
+    unambiguous end of a name is enough (`twist`).
 
     **Returns:** parameters in their structure, as NumPy's floats. **Raises:** `ValueError` for
     unknown or ambiguous names, counts that differ, and values that are not finite.

@@ -26,13 +26,9 @@ class Hexahedron(AbstractLinearShape):
 
     In 2-D it is a quadrilateral. Coordinates in the box are those of a multilinear map of the unit
     cube. Positions inside move by the controls' displacements (*counts, d), the parameters,
-    weighted with B-splines of these coordinates; positions outside stay.
-
-    **Arguments:**
-
-    - `corners`: (8, 3) in the order of a cell of the mesh (VTK's and SU2's), the first four around
-      one face; (4, 2) in 2-D.
-    - `counts`, `degree`, `continuity`: as for `FreeForm`.
+    weighted with B-splines of these coordinates; positions outside stay. The `corners` are (8, 3)
+    in the order of a cell of the mesh (VTK's and SU2's), the first four around one face; (4, 2) in
+    2-D. All else is as for `FreeForm`.
 
     **Raises:** `ValueError` for another number of corners, a box without volume or turned inside
     out, and as `FreeForm` does.

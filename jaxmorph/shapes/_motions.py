@@ -117,7 +117,6 @@ def bend(
 
 
 def _turn(arm: Float[Array, "m d"], angle: Array, axis: Float[Array, " 3"] | None) -> Float[Array, "m d"]:
-    """What a rotation adds to arms from its centre (Rodrigues' formula)."""
     versine = 2 * jnp.sin(angle / 2) ** 2
     if axis is None:
         return jnp.sin(angle) * jnp.stack([-arm[:, 1], arm[:, 0]], axis=1) - versine * arm

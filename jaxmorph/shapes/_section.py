@@ -213,7 +213,6 @@ def _blunt(corners: Float[np.ndarray, "k 2"], first: int, last: int) -> tuple[in
 
 
 def _tour(places: Float[np.ndarray, "m 2"]) -> Int[np.ndarray, " m"]:
-    """Finds the shortest tour of different places, along the chord and back (bitonic)."""
     along = np.argsort(places[:, 0], kind="stable")
     column = np.cumsum(np.diff(places[along, 0], prepend=-np.inf) > SAME)
     order = along[np.lexsort((places[along, 1], column))]

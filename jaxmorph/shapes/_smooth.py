@@ -108,7 +108,7 @@ class Smoother(AbstractLinearShape):
 
 
 def _pieces(faces: Any, points: np.ndarray) -> list[tuple[np.ndarray, float]]:
-    """Cuts faces into segments or triangles; a quad becomes its four corner triangles at half
+    """Cuts faces into segments or triangles: a quad into its four corner triangles, of half
     weight.
     """
     corners = [(0, 1, 2), (0, 2, 3), (0, 1, 3), (1, 2, 3)]

@@ -15,11 +15,10 @@ from .topology import FACES
 def neighbours(cells: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Finds the cell behind every face of `cells`, corner ids (k, corners) by type.
 
-    Returns two arrays with one entry a face, by cell, faces in the order of `FACES`:
-
-    - The id of the neighbour, -1 on the boundary, where more than two cells meet, and at a face
-      without extent, as at the pole of a grid of hexahedra.
-    - True where the neighbour is numbered with the opposite handedness.
+    Returns two arrays with one entry a face, by cell, faces in the order of `FACES`. The first has
+    the id of the neighbour: -1 on the boundary, where more than two cells meet, and at a face
+    without extent, as at the pole of a grid of hexahedra. The second is True where the neighbour is
+    numbered with the opposite handedness.
     """
     # A face becomes a row of its sorted nodes, with its cell and its sense of rotation. `twins`
     # sorts all rows: equal faces are neighbours. Two cells of one handedness run round their common
@@ -123,9 +122,7 @@ def columns_of(corners: np.ndarray) -> list[np.ndarray]:
 
 
 def twins(columns: Sequence[np.ndarray]) -> np.ndarray:
-    """The row of the other face with equal nodes (f,) in `sorted_columns`; -1 for none or
-    several.
-    """
+    """The row of the other face with equal nodes (f,); -1 for none or several."""
     order, first, size = _groups(columns)
     one, other = order[first[size == 2]], order[first[size == 2] + 1]
     partner = np.full(len(order), -1)

@@ -1,9 +1,9 @@
 """Cells of high order: their nodes, the order in which a cell lists them, and shape functions.
 
 A cell of order p has nodes on a lattice of step 1 / p in a reference cell, with corners at 0 and 1:
-the unit interval, square and cube; of triangle and tetrahedron the origin and the unit vectors; of
-the wedge the triangle times the unit interval; of the pyramid the unit square, and the apex (0, 0,
-1) above corner 0. In the canonical order corners come first, then inner nodes of the `EDGES`, from
+unit interval, square, cube. Triangle and tetrahedron have the origin and the unit vectors. The
+wedge is the triangle times the unit interval, the pyramid the unit square and the apex (0, 0, 1)
+above corner 0. In the canonical order corners come first, then inner nodes of the `EDGES`, from
 first to second corner. Those of the `FACES` go in rows along the first edge, from the first corner
 towards the last. At the end come inner nodes of the cell, the first coordinate fastest. The shape
 functions are polynomials whose exponents are the lattice; for a pyramid the space of Bergot et al.
@@ -161,8 +161,8 @@ def derivatives_at_nodes(kind: str) -> np.ndarray:
 
 @functools.cache
 def jacobian_samples(kind: str) -> tuple[np.ndarray, np.ndarray]:
-    """Shape function derivatives (s, nodes, d) where det J is measured, and weights (s,): on a
-    lattice of half the step, of weight 0, and at Gauss points of the exact volume.
+    """Shape function derivatives (s, nodes, d) where det J is measured, and weights (s,). Places
+    are a lattice of half the step, of weight 0, and Gauss points of the exact volume.
     """
     cell = lagrange_types()[kind]
     d, fine = cell.dimension, 2 * cell.order
@@ -189,7 +189,6 @@ def values(kind: str, places: np.ndarray) -> np.ndarray:
 
 
 def _expanded(kind: str, places: np.ndarray) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray, np.ndarray]:
-    """Basis and derivatives at places, and two matrices to the functions of a type."""
     name, completion = lagrange_types()[kind].completion()
     complete = lagrange_types()[name]
     at_nodes, _ = _basis(complete, collapsed(name, complete.reference))
@@ -213,8 +212,8 @@ def _basis(cell: Lagrange, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _pyramid(
     one: np.ndarray, slope: np.ndarray, places: np.ndarray, powers: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """A pyramid's basis: f(a) g(b) c^n with c = 1 - z, a = x / c, b = y / c, n not below the
-    degrees of f and g.
+    """A pyramid's basis f(a) g(b) c^n with c = 1 - z, a = x / c, b = y / c, n at least their
+    degrees.
     """
     f, g = one[:, 0, powers[:, 0]], one[:, 1, powers[:, 1]]
     df, dg = slope[:, 0, powers[:, 0]], slope[:, 1, powers[:, 1]]

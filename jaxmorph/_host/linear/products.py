@@ -27,7 +27,6 @@ def determinant(columns: Sequence[Components]) -> Any:
 
 
 def cofactors(columns: Sequence[Components]) -> list[list[Any]]:
-    """The rows of the inverse of a matrix, times its determinant."""
     if len(columns) == 2:
         a, b = columns
         return [[b[1], -b[0]], [-a[1], a[0]]]

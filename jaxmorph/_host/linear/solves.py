@@ -76,7 +76,6 @@ def conjugate_gradients(
 
 
 def inner_product(a: np.ndarray, b: np.ndarray) -> float:
-    """Sums products without a BLAS."""
     return float(np.einsum("i,i->", a, b))
 
 

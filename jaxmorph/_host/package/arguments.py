@@ -150,8 +150,6 @@ def finite_array(name: str, values: Any, *shapes: tuple[int | None, ...]) -> np.
 
 
 class Rule(NamedTuple):
-    """The values that fit an annotation: their description, and a test."""
-
     words: str
     fits: Callable[[Any], bool]
 

@@ -27,8 +27,8 @@ def input_path(path: str | os.PathLike[str]) -> pathlib.Path:
 
 
 def file_path(path: str | os.PathLike[str]) -> pathlib.Path:
-    """Returns the path of a file to write. Raises `ValueError` for a name with a null byte, and for
-    a folder.
+    """Returns the path of a file to write. Raises `ValueError` for a null byte, and for a
+    folder.
     """
     name = os.fspath(path)
     if name.endswith((os.sep, os.altsep or os.sep)):
@@ -187,7 +187,6 @@ def _is_of_another(error: Exception) -> bool:
 
 
 def _new(target: pathlib.Path, folder: bool) -> pathlib.Path:
-    """Creates the temporary folder, or a temporary file with the permissions of its target."""
     room = 255 - len(os.fsencode(target.suffix)) - len("..12345678.partial")  # of a file system's 255 bytes
     stem = os.fsencode(target.stem)[: max(room, 0)].decode(errors="ignore")
     while True:

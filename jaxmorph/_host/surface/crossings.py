@@ -96,7 +96,6 @@ def _meet(first: np.ndarray, second: np.ndarray, slack: float) -> tuple[np.ndarr
 
 
 def _aside(first: np.ndarray, second: np.ndarray, slack: float) -> np.ndarray:
-    """Marks the pairs whose second triangle lies on one side of the first triangle's plane."""
     normal = np.cross(first[:, 1] - first[:, 0], first[:, 2] - first[:, 0])
     arms = second - first[:, :1]
     height = np.einsum("kcd,kd->kc", arms, normal)

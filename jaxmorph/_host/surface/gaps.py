@@ -102,7 +102,6 @@ def closest(corners: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray,
 
 
 def _candidates(trees: list, corners: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs rows of `x` with the simplices that may be the closest ones to them."""
     bound = np.full(len(x), np.inf)
     for group, tree, _ in trees:
         count = min(NEAR, len(group))

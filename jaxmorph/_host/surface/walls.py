@@ -162,7 +162,6 @@ def _next_to_curves(points: np.ndarray, label: np.ndarray, spacing: np.ndarray) 
 
 
 def _votes(points: np.ndarray, label: np.ndarray, members: np.ndarray, sample: np.ndarray, around: np.ndarray) -> list:
-    """Pairs a curve with the nearest part on both sides, by the vote of its sample."""
     curve = label[members[0]]
     offsets = points[around] - sample[:, None]
     distance = np.where(label[around] == curve, np.inf, np.linalg.norm(offsets, axis=2))

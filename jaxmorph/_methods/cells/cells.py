@@ -78,7 +78,6 @@ class NodeFactors(eqx.Module):
     def solve(
         self, pairs: Int[Array, "e 2"], free: Bool[Array, "n d"], right: Float[Array, "n d"]
     ) -> Float[Array, "n d"]:
-        """Solves for the free unknowns on the host, within traced code; the others are zero."""
         leaves = (pairs, self.values, self.diagonal, self.masses, free)
 
         def times(x):
@@ -155,7 +154,6 @@ class AbstractCellMethod(AbstractMethod):
         return NodeIds(of_kind, *as_jax((pairs, frame, free, wall, rows, nodes))), volume
 
     def _numbered(self, corners: Mapping[str, np.ndarray], n: int) -> tuple[np.ndarray, dict[str, CellIds]]:
-        """Numbers the pairs of nodes (e, 2), and finds each cell's entries."""
         # A pair of nodes is one integer, smaller id times n plus larger id. The list of pairs is
         # sorted and unique, so a search finds each cell's entries. Corners at one place get the
         # number beyond it.

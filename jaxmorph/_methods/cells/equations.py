@@ -133,12 +133,9 @@ class Laplacian(AbstractCellMethod):
 
     Löhner and Yang made the diffusivity depend on the distance from the body (Communications in
     Numerical Methods in Engineering 12, 1996). Components are independent: a rotation shears the
-    cells. `prepare` needs cells, and refuses those without volume.
-
-    **Arguments:**
-
-    - `diffusivity`: of a cell: `ByDistance(exponent)` or `ByVolume(exponent)`. Default
-      `ByDistance(2)`, which OpenFOAM calls `quadratic inverseDistance`.
+    cells. `prepare` needs cells, and refuses those without volume. The `diffusivity` of a cell is
+    `ByDistance(exponent)` or `ByVolume(exponent)`, by default `ByDistance(2)`, which OpenFOAM calls
+    `quadratic inverseDistance`.
     """
 
     diffusivity: AbstractStiffness = eqx.field(default_factory=lambda: ByDistance(2.0))
@@ -173,7 +170,6 @@ class Biharmonic(AbstractCellMethod):
 
 
 def _products(gradient, volume, pairs):
-    """Integrates the products of the gradients of two shape functions, for each pair."""
     i, j = np.array(pairs).T
     return jnp.einsum("q,qpa,qpa->p", volume, gradient[:, i], gradient[:, j], precision="highest")
 
@@ -241,12 +237,8 @@ class TorsionalSprings(AbstractCellMethod):
     of the angles of each triangle. A quad has the triangles at its four corners. In 3-D it is the
     semi-torsional method (Zeng and Ethier 2005). An edge of a tetrahedron is as stiff as 1 / sin^2
     of the angle between the two faces that meet it in one node. Other cells have the tetrahedra at
-    their corners.
-
-    **Arguments:**
-
-    - `lineal`: stiffness of the springs along edges, times 1 / length^2, so that scaling the mesh
-      changes nothing. Farhat et al. have 1 / length. Default 0.1.
+    their corners. `lineal`, by default 0.1, is the stiffness of the springs along edges, times 1 /
+    length^2, so that scaling the mesh changes nothing. Farhat et al. have 1 / length.
     """
 
     lineal: Float[Array, ""] = eqx.field(converter=number("lineal", 0, ends="[)"), default=0.1)
@@ -260,8 +252,6 @@ class TorsionalSprings(AbstractCellMethod):
 
 
 def _triangle(corners: Float[Array, "3 2"], lineal: Float[Array, ""]) -> Float[Array, "3 3 2 2"]:
-    """Returns the blocks of a triangle's torsional and lineal springs, off the diagonal."""
-
     def angles(corners):
         (ax, ay), (bx, by) = ((jnp.roll(corners, -k, axis=0) - corners).T for k in (1, 2))
         return jnp.arctan2(ax * by - ay * bx, ax * bx + ay * by)

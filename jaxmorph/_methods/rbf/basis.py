@@ -179,7 +179,7 @@ class WendlandC2(AbstractCompactBasis):
 
 
 class WendlandC4(AbstractCompactBasis):
-    """Evaluates phi = (1 - xi)^6 (35/3 xi^2 + 6 xi + 1), xi = r / `support_radius`: C4 (Wendland
+    """Evaluates phi = (1 - xi)^6 (35/3 xi^2 + 6 xi + 1), xi = r / `support_radius` (Wendland
     1995).
     """
 

@@ -52,8 +52,6 @@ class CompactIds(eqx.Module):
 
 
 class CompactFactors(eqx.Module):
-    """The radius, the matrix, rows with functions, and whether all neighbours were surely found."""
-
     radius: Float[Array, ""]
     matrix: NodeFactors
     has_function: Bool[Array, " b"]
@@ -73,17 +71,13 @@ class CompactRBF(AbstractPlacing):
     The system is sparse. The field is exact at the nodes, and zero beyond the radius from all
     nodes. It has no polynomial, so alone it does not even reproduce a translation. It may be a
     correction too. Cells fold where the motion is a good part of the radius, so take a radius of
-    several times the largest displacement. Memory is that of the pairs of nodes within the radius.
-    Duplicate nodes have one function: within 1.5e-8 (3.5e-4 in float32) times the radius or the
-    extent of the surface, whichever is less, they are equal in the matrix. The function takes the
-    mean of their displacements, of moving nodes alone where fixed nodes are among them. Each node
-    still goes where `u` sends it. The field is one-valued, so it does not follow the two sides of a
-    crack that opens. `LinearElasticity`, which sees cells, does.
-
-    **Arguments:**
-
-    - `radius`: in the mesh's units. Default: half of the moving nodes reach 200 nodes of the
-      surface, or all of it.
+    several times the largest displacement. By default the `radius`, in the mesh's units, reaches
+    200 nodes of the surface, or all of it, from half of the moving nodes. Memory is that of the
+    pairs of nodes within the radius. Duplicate nodes have one function: within 1.5e-8 (3.5e-4 in
+    float32) times the radius or the extent of the surface, whichever is less, they are equal in the
+    matrix. The function takes the mean of their displacements, of moving nodes alone where fixed
+    nodes are among them. Each node still goes where `u` sends it. The field is one-valued, so it
+    does not follow the two sides of a crack that opens. `LinearElasticity`, which sees cells, does.
 
     **Raises:** `ValueError` for a radius that is not positive and finite. `prepare` raises it if
     rounding changes displacements by more than 1 %, because the radius is too wide, and warns from
@@ -168,7 +162,6 @@ class CompactRBF(AbstractPlacing):
 
 @compiled
 def _missed(method: CompactRBF, ids: CompactIds, factors: CompactFactors, u: Float[Array, "b d"]) -> Float[Array, ""]:
-    """What the field misses of displacements at its nodes, relative to their size."""
     reached = factors.matrix.times(ids.pairs, method.field(ids, factors, u, u).u)
     missed = jnp.where(ids.has_function[:, None], ids.at_functions(u) - reached, 0)
     return jnp.abs(missed).max() / jnp.abs(u).max()

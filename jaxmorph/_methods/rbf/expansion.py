@@ -46,7 +46,6 @@ class RBFFactors(eqx.Module):
 
     @property
     def places(self) -> Float[Array, "s d"]:
-        """The sources in the mesh's coordinates."""
         return self.sources / self.scale + self.centre[None]
 
     def solve(self, values: Float[Array, "t k"]) -> Float[Array, "t k"]:
@@ -86,9 +85,7 @@ class RBFField(AbstractField):
 
 
 class Expansion(Module):
-    """Basis, degree and ridge. Sources and points are in coordinates that the factor `scale`
-    scaled.
-    """
+    """Basis, degree and ridge. Sources and points have coordinates in units of 1 / `scale`."""
 
     basis: AbstractBasis
     degree: int | None = eqx.field(static=True)
@@ -109,7 +106,6 @@ class Expansion(Module):
         return kernel + self.at_sources * jnp.eye(len(kernel), dtype=kernel.dtype) if self.ridge else kernel
 
     def factored(self, sources, scale):
-        """Factors the dense system of some sources; returns also the rows in the pivots' order."""
         tail = polynomial(sources, self.degree)
         # One reduction, not a sum of d terms: XLA's CPU backend (jaxlib 0.10.2) merges d terms
         # wrongly with the transposition that LAPACK asks for, and the jitted gradient with respect
@@ -160,7 +156,6 @@ class Expansion(Module):
         )
 
     def _times_kernel(self, factors: RBFFactors, beta: Float[Array, "s k"]) -> Float[Array, "s k"]:
-        """Multiplies by the kernel's matrix, block by block. Differentiable."""
         sources, phi = factors.sources, Radial(self.basis, factors.scale)
 
         def of_block(points):
@@ -234,7 +229,6 @@ def is_solved(expansion: Expansion, factors: RBFFactors, values: Float[Array, "s
 
 
 def nearest_two(sources: np.ndarray) -> str:
-    """Describes the two sources that are nearest to each other, as the end of a sentence."""
     if len(sources) < 2:
         return ""
     distance, nearest = map(np.asarray, Tree(sources).query(sources, k=2))

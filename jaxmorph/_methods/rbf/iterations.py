@@ -128,7 +128,6 @@ class ConjugateGradients:
         return Progress(now.beta + share * now.direction, residual, direction, left, energy, now.count + 1)
 
     def is_far(self, now: Progress, size: Float[Array, ""]) -> Array:
-        """Checks whether the residual, or the error in the basis's norm, exceeds the tolerance."""
         beyond = jnp.abs(now.left) > self.tolerance**2 * jnp.abs(now.energy)
         return (jnp.abs(now.residual).max() > self.tolerance * size) | beyond.any()
 

@@ -62,7 +62,6 @@ def kernel_sum(
 def symmetric_kernel_sum(
     phi: Callable, sources: Float[Array, "s d"], weights: Float[Array, "k s"]
 ) -> Float[Array, "k s"]:
-    """Sums weighted functions at the sources themselves, with half of the kernel's blocks."""
     # The sources are padded to whole blocks by copies of the last one, which have the weight 0. A
     # scan goes over the blocks (i, j) with i <= j: a block gives sums of columns j and, transposed,
     # of columns i.

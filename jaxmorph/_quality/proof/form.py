@@ -102,7 +102,6 @@ class Form:
 
     @functools.cached_property
     def _growth(self) -> float:
-        """The largest row sum of the matrices that make coefficients of the columns."""
         pairs = zip(self.spaces, self.matrices, strict=True)
         rows = [np.abs(matrix).sum(axis=1) / bernstein.multinomials(space) for space, matrix in pairs]
         return float(max(row.max() for row in rows))
@@ -132,7 +131,6 @@ class Form:
         return np.where((self.shape == "pyramid") & is_last[:, None], np.minimum(at, 1 - 1e-6), at)
 
     def reference(self, places: Float[np.ndarray, "f k"]) -> Float[np.ndarray, "d k"]:
-        """Places in the reference cell, without the time."""
         places = places[1:] if self.has_time else places
         if self.shape != "pyramid":
             return places
@@ -194,7 +192,6 @@ def _pyramid_modes(order: int) -> np.ndarray:
 
 
 def _derivative(space: Space, control: np.ndarray, factor: int, axis: int) -> tuple[Space, np.ndarray]:
-    """The space of a derivative, and the matrix of its scaled coefficients."""
     (m, degree), zeros = space[factor], [(m, 0) for m, _ in space]
     lower = (*space[:factor], (m, degree - 1), *space[factor + 1 :])
     step = (*zeros[:factor], (m, 1), *zeros[factor + 1 :])

@@ -57,8 +57,6 @@ def blocks(rows: Int[np.ndarray, " p"], coefficients: int) -> Iterator[Int[np.nd
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Search:
-    """Each cell's least coefficient of its parts, the least value, and its place."""
-
     space: Space
     depth: int
     round_off: np.ndarray
@@ -86,7 +84,6 @@ class _Search:
             self.look(bernstein.halved(self.space, coefficients[:, some]), np.tile(cell[some], parts), below)
 
     def _compare(self, coefficients: np.ndarray, cell: np.ndarray, path: np.ndarray) -> Float[np.ndarray, " p"]:
-        """Compares values at corners with the least found; returns the least of each part."""
         values = coefficients[bernstein.corners(self.space)]
         corner, least = values.argmin(axis=0), values.min(axis=0)
         before = self.upper.copy()
