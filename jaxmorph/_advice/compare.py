@@ -35,25 +35,15 @@ COLUMNS = ("sources", "inverted", "ratio", "angle", "seconds")
 
 @dataclasses.dataclass(frozen=True)
 class Trial:
-    """One row of a `Comparison`: a method on all motions.
-
-    - `method`: its name.
-    - `sources`: number of control points, None for a method without any.
-    - `inverted`: inverted cells in all motions.
-    - `ratio`: the smallest Jacobian ratio in any motion.
-    - `angle`: degrees by which first grid lines leave their angle to the wall, mean over nodes and
-      motions. NaN where no cell has a side on the wall.
-    - `seconds`: CPU time of one compiled `deform`.
-    - `refused`: why the method was refused or left out, or None. Numbers are then None or NaN.
-    """
+    """One row of a `Comparison`: a method on all motions."""
 
     method: str
-    sources: int | None = None
-    inverted: int | None = None
-    ratio: float = math.nan
-    angle: float = math.nan
-    seconds: float = math.nan
-    refused: str | None = None
+    sources: int | None = None  # number of control points, None for a method without any
+    inverted: int | None = None  # inverted cells in all motions
+    ratio: float = math.nan  # the smallest Jacobian ratio in any motion
+    angle: float = math.nan  # mean degrees by which first grid lines leave their angle to the wall; NaN without lines
+    seconds: float = math.nan  # CPU time of one compiled `deform`
+    refused: str | None = None  # why the method was refused or left out, or None. Numbers are then None or NaN.
 
     @property
     def badness(self) -> tuple[float | int, float]:

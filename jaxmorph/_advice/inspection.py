@@ -17,16 +17,11 @@ class Crossings:
 
     A wall that has passed through another wall completely does not cross it any more, and is not
     found.
-
-    - `nodes` (k, 2): one node of each of the two faces.
-    - `patches`: the names of the two patches of each pair, equal for a wall that crosses itself; ""
-      without a patch.
-    - `places` (k, d): a point of each crossing, in the mesh's unit.
     """
 
-    nodes: np.ndarray
-    patches: tuple[tuple[str, str], ...]
-    places: np.ndarray
+    nodes: np.ndarray  # (k, 2) one node of each of the two faces
+    patches: tuple[tuple[str, str], ...]  # names of both patches of each pair; "" without a patch
+    places: np.ndarray  # (k, d) a point of each crossing, in the mesh's unit
 
     def __len__(self) -> int:
         return len(self.nodes)

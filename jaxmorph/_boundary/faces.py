@@ -58,17 +58,12 @@ class FlatFaces(Flat):
 
 
 class Faceted(AbstractWall):
-    """Linear faces between nodes: triangles, or lines in 2-D.
+    """Linear faces between nodes: triangles, or lines in 2-D."""
 
-    - `nodes` (v,), `vertices` (v, d): ids or rows of the nodes, and their places.
-    - `faces` (e, d): corners, as rows of `vertices`.
-    - `around` (v, w): faces near every vertex; the last face fills up a row.
-    """
-
-    nodes: Int[Array | np.ndarray, " v"]
-    vertices: Float[Array | np.ndarray, "v d"]
-    faces: Int[Array | np.ndarray, "e d"]
-    around: Int[Array | np.ndarray, "v w"]
+    nodes: Int[Array | np.ndarray, " v"]  # ids or rows of the nodes
+    vertices: Float[Array | np.ndarray, "v d"]  # their places
+    faces: Int[Array | np.ndarray, "e d"]  # corners, as rows of `vertices`
+    around: Int[Array | np.ndarray, "v w"]  # faces near every vertex; the last face fills up a row
 
     def height(self, x):
         place, normal = self.nearest(x)

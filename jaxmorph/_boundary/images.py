@@ -73,22 +73,14 @@ class Images(eqx.Module):
 
 @dataclasses.dataclass(frozen=True)
 class Copies:
-    """The places of the images of a surface's own rows, on the host.
+    """The places of the images of a surface's own rows, on the host."""
 
-    - `places` (t, o): number of the place of an own row's image by a transform; images with equal
-      numbers coincide.
-    - `roots` (o,): the own row that an own row repeats by a periodic transform, or itself.
-    - `rows`, `kind` (b,): own row and transform of an extended row, no place twice.
-    - `matrices` (t, d, d): of the transforms.
-    - `sides` (o, s): True for own rows on a side of a periodic pair.
-    """
-
-    places: np.ndarray
-    roots: np.ndarray
-    rows: np.ndarray
-    kind: np.ndarray
-    matrices: np.ndarray
-    sides: np.ndarray
+    places: np.ndarray  # (t, o) number of the place of an own row's image by a transform; equal numbers coincide
+    roots: np.ndarray  # (o,) the own row that an own row repeats by a periodic transform, or itself
+    rows: np.ndarray  # (b,) own row of an extended row; no place twice
+    kind: np.ndarray  # (b,) transform of an extended row
+    matrices: np.ndarray  # (t, d, d) of the transforms
+    sides: np.ndarray  # (o, s) True for own rows on a side of a periodic pair
 
     @property
     def first(self) -> np.ndarray:

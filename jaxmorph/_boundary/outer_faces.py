@@ -17,9 +17,9 @@ from .._mesh.polyhedra import Polyhedra, triangles
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class OuterFaces:
-    """The boundary faces (edges in 2-D) of the cells that fill the mesh, seen from outside: node
-    ids `corners` (k, corners) by type, and `ids` (k,) of the file's faces, one for all pieces of a
-    face.
+    """The boundary faces (edges in 2-D) of the cells that fill the mesh, seen from outside.
+    `corners` are node ids (k, corners) by type, `ids` (k,) the file's faces, one for all pieces of
+    a face.
     """
 
     corners: dict[str, np.ndarray]

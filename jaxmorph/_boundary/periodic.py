@@ -79,24 +79,16 @@ ALONG_AXIS = 1e-9  # component of a translation, relative to the largest compone
 
 
 class Pairing(eqx.Module):
-    """Pairs of nodes, and the transform x -> `matrix` x + `shift` from `first` to `second`.
+    """Pairs of nodes, and the transform x -> `matrix` x + `shift` from `first` to `second`."""
 
-    - `first`, `second` (q,): ids or rows of the nodes.
-    - `alone` (s,): nodes on the axis of a rotation, which the transform does not move.
-    - `keeps` (d, d): projection onto the vectors that the transform does not turn.
-    - `turn`: number of sectors in a whole turn; 0 if no power of the transform is the identity.
-    - `copies`: the number of images on either side; 0 for pairs that do no more than move alike.
-    - `is_rotation`: whether the transform is a rotation.
-    """
-
-    first: Int[Array | np.ndarray, " q"]
-    second: Int[Array | np.ndarray, " q"]
-    alone: Int[Array | np.ndarray, " s"]
+    first: Int[Array | np.ndarray, " q"]  # ids or rows of the nodes
+    second: Int[Array | np.ndarray, " q"]  # their partners
+    alone: Int[Array | np.ndarray, " s"]  # nodes on the axis of a rotation, which the transform does not move
     matrix: Float[Array | np.ndarray, "d d"]
     shift: Float[Array | np.ndarray, " d"]
-    keeps: Float[Array | np.ndarray, "d d"]
-    turn: int = eqx.field(static=True)
-    copies: int = eqx.field(static=True)
+    keeps: Float[Array | np.ndarray, "d d"]  # projection onto the vectors that the transform does not turn
+    turn: int = eqx.field(static=True)  # sectors in a whole turn; 0 if no power is the identity
+    copies: int = eqx.field(static=True)  # images on either side; 0 for pairs that do no more than move alike
     is_rotation: bool = eqx.field(static=True)
 
     @property

@@ -60,19 +60,13 @@ class Flat(AbstractWall):
 class Round(AbstractWall):
     """A circle in 2-D, a surface of revolution in 3-D, with a line or a cubic spline as its
     profile.
-
-    - `axis`, `origin` (d,): the axis, zero in 2-D, and a point on it.
-    - `line` (3,): (a, b, c) with a z + b r = c and a^2 + b^2 = 1 at places z along the axis and
-      radii r.
-    - `knots` (k + 1,), `spline` (4, k): places along the axis, and coefficients, the cubic ones
-      first. None for a line.
     """
 
-    axis: Float[Array | np.ndarray, " d"]
-    origin: Float[Array | np.ndarray, " d"]
-    line: Float[Array | np.ndarray, " 3"]
-    knots: Float[Array | np.ndarray, " l"] | None = None
-    spline: Float[Array | np.ndarray, "4 k"] | None = None
+    axis: Float[Array | np.ndarray, " d"]  # direction, zero in 2-D
+    origin: Float[Array | np.ndarray, " d"]  # a point on the axis
+    line: Float[Array | np.ndarray, " 3"]  # (a, b, c): a z + b r = c, a^2 + b^2 = 1 at place z along the axis, radius r
+    knots: Float[Array | np.ndarray, " l"] | None = None  # places along the axis; None for a line
+    spline: Float[Array | np.ndarray, "4 k"] | None = None  # coefficients, cubic ones first; None for a line
 
     def height(self, x):
         axis = jnp.asarray(self.axis, x.dtype)

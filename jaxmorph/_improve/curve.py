@@ -50,8 +50,8 @@ def curve(
     - `fixed`, `method`, `symmetry`: as `prepare` takes them.
 
     **Returns:** the mesh with other points; a warning tells of cells that were invalid before.
-    **Raises:** `ValueError` for a mesh of linear cells alone, for places of another shape or that
-    are not finite, and for a surface that is farther from a node than the wall's face is long.
+    **Raises:** `ValueError` for a mesh of linear cells alone, and places of another shape or not
+    finite. Also for a surface farther from a node than the wall's face is long.
     """
     if not mesh.is_curved:
         raise ValueError(

@@ -106,7 +106,7 @@ def convex(
     energy: Callable[[Scalar, Scalar], Scalar], sigma: list[Scalar], floor: Any
 ) -> tuple[Matrix, Matrix, Matrix]:
     """Second derivatives of energy(|T|^2 / d, det T) by the entries of U^T T V, with eigenvalues of
-    at least `floor`: three matrices (d, d), by entries (i, i) and (j, j), by (i, j) twice, and by
+    at least `floor`. Three matrices (d, d), by entries (i, i) and (j, j), by (i, j) twice, and by
     (i, j) and (j, i).
     """
     d = len(sigma)

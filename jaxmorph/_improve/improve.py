@@ -115,9 +115,9 @@ def improve(
     cell at the cost of the mean. The energy e of a corner becomes e / ((1 - s e) (1 - r / det T)):
     it stays below 1 / s, and det T above r. Both bounds close in from stage to stage. The result
     has the largest of the stages' smallest Jacobians. It is the result without `worst` where no
-    stage has a larger smallest Jacobian ratio, where one inverts more cells or proves fewer, and
-    where the ratio gains 0.5 % or less and the largest skewness grows. Traced in `points`, and
-    differentiable in both modes with respect to the places of the fixed nodes, by the implicit
+    stage has a larger smallest Jacobian ratio, or where one inverts more cells or proves fewer. So
+    it is where the ratio gains 0.5 % or less and the largest skewness grows. Traced in `points`,
+    and differentiable in both modes with respect to the places of the fixed nodes, by the implicit
     function theorem: derivatives are as accurate as `residual` is small. Those with respect to the
     places of inner nodes, where the search starts, are zero. Close over `mesh`; do not trace it.
     Use float64. Nodes of symmetry planes and sliding patches move along them, and keep the distance

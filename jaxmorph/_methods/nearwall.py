@@ -114,20 +114,13 @@ class WallPlace(eqx.Module):
 
 
 class Extent(eqx.Module):
-    """Walls, as rows of the surface.
+    """Walls, as rows of the surface."""
 
-    - `wall`: each row's wall.
-    - `matched`: each row's nearest matched row of its wall, or itself.
-    - `ends`: two ends of each wall.
-    - `widest`: each wall's row that is farthest from its matched row.
-    - `share`: each wall's mean chord, relative to the distance of its ends; zero with matched rows.
-    """
-
-    wall: Int[Array, " b"]
-    matched: Int[Array, " b"]
-    ends: Int[Array, "w 2"]
-    widest: Int[Array, " w"]
-    share: Float[Array, " w"]
+    wall: Int[Array, " b"]  # each row's wall
+    matched: Int[Array, " b"]  # each row's nearest matched row of its wall, or itself
+    ends: Int[Array, "w 2"]  # two ends of each wall
+    widest: Int[Array, " w"]  # each wall's row that is farthest from its matched row
+    share: Float[Array, " w"]  # each wall's mean chord, relative to the distance of its ends; zero with matched rows
 
     @classmethod
     def seen(cls, surface: Surface) -> "Extent":

@@ -16,16 +16,11 @@ T = TypeVar("T")
 
 @dataclasses.dataclass(frozen=True)
 class Cells:
-    """The cells of a mesh of n points, and the planes in which nodes slide.
+    """The cells of a mesh of n points, and the planes in which nodes slide."""
 
-    - `corners`: node ids (k, corners) by type, of the cells of highest dimension.
-    - `normals` (p, d): unit normals of the symmetry planes, parallel or at right angles.
-    - `on_plane` (n, p): whether a node lies on a plane.
-    """
-
-    corners: Mapping[str, np.ndarray]
-    normals: np.ndarray
-    on_plane: np.ndarray
+    corners: Mapping[str, np.ndarray]  # node ids (k, corners) by type, of the cells of highest dimension
+    normals: np.ndarray  # (p, d) unit normals of the symmetry planes, parallel or at right angles
+    on_plane: np.ndarray  # (n, p) whether a node lies on a plane
 
 
 @dataclasses.dataclass(frozen=True)

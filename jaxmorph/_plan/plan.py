@@ -45,17 +45,12 @@ class Guide(Module):
     It needs sources, images and factors, anew in every step of a march. So it is a plan too, of the
     outer plan's surface, without a guide. Its result is put back on walls, and made equal in
     periodic pairs. The outer plan takes it as data.
-
-    - `plan`: moves the surface's own rows, which are its points.
-    - `pairings`: pairs of own rows.
-    - `tracks`: own rows that stay on walls.
-    - `rows`: own rows with an assigned place, also for a method that is not exact.
     """
 
-    plan: "Plan"
-    pairings: tuple[Pairing, ...]
-    tracks: tuple[Track, ...]
-    rows: Int[Array, " r"]
+    plan: "Plan"  # moves the surface's own rows, which are its points
+    pairings: tuple[Pairing, ...]  # pairs of own rows
+    tracks: tuple[Track, ...]  # own rows that stay on walls
+    rows: Int[Array, " r"]  # own rows with an assigned place, also for a method that is not exact
 
     def __call__(self, vectors: Float[Array, "o d"]) -> Float[Array, "o d"]:
         plan, known = self.plan, len(self.plan.surface.nodes)

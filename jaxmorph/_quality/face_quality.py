@@ -31,8 +31,8 @@ class FaceQuality(Report):
     The cells are those of the file in its order, polyhedra and polygons whole: see `Mesh.cell_ids`.
 
     - `volume`: the sum of the pyramids between the faces and a point inside; in 2-D the area.
-    - `pyramid`: the smallest pyramid (in 2-D triangle) between a face and the cell's centre, over
-      the mean of them. 1 for a regular cell, negative where a face is seen from behind.
+    - `pyramid`: the smallest pyramid (2-D: triangle) between a face and the cell's centre, over
+      their mean; 1 for a regular cell, negative where a face is seen from behind.
     - `is_inverted`: the volume or a pyramid is negative beyond round-off, as checkMesh tests cells
       of finite volumes. NaN counts. Cells that the mesh numbers the other way round are turned
       first, as `quality(mesh)` does; not in a part of a mesh.

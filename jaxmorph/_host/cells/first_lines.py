@@ -13,18 +13,12 @@ from .topology import CORNERS, DIMENSION, FACES, SHAPES
 
 
 class Sides(NamedTuple):
-    """Sides of cells of one type on the wall.
+    """Sides of cells of one type on the wall."""
 
-    - `ids`, `rows` (f, s): nodes of each side, and their rows among the wall nodes; a node without
-      a line has the row after them.
-    - `sign` (f,): 1 or -1, of triangles the half, so that area vectors point into the mesh.
-    - `slopes` (s, s, d - 1): derivatives of the shape functions at the nodes of a side.
-    """
-
-    ids: np.ndarray
-    rows: np.ndarray
-    sign: np.ndarray
-    slopes: np.ndarray
+    ids: np.ndarray  # (f, s) nodes of each side
+    rows: np.ndarray  # (f, s) their rows among the wall nodes; a node without a line has the row after them
+    sign: np.ndarray  # (f,) 1 or -1, of triangles the half, so that area vectors point into the mesh
+    slopes: np.ndarray  # (s, s, d - 1) derivatives of the shape functions at the nodes of a side
 
     def areas(self, x: Any) -> Any:
         """Area vectors (f, s, d) at the nodes of the sides, by NumPy or JAX."""
@@ -32,18 +26,13 @@ class Sides(NamedTuple):
 
 
 class Lines(NamedTuple):
-    """First grid lines of w wall nodes, and the sides of the wall by type.
+    """First grid lines of w wall nodes, and the sides of the wall by type."""
 
-    - `nodes`, `ends` (w,): ids of the wall nodes, and of the other ends of their lines.
-    - `near`, `weights` (w, k): the derivative along a line at its wall node, as a sum of nodes.
-    - `beside` (w,): ids of neighbours on the wall.
-    """
-
-    nodes: np.ndarray
-    ends: np.ndarray
-    near: np.ndarray
-    weights: np.ndarray
-    beside: np.ndarray
+    nodes: np.ndarray  # (w,) ids of the wall nodes
+    ends: np.ndarray  # (w,) ids of the other ends of their lines
+    near: np.ndarray  # (w, k) nodes of a sum, the derivative along a line at its wall node
+    weights: np.ndarray  # (w, k) their weights in it
+    beside: np.ndarray  # (w,) ids of neighbours on the wall
     sides: tuple[Sides, ...]
 
     def directions(self, x: Any) -> Any:

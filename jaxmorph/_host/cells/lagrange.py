@@ -37,17 +37,12 @@ PLACES = {
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Lagrange:
-    """The cells of one type.
+    """The cells of one type."""
 
-    - `shape`, `order`: the type of its linear cell, and the order of its edges.
-    - `lattice`: whole numbers (k, d), the place of each node in the reference cell times `order`.
-    - `is_complete`: False without nodes inside of faces and of the cell (serendipity).
-    """
-
-    shape: str
-    order: int
-    lattice: np.ndarray
-    is_complete: bool = True
+    shape: str  # type of its linear cell
+    order: int  # of its edges
+    lattice: np.ndarray  # (k, d) place of each node in the reference cell, times `order`
+    is_complete: bool = True  # False without nodes inside of faces and of the cell (serendipity)
 
     @property
     def name(self) -> str:

@@ -12,17 +12,12 @@ ROUGH = 1e-2  # relative residual that is enough for a step of Newton's method
 
 
 class Pattern(NamedTuple):
-    """The blocks of a matrix in compressed rows.
+    """The blocks of a matrix in compressed rows."""
 
-    - `starts`, `columns`: where rows begin, and the column of every block.
-    - `block`: the block to which a pair of a cell's corners adds.
-    - `order`: row i belongs to node `order[i]`.
-    """
-
-    starts: np.ndarray
-    columns: np.ndarray
-    block: np.ndarray
-    order: np.ndarray
+    starts: np.ndarray  # where rows begin
+    columns: np.ndarray  # column of every block
+    block: np.ndarray  # the block to which a pair of a cell's corners adds
+    order: np.ndarray  # row i belongs to node `order[i]`
 
 
 def pattern(cells: list[np.ndarray], n: int, dimension: int) -> Pattern:

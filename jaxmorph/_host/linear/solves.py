@@ -92,18 +92,13 @@ COARSEST = 90  # most unknowns of the last level, solved by a dense inverse: few
 
 @dataclasses.dataclass(frozen=True)
 class Level:
-    """A matrix (k, k) of the cycle, and the way to the next matrix.
-
-    - `prolongation` (k, coarse): from the next level; `restriction`: its transpose.
-    - `inverse` (k,): one over the diagonal.
-    - `top`: a bound of the eigenvalues of the matrix over its diagonal, by Gershgorin's circles.
-    """
+    """A matrix (k, k) of the cycle, and the way to the next matrix."""
 
     matrix: Any
-    prolongation: Any
-    restriction: Any
-    inverse: np.ndarray
-    top: float
+    prolongation: Any  # (k, coarse) from the next level
+    restriction: Any  # its transpose
+    inverse: np.ndarray  # (k,) one over the diagonal
+    top: float  # a bound of the eigenvalues of the matrix over its diagonal, by Gershgorin's circles
 
     def smoothed(self, right: np.ndarray) -> np.ndarray:
         """Solves roughly for (k,), by Chebyshev's second polynomial for upper eigenvalues."""

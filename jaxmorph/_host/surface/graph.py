@@ -30,22 +30,15 @@ FLAT = 64  # a simplex lower than this times the round-off of the coordinates ho
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Graph:
-    """The Delaunay graph of a surface, in which any number of points can be located.
-
-    - `unique` (k,), `nodes` (k, d): ids of the distinct nodes, and their places relative to
-      `centre`, over `size`.
-    - `delaunay`: the simplices between the distinct nodes.
-    - `flat`: the height below which a simplex holds no point; `slack`: round-off of the
-      coordinates.
-    """
+    """The Delaunay graph of a surface, in which any number of points can be located."""
 
     centre: np.ndarray
     size: float
-    unique: np.ndarray
-    nodes: np.ndarray
-    delaunay: Delaunay
-    flat: float
-    slack: float
+    unique: np.ndarray  # (k,) ids of the distinct nodes
+    nodes: np.ndarray  # (k, d) their places relative to `centre`, over `size`
+    delaunay: Delaunay  # the simplices between the distinct nodes
+    flat: float  # the height below which a simplex holds no point
+    slack: float  # round-off of the coordinates
 
     def smallest_weight(self, simplex: np.ndarray, points: np.ndarray) -> np.ndarray:
         """Least barycentric coordinates (k,) of points (k, d) in simplices (k,); -inf where the
@@ -138,8 +131,8 @@ def _snapped(nodes: np.ndarray) -> np.ndarray:
 
 
 def _jittered(nodes: np.ndarray, phase: int) -> np.ndarray:
-    """Moves nodes by `JITTER` of the distance of their nearest nodes, by a function of place alone:
-    unlike random numbers, a sine of very short wave length does not depend on the order of nodes.
+    """Moves nodes by `JITTER` of the distance of their nearest nodes, by a function of place alone.
+    Unlike random numbers, a sine of very short wave length does not depend on the order of nodes.
     """
     dimension = nodes.shape[1]
     waves = 1e6 * np.sqrt(np.array([[2.0, 3.0, 5.0], [7.0, 11.0, 13.0], [17.0, 19.0, 23.0]]))[:dimension, :dimension]
@@ -153,16 +146,11 @@ TOLERANCE = 1e-6  # a point whose smallest weight is below minus this is searche
 
 @dataclasses.dataclass(frozen=True)
 class Location:
-    """The places of points in the graph.
+    """The places of points in the graph."""
 
-    - `vertices`: ids (w, d + 1) of the surface nodes whose simplex holds the point.
-    - `repaired`: number of answers of the search that were repaired.
-    - `outside`: number of points outside of all simplices, by no more than round-off.
-    """
-
-    vertices: np.ndarray
-    repaired: int
-    outside: int = 0
+    vertices: np.ndarray  # ids (w, d + 1) of the surface nodes whose simplex holds the point
+    repaired: int  # number of answers of the search that were repaired
+    outside: int = 0  # number of points outside of all simplices, by no more than round-off
 
 
 def locate(surface: np.ndarray | Graph, points: np.ndarray, wanted: np.ndarray) -> Location:

@@ -23,9 +23,9 @@ CELLS = 4096  # cells in a block
 
 
 class CellIds(eqx.Module):
-    """Ids of k cells of one type: nodes at the `corners`; the `entry` of each pair of corners in
-    the list of pairs, its length for corners that are one node; and whether the pair's first corner
-    is the entry's second node (`flipped`).
+    """Ids of k cells of one type: nodes at the `corners`. `entry` is the place of each pair of
+    corners in the list of pairs, its length for corners that are one node. `flipped` pairs begin
+    with the entry's second node.
     """
 
     corners: Int[Array, "k c"]
@@ -34,22 +34,15 @@ class CellIds(eqx.Module):
 
 
 class NodeIds(eqx.Module):
-    """Ids of a mesh's n nodes for a solve.
-
-    - `pairs` (e, 2): nodes that share an entry of the matrix, the smaller id first.
-    - `frame` (d, d): axes in columns; the normal of each symmetry plane is one.
-    - `free` (n, d): unknowns, by node and axis of the frame.
-    - `wall` (n,): for each node the nearest moving node.
-    - `rows`, `nodes` (r,): rows of the surface that are nodes of the mesh, and the nodes.
-    """
+    """Ids of a mesh's n nodes for a solve."""
 
     cells: dict[str, CellIds]
-    pairs: Int[Array, "e 2"]
-    frame: Float[Array, "d d"]
-    free: Bool[Array, "n d"]
-    wall: Int[Array, " n"]
-    rows: Int[Array, " r"]
-    nodes: Int[Array, " r"]
+    pairs: Int[Array, "e 2"]  # nodes that share an entry of the matrix, the smaller id first
+    frame: Float[Array, "d d"]  # axes in columns; the normal of each symmetry plane is one
+    free: Bool[Array, "n d"]  # unknowns, by node and axis of the frame
+    wall: Int[Array, " n"]  # for each node the nearest moving node
+    rows: Int[Array, " r"]  # rows of the surface that are nodes of the mesh
+    nodes: Int[Array, " r"]  # these nodes
 
 
 class NodeFactors(eqx.Module):

@@ -24,21 +24,13 @@ INSIDE = 1 - 1e-6  # share of a squared radius at which a function counts as zer
 
 
 class CompactIds(eqx.Module):
-    """Ids of the surface's b rows.
+    """Ids of the surface's b rows."""
 
-    - `stands` (b,): the row that has the function of all rows at its place.
-    - `speaks` (b,): whether a row's displacement counts; a fixed row at a moving row's place does
-      not.
-    - `pairs` (e, 2): rows with functions, within the search's distance of each other.
-    - `radius`: the functions' radius.
-    - `searched`: the coordinates of the search.
-    """
-
-    stands: Int[Array, " b"]
-    speaks: Bool[Array, " b"]
-    pairs: Int[Array, "e 2"]
-    radius: Float[Array, ""]
-    searched: Searched
+    stands: Int[Array, " b"]  # the row that has the function of all rows at its place
+    speaks: Bool[Array, " b"]  # whether a row's displacement counts; a fixed row at a moving row's place does not
+    pairs: Int[Array, "e 2"]  # rows with functions, within the search's distance of each other
+    radius: Float[Array, ""]  # the functions' radius
+    searched: Searched  # the coordinates of the search
 
     @property
     def has_function(self) -> Bool[Array, " b"]:

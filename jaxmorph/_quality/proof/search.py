@@ -23,17 +23,12 @@ FEW = 64  # open parts of a cell up to which they are cut beyond the depth, at m
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Bounds:
-    """Bounds (k,) of k polynomials' least values: `lower`, and the value `upper` at `at`.
+    """Bounds (k,) of k polynomials' least values: `lower`, and the value `upper` at `at`."""
 
-    - `at`: places (f, k) among the factors of the space.
-    - `lower`, `upper`: beyond round-off.
-    - `is_flat`: both are zero to round-off: no subdivision decides the sign.
-    """
-
-    lower: Float[np.ndarray, " k"]
-    upper: Float[np.ndarray, " k"]
-    at: Float[np.ndarray, "f k"]
-    is_flat: np.ndarray
+    lower: Float[np.ndarray, " k"]  # beyond round-off
+    upper: Float[np.ndarray, " k"]  # beyond round-off
+    at: Float[np.ndarray, "f k"]  # places among the factors of the space
+    is_flat: np.ndarray  # (k,) both are zero to round-off: no subdivision decides the sign
 
 
 def bounds(
