@@ -40,9 +40,7 @@ class Cure:
 
 @dataclasses.dataclass(frozen=True)
 class Turn:
-    """The rigid motion nearest to a displacement, in space also for a mesh in 2-D: `rotation` about
-    `centre`, which moves by `shift` along the axis.
-    """
+    """The rigid motion, in space, nearest to a displacement; `shift` is along the axis."""
 
     rotation: Rotation
     centre: Float[np.ndarray, "3"]
@@ -83,9 +81,7 @@ def in_space(points: Float[np.ndarray, "k d"]) -> Float[np.ndarray, "k 3"]:
 def cures(
     mesh: Mesh, moving: Int[np.ndarray, " m"], fixed: Int[np.ndarray, " f"], u: Float[np.ndarray, "m d"]
 ) -> Iterator[Cure]:
-    """What may help a mesh whose `moving` nodes move by `u`, the surest first; nothing for a mesh
-    so large that trials take long.
-    """
+    """Cures of a motion `u` that folds cells, the surest first; none for a large mesh."""
     points, dimension = in_space(np.asarray(mesh.points)), mesh.points.shape[1]
     if len(points) > MOST_POINTS[dimension]:
         return

@@ -206,9 +206,7 @@ def share_faces(pairs: np.ndarray, faces: np.ndarray, count: int) -> np.ndarray:
 
 
 def crossings(cut: tuple[np.ndarray, np.ndarray], mesh: Mesh, nodes: np.ndarray, vectors: np.ndarray) -> Crossings:
-    """Finds where the boundary crosses itself after its `nodes` (o,) move by `vectors` (o, d);
-    `cut` are the `simplices` of the nodes.
-    """
+    """Finds where `nodes` (o,), moved by `vectors` (o, d), make the boundary `cut` cross itself."""
     (faces, ids), points = cut, np.asarray(mesh.points, dtype=float)
     before = points[nodes]
     close = Tree(before).query_pairs(SAME * np.ptp(points, axis=0).max(), output_type="ndarray")

@@ -132,9 +132,7 @@ def _jacobians(kind: str, points: Any, ids: Any) -> Any:
 
 
 class Bounds:
-    """Bounds of the Jacobians at a mesh's corners, and with `proven` of det J of whole cells. An
-    instance is equal only to itself, so that compiled programs may hold it.
-    """
+    """Bounds at corners, with `proven` of whole cells; hashed by identity for compilation."""
 
     def __init__(self, mesh: Mesh, dtype: Any, min_jacobian_ratio: float, proven: bool = False):
         self.mesh, self.min_jacobian_ratio = mesh, min_jacobian_ratio
@@ -224,9 +222,7 @@ class DesignedMesh(Module):
 
 
 def least_undeformed(mesh: Mesh) -> Float[np.ndarray, " k"]:
-    """The least proven det J of each undeformed cell; a `ValueError` for cells that are not
-    valid.
-    """
+    """The least proven det J of each undeformed cell; raises `ValueError` for invalid cells."""
     undeformed = proof(mesh, mesh.points)
     if undeformed.valid < undeformed.count:
         first = undeformed.worst(1)[0]

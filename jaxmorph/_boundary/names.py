@@ -130,9 +130,7 @@ def check_named_once(sliding: Any, **lists: Any) -> None:
 SYMMETRY = frozenset({"BCSymmetryPlane", "symmetry", "symmetryPlane", "axis"})
 
 INSIDE = "cyclic", "processor", "empty", "wedge", "overset"
-"""Prefixes of the kinds of patches that are no outer boundary. An overset patch lies inside of
-another grid: its nodes follow.
-"""
+"""Prefixes of kinds of patches that are no outer boundary; overset grids lie inside others."""
 
 
 def by_kinds(mesh: Any, moving: Any, periodic: Sequence[Periodic]) -> tuple[list[str], list[str]]:

@@ -100,9 +100,7 @@ def walls_of_patch(
     faces: Mapping[str, np.ndarray] | None,
     moving: np.ndarray | Sequence[int] = (),
 ) -> Walls:
-    """Makes the walls of a sliding patch. Own faces are divided at sharp edges, and filled up below
-    bodies whose nodes are `moving`.
-    """
+    """Makes walls: own faces are divided at sharp edges, and filled up below `moving` bodies."""
     exact, dimension = points.astype(float), points.shape[1]
     if not len(nodes):
         raise ValueError(f"{slide.name} has no nodes.")

@@ -20,9 +20,7 @@ SMOOTH = np.cos(np.deg2rad(5))  # cosine of the angle below which two sliding pa
 
 
 class Track(eqx.Module):
-    """Nodes that stay on one wall, or on the edge between two `walls`. `rows` (k,) are ids or
-    rows.
-    """
+    """Nodes, `rows` (k,), that stay on one wall, or on the edge between two `walls`."""
 
     rows: Int[Array | np.ndarray, " k"]
     walls: tuple[AbstractWall, ...]
@@ -95,9 +93,7 @@ def _least(normals, above):
 def tracks_of(
     walls: Sequence[tuple[AbstractWall, np.ndarray]], planes: Sequence[Plane], points: np.ndarray
 ) -> tuple[tuple[Track, ...], np.ndarray]:
-    """Groups nodes of sliding patches by walls, as tracks; also lists nodes that cannot slide:
-    corners and the apex of a cone.
-    """
+    """Tracks of nodes of sliding patches, by walls, and nodes that cannot slide: corners, apex."""
     # A node has a row of flags: the walls and planes on which it lies. Equal rows are one track. A
     # node on as many walls as there are dimensions cannot slide.
     n, dimension = points.shape

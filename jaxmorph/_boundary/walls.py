@@ -58,9 +58,7 @@ class Flat(AbstractWall):
 
 
 class Round(AbstractWall):
-    """A circle in 2-D, a surface of revolution in 3-D, with a line or a cubic spline as its
-    profile.
-    """
+    """A circle in 2-D, a surface of revolution in 3-D, of straight or cubic profile."""
 
     axis: Float[Array | np.ndarray, " d"]  # direction, zero in 2-D
     origin: Float[Array | np.ndarray, " d"]  # a point on the axis

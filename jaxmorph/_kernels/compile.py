@@ -31,9 +31,7 @@ Function = TypeVar("Function", bound=Callable)
 
 
 class Constant(eqx.Module):
-    """A static value: a call with arrays alone as leaves is asynchronous, `equinox.filter_jit`
-    waits.
-    """
+    """A static value. With arrays alone as leaves a call is asynchronous; `filter_jit` waits."""
 
     value: Any = eqx.field(static=True)
 

@@ -115,9 +115,7 @@ def _few_rows(rows, block, *, axis):
 
 
 def few_rows_in_one_loop(rows: Float[Array, "k s"], block: Float[Array, "..."], axis: int) -> Float[Array, "k c"]:
-    """The product of `_few_rows` as one reduction of all rows, for GPUs. XLA computes an element of
-    the block where it is summed: the block is not in memory.
-    """
+    """The product as one reduction of all rows, for GPUs: the block is never in memory."""
     if len(rows) > MOST_ROWS:
         return _contract(rows, block, axis)
     terms = tuple(block * (row[:, None] if axis == 0 else row[None]) for row in rows)

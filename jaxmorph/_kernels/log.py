@@ -53,8 +53,8 @@ def _log_jvp(primals, tangents):
 
 @jax.custom_jvp
 def half_x_log_x(x: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
-    """x log(x) / 2 for x >= 0, and 0 at 0: r^2 log r of x = r^2. Below round-off squared, the slope
-    is constant.
+    """x log(x) / 2, and 0 at 0: r^2 log r of x = r^2. Below round-off squared the slope is
+    constant.
     """
     return _by_platform(lambda x: x * _short_half_log(x), lambda x: 0.5 * x * jnp.log(_not_zero(x)), x)
 

@@ -89,15 +89,13 @@ class AbstractMethod(Module):
         return Control()
 
     def check(self, ids: PyTree, factors: PyTree, u: Float[Array, "b d"]) -> None:
-        """Raises or warns when the factors are unusable, after a trial displacement `u`. Once, on
-        the host, after the first `fit`.
+        """Raises or warns of unusable factors after a trial `u`, on the host, after the first
+        `fit`.
         """
 
     @property
     def needs_cells(self) -> bool:
-        """True if `connect` needs the cells of the whole mesh. Its solve is for all nodes, so a
-        plan is not split over devices.
-        """
+        """True if `connect` needs all cells of the mesh: a plan is then not split over devices."""
         return False
 
     @property
@@ -107,9 +105,7 @@ class AbstractMethod(Module):
 
     @property
     def exact(self) -> bool:
-        """True if the field reproduces the displacements at the surface's nodes. The driver then
-        assigns them bit for bit.
-        """
+        """True if the field reproduces displacements at the surface: the driver keeps all bits."""
         return True
 
 
@@ -163,9 +159,7 @@ def check_kind(value: Any, kind: type, name: str, example: str, *, optional: boo
 
 
 def number(name: str, low: float | int = -np.inf, high: float | int = np.inf, ends: str = "()") -> Callable[[Any], Any]:
-    """Returns a converter to one real number in an interval, with `ends` as for `between`; it
-    raises `ValueError`.
-    """
+    """A converter to one real number in an interval, `ends` as for `between`, or a `ValueError`."""
 
     def convert(value: Any) -> Float[Array, ""]:
         if is_known(value):

@@ -15,9 +15,7 @@ FEW = 64  # most blocks of a single program on any platform; two programs are tr
 
 
 def map_points(field: AbstractField, points: Float[Array, "n d"], ids: PyTree) -> Float[Array, "n d"]:
-    """Evaluates the field at every point; derivatives compute blocks again instead of storing
-    them.
-    """
+    """Evaluates the field at every point; derivatives compute blocks anew and store none."""
     if field.block_size is None:
         return field.evaluate(points, ids)
     return map_rows(jax.checkpoint(lambda part: field.evaluate(*part)), (points, ids), field.block_size)
@@ -54,9 +52,7 @@ def _placed(function: Callable[..., PyTree], rows: tuple) -> PyTree:
 
 
 def map_rows(function: Callable[[PyTree], PyTree], rows: PyTree, block: int) -> PyTree:
-    """Maps blocks of `block` rows to as many rows. Nothing is padded: the last block may be
-    shorter. GPUs get larger blocks.
-    """
+    """Maps blocks of rows to as many rows; the last block may be shorter, GPUs get larger ones."""
 
     def mapped(rows, block):
         blocks, rest = _cut(rows, block)

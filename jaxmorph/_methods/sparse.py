@@ -179,9 +179,7 @@ def tabulate(nodes: np.ndarray, used: np.ndarray, count: int) -> tuple[np.ndarra
 
 
 SLACK = 0.05
-"""Share of a radius by which a search goes beyond it: it serves new bases that differ by less than
-half of that.
-"""
+"""Search slack, relative to the radius: it serves bases that differ by less than half of it."""
 
 
 class Searched(eqx.Module):
@@ -192,9 +190,7 @@ class Searched(eqx.Module):
     def certain(
         self, radius: Float[Array, ""], surface: Float[Array, "b d"], points: Float[Array, "n d"]
     ) -> Bool[Array, ""]:
-        """Checks whether the search surely found all nodes within a radius: it reached `distance`
-        on the old base, and nodes may have come nearer since.
-        """
+        """True if all nodes within a radius were surely found: nodes may have come nearer since."""
         shifts = surface - self.surface, points - self.points[: len(points)]  # images, which follow, are of the surface
         mean = shifts[0].mean(axis=0)
         shifts = [jnp.sqrt(jnp.sum((shift - mean[None]) ** 2, axis=1).max(initial=0)) for shift in shifts]

@@ -105,9 +105,7 @@ class Surface:
         return rows[np.isin(self.images[rows], chosen)], closest
 
     def _on_far_walls(self, reduction: AbstractReduction, rows: np.ndarray, others: np.ndarray) -> np.ndarray:
-        """Chooses rows of walls that are farther from the `others` (s, d) than they are long, as if
-        each wall were alone; none where they would be too many.
-        """
+        """Chooses rows of walls farther from the `others` (s, d) than they are long."""
         chosen = [rows[:0]]
         if not reduction.most_on_far_walls or self.faces is None or not len(rows):
             return chosen[0]

@@ -84,9 +84,7 @@ def deviations(plan: Plan, points: np.ndarray) -> Iterator[tuple[str, np.ndarray
 
 
 def ended(plan: Plan, places: Float[np.ndarray, "o d"]) -> Int[np.ndarray, " k"]:
-    """The sliding rows that `places` has at or beyond an end of their surface. Rows that were at an
-    end in the base mesh, and rows between two walls, do not count.
-    """
+    """Sliding rows newly at or beyond an end of their only wall."""
     guide = plan.surface.guide
     base, rows = np.asarray(plan.surface_points), [np.zeros(0, dtype=int)]
     for track in () if guide is None else guide.tracks:

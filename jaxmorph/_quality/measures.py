@@ -216,9 +216,7 @@ def aspect_ratio(kind: str, x: Sequence[Vector]) -> Scalar:
 
 
 def aspect_terms(kind: str, x: Sequence[Vector]) -> tuple[Vector, tuple[Scalar, Scalar] | None]:
-    """Edges or axes, and a signed size with a sum of sides. The aspect ratio is the longest over
-    the shortest edge, or the longest times the sum over the size.
-    """
+    """Edges or axes, whose ratio or longest counts, and a signed size with a sum of sides."""
     edges = stack(principal_axes(kind, x)) if kind == "hexahedron" else _edges(x, kind)
     if kind in ("hexahedron", "wedge", "pyramid"):
         return edges, None
@@ -230,9 +228,7 @@ def aspect_terms(kind: str, x: Sequence[Vector]) -> tuple[Vector, tuple[Scalar, 
 
 
 def non_orthogonality(area: Vector, between: Vector, surface: bool) -> Scalar:
-    """The angle (degrees) between a face's area vector and the line between the centres. On a
-    surface in 3-D the sides of an edge are not told apart: 0 to 90 degrees.
-    """
+    """Angle in degrees of area vector and line between centres; below 90 for a surface in 3-D."""
     degrees = angle(area, between) * (180 / math.pi)
     return namespace(degrees).minimum(degrees, 180 - degrees) if surface else degrees
 
@@ -254,9 +250,7 @@ def reach(x: list[Vector]) -> Float[Either, " k"]:
 
 
 def centre_of_mass(kind: str, x: Sequence[Vector]) -> Vector:
-    """OpenFOAM's cell centre, for plane faces: the centre of mass of triangles or tetrahedra
-    between the sides, the means of the sides and the first corner.
-    """
+    """OpenFOAM's cell centre, of plane faces: weighted middles of simplices between the sides."""
     if kind in ("line", "triangle", "tetra"):
         return mean(x)
     if kind == "quad":

@@ -126,9 +126,7 @@ def signs_of(mesh: Mesh, links: Links | None = None) -> dict[str, Int[Either, " 
 
 @by_place
 def _signs(cells: ByType, links: Links, points: Float[Either, "n d"]) -> ByType:
-    """Takes each cell's sign from the volume of its part of the mesh, fixed by the boundary. Cells
-    of less than d dimensions are measured without a sign.
-    """
+    """The sign of each cell by the volume of its part of the mesh; none in lower dimension."""
     xp, volumes = namespace(points), by_type(volume_of, points, cells)
     volume = joined(xp, volumes)
     if xp is np:

@@ -70,9 +70,7 @@ class Limits:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Judged:
-    """A mesh on some points, judged relative to the mesh `before` a motion, through `steps`. Cells
-    have the numbers of the file.
-    """
+    """A mesh on some points, judged relative to the mesh `before` a motion, through `steps`."""
 
     mesh: Mesh
     points: Any
@@ -124,9 +122,7 @@ class Judged:
         return worst[lost[worst]]
 
     def values(self, key: str) -> np.ndarray:
-        """A limited measure of the cells that count, in the order of `counted`. Raises `ValueError`
-        for a measure of corners where cells are polyhedra.
-        """
+        """A measure of the counted cells. Raises `ValueError` for corners of polyhedra."""
         if key in BY_FACES or key == "non_orthogonality":  # checkMesh's, exact also where faces are warped
             return getattr(self.faces, BY_FACES.get(key, key))[self.counted]
         if self.mesh.polyhedra is not None:
@@ -141,9 +137,7 @@ class Judged:
         return in_file[self.counted]
 
     def _proven_margin(self) -> np.ndarray:
-        """The least margins of all cells at all instants, below 0 where one is not proven. Where
-        nodes leave straight lines, only the end of each step is looked at.
-        """
+        """The least margins over the motion, below 0 if not proven; off lines, at ends of steps."""
         starts, ends = (self.mesh.points, *self.steps), (*self.steps, self.points)
         bases = starts if self.is_straight and self.before is not None else [None] * len(starts)
         proofs = [proof(self.mesh, end, base=base) for base, end in zip(bases, ends, strict=True)]
@@ -154,9 +148,7 @@ class Judged:
 
 @dataclasses.dataclass(frozen=True)
 class Number:
-    """An extreme (`max`, `min`) at a cell, or a mean by weight. `part` is the part of the mesh,
-    None for the whole.
-    """
+    """An extreme (`max`, `min`) at a cell, or a mean by weight; `part` is None for the whole."""
 
     kind: str
     value: float

@@ -240,9 +240,7 @@ def _rate(s, *position) -> Float[Array, "..."]:
 @jax.custom_jvp
 @jax.jit
 def _station(t: Float[Array, " m"], height: Float[Array, " m"], airfoil: Float[Array, " 3"]) -> Float[Array, " m"]:
-    """Finds the foot of each position on the mean line; of several feet, the one whose half
-    thickness is closest to the position's distance.
-    """
+    """The foot of each position on the mean line; of several, the one half a thickness away."""
     position = t[None], height[None], airfoil
     near, far = _intervals(height[None], airfoil)
     sign = jnp.sign(_away(near, *position))

@@ -175,8 +175,8 @@ class FreeForm(AbstractLinearShape):
 
     @checked
     def raise_if_torn(self, x: Numbers, control: Numbers) -> None:
-        """Raises `ValueError` where the border passes nodes (m, d) outside: it tears a wall. These
-        nodes are nearer to the border than it moves there by `control` (*counts, d).
+        """Raises `ValueError` where the border, moved by `control`, passes nodes outside and tears
+        a wall. These nodes (m, d) are nearer to the border than it moves there.
         """
         x = known_positions(x)
         t = np.asarray(self.coordinates(jnp.asarray(x)))

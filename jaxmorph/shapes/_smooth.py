@@ -108,9 +108,7 @@ class Smoother(AbstractLinearShape):
 
 
 def _pieces(faces: Any, points: np.ndarray) -> list[tuple[np.ndarray, float]]:
-    """Cuts faces into segments or triangles: a quad into its four corner triangles, of half
-    weight.
-    """
+    """Cuts faces into segments or triangles: a quad into four triangles of half weight."""
     corners = [(0, 1, 2), (0, 2, 3), (0, 1, 3), (1, 2, 3)]
     return [
         (np.concatenate([ids[:, three] for three in corners]), 0.5) if ids.shape[1] == 4 else (ids, 1.0)

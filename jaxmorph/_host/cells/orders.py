@@ -19,9 +19,7 @@ Sides = Mapping[str, tuple[tuple[int, ...], ...]]  # corners of the edges, or of
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class NodeOrder:
-    """`edges` and `faces` in the format's order, other shapes as in `EDGES`, `FACES`; `inner` lists
-    the inner lattice of a shape and order.
-    """
+    """Edges and faces in a format's order, if not `EDGES`, `FACES`, and its inner lattice."""
 
     edges: Sides
     faces: Sides

@@ -70,9 +70,7 @@ def owned_sides(
 
 
 def _single(parts: list[tuple[list[np.ndarray], int, np.ndarray | None]], n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Finds unique faces, and their cells. A part has faces by column, the first cell's number, and
-    the rows of the cells (None: all).
-    """
+    """Finds unique faces and their cells. A part: faces by column, first cell, its rows or None."""
     columns, owner = [], []
     for (part, first, here), rows in zip(parts, unpaired([part for part, *_ in parts], n), strict=True):
         columns.append([column[rows] for column in part])

@@ -61,9 +61,7 @@ def solve(starts, columns, block, order, blocks, shift, right) -> np.ndarray:
 
 
 def solve_exactly(starts, columns, block, order, blocks, shift, right) -> np.ndarray:
-    """Solves as `solve`, to round-off or to 1e-10 of the right side; NaN if the matrix is not
-    positive or the iteration does not converge.
-    """
+    """Solves as `solve`, to round-off or 1e-10; NaN if not positive, or without convergence."""
     return _solved((starts, columns, block, order), blocks, shift, right, 1e-10)
 
 

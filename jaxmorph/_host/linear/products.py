@@ -35,9 +35,7 @@ def cofactors(columns: Sequence[Components]) -> list[list[Any]]:
 
 
 def smallest_height(corners: np.ndarray) -> np.ndarray:
-    """Least heights (k,) of simplices (k, c, d): volume over the largest side's area. The result
-    does not depend on which corner comes first.
-    """
+    """Least heights (k,) of simplices (k, c, d), independent of the first corner."""
     count = corners.shape[1]
     sides = [_content([corners[:, i] for i in range(count) if i != corner]) for corner in range(count)]
     largest = np.max(sides, axis=0)

@@ -20,9 +20,7 @@ def is_factored(unknowns: int, dimension: int) -> bool:
 
 
 class Factors:
-    """Factors of a sparse symmetric matrix, by pivots on the diagonal, in the order of minimum
-    degree, or, with `is_ordered`, of the matrix.
-    """
+    """Factors of a sparse symmetric matrix; minimum degree orders them unless `is_ordered`."""
 
     def __init__(self, matrix: Any, *, is_ordered: bool = False):
         try:

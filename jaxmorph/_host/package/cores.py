@@ -16,9 +16,7 @@ AHEAD = 2  # pieces of work for each core in advance
 
 
 def cores() -> int:
-    """Counts the cores to use: what `JAXMORPH_CPUS` says, else all of the process' affinity mask.
-    Raises `ValueError` where the variable is no whole number of 1 or more.
-    """
+    """Counts cores: `JAXMORPH_CPUS`, else the affinity mask. Raises `ValueError` for 0 and text."""
     words = os.environ.get(SWITCH, "")
     if words:
         if not words.isdecimal() or int(words) < 1:
@@ -30,9 +28,7 @@ def cores() -> int:
 
 
 class Beside(Generic[T]):
-    """A future. With one core, it runs when its result is asked for: no thread waits for
-    another.
-    """
+    """A future. With one core it runs when its result is asked for: no thread waits."""
 
     def __init__(self, function: Callable[..., T], *arguments: Any):
         context = contextvars.copy_context()
@@ -76,8 +72,6 @@ def in_order(function: Callable[[Any], T], pieces: Iterable[Any]) -> Iterator[T]
 
 
 def by_blocks(function: Callable[[slice], Any], count: int) -> None:
-    """Calls `function` with slices of `count` rows, on all cores: it fills the rows of results.
-    Slices do not depend on the number of cores.
-    """
+    """Calls `function` with slices of `count` rows, whatever the number of cores, on all cores."""
     for _ in in_order(function, (slice(start, min(start + BLOCK, count)) for start in range(0, count, BLOCK))):
         pass

@@ -15,9 +15,7 @@ import numpy as np
 
 
 def input_path(path: str | os.PathLike[str]) -> pathlib.Path:
-    """Returns the path of a file or folder to read, also where nothing exists. Raises `ValueError`
-    for a device or a pipe, and for a name with a null byte.
-    """
+    """Returns a path to read. Raises `ValueError` for a device, a pipe, or a null byte."""
     path = _without_null(path)
     if path.exists() and not (path.is_file() or path.is_dir()):
         raise ValueError(
@@ -27,9 +25,7 @@ def input_path(path: str | os.PathLike[str]) -> pathlib.Path:
 
 
 def file_path(path: str | os.PathLike[str]) -> pathlib.Path:
-    """Returns the path of a file to write. Raises `ValueError` for a null byte, and for a
-    folder.
-    """
+    """Returns a path to write. Raises `ValueError` for a folder or a null byte."""
     name = os.fspath(path)
     if name.endswith((os.sep, os.altsep or os.sep)):
         raise ValueError(f"{name}: ends as a folder does, but a file is written. Remove the {name[-1]} at the end.")
@@ -82,9 +78,7 @@ def check_apart(
 
 
 def read_arrays(path: pathlib.Path, what: str = "an NPZ file") -> dict[str, np.ndarray]:
-    """Reads the arrays of an NPZ file by name, without objects. Raises `ValueError` for a damaged
-    file, or one that is not `what` is expected.
-    """
+    """Reads arrays by name, no objects. Raises `ValueError` for a damaged file, or not `what`."""
     with path.open("rb") as file:
         try:
             with zipfile.ZipFile(file) as archive:

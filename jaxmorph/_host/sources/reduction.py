@@ -29,9 +29,7 @@ class AbstractReduction(abc.ABC):
     def __call__(self, points: np.ndarray) -> np.ndarray: ...
 
     def beside(self, points: np.ndarray, others: np.ndarray) -> np.ndarray:
-        """Chooses as `__call__`, near the `others` (k, d): fixed nodes, or moving sources. The
-        default ignores them.
-        """
+        """Chooses near the `others` (k, d), fixed nodes or moving sources; ignored by default."""
         return self(points)
 
     def closest(self, points: np.ndarray) -> float:

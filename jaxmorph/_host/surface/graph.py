@@ -41,9 +41,7 @@ class Graph:
     slack: float  # round-off of the coordinates
 
     def smallest_weight(self, simplex: np.ndarray, points: np.ndarray) -> np.ndarray:
-        """Least barycentric coordinates (k,) of points (k, d) in simplices (k,); -inf where the
-        simplex is -1 or not higher than `flat`.
-        """
+        """Least barycentric coordinates (k,) of points in simplices; -inf in -1 or flat ones."""
         smallest = np.empty(len(points))
 
         def weigh(part: slice) -> None:
@@ -123,9 +121,7 @@ def _without_coincident(unit: np.ndarray, closest: float) -> np.ndarray:
 
 
 def _snapped(nodes: np.ndarray) -> np.ndarray:
-    """Rounds coordinates to about `SNAP` of the distance of the nearest node, so that the last bits
-    of the mesh do not reach qhull.
-    """
+    """Rounds coordinates to about `SNAP` of the nearest distance: qhull sees no last bits."""
     step = 2 ** np.floor(np.log2(SNAP * spacing(nodes)) + BETWEEN)[:, None]
     return np.floor(nodes / step + BETWEEN) * step
 

@@ -179,9 +179,7 @@ class WendlandC2(AbstractCompactBasis):
 
 
 class WendlandC4(AbstractCompactBasis):
-    """Evaluates phi = (1 - xi)^6 (35/3 xi^2 + 6 xi + 1), xi = r / `support_radius` (Wendland
-    1995).
-    """
+    """Evaluates phi = (1 - xi)^6 (35/3 xi^2 + 6 xi + 1), with xi = r / `support_radius`."""
 
     value = staticmethod(lambda xi: (1 - xi) ** 6 * (35 / 3 * xi**2 + 6 * xi + 1))
     slope = staticmethod(lambda xi: -28 / 3 * (1 - xi) ** 5 * (5 * xi + 1))

@@ -136,9 +136,7 @@ def contracted(matrix: np.ndarray, values: Either, axis: int = 0) -> Either:
 
 
 def multiplied(first: Space, second: Space, a: list[Any], b: list[Any], product: Any) -> list[Any]:
-    """Multiplies polynomials given by scaled coefficients (n, k), one array a component. `product`
-    is bilinear: two lists of components to one list.
-    """
+    """Multiplies polynomials (n, k), one array a component, by a bilinear `product` of lists."""
     table, xp = rows_of_products(first, second), namespace(a[0])
 
     def add(sums, step):

@@ -296,9 +296,7 @@ def _room(xp: Any, form: Form, parts: int = 1) -> int:
 
 @by_place
 def _undeformed(cells: ByType, points: Float[Either, "n d"], signs: ByType) -> ByType:
-    """The mean of det J over each undeformed cell, with the cell's proper sign; that sign alone
-    where the mean is zero, and for boundary elements.
-    """
+    """Mean det J of undeformed cells, with the proper sign; that sign where the mean is zero."""
     xp, sizes = namespace(points), {kind: sign.astype(points.dtype) for kind, sign in signs.items()}
     for kind, ids in cells.items():
         if DIMENSION[kind] == points.shape[1]:
