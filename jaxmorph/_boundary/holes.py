@@ -9,7 +9,7 @@ from .._host.linear.products import normals
 from .._host.surface.gaps import distance_from_segment
 
 CONTINUES = 0.5
-"""Least cosine, of 60 degrees, between a hole's faces and those around: a dome's rim is no hole."""
+"""Least cosine (60 degrees) of a hole's faces to those around: a dome's rim is no hole."""
 
 
 def filled(

@@ -142,7 +142,9 @@ class Distortion(eqx.Module):
         }
 
     def blocks(self, y: Float[Array, "n d"], base: Float[Array, "n d"], floor: Any = 0.0) -> Float[Array, "d d pairs"]:
-        """Second derivatives for pairs of corners, with `ways` of nodes, from `floor` on."""
+        """Second derivatives for pairs of corners, or single nodes of `ways`; eigenvalues from
+        `floor`.
+        """
         # A sample has second derivatives by its edges. An edge is a sum of corners (`share`), which
         # gives derivatives by corners. The last axis of the result runs over cells fastest, then
         # over the second corner z, then over the first corner c, type after type: the order of

@@ -89,9 +89,7 @@ class AbstractMethod(Module):
         return Control()
 
     def check(self, ids: PyTree, factors: PyTree, u: Float[Array, "b d"]) -> None:
-        """Raises or warns of unusable factors after a trial `u`, on the host, after the first
-        `fit`.
-        """
+        """Raises or warns of unusable factors. Once, on the host, after the first `fit`."""
 
     @property
     def needs_cells(self) -> bool:

@@ -16,7 +16,9 @@ AHEAD = 2  # pieces of work for each core in advance
 
 
 def cores() -> int:
-    """Counts cores: `JAXMORPH_CPUS`, else the affinity mask. Raises `ValueError` for 0 and text."""
+    """Counts the cores to use: what `JAXMORPH_CPUS` says, else all of the process' affinity mask.
+    Raises `ValueError` where the variable is no whole number of 1 or more.
+    """
     words = os.environ.get(SWITCH, "")
     if words:
         if not words.isdecimal() or int(words) < 1:

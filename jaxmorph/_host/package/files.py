@@ -78,7 +78,7 @@ def check_apart(
 
 
 def read_arrays(path: pathlib.Path, what: str = "an NPZ file") -> dict[str, np.ndarray]:
-    """Reads arrays by name, no objects. Raises `ValueError` for a damaged file, or not `what`."""
+    """Reads arrays by name. Raises `ValueError` for objects, a damaged file, or not `what`."""
     with path.open("rb") as file:
         try:
             with zipfile.ZipFile(file) as archive:

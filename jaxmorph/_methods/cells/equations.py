@@ -23,7 +23,9 @@ class AbstractStiffness(Module):
 
     @abc.abstractmethod
     def __call__(self, volume: Float[Array, ""], distance: Float[Array, ""]) -> Float[Array, ""]:
-        """A cell's stiffness by volume, and mean distance of its corners from moving nodes."""
+        """Computes a cell's stiffness by its volume (in 2-D its area), and its corners' mean
+        distance from the nearest moving node. Traced.
+        """
 
 
 class ByVolume(AbstractStiffness):
@@ -268,7 +270,7 @@ _ENDS = np.array([(i, j, *sorted({0, 1, 2, 3} - {i, j})) for i, j in itertools.p
 
 
 def _tetrahedron(corners: Float[Array, "4 3"], lineal: Float[Array, ""]) -> Float[Array, "4 4"]:
-    """Stiffnesses of edges: a lineal part, and one by the angle between the faces at the ends."""
+    """Stiffnesses of edges: lineal, and by the angle between the faces opposite to the ends."""
     i, j, k, m = (corners[ends] for ends in _ENDS)
     normal_i, normal_j = jnp.cross(m - k, i - k), jnp.cross(m - k, j - k)  # both faces have the edge k m
     both = jnp.sum(normal_i**2, axis=1) * jnp.sum(normal_j**2, axis=1)

@@ -179,14 +179,20 @@ class WendlandC2(AbstractCompactBasis):
 
 
 class WendlandC4(AbstractCompactBasis):
-    """Evaluates phi = (1 - xi)^6 (35/3 xi^2 + 6 xi + 1), with xi = r / `support_radius`."""
+    """Evaluates phi = (1 - xi)^6 (35/3 xi^2 + 6 xi + 1), with xi = r / `support_radius`.
+
+    It has four continuous derivatives (Wendland 1995).
+    """
 
     value = staticmethod(lambda xi: (1 - xi) ** 6 * (35 / 3 * xi**2 + 6 * xi + 1))
     slope = staticmethod(lambda xi: -28 / 3 * (1 - xi) ** 5 * (5 * xi + 1))
 
 
 class WendlandC6(AbstractCompactBasis):
-    """Evaluates phi = (1 - xi)^8 (32 xi^3 + 25 xi^2 + 8 xi + 1), xi = r / `support_radius`: C6."""
+    """Evaluates phi = (1 - xi)^8 (32 xi^3 + 25 xi^2 + 8 xi + 1), with xi = r / `support_radius`.
+
+    It has six continuous derivatives (Wendland 1995).
+    """
 
     value = staticmethod(lambda xi: (1 - xi) ** 8 * (32 * xi**3 + 25 * xi**2 + 8 * xi + 1))
     slope = staticmethod(lambda xi: -11 * (1 - xi) ** 7 * (16 * xi**2 + 7 * xi + 1))

@@ -207,6 +207,6 @@ def _divided(space: Space, matrix: np.ndarray) -> tuple[Space, np.ndarray]:
 
 
 def nodes_of(ids: Any, *ends: Any) -> list[Any]:
-    """Components (nodes, k) relative to the first node; `ends` (n, d) of a motion in turn."""
+    """Components (nodes, k) relative to the first node; of the `ends` (n, d) of a motion, all."""
     xp, axes = namespace(ends[0]), range(ends[0].shape[1])
     return [xp.concatenate([end[:, axis][ids] - end[:, axis][ids[:1]] for end in ends]) for axis in axes]

@@ -34,7 +34,7 @@ class Bounds:
 def bounds(
     space: Space, coefficients: Float[np.ndarray, "n k"], round_off: Float[np.ndarray, " k"], depth: int
 ) -> Bounds:
-    """Bounds polynomials on parts of a 2^depth-th where the sign needs them, a few further."""
+    """Bounds polynomials, on parts of a 2^depth-th or less where the sign needs them."""
     k, d = coefficients.shape[1], sum(m for m, _ in space)
     search = _Search(space, depth, round_off, np.full(k, np.inf), np.full(k, np.inf), np.zeros((d, k)))
     search.look(coefficients, np.arange(k), np.zeros((0, k), dtype=int))
