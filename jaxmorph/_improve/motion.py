@@ -142,7 +142,7 @@ class Distortion(eqx.Module):
         }
 
     def blocks(self, y: Float[Array, "n d"], base: Float[Array, "n d"], floor: Any = 0.0) -> Float[Array, "d d pairs"]:
-        """Second derivatives for pairs of corners, or single nodes of `ways`; eigenvalues from
+        """Second derivatives by pairs of corners, or by nodes of `ways`; eigenvalues from
         `floor`.
         """
         # A sample has second derivatives by its edges. An edge is a sum of corners (`share`), which

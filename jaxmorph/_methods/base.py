@@ -89,7 +89,9 @@ class AbstractMethod(Module):
         return Control()
 
     def check(self, ids: PyTree, factors: PyTree, u: Float[Array, "b d"]) -> None:
-        """Raises or warns of unusable factors. Once, on the host, after the first `fit`."""
+        """Raises or warns when the factors are unusable, by a trial displacement `u`. Once, on the
+        host, after the first `fit`.
+        """
 
     @property
     def needs_cells(self) -> bool:
