@@ -58,7 +58,7 @@ class Turn:
         return cls(rotation, middle + arm, way - change @ arm)
 
     def path(self, points: Float[np.ndarray, "m 3"], u: Float[np.ndarray, "m 3"], steps: int) -> list[np.ndarray]:
-        """The displacement at the end of each step; what is no rotation grows evenly."""
+        """The displacement at the end of each step; all but the rotation grows evenly."""
         arms = points - self.centre
         rest = u + arms - self.rotation.apply(arms)
         shares = [step / steps for step in range(1, steps + 1)]

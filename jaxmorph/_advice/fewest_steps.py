@@ -58,7 +58,7 @@ def fewest_steps(
 
     **Arguments:**
 
-    - `plan`: what `prepare` returned.
+    - `plan`: from `prepare`.
     - `mesh`: the mesh whose cells are judged.
     - `motion`: `motion(t)` for t from 0 to 1 is the total displacement (m, d) of the moving nodes.
     - `min_jacobian_ratio`: the least corner Jacobian, relative to its initial value, default 0.05.

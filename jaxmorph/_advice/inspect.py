@@ -54,12 +54,12 @@ def inspect(
     mesh, it measures how much is left of gaps between walls, and finds moved walls that cross
     another boundary or themselves. Faces that crossed before do not count, nor do faces that share
     a node or touch in coincident nodes, as at a sharp trailing edge. Faces with a node that is
-    neither moving nor fixed are left out. If one step folds cells, it tries what may help: round
-    walls that slide, 2, 4 and 8 steps, methods on cells.
+    neither moving nor fixed are left out. If one step folds cells, it tries cures: round walls that
+    slide, 2, 4 and 8 steps, methods on cells.
 
     **Arguments:**
 
-    - `plan`: what `prepare` returned.
+    - `plan`: from `prepare`.
     - `u`: displacements (m, d) of the moving nodes, in the mesh's unit.
     - `mesh`: the mesh that the plan was made for. Default: none.
     - `nodes`: the mesh's ids of the plan's points, where the plan is of a part of it
@@ -281,7 +281,7 @@ def overshoot(
 
 
 def missed(points: np.ndarray, u: np.ndarray, sources: np.ndarray) -> float:
-    """Measures what an interpolation from `sources` misses of `u` (m, d) at `points` (m, d),
+    """Measures the residual of an interpolation of `u` (m, d) from `sources` at `points` (m, d),
     relative to the largest displacement, and zero without one. The interpolation is that by
     distances, and a constant; SciPy's `RBFInterpolator` takes a tenth of a second to import.
     """

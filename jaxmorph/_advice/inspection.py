@@ -71,7 +71,7 @@ class Inspection:
       there. It is 1 or more if no gap becomes smaller; None without a mesh, or with one wall.
     - `largest`: the largest displacement of a moving node.
     - `reach`: how far from the surface a field of compact support reaches; infinity for others.
-    - `missed`: what an interpolation from the moving sources misses of the displacement in 3-D,
+    - `missed`: residual of an interpolation of the displacement from the moving sources in 3-D,
       relative to the largest displacement.
     - `leaves`: leaves of a `KDTree` whose sources miss less than a third of it. None if the plan's
       do already, or if no number does.

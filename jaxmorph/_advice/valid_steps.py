@@ -29,7 +29,7 @@ class ValidSteps(Module, optx.AbstractSearch):
 
     **Arguments:**
 
-    - `plan`: what `prepare` returned.
+    - `plan`: from `prepare`.
     - `mesh`: whose `points` are the plan's.
     - `displacement`: takes the optimiser's variables and returns `u` (m, d). Where it, or the plan,
       is not linear, the way's end is that of the chord, and the step is cut again until it fits.

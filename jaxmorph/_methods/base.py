@@ -41,7 +41,7 @@ class AbstractField(Module):
 
     @abc.abstractmethod
     def __call__(self, x: Float[Array, " d"], ids: PyTree) -> Float[Array, " d"]:
-        """Computes the displacement at `x`; `ids` are what `connect` or `place` made for it."""
+        """Computes the displacement at `x`; `ids` are those of `connect` or `place` for it."""
 
     def evaluate(self, points: Float[Array, "c d"], ids: PyTree) -> Float[Array, "c d"]:
         """Computes the displacements of a block of c points; leaves of `ids` have a row for each.
@@ -65,8 +65,8 @@ class AbstractMethod(Module):
 
     - `surface`: on the host a `Surface`; traced the coordinates (b, d) of its rows.
     - `points`: all points (n, d) of the mesh, in `fit` its base coordinates. `x` is one point (d,).
-    - `ids`: what `connect` returned for the surface; in the field what it returned for a point.
-    - `factors`: what `fit` returned.
+    - `ids`: results of `connect` for the surface; in the field for a point.
+    - `factors`: results of `fit`.
     - `u`: displacements (b, d) of the surface's rows.
     """
 
@@ -112,7 +112,7 @@ class AbstractMethod(Module):
 class AbstractPlacing(AbstractMethod):
     """A method that computes something for each point once per base mesh: its place.
 
-    In `place` and `carry_place`, `ids` is what `connect` returned for the point. The field gets the
+    In `place` and `carry_place`, `ids` is the result of `connect` for the point. The field gets the
     point's place as its `ids`. `carry` and `carry_place` adapt to the mesh after a step of `march`.
     By default the solve is new and points keep their places: a graph stands on the undeformed mesh.
     """

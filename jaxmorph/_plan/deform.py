@@ -72,7 +72,7 @@ def pullback(
 
     **Arguments:**
 
-    - `plan`: what `prepare` returned.
+    - `plan`: from `prepare`.
     - `u`: displacements (m, d) of the moving nodes. Where `plan.is_linear`, only the shape matters.
     - `cotangent`: dJ/d(points) at all points (n, d), in the mesh's own node order.
 
@@ -221,7 +221,9 @@ def _varying(shared: Shared, mask: tuple[bool, ...]) -> list[Array]:
 
 @compiled
 def _share(shared: Shared, volume: VolumePart, cotangent: Array, k: Any, constant: Constant) -> list[Array]:
-    """Pulls the cotangents of one share of the points back to what varies of what they share."""
+    """Pulls the cotangents of one share of the points back to the varying part of the common
+    data.
+    """
     mask, number = constant.value
     count, size = len(cotangent), -(-len(cotangent) // number)
     start = jnp.minimum(k * size, count - size)  # the last share overlaps the one before it

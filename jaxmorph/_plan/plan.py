@@ -1,4 +1,4 @@
-"""The plan: what is known of a mesh before it moves, and how its fields move it, traced."""
+"""The plan: everything about a mesh before it moves, and its motion by fields, traced."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -197,7 +197,7 @@ class Plan(Module):
 
     @checked
     def offset(self, u: Real[ArrayLike, "m d"] | Sequence[Any]) -> Float[Array, "o d"]:
-        """Computes what is left to the correction (eq. 5), at all surface nodes. Traced in `u`."""
+        """Computes the offset for the correction (eq. 5), at all surface nodes. Traced in `u`."""
         return _offset(self, u)
 
     @checked

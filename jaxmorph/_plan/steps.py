@@ -27,7 +27,7 @@ def march(
 
     **Arguments:**
 
-    - `plan`: what `prepare` returned.
+    - `plan`: from `prepare`.
     - `path`: displacements (k, m, d) in the mesh's unit. `path[j]` leads from the plan's base
       coordinates to the end of step j: a rotation is a path of rotated positions.
     - `rebuild`: choose the ids (sources, graph) again before every step, as the paper does. Default

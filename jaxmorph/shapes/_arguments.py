@@ -1,4 +1,4 @@
-"""Checks what comes in: shapes always, values where they are known."""
+"""Checks of arguments: shapes always, values where they are known."""
 
 from collections.abc import Sequence
 from typing import Any, TypeVar

@@ -1,4 +1,4 @@
-"""Free-form deformation: a lattice of control points carries what is inside."""
+"""Free-form deformation: a lattice of control points carries the points inside."""
 
 from collections.abc import Sequence
 from typing import Any

@@ -52,7 +52,7 @@ class MeshGuard(Module):
 
     **Arguments:**
 
-    - `plan`: what `prepare` returned.
+    - `plan`: from `prepare`.
     - `mesh`: whose `points` are the plan's, with cells.
     - `displacement`: takes the design variables (p,) and returns `u` (m, d); traced.
     - `min_jacobian_ratio`: bound on `QualityReport.jacobian_ratio`, from 0 to 1. Default 0.1; cells

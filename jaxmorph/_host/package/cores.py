@@ -54,8 +54,8 @@ class Beside(Generic[T]):
 
 
 def in_order(function: Callable[[Any], T], pieces: Iterable[Any]) -> Iterator[T]:
-    """Yields `function` of each piece of work, in order, while all cores compute what comes next.
-    NumPy and SciPy release Python's lock for all that takes long, but `ufunc.at` and `unique`.
+    """Yields `function` of each piece of work, in order, while all cores compute ahead. NumPy and
+    SciPy release Python's lock for all that takes long, but `ufunc.at` and `unique`.
     """
     pieces = list(pieces)
     number = min(cores(), len(pieces))

@@ -37,7 +37,7 @@ def warn(message: str) -> None:
 
 
 def worst_first(off: np.ndarray, allowed: Any) -> np.ndarray:
-    """Rows where `off` (k,) exceeds what is `allowed`, the largest first."""
+    """Rows where `off` (k,) exceeds the `allowed`, the largest first."""
     wrong = np.flatnonzero(off > allowed)
     return wrong[np.argsort(-off[wrong], kind="stable")]
 

@@ -63,7 +63,7 @@ def check_apart(
     outputs: Iterable[tuple[str, pathlib.Path]], inputs: Mapping[str, Iterable[str | os.PathLike[str] | None]]
 ) -> None:
     """Raises `ValueError` for an output that is an input, and for two outputs in one file. Outputs
-    come with the names that messages give them, inputs by what is read: `the mesh is`.
+    come with the names that messages give them, inputs by their role: `the mesh is`.
     """
     read = [(pathlib.Path(file), what) for what, files in inputs.items() for file in files if file is not None]
     written: dict[pathlib.Path, str] = {}

@@ -145,7 +145,7 @@ def nearest_boxes_first(
     points: np.ndarray, trees: list[Tree], farthest: np.ndarray, bounds: list[float] | None = None
 ) -> Iterator[tuple[int, np.ndarray]]:
     """Yields trees, by number, with the rows of points to search in each, up to `bounds`.
-    `farthest` (n,) is what a search has to beat; the caller lowers it between two trees.
+    `farthest` (n,) is the bound of a search; the caller lowers it between two trees.
     """
     # A tree is searched only for points whose answer so far is farther than the tree's box. The
     # tree with the nearest box comes first: it holds the answer of most points.

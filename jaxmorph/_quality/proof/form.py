@@ -5,8 +5,8 @@ Bernstein coefficients that are differences of control points. Coefficients of d
 determinants of these differences, with positive weights. A pyramid is taken as the image of a cube
 whose top face shrinks to the apex: (r, s, t) to (r (1 - t), s (1 - t), t). There its functions are
 polynomials (Bergot, Cohen, Durufle, J. Sci. Comput. 42, 2010). Two columns have the factor 1 - t,
-which is divided out: what is left is det J in the reference pyramid. Source: Johnen, Remacle,
-Geuzaine, Geometrical validity of curvilinear finite elements, J. Comput. Phys. 233, 2013.
+which is divided out: the rest is det J in the reference pyramid. Source: Johnen, Remacle, Geuzaine,
+Geometrical validity of curvilinear finite elements, J. Comput. Phys. 233, 2013.
 """
 
 import dataclasses
