@@ -1,8 +1,4 @@
-"""A sparse operator from surface nodes to points, with its transpose as fast as itself.
-
-XLA transposes a gather into a scatter, many times slower on a CPU: so a linear primitive has two
-forms, each the transpose of the other.
-"""
+"""A sparse operator from surface nodes to points; XLA would transpose it to a slow scatter."""
 
 import dataclasses
 import weakref

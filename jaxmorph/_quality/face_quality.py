@@ -1,7 +1,4 @@
-"""Quality of cells from their faces, as OpenFOAM's checkMesh measures it.
-
-The first axis of vectors runs over their components.
-"""
+"""Quality of cells from their faces, as checkMesh measures it; components of vectors come first."""
 
 import dataclasses
 import functools

@@ -1,8 +1,4 @@
-"""Vectors of two or three components, each an array whose last axis runs over the cells.
-
-Loops over many cells then run along the arrays, where the machine is fast, and nothing is copied.
-An axis before it runs over the corners, edges or faces of one cell.
-"""
+"""Vectors of two or three components: arrays with the cells on the last axis, for fast loops."""
 
 import functools
 import math

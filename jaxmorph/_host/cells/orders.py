@@ -1,8 +1,4 @@
-"""The order in which each format lists the nodes of a cell of high order.
-
-All formats list corners first, then inner nodes of edges, of faces and of the cell. They differ in
-the order and the sense of edges and faces, and in how inner nodes go.
-"""
+"""The order of nodes in each format: corners, then inner nodes of edges, of faces, of the cell."""
 
 import dataclasses
 import functools

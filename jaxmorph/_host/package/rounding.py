@@ -1,8 +1,4 @@
-"""Decisions free of round-off, orders of points, and searches for the nearest.
-
-Many lengths of a regular mesh are equal but for the last bit, which depends on the processor.
-Numbers within `SAME` are equal, and the first of equals is taken.
-"""
+"""Decisions free of round-off, by which many lengths of a regular mesh differ; orders of points."""
 
 from typing import Any
 
