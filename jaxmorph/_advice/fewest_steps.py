@@ -50,23 +50,28 @@ def fewest_steps(
 
     A number of steps is good when no cell is inverted and the smallest corner Jacobian stays above
     `min_jacobian_ratio` of its initial value. When even `max_steps` steps are not good, the result
-    has the largest fraction of the motion that they reach, by bisection to 1/1000. With `improve`,
-    the mesh that `max_steps` steps tangle is given to `jm.improve`, whose targets are the cells of
-    `mesh`; nodes slide and repeat as the plan has them. If that is not good either, the largest
-    fraction is sought beyond the one of steps alone, to 1/100. Each trial then costs a march and an
-    improvement: seconds for 10,000 cells.
+    has the largest fraction of the motion that they reach, by bisection to 1/1000.
+
+    With `improve`, the mesh that `max_steps` steps tangle is given to `jm.improve`, whose targets
+    are the cells of `mesh`; nodes slide and repeat as the plan has them. If that is not good
+    either, the largest fraction is sought beyond the one of steps alone, to 1/100. Each trial then
+    costs a march and an improvement: seconds for 10,000 cells.
 
     **Arguments:**
 
-    - `plan`: from `prepare`.
+    - `plan`: what `prepare` returned.
     - `mesh`: the mesh whose cells are judged.
-    - `motion`: `motion(t)` for t from 0 to 1 is the total displacement (m, d) of the moving nodes.
+    - `motion`: `motion(t)` for t from 0 to 1 is the total displacement (m, d) of the moving nodes;
+      `motion(1)` is all of it.
     - `min_jacobian_ratio`: the least corner Jacobian, relative to its initial value, default 0.05.
     - `max_steps`: the most steps to try, default 16.
     - `improve`: whether to improve a mesh that even `max_steps` steps tangle, default False.
 
+    **Returns:** a `Steps`.
+
     **Raises:** `ValueError` when `max_steps` is less than 1, `min_jacobian_ratio` is not from 0 to
-    1, `plan` and `mesh` differ in their points, or a `motion(t)` is not (m, d) or not finite.
+    1, or `plan` and `mesh` differ in their points. Also for a `motion(t)` that is not (m, d) or not
+    finite.
     """
     whole("max_steps", max_steps)
     between("min_jacobian_ratio", min_jacobian_ratio, 0, 1, "[)")

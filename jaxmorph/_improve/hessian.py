@@ -20,7 +20,10 @@ from .._quality.vector import Vector, cross, divide, dot, norm, stack, total
 
 Scalar = Float[Array, "s k"]
 Matrix = list[list[Scalar]]
-SWEEPS = 5  # sweeps of Jacobi rotations in 3-D: four or five converge to round-off; in 2-D one is exact
+SWEEPS = 5
+"""Sweeps of Jacobi rotations in 3-D: four or five converge to round-off. In 2-D one rotation is
+exact.
+"""
 
 
 def symmetric_eigen(matrix: Matrix) -> tuple[list[Scalar], list[Vector]]:

@@ -131,7 +131,7 @@ def _power(squared: Float[Array, "..."], exponent: float) -> Float[Array, "..."]
 
 
 def _vectors(corners: Float[Array, "k c d"]) -> Float[Array, "k d"]:
-    """The area of each face times its normal: of an edge, a triangle or a quad."""
+    """Computes the area of each face times its normal: of an edge, a triangle or a quad."""
     if corners.shape[1] == 2:
         edge = corners[:, 1] - corners[:, 0]
         return jnp.stack([edge[:, 1], -edge[:, 0]], axis=1)

@@ -81,7 +81,7 @@ def _single(parts: list[tuple[list[np.ndarray], int, np.ndarray | None]], n: int
 
 
 def sides_of(kind: str) -> list[tuple[str, np.ndarray]]:
-    """The type of each face of a cell, and its nodes as rows of the cell; none for a line."""
+    """Lists the type of each face of a cell, and its nodes as rows of the cell; none for a line."""
     return [] if SHAPES[kind] == "line" else lagrange_types()[kind].sides
 
 

@@ -239,7 +239,7 @@ def extreme_points(points: np.ndarray) -> np.ndarray:
 
 
 def least_distance(points: np.ndarray, separation: float) -> float:
-    """`separation` times the diagonal of all points, but at least round-off."""
+    """Computes `separation` times the diagonal of all points, but at least round-off."""
     if len(points) == 0:
         return 0.0
     return max(separation * float(np.linalg.norm(np.ptp(points, axis=0))), roundoff(points))

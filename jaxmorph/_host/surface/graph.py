@@ -115,7 +115,7 @@ def _graph(nodes: np.ndarray, flat: float) -> Delaunay:
 
 
 def _without_coincident(unit: np.ndarray, closest: float) -> np.ndarray:
-    """Distinct nodes in canonical order: of duplicates the first, or a moving one."""
+    """Lists distinct nodes in canonical order: of coincident ones the first, or a moving one."""
     rows = drop_close(unit, np.arange(len(unit)), closest)
     return rows[canonical_order(unit[rows])]
 
@@ -142,20 +142,26 @@ TOLERANCE = 1e-6  # a point whose smallest weight is below minus this is searche
 
 @dataclasses.dataclass(frozen=True)
 class Location:
-    """The places of points in the graph."""
+    """The places of points in the graph.
 
-    vertices: np.ndarray  # ids (w, d + 1) of the surface nodes whose simplex holds the point
-    repaired: int  # number of answers of the search that were repaired
-    outside: int = 0  # number of points outside of all simplices, by no more than round-off
+    - `vertices`: ids (w, d + 1) of the surface nodes whose simplex holds the point.
+    - `repaired`: number of answers of the search that were repaired.
+    - `outside`: number of points outside of all simplices, by no more than round-off.
+    """
+
+    vertices: np.ndarray
+    repaired: int
+    outside: int = 0
 
 
 def locate(surface: np.ndarray | Graph, points: np.ndarray, wanted: np.ndarray) -> Location:
     """Finds the surface nodes whose simplex holds a point, for all `wanted` points.
 
-    Coordinates in single precision count as exact numbers, except for points on the hull. `surface`
-    are the surface nodes (b, d), or their graph, `points` (n, d) all points, and `wanted` (w,) the
-    ids of those to locate. Raises `MeshError` for points outside of the surface's convex hull,
-    `ValueError` for a surface without extent in some direction.
+    Coordinates in single precision count as exact numbers, except for points on the hull.
+
+    `surface` are the surface nodes (b, d), or their graph, `points` (n, d) all points, and `wanted`
+    (w,) the ids of those to locate. Raises `MeshError` for points outside of the surface's convex
+    hull, `ValueError` for a surface without extent in some direction.
     """
     graph = surface if isinstance(surface, Graph) else graph_of(surface)
     points = points.astype(np.float64, copy=False)

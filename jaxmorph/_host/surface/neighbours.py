@@ -15,6 +15,7 @@ Once = Callable[[Any, Callable[[], Any]], Any]
 
 
 def at_once(key: Any, make: Callable[[], Any]) -> Any:
+    """Calls `make` without a cache."""
     return make()
 
 

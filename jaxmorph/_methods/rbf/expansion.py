@@ -122,6 +122,7 @@ class Expansion(Module):
         return jnp.concatenate([kernel, polynomial(points, self.degree)], axis=1)
 
     def field(self, factors: RBFFactors, values: Float[Array, "s k"], dtype) -> RBFField:
+        """Makes the field with given values at the sources, in a given precision. Traced."""
         terms = polynomial(factors.sources[:1], self.degree).shape[1]
         right = jnp.concatenate([values, jnp.zeros((terms, values.shape[1]), values.dtype)])
         solve = factors.solve if factors.cardinals is None else lambda right: self._iterated(factors, right)
