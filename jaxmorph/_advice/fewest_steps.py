@@ -77,6 +77,7 @@ def fewest_steps(
     between("min_jacobian_ratio", min_jacobian_ratio, 0, 1, "[)")
     if tuple(mesh.points.shape) != plan.points.shape:
         raise ValueError(f"`mesh` has points {tuple(mesh.points.shape)}, the plan {plan.points.shape}.")
+
     expected = (plan.n_moving, plan.points.shape[1])
 
     def tried(count: int, fraction: float = 1.0, mend: bool = False) -> Steps:
