@@ -38,9 +38,9 @@ class Surface:
       plane, or None without cells.
     - `cells`: the mesh's cells and symmetry planes, or None for points alone, or a part of a mesh.
     - `in_planes` (b,): the rows that lie in a symmetry plane and are neither moving nor fixed.
-    - `listed` (b,): each row's place in the caller's list of nodes, or None for the same order: a
-      reduction sees points so, as the `motions` of `Greedy`.
-    - `values`: cache of `once`.
+    - `listed` (b,): for each row its place among the nodes as the caller lists them, or None where
+      rows go in that order. A reduction sees points so: `motions` of `Greedy` have a row for each.
+    - `values`: what was made `once`, by key.
     """
 
     points: np.ndarray
