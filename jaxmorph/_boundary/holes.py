@@ -27,7 +27,7 @@ def filled(
 
 
 def _joined(faces: np.ndarray, vertices: np.ndarray, moves: np.ndarray) -> np.ndarray:
-    """Lines (k, 2) from moving ends to the nearest moving start that lies ahead."""
+    """Lists lines (k, 2) from moving ends to the nearest moving start that lies ahead."""
     along = _unit(np.diff(vertices[faces], axis=1)[:, 0])  # zero for a face of two nodes at one place
     last = np.flatnonzero(~np.isin(faces[:, 1], faces[:, 0]) & moves[faces[:, 1]])
     first = np.flatnonzero(~np.isin(faces[:, 0], faces[:, 1]) & moves[faces[:, 0]])
