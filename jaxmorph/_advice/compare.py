@@ -28,33 +28,22 @@ from .._quality.quality import quality
 from .._quality.wall_quality import wall_quality
 from .methods import METHODS, MOST_POINTS, Lengths
 
-MOST_PAIRS = 300_000_000
-"""Points times nodes of the surface up to which inverse distances are tried."""
+MOST_PAIRS = 300_000_000  # points times nodes of the surface up to which inverse distances are tried
 
 COLUMNS = ("sources", "inverted", "ratio", "angle", "seconds")
 
 
 @dataclasses.dataclass(frozen=True)
 class Trial:
-    """One row of a `Comparison`: a method on all motions.
-
-    - `method`: its name.
-    - `sources`: number of control points, None for a method without any.
-    - `inverted`: inverted cells in all motions.
-    - `ratio`: the smallest Jacobian ratio in any motion.
-    - `angle`: degrees by which first grid lines leave their angle to the wall, mean over nodes and
-      motions. NaN where no cell has a side on the wall.
-    - `seconds`: CPU time of one compiled `deform`.
-    - `refused`: why the method was refused or left out, or None. Numbers are then None or NaN.
-    """
+    """One row of a `Comparison`: a method on all motions."""
 
     method: str
-    sources: int | None = None
-    inverted: int | None = None
-    ratio: float = math.nan
-    angle: float = math.nan
-    seconds: float = math.nan
-    refused: str | None = None
+    sources: int | None = None  # number of control points, None for a method without any
+    inverted: int | None = None  # inverted cells in all motions
+    ratio: float = math.nan  # the smallest Jacobian ratio in any motion
+    angle: float = math.nan  # mean degrees by which first grid lines leave their angle to the wall; NaN without lines
+    seconds: float = math.nan  # CPU time of one compiled `deform`
+    refused: str | None = None  # why the method was refused or left out, or None. Numbers are then None or NaN.
 
     @property
     def badness(self) -> tuple[float | int, float]:
@@ -101,21 +90,17 @@ def compare(
     plan = compared.plans[0]
     ```
 
-    By default these are tried: the default method, `interpolated` (the same without the fit:
-    `SurfaceReconstruction(RBF(reduction=KDTree(64, extremes=True)))`), `DelaunayGraph`,
-    `Multiscale.whole`, `Biharmonic`, `LinearElasticity`, `TorsionalSprings` and
-    `InverseDistance(rotations=True)`. The last one is not linear in `u`. Methods on the cells are
-    left out beyond 100,000 points in 2-D and 40,000 in 3-D, and inverse distances beyond 3e8 pairs
-    of a point and a node of the surface. The table says so.
-
     **Arguments:**
 
     - `boundary`: the boundary of a mesh.
     - `motions`: displacements (s, m, d) of the moving nodes that the mesh is to bear: modes, or
       samples. Each is deformed and judged once by each method.
-    - `methods`: methods to try, by their names in the table. Default: those above.
-
-    **Returns:** a `Comparison`.
+    - `methods`: methods by their names in the table. Default: the default method, `interpolated`
+      (the same without the fit: `SurfaceReconstruction(RBF(reduction=KDTree(64, extremes=True)))`),
+      `DelaunayGraph`, `Multiscale.whole`, `Biharmonic`, `LinearElasticity`, `TorsionalSprings` and
+      `InverseDistance(rotations=True)`, which is not linear in `u`. Methods on the cells are left
+      out beyond 100,000 points in 2-D and 40,000 in 3-D, and inverse distances beyond 3e8 pairs of
+      a point and a node of the surface. The table says so.
 
     **Raises:** `ValueError` when `motions` is not (s, m, d), is zero or not finite, for a boundary
     of points alone, and for `methods` that are no methods by name. Also what `prepare` raises where
@@ -154,7 +139,6 @@ def _checked_motions(motions: Any, expected: tuple[int, int]) -> np.ndarray:
 
 
 def _makers(boundary: Boundary, methods: Mapping[str, AbstractMethod] | None) -> dict[str, Any]:
-    """Returns a function for each method that makes it; it raises for a method that is left out."""
     if methods is None:
         wall = Lengths(boundary.points[boundary.moving], boundary.points[boundary.fixed])
         makers = {entry.name: functools.partial(entry.make, wall) for entry in METHODS if entry.is_tried}

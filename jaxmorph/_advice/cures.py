@@ -19,14 +19,9 @@ from .._quality.quality import quality
 from .largest_step import largest_step
 from .methods import METHODS, MOST_POINTS, Lengths, entry
 
-STEPS = 2, 4, 8
-"""Numbers of steps that are tried."""
-
-ROUND = 1e-3
-"""Largest change of radius, or of place along the axis, over the radius, of a round patch."""
-
-TURNS = 0.1
-"""Angle of a motion in radians from which on its path turns, and round patches may slide."""
+STEPS = 2, 4, 8  # numbers of steps that are tried
+ROUND = 1e-3  # largest change of radius, or of place along the axis, over the radius, of a round patch
+TURNS = 0.1  # angle of a motion in radians from which on its path turns, and round patches may slide
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,10 +40,7 @@ class Cure:
 
 @dataclasses.dataclass(frozen=True)
 class Turn:
-    """The rigid motion nearest to a displacement, in space also for a mesh in 2-D.
-
-    `rotation` turns about `centre`, which moves by `shift` along the axis.
-    """
+    """The rigid motion, in space, nearest to a displacement; `shift` is along the axis."""
 
     rotation: Rotation
     centre: Float[np.ndarray, "3"]
@@ -66,14 +58,13 @@ class Turn:
         return cls(rotation, middle + arm, way - change @ arm)
 
     def path(self, points: Float[np.ndarray, "m 3"], u: Float[np.ndarray, "m 3"], steps: int) -> list[np.ndarray]:
-        """Computes the displacement at the end of each step; what is no rotation grows evenly."""
+        """The displacement at the end of each step; all but the rotation grows evenly."""
         arms = points - self.centre
         rest = u + arms - self.rotation.apply(arms)
         shares = [step / steps for step in range(1, steps + 1)]
         return [(self.rotation**share).apply(arms) - arms + share * rest for share in shares]
 
     def keeps(self, points: Float[np.ndarray, "k 3"], dimension: int) -> bool:
-        """Checks whether points turn within a cylinder about the axis, or a plane across it."""
         if not self.rotation.magnitude():
             return False
         axis = self.rotation.as_rotvec() / self.rotation.magnitude()
@@ -90,10 +81,7 @@ def in_space(points: Float[np.ndarray, "k d"]) -> Float[np.ndarray, "k 3"]:
 def cures(
     mesh: Mesh, moving: Int[np.ndarray, " m"], fixed: Int[np.ndarray, " f"], u: Float[np.ndarray, "m d"]
 ) -> Iterator[Cure]:
-    """Lists what may help a mesh whose `moving` nodes move by `u`, the surest first.
-
-    It lists nothing for a mesh so large that trials take long.
-    """
+    """Cures of a motion `u` that folds cells, the surest first; none for a large mesh."""
     points, dimension = in_space(np.asarray(mesh.points)), mesh.points.shape[1]
     if len(points) > MOST_POINTS[dimension]:
         return

@@ -24,8 +24,7 @@ class Steps:
     - `points`: the points (n, d) at the end, with `report` of their quality.
     - `plans`: one plan a step; `replay` repeats them along `path` (count, m, d), up to the
       improvement.
-    - `improvement`: what `improve` made of the last step's mesh, or None where the steps alone are
-      good.
+    - `improvement`: of the last step's mesh, or None where the steps alone are good.
     """
 
     count: int

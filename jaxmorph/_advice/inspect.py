@@ -29,26 +29,13 @@ from .._quality.quality import quality
 from .cures import advice_on_folds
 from .inspection import Crossings, Inspection
 
-PUT_BACK = 0.01
-"""Share of the largest motion by which planes, surfaces and pairs may change a moving node's."""
-
-TOUCHING = 1e-9
-"""Distance of a node from another wall, relative to the surface's extent: no gap there."""
-
-SAME = 1e-9
-"""Distance of nodes at one place, relative to the extent: two sides of a cut or of a sharp edge."""
-
-RESTS = 1e-3
-"""Share of the largest displacement below which a part of the surface rests."""
-
-UNRESOLVED = 1 / 3
-"""Share of the largest displacement that sources may miss between them."""
-
-ROWS = 4096
-"""Points whose distances from all sources are in memory together."""
-
-LEAVES = (64, 128, 256, 512, 1024, 2048)
-"""Numbers of leaves of a k-d tree that are tried."""
+PUT_BACK = 0.01  # share of the largest motion by which planes, surfaces and pairs may change a moving node's
+TOUCHING = 1e-9  # distance of a node from another wall, relative to the surface's extent: no gap there
+SAME = 1e-9  # distance of nodes at one place, relative to the extent: two sides of a cut or of a sharp edge
+RESTS = 1e-3  # share of the largest displacement below which a part of the surface rests
+UNRESOLVED = 1 / 3  # share of the largest displacement that sources may miss between them
+ROWS = 4096  # points in a block of distances from all sources
+LEAVES = (64, 128, 256, 512, 1024, 2048)  # numbers of leaves of a k-d tree that are tried
 
 
 @checked
@@ -63,26 +50,23 @@ def inspect(
 
     Two neighbouring surface nodes contradict each other in two cases. One moves, the other is
     fixed, and the displacement is larger than their distance: a wall slides along a fixed boundary.
-    Or both move, and their distance more than doubles. No method moves such a mesh well.
-
-    With the mesh, it measures how much is left of gaps between walls, and finds moved walls that
-    cross another boundary or themselves. Faces that crossed before do not count, nor do faces that
-    share a node or touch in coincident nodes, as at a sharp trailing edge. Faces with a node that
-    is neither moving nor fixed are left out. If one step folds cells, it tries what may help: round
-    walls that slide, 2, 4 and 8 steps, methods on cells.
+    Or both move, and their distance more than doubles. No method moves such a mesh well. With the
+    mesh, it measures how much is left of gaps between walls, and finds moved walls that cross
+    another boundary or themselves. Faces that crossed before do not count, nor do faces that share
+    a node or touch in coincident nodes, as at a sharp trailing edge. Faces with a node that is
+    neither moving nor fixed are left out. If one step folds cells, it tries cures: round walls that
+    slide, 2, 4 and 8 steps, methods on cells.
 
     **Arguments:**
 
-    - `plan`: what `prepare` returned.
+    - `plan`: from `prepare`.
     - `u`: displacements (m, d) of the moving nodes, in the mesh's unit.
     - `mesh`: the mesh that the plan was made for. Default: none.
     - `nodes`: the mesh's ids of the plan's points, where the plan is of a part of it
       (`prepare_in_chunks`). Default: all.
 
-    **Returns:** an `Inspection`, which names nodes of the mesh.
-
-    **Raises:** `ValueError` when the shape of `u` is not (m, d), or a component is not finite, or
-    the mesh has another number of points than the plan.
+    **Returns:** an `Inspection`, which names nodes of the mesh. **Raises:** `ValueError` for a `u`
+    that is not (m, d) or not finite, and for a mesh with another number of points than the plan.
     """
     if mesh is None or nodes is not None:
         return inspected(plan, u, mesh, nodes)
@@ -95,7 +79,6 @@ def inspect(
 
 
 def inspected(plan: Plan, u: Any, mesh: Mesh | None, nodes: Any, moved: np.ndarray | None = None) -> Inspection:
-    """Checks a displacement as `inspect` does; `moved` (n, d) is its `deform`, where known."""
     plan.check_surface("inspect")
     if nodes is None and mesh is not None and tuple(mesh.points.shape) != tuple(plan.points.shape):
         raise ValueError(
@@ -125,9 +108,8 @@ def inspected(plan: Plan, u: Any, mesh: Mesh | None, nodes: Any, moved: np.ndarr
 def _of_faces(
     mesh: Mesh, nodes: np.ndarray, vectors: np.ndarray, moving: int
 ) -> tuple[np.ndarray | None, dict[str, Any]]:
-    """Checks what needs faces: the faces' simplices, and what is found of them, by field.
-
-    The mesh's `nodes` (o,) move by `vectors` (o, d); the caller gave the first `moving` vectors.
+    """Checks what needs faces: the faces' simplices, and the findings, by field. The mesh's `nodes`
+    (o,) move by `vectors` (o, d); the caller gave the first `moving` vectors.
     """
     cut, left, node = simplices(mesh, nodes), None, None
     if cut is None:
@@ -201,7 +183,6 @@ def _slope(points: np.ndarray, u: np.ndarray) -> float:
 
 
 def torn_pairs(points: np.ndarray, vectors: np.ndarray, is_fixed: np.ndarray) -> np.ndarray:
-    """Finds pairs of neighbouring rows with contradictory displacements, the worst first."""
     count = min(2 * points.shape[1], len(points) - 1)
     distance, nearest = map(np.asarray, Tree(points).query(points, k=count + 1))
     first, second = np.repeat(np.arange(len(points)), count), nearest[:, 1:].ravel()
@@ -225,10 +206,7 @@ def share_faces(pairs: np.ndarray, faces: np.ndarray, count: int) -> np.ndarray:
 
 
 def crossings(cut: tuple[np.ndarray, np.ndarray], mesh: Mesh, nodes: np.ndarray, vectors: np.ndarray) -> Crossings:
-    """Finds where the boundary crosses itself after its `nodes` (o,) move by `vectors` (o, d).
-
-    `cut` is what `simplices` returned for the nodes.
-    """
+    """Finds where `nodes` (o,), moved by `vectors` (o, d), make the boundary `cut` cross itself."""
     (faces, ids), points = cut, np.asarray(mesh.points, dtype=float)
     before = points[nodes]
     close = Tree(before).query_pairs(SAME * np.ptp(points, axis=0).max(), output_type="ndarray")
@@ -241,10 +219,8 @@ def crossings(cut: tuple[np.ndarray, np.ndarray], mesh: Mesh, nodes: np.ndarray,
 
 
 def simplices(mesh: Mesh, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    """Cuts the boundary faces between `nodes` (o,) into simplices (f, d); None without faces.
-
-    A simplex has rows of `nodes`, seen from outside. It also returns the number (f,) of the file's
-    face that each is a part of.
+    """Cuts the boundary faces between `nodes` (o,) into simplices (f, d), rows of `nodes`, seen
+    from outside; None without faces. Also returns the number (f,) of the file's face of each.
     """
     outer = outer_faces(mesh)
     if outer is None:
@@ -278,7 +254,6 @@ def overshoot(
     A node lies behind a part that rests if three conditions hold. The nearest node of the moving
     surface rests. The part that moves lies on the other side of this node, as the upper side of an
     airfoil does for nodes below it. And the node is no farther away than the surface is long.
-
     `moved` is what `deform` returns, where it is known.
     """
     points, moving = np.asarray(plan.points), np.asarray(plan.moving)
@@ -306,9 +281,8 @@ def overshoot(
 
 
 def missed(points: np.ndarray, u: np.ndarray, sources: np.ndarray) -> float:
-    """Measures what an interpolation from `sources` misses of `u` (m, d) at `points` (m, d).
-
-    It is relative to the largest displacement, and zero without one. The interpolation is that by
+    """Measures the residual of an interpolation of `u` (m, d) from `sources` at `points` (m, d),
+    relative to the largest displacement, and zero without one. The interpolation is that by
     distances, and a constant; SciPy's `RBFInterpolator` takes a tenth of a second to import.
     """
     largest = np.linalg.norm(u, axis=1).max(initial=0)
@@ -326,7 +300,7 @@ def missed(points: np.ndarray, u: np.ndarray, sources: np.ndarray) -> float:
 
 
 def leaves_enough(points: np.ndarray, u: np.ndarray) -> int | None:
-    """Finds the least of `LEAVES` whose sources miss less than a third of `u`, or None."""
+    """The least of `LEAVES` whose sources miss less than a third of `u`, or None."""
     for leaves in LEAVES:
         sources = KDTree(leaves, extremes=True)(points)
         if missed(points, u, sources) <= UNRESOLVED:

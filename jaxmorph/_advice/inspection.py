@@ -7,11 +7,8 @@ import numpy as np
 
 from .._plan.judge import ends
 
-STEEP = 0.5
-"""Slope of a displacement along the wall above which a fitted field strains cells more."""
-
-NARROW = 0.2
-"""Share of a gap, left after a motion, below which one step folds cells in it."""
+STEEP = 0.5  # slope of a displacement along the wall above which a fitted field strains cells more
+NARROW = 0.2  # share of a gap, left after a motion, below which one step folds cells in it
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -20,16 +17,11 @@ class Crossings:
 
     A wall that has passed through another wall completely does not cross it any more, and is not
     found.
-
-    - `nodes` (k, 2): one node of each of the two faces.
-    - `patches`: the names of the two patches of each pair, equal for a wall that crosses itself; ""
-      without a patch.
-    - `places` (k, d): a point of each crossing, in the mesh's unit.
     """
 
-    nodes: np.ndarray
-    patches: tuple[tuple[str, str], ...]
-    places: np.ndarray
+    nodes: np.ndarray  # (k, 2) one node of each of the two faces
+    patches: tuple[tuple[str, str], ...]  # names of both patches of each pair; "" without a patch
+    places: np.ndarray  # (k, d) a point of each crossing, in the mesh's unit
 
     def __len__(self) -> int:
         return len(self.nodes)
@@ -79,7 +71,7 @@ class Inspection:
       there. It is 1 or more if no gap becomes smaller; None without a mesh, or with one wall.
     - `largest`: the largest displacement of a moving node.
     - `reach`: how far from the surface a field of compact support reaches; infinity for others.
-    - `missed`: what an interpolation from the moving sources misses of the displacement in 3-D,
+    - `missed`: residual of an interpolation of the displacement from the moving sources in 3-D,
       relative to the largest displacement.
     - `leaves`: leaves of a `KDTree` whose sources miss less than a third of it. None if the plan's
       do already, or if no number does.
@@ -168,7 +160,6 @@ class Inspection:
             )
 
     def renumbered(self, ids: np.ndarray) -> "Inspection":
-        """Renumbers the inspection for a larger mesh, in which node k is node `ids[k]`."""
         ids, names = np.asarray(ids), ("contradictions", "put_back", "ended")
         rows = {name: ids[getattr(self, name)] for name in names}
         return dataclasses.replace(self, offset_node=int(ids[self.offset_node]), **rows)
@@ -178,7 +169,6 @@ class Inspection:
 
 
 def remedies(rests: np.ndarray, touches: np.ndarray) -> str:
-    """Describes what tears pairs (k,), and what to try: walls touch, a gap, or both nodes move."""
     slides, gap, both = (int(mask.sum()) for mask in (touches, rests & ~touches, ~rests))
     at = "" if slides == len(rests) else f"At {slides} of them a fixed boundary touches the moving one. "
     texts = (

@@ -1,7 +1,4 @@
-"""The largest step of a surface in a direction before a cell breaks a bound.
-
-It is exact, for the mesh moves linearly.
-"""
+"""The largest, exact step of a surface in a direction before a cell breaks a bound."""
 
 import dataclasses
 import itertools
@@ -32,10 +29,8 @@ from .._quality.vector import corners
 
 @dataclasses.dataclass(frozen=True)
 class LargestStep:
-    """Result of `largest_step`.
-
-    - `step`: factor of the direction, at most `max_step`.
-    - `cell`: the cell that reaches the bound there, in the order of `quality`; -1 where none does.
+    """Result of `largest_step`: `step`, the factor of the direction, at most `max_step`, and
+    `cell`, which reaches the bound there, in the order of `quality`; -1 where none does.
     """
 
     step: float
@@ -67,16 +62,14 @@ def largest_step(
     - `direction`: (m, d) change of `u` by a step of 1.
     - `mesh`: whose `points` are the plan's.
     - `min_jacobian_ratio`: bound on `QualityReport.jacobian_ratio`; 0 is where cells invert.
-    - `max_step`: above 0; no step beyond it is looked at.
+    - `max_step`: the largest step to try, above 0.
     - `proven`: judge whole cells too, default False. Their bound is relative to the least det J
       that is proven of the undeformed cell.
 
-    **Returns:** a `LargestStep`; its step is 0 where `u` breaks the bound already.
-
-    **Raises:** `ValueError` for wrong shapes, for a bound outside of 0 to 1, and where `max_step`
-    is not above 0. Also for a plan that is not linear: its nodes leave the straight lines on which
-    roots are sought. With `proven`, also for a mesh with undeformed cells that are not proven
-    valid.
+    **Returns:** a `LargestStep`; its step is 0 where `u` breaks the bound already. **Raises:**
+    `ValueError` for wrong shapes, a bound outside of 0 to 1, and a `max_step` that is not above 0.
+    Also for a plan that is not linear: its nodes leave the straight lines on which roots are
+    sought. With `proven`, also for undeformed cells that are not proven valid.
     """
     if not plan.is_linear:
         raise ValueError(
@@ -113,9 +106,8 @@ def _nonlinear(plan: Plan) -> str:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Corners:
-    """Cells of one type, with their signs (k,), and the mask of judged corners (s, k).
-
-    `scale` (k,) are the smallest corner Jacobians of the undeformed cells.
+    """Cells of one type, with their signs (k,), and the mask of judged corners (s, k). `scale` (k,)
+    are the smallest corner Jacobians of the undeformed cells.
     """
 
     kind: str
@@ -128,7 +120,7 @@ class _Corners:
         return self.sign[None] * _jacobians(self.kind, points, self.ids)
 
     def polynomials(self, start: np.ndarray, end: np.ndarray) -> Float[np.ndarray, "4 s k"]:
-        """Finds the coefficients of Jacobians over t from 0 to 1, the lowest first."""
+        """Coefficients of Jacobians over t from 0 to 1, the lowest first."""
         times = np.arange(4) / 3
         samples = [self.jacobians(start + t * (end - start)) for t in times]
         inverse = np.linalg.inv(np.vander(times, increasing=True))
@@ -140,10 +132,7 @@ def _jacobians(kind: str, points: Any, ids: Any) -> Any:
 
 
 class Bounds:
-    """Bounds of the Jacobians at a mesh's corners, and with `proven` of det J of whole cells.
-
-    An instance is equal only to itself, so that compiled programs may hold it.
-    """
+    """Bounds at corners, with `proven` of whole cells; hashed by identity for compilation."""
 
     def __init__(self, mesh: Mesh, dtype: Any, min_jacobian_ratio: float, proven: bool = False):
         self.mesh, self.min_jacobian_ratio = mesh, min_jacobian_ratio
@@ -172,9 +161,8 @@ class Bounds:
         return LargestStep(best.step * proven.step, proven.cell) if proven.step < 1 else best
 
     def proven_share(self, start: Float[np.ndarray, "n d"], end: Float[np.ndarray, "n d"]) -> LargestStep:
-        """Finds the share of the straight way on which whole cells keep their bound, at most 1.
-
-        At each instant the least coefficient is a lower bound on det J, so the step ends where the
+        """Finds the share of the straight way on which whole cells keep their bound, at most 1. At
+        each instant the least coefficient is a lower bound on det J, so the step ends where the
         first coefficient falls below. Only cells that would end it are cut.
         """
         assert self.of_cells is not None
@@ -192,11 +180,10 @@ class Bounds:
         return best
 
     def hold(self, points: Float[Array, "n d"]) -> Bool[Array, ""]:
-        """Checks whether every corner is above its bound; traced."""
         return jnp.all(self.ratios(points) > self.min_jacobian_ratio)
 
     def ratios(self, points: Float[Array, "n d"]) -> Float[Array, " s"]:
-        """Computes the Jacobian ratio at each corner; infinite where there is no bound. Traced."""
+        """The Jacobian ratio at each corner; infinite where there is no bound. Traced."""
         ratios = [
             jnp.where(part.judged, part.jacobians(points) / np.where(part.judged, part.scale, 1), jnp.inf).ravel()
             for part in self.parts
@@ -212,10 +199,9 @@ class Bounds:
 
 
 class DesignedMesh(Module):
-    """A mesh that design variables move, with bounds on its corners.
-
-    `displacement` takes the variables, and returns `u` (m, d). Raises `ValueError` for a bound
-    outside of 0 to 1, and for a mesh that is not the plan's.
+    """A mesh that design variables move, with bounds on its corners. `displacement` takes the
+    variables, and returns `u` (m, d). Raises `ValueError` for a bound outside of 0 to 1, and for a
+    mesh that is not the plan's.
     """
 
     plan: Plan
@@ -232,15 +218,11 @@ class DesignedMesh(Module):
         return deform(self.plan, self.displacement(design))
 
     def ratios(self, design: Any) -> Float[Array, " s"]:
-        """Computes the Jacobian ratio at each corner, as `Bounds` does; traced."""
         return self.bounds.ratios(self.points(design))
 
 
 def least_undeformed(mesh: Mesh) -> Float[np.ndarray, " k"]:
-    """Finds the least det J that is proven of each undeformed cell.
-
-    **Raises:** `ValueError` for cells that are not proven valid.
-    """
+    """The least proven det J of each undeformed cell; raises `ValueError` for invalid cells."""
     undeformed = proof(mesh, mesh.points)
     if undeformed.valid < undeformed.count:
         first = undeformed.worst(1)[0]
@@ -273,7 +255,7 @@ def _sooner(best: LargestStep, steps: Float[np.ndarray, " p"], cell: Int[np.ndar
 
 
 def _first(excess: Float[np.ndarray, "t n p"]) -> Float[np.ndarray, " p"]:
-    """Finds when each part's first coefficient falls below 0; infinity if none does in 0 to 1."""
+    """When each part's first coefficient falls below 0; infinity if none does in 0 to 1."""
     steps = np.full(excess.shape[1:], np.inf)
     falls = excess.min(axis=0) < 0
     steps[falls] = first_roots(_powers(excess[:, falls]))
@@ -281,7 +263,7 @@ def _first(excess: Float[np.ndarray, "t n p"]) -> Float[np.ndarray, " p"]:
 
 
 def _powers(values: Float[np.ndarray, "t k"]) -> Float[np.ndarray, "4 k"]:
-    """Turns Bernstein coefficients of degree 2 or 3 into coefficients of powers, lowest first."""
+    """From Bernstein coefficients of degree 2 or 3 to coefficients of powers, lowest first."""
     if len(values) == 3:
         a, b, c = values
         return np.stack([a, 2 * (b - a), a - 2 * b + c, np.zeros_like(a)])
@@ -290,7 +272,7 @@ def _powers(values: Float[np.ndarray, "t k"]) -> Float[np.ndarray, "4 k"]:
 
 
 def first_roots(coefficients: Float[np.ndarray, "4 k"]) -> Float[np.ndarray, " k"]:
-    """Finds where cubics (lowest coefficient first) first fall below 0 in 0 to 1; else infinity."""
+    """Where cubics (lowest coefficient first) first fall below 0 in 0 to 1; else infinity."""
     roots = np.full(coefficients.shape[1], np.inf)
     roots[coefficients[0] < 0] = 0
     c0, c1, c2, c3 = coefficients

@@ -11,14 +11,11 @@ if typing.TYPE_CHECKING:
     from .._methods.base import AbstractMethod
 
 
-MOST_POINTS = {2: 100_000, 3: 40_000}
-"""Points of a mesh, by dimension, up to which methods on its cells are tried."""
+MOST_POINTS = {2: 100_000, 3: 40_000}  # points of a mesh, by dimension, up to which methods on its cells are tried
 
 
 @dataclasses.dataclass(frozen=True)
 class Lengths:
-    """Lengths of a boundary, from the points of its moving (m, d) and its fixed nodes (f, d)."""
-
     moving: Any
     fixed: Any
 
@@ -29,31 +26,18 @@ class Lengths:
 
 @dataclasses.dataclass(frozen=True)
 class Entry:
-    """One method of the list.
+    """One method of the list."""
 
-    - `name`: its name as a word, for flags and the table of `compare`.
-    - `path`: the class, or its constructor, in `_methods`: `cells.equations.Laplacian` stands in
-      `cells/equations.py`.
-    - `sentence`: what it is, for help and the output of commands.
-    - `needs_cells`: True where it solves on the mesh's cells.
-    - `sources`: which nodes of the wall are sources: `some` (then the number is free), `all` or
-      `none`.
-    - `is_tried`: True where `compare` tries it, beside the default.
-    - `is_cure`: True where `jaxmorph deform` tries it after the default has inverted cells.
-    - `title`: its name in tables of the benchmarks, where that is not `name`.
-    - `numbers`, `options`: what it is called with, the numbers from the lengths of a boundary.
-    """
-
-    name: str
-    path: str
-    sentence: str
-    needs_cells: bool = False
-    sources: str = "none"
-    is_tried: bool = False
-    is_cure: bool = False
-    title: str = ""
-    numbers: Callable[[Lengths], tuple[float, ...]] = lambda wall: ()
-    options: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    name: str  # its name as a word, for flags and the table of `compare`
+    path: str  # in `_methods`: `cells.equations.Laplacian` is a class in `cells/equations.py`
+    sentence: str  # for help and the output of commands
+    needs_cells: bool = False  # True where it solves on the mesh's cells
+    sources: str = "none"  # nodes of the wall that are sources: `some` (then the number is free), `all` or `none`
+    is_tried: bool = False  # True where `compare` tries it, beside the default
+    is_cure: bool = False  # True where `jaxmorph deform` tries it after the default has inverted cells
+    title: str = ""  # its name in tables of the benchmarks, where that is not `name`
+    numbers: Callable[[Lengths], tuple[float, ...]] = lambda wall: ()  # its arguments, from the lengths of a boundary
+    options: Mapping[str, Any] = dataclasses.field(default_factory=dict)  # further arguments
 
     def make(self, wall: Lengths) -> "AbstractMethod":
         return _constructor(self.path)(*self.numbers(wall), **self.options)

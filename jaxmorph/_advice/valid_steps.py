@@ -29,7 +29,7 @@ class ValidSteps(Module, optx.AbstractSearch):
 
     **Arguments:**
 
-    - `plan`: what `prepare` returned.
+    - `plan`: from `prepare`.
     - `mesh`: whose `points` are the plan's.
     - `displacement`: takes the optimiser's variables and returns `u` (m, d). Where it, or the plan,
       is not linear, the way's end is that of the chord, and the step is cut again until it fits.
@@ -40,8 +40,8 @@ class ValidSteps(Module, optx.AbstractSearch):
     - `slope`: part of the linear gain that Armijo's rule asks for. Default 0.1.
     - `decrease`: factor of a step that gains too little. Default 0.5.
 
-    **Raises:** `ValueError` for a bound outside of 0 to 1 and other factors that do not lie between
-    0 and 1. With `proven`, also for a mesh with undeformed cells that are not proven valid.
+    **Raises:** `ValueError` for numbers outside of these ranges. With `proven`, also for undeformed
+    cells that are not proven valid.
     """
 
     mesh: DesignedMesh

@@ -17,15 +17,12 @@ from .._kernels.values import norm
 from .holes import distance_from_edges, inside, rim
 from .walls import ALONG_AXIS, AbstractWall, Flat
 
-BLOCK = 512
-"""Nodes whose nearest faces are searched together."""
+BLOCK = 512  # nodes in a block
 
 
 class FlatFaces(Flat):
-    """The plane (the line in 2-D) of a patch's own faces.
-
-    - `nodes` (v,), `vertices` (v, d): ids or rows of the patch's nodes, and their places.
-    - `faces` (e, d): corners, as rows of `vertices`.
+    """The plane (the line in 2-D) of a patch's own faces. `nodes` (v,) are ids or rows of the
+    patch's nodes, `vertices` (v, d) their places, `faces` (e, d) corners, as rows of `vertices`.
     """
 
     nodes: Int[Array | np.ndarray, " v"]
@@ -61,17 +58,12 @@ class FlatFaces(Flat):
 
 
 class Faceted(AbstractWall):
-    """Linear faces between nodes: triangles, or lines in 2-D.
+    """Linear faces between nodes: triangles, or lines in 2-D."""
 
-    - `nodes` (v,), `vertices` (v, d): ids or rows of the nodes, and their places.
-    - `faces` (e, d): corners, as rows of `vertices`.
-    - `around` (v, w): faces near every vertex; the last face fills up a row.
-    """
-
-    nodes: Int[Array | np.ndarray, " v"]
-    vertices: Float[Array | np.ndarray, "v d"]
-    faces: Int[Array | np.ndarray, "e d"]
-    around: Int[Array | np.ndarray, "v w"]
+    nodes: Int[Array | np.ndarray, " v"]  # ids or rows of the nodes
+    vertices: Float[Array | np.ndarray, "v d"]  # their places
+    faces: Int[Array | np.ndarray, "e d"]  # corners, as rows of `vertices`
+    around: Int[Array | np.ndarray, "v w"]  # faces near every vertex; the last face fills up a row
 
     def height(self, x):
         place, normal = self.nearest(x)
@@ -91,7 +83,6 @@ class Faceted(AbstractWall):
         return dataclasses.replace(self, nodes=place[np.asarray(self.nodes)])
 
     def nearest(self, x: Float[Array, "k d"]) -> tuple[Float[Array, "k d"], Float[Array, "k d"]]:
-        """Finds the nearest points of the faces, and the unit normals there."""
         vertices = jnp.asarray(self.vertices, x.dtype)
         normals = self._normals(vertices)
         return jax.lax.map(lambda point: self._nearest(point, vertices, normals), x, batch_size=BLOCK)
@@ -162,7 +153,7 @@ def normal_of(corners: Float[Array, "d d"]) -> Float[Array, " d"]:
 
 
 def faces_around(elements: Int[np.ndarray, "e c"], count: int) -> Int[np.ndarray, "v w"]:
-    """Lists the faces at each of `count` vertices and its neighbours; the last face fills a row."""
+    """The faces at each of `count` vertices and its neighbours; the last face fills a row."""
     ids = np.repeat(np.arange(len(elements)), elements.shape[1])
     touch = csr_array((np.ones(ids.size), (elements.ravel(), ids)), shape=(count, len(elements)))
     near = csr_array(touch @ touch.T @ touch)
@@ -171,8 +162,7 @@ def faces_around(elements: Int[np.ndarray, "e c"], count: int) -> Int[np.ndarray
     return near.indices[np.minimum(near.indptr[:-1, None] + steps, len(near.indices) - 1)].astype(np.int32)
 
 
-SEARCH, POLISH = 8, 2
-"""Steps of Gauss and Newton inside each face near a point; of Newton on the nearest face."""
+SEARCH, POLISH = 8, 2  # steps of Gauss and Newton inside each face near a point; of Newton on the nearest face
 
 
 class CurvedFaces(Faceted):
@@ -213,7 +203,6 @@ class CurvedFaces(Faceted):
     def _searched(
         self, x: Float[Array, " d"], start: Float[Array, " e"], coefficients: Float[Array, "k d"]
     ) -> Float[Array, " e"]:
-        """Finds the coordinates of a face's place near x, inside of the face."""
         place = functools.partial(_place, powers=polynomials(self.kind)[0])
 
         def nearer(at, _):
@@ -248,18 +237,15 @@ def _solved(matrix: Float[Array, "e e"], right: Float[Array, " e"]) -> Float[Arr
 
 @functools.cache
 def polynomials(kind: str) -> tuple[np.ndarray, np.ndarray]:
-    """Returns exponents (k, e) of a side's polynomial, and coefficients (k, s) by its nodes."""
+    """Exponents (k, e) of a side's polynomial, and coefficients (k, s) by its nodes."""
     name, completion = lagrange_types()[kind].completion()
     complete = lagrange_types()[name]
     monomials = np.prod(complete.reference[:, None] ** complete.lattice[None], axis=2)
     return complete.lattice, np.linalg.solve(monomials, completion)
 
 
-LIFTS = 4
-"""Steps along the normal to the surface; each leaves a small share of the distance."""
-
-CANCELLED = 1e-3
-"""Length of a sum of unit normals, over their number, that is no direction: a thin plate's."""
+LIFTS = 4  # steps along the normal to the surface; each leaves a small share of the distance
+CANCELLED = 1e-3  # length of a sum of unit normals, over their number, that is no direction: a thin plate's
 
 
 class SmoothFaces(Faceted):
@@ -268,15 +254,13 @@ class SmoothFaces(Faceted):
     A place p of a face goes up to p + (p' - p) / 2, where p' is the mean of the places below p on
     the tangent planes of the face's nodes. A parabola is met exactly, faces in one plane stay it.
     The normal is the mean of the nodes' normals. It has no jump, but the surface has a tiny one.
-
     Source: Boubekeur and Alexa, Phong tessellation, ACM Trans. Graph. 27, 2008.
     """
 
     def _normals(self, vertices):
-        """Computes unit normals at the vertices, exact on a sphere (a circle in 2-D).
-
-        Source: Max, Weights for computing vertex normals from facet normals, J. Graph. Tools 4,
-        1999. At a rim, where faces lie on one side only, the normals of inner vertices go on.
+        """Unit normals at the vertices, exact on a sphere (a circle in 2-D). At a rim, where faces
+        lie on one side only, the normals of inner vertices go on. Source: Max, Weights for
+        computing vertex normals from facet normals, J. Graph. Tools 4, 1999.
         """
         faces = jnp.asarray(self.faces)
         corners, size = vertices[faces], faces.shape[1]
@@ -297,10 +281,9 @@ class SmoothFaces(Faceted):
     def _beyond(
         self, vertices: Float[Array, "v d"], unit: Float[Array, "v d"], is_rim: Bool[Array, " v"]
     ) -> Float[Array, "v d"]:
-        """Continues the normals of inner vertices along edges, exact on a sphere.
-
-        A short edge counts most: sides of quads count more than diagonals. Without inner neighbours
-        a vertex keeps its normal.
+        """Continues the normals of inner vertices along edges, exact on a sphere. A short edge
+        counts most: sides of quads count more than diagonals. Without inner neighbours a vertex
+        keeps its normal.
         """
         faces = jnp.asarray(self.faces)
         total, weights, size = jnp.zeros_like(unit), jnp.zeros(len(unit), unit.dtype), faces.shape[1]
@@ -330,7 +313,6 @@ class SmoothFaces(Faceted):
 def _raised(
     x: Float[Array, " d"], corners: Float[Array, "w d d"], normals: Float[Array, "w d d"]
 ) -> tuple[Float[Array, " d"], Float[Array, " d"]]:
-    """Finds the place of the surface above the nearest place of the faces, and the normal there."""
     place, chosen = _closest(x, corners)
     corner, normal = corners[chosen], normals[chosen]
     sides = corner[1:] - corner[0][None]

@@ -9,20 +9,15 @@ from .._host.linear.products import normals
 from .._host.surface.gaps import distance_from_segment
 
 CONTINUES = 0.5
-"""Least cosine, of 60 degrees, between a hole's new faces and the faces around it.
-
-The rim of a dome and the end of a tube are no holes.
-"""
+"""Least cosine (60 degrees) of a hole's faces to those around: a dome's rim is no hole."""
 
 
 def filled(
     faces: Int[np.ndarray, "e d"], vertices: Float[np.ndarray, "v d"], moves: Bool[np.ndarray, " v"]
 ) -> Int[np.ndarray, "f d"]:
-    """Adds faces across all holes whose rim moves; other holes stay open.
-
-    New faces continue the direction of the faces around them. In 2-D a line joins two ends that
-    move. In 3-D a Delaunay triangulation in the rim's mean plane makes the faces. Old faces come
-    first, in their order.
+    """Adds faces across all holes whose rim moves; other holes stay open. New faces continue the
+    direction of the faces around them. In 2-D a line joins two ends that move. In 3-D a Delaunay
+    triangulation in the rim's mean plane makes the faces. Old faces come first, in their order.
     """
     if faces.shape[1] == 2:
         new = [_joined(faces, vertices, moves)]
@@ -54,7 +49,7 @@ def _unit(vectors: np.ndarray) -> np.ndarray:
 
 
 def _closed_rims(faces: np.ndarray, moves: np.ndarray) -> list[np.ndarray]:
-    """Lists closed rims of moving vertices: edges (r, 2) against the faces beside them."""
+    """Closed rims of moving vertices: edges (r, 2) against the faces beside them."""
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     size = int(faces.max()) + 1
     is_rim = ~np.isin(edges @ [1, size], edges @ [size, 1]) & moves[edges].all(axis=1)
@@ -65,7 +60,7 @@ def _closed_rims(faces: np.ndarray, moves: np.ndarray) -> list[np.ndarray]:
 
 
 def _across(rim: np.ndarray, faces: np.ndarray, vertices: np.ndarray) -> np.ndarray:
-    """Makes triangles (k, 3) across a rim, unless they would turn off from the faces beside it."""
+    """Triangles (k, 3) across a rim, unless they would turn off from the faces beside it."""
     nodes, ends = np.unique(rim), vertices[rim]
     area = np.cross(ends[:, 0] - ends[0, 0], ends[:, 1] - ends[0, 0]).sum(axis=0)
     beside = normals(vertices[faces[np.isin(faces, nodes).sum(axis=1) > 1]])
@@ -84,14 +79,14 @@ def _across(rim: np.ndarray, faces: np.ndarray, vertices: np.ndarray) -> np.ndar
 
 
 def rim(faces: Int[np.ndarray, "e d"]) -> Int[np.ndarray, "r c"]:
-    """Lists the edges that only one of the triangles has, or the ends of lines."""
+    """The edges that only one of the triangles has, or the ends of lines."""
     sides = np.concatenate([np.delete(faces, k, axis=1) for k in range(faces.shape[1])])
     once, counts = np.unique(np.sort(sides, axis=1), axis=0, return_counts=True)
     return once[counts == 1]
 
 
 def distance_from_edges(x: np.ndarray, ends: np.ndarray) -> np.ndarray:
-    """Measures the distances (k,) of points from the nearest edge (r, 2, d), or end (r, 1, d)."""
+    """Distances (k,) of points from the nearest edge (r, 2, d), or end (r, 1, d)."""
     least = np.full(len(x), np.inf)
     for edge in ends:
         least = np.minimum(least, distance_from_segment(x, edge[0], edge[-1]))

@@ -35,7 +35,6 @@ class Images(eqx.Module):
     pairings: tuple[Pairing, ...]
 
     def at(self, pairings: Sequence[Pairing]) -> "Images":
-        """Takes the translations of `pairings` in place of its own. Traced."""
         shifts, moved = self.shifts, []
         for p, (old, new) in enumerate(zip(self.pairings, pairings, strict=True)):
             shift = jnp.asarray(new.shift, shifts.dtype)
@@ -44,12 +43,10 @@ class Images(eqx.Module):
         return dataclasses.replace(self, shifts=shifts, pairings=tuple(moved))
 
     def points(self, points: Float[Array, "o d"]) -> Float[Array, "b d"]:
-        """Computes the coordinates of all rows, also of the images."""
         rows = self.vectors(points)
         return rows if len(self.shifts) == 1 else rows + self.shifts.astype(points.dtype)[self.kind]
 
     def vectors(self, u: Float[Array, "o d"]) -> Float[Array, "b d"]:
-        """Computes the displacements of all rows, also of the images."""
         if len(self.matrices) == 1:
             return u[self.rows]
         turns = self.matrices.astype(u.dtype)[self.kind]
@@ -57,14 +54,13 @@ class Images(eqx.Module):
         return jnp.where(self.kind[:, None] == 0, u[self.rows], image)
 
     def kept(self, u: Float[Array, "o d"]) -> Float[Array, "o d"]:
-        """Changes displacements: rows stay on their planes, and periodic pairs move alike."""
+        """Projects displacements: rows stay on their planes, and periodic pairs move alike."""
         u = self.within(u, self.on_plane)
         for pairing in self.pairings:
             u = pairing.alike(u)
         return u
 
     def within(self, u: Float[Array, "n d"], on_plane: Bool[Array, "n p"]) -> Float[Array, "n d"]:
-        """Removes the components of displacements normal to the nodes' planes."""
         for k, normal in enumerate(self.normals):
             normal = normal.astype(u.dtype)
             u = jnp.where(on_plane[:, k, None], u - (u @ normal)[:, None] * normal[None], u)
@@ -72,28 +68,19 @@ class Images(eqx.Module):
 
     @property
     def planes(self) -> tuple[Plane, ...]:
-        """The symmetry planes, on the host."""
         return tuple(map(Plane, self.normals, self.origins))
 
 
 @dataclasses.dataclass(frozen=True)
 class Copies:
-    """The places of the images of a surface's own rows, on the host.
+    """The places of the images of a surface's own rows, on the host."""
 
-    - `places` (t, o): number of the place of an own row's image by a transform; images with equal
-      numbers coincide.
-    - `roots` (o,): the own row that an own row repeats by a periodic transform, or the row itself.
-    - `rows`, `kind` (b,): own row and transform of an extended row, no place twice.
-    - `matrices` (t, d, d): of the transforms.
-    - `sides` (o, s): True for own rows on a side of a periodic pair.
-    """
-
-    places: np.ndarray
-    roots: np.ndarray
-    rows: np.ndarray
-    kind: np.ndarray
-    matrices: np.ndarray
-    sides: np.ndarray
+    places: np.ndarray  # (t, o) number of the place of an own row's image by a transform; equal numbers coincide
+    roots: np.ndarray  # (o,) the own row that an own row repeats by a periodic transform, or itself
+    rows: np.ndarray  # (b,) own row of an extended row; no place twice
+    kind: np.ndarray  # (b,) transform of an extended row
+    matrices: np.ndarray  # (t, d, d) of the transforms
+    sides: np.ndarray  # (o, s) True for own rows on a side of a periodic pair
 
     @property
     def first(self) -> np.ndarray:
@@ -103,8 +90,8 @@ class Copies:
 
     def faces(self, corners: Int[np.ndarray, "k c"]) -> Int[np.ndarray, "l c"]:
         """Extends faces between own rows by their images: each once, none on periodic sides."""
-        # The images of a face are rows of place numbers; faces with equal numbers are one face. The
-        # extended row of a place is found by its number.
+        # The images of a face are rows of place numbers, equal for one face. The extended row of a
+        # place is found by its number.
         is_between = self.sides[corners].all(axis=1)
         corners = corners[~is_between.any(axis=-1)]
         faces = self.places[:, corners]
@@ -211,7 +198,7 @@ def _joined(places: Int[np.ndarray, "t o"], at: Float[np.ndarray, "t o d"], poin
 def _transform(
     planes: Sequence[Plane], pairings: Sequence[Pairing], powers, flags, dimension: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Composes the transform of one image: first periodic transforms, then reflections."""
+    """The transform of one image: first periodic transforms, then reflections."""
     matrix, shift = np.eye(dimension), np.zeros(dimension)
     for pairing, k in zip(pairings, powers, strict=True):
         turn, by = pairing.power(k)

@@ -17,12 +17,10 @@ from .symmetry import Plane, check_planes, planes_through
 
 USE = 'prepare(mesh, "airfoil", "farfield") with a Mesh, or prepare(points, moving_ids, fixed_ids)'
 
-SMALL = 1e4
-"""Smallest extent of a mesh, relative to the length whose cube is the smallest normal number."""
+SMALL = 1e4  # smallest extent of a mesh, relative to the length whose cube is the smallest normal number
 
 
 def checked_points(points: Any) -> np.ndarray:
-    """Returns coordinates (n, d) as an array of floats."""
     if isinstance(points, str | bytes) or points is None:
         raise ValueError(f"`prepare` takes a mesh or points first, not {points!r}. Call {USE}.")
     array = real_array("points", points, (None, 2), (None, 3))
@@ -56,7 +54,6 @@ def check_finite(points: np.ndarray) -> None:
 
 
 def names_in(values: Any) -> tuple[str, ...] | None:
-    """Lists the names of patches, if `values` is one name or several; None for other values."""
     if isinstance(values, str):
         return (values,)
     is_list = isinstance(values, list | tuple | set | frozenset)
@@ -64,7 +61,6 @@ def names_in(values: Any) -> tuple[str, ...] | None:
 
 
 def nodes_named(values: Any, name: str, mesh: Mesh | None, n: int) -> Int[np.ndarray, " k"]:
-    """Lists the nodes of named patches, or the node ids themselves."""
     names = names_in(values)
     if names is None:
         return node_ids(values, name, n)
@@ -77,7 +73,6 @@ def nodes_named(values: Any, name: str, mesh: Mesh | None, n: int) -> Int[np.nda
 
 
 def node_ids(values: Any, name: str, n: int) -> Int[np.ndarray, " k"]:
-    """Returns node ids of a mesh of `n` points."""
     if values is None or isinstance(values, Mesh | Plane):
         raise ValueError(f"`{name}` must be node ids or names of patches, not {shown(values)}. Call {USE}.")
     if n == 0:
@@ -91,7 +86,6 @@ SLIDES = "slides such as jm.Slide('shroud', jm.Revolution((1, 0, 0))), or names 
 
 
 def several(name: str, value: Any, kinds: type | tuple[type, ...], example: str) -> list[Any]:
-    """Lists one entry or several."""
     entries = [value] if isinstance(value, kinds) else value
     is_list = isinstance(entries, Sequence | set | frozenset) and not isinstance(entries, str | bytes)
     wrong = [entry for entry in entries if not isinstance(entry, kinds)] if is_list else [value]
@@ -101,7 +95,6 @@ def several(name: str, value: Any, kinds: type | tuple[type, ...], example: str)
 
 
 def planes_named(symmetry: Any, points: np.ndarray, mesh: Mesh | None) -> tuple[Plane, ...]:
-    """Lists planes, and the planes of patches of a mesh, without repetition."""
     planes: list[Plane] = []
     for entry in several("symmetry", symmetry, Plane if mesh is None else (Plane, str), PLANES):
         of_entry = (entry,) if isinstance(entry, Plane) or mesh is None else planes_of(mesh, entry)
@@ -110,8 +103,6 @@ def planes_named(symmetry: Any, points: np.ndarray, mesh: Mesh | None) -> tuple[
 
 
 def planes_of(mesh: Mesh, name: str) -> tuple[Plane, ...]:
-    """Finds the planes of a patch."""
-
     def faces() -> Iterator[np.ndarray]:
         outer = outer_faces(mesh)
         corners = mesh.cells if outer is None else outer.corners  # the cells of a surface mesh are faces
@@ -137,18 +128,13 @@ def check_named_once(sliding: Any, **lists: Any) -> None:
 
 
 SYMMETRY = frozenset({"BCSymmetryPlane", "symmetry", "symmetryPlane", "axis"})
-"""Kinds of symmetry planes."""
 
 INSIDE = "cyclic", "processor", "empty", "wedge", "overset"
-"""Beginnings of the kinds of patches that are no outer boundary.
-
-An overset patch lies inside of another grid: its nodes follow.
-"""
+"""Prefixes of kinds of patches that are no outer boundary; overset grids lie inside others."""
 
 
 def by_kinds(mesh: Any, moving: Any, periodic: Sequence[Periodic]) -> tuple[list[str], list[str]]:
     """Chooses fixed and symmetry patches by their kinds in the file, if only moving ones are named.
-
     Symmetry patches that lie in planes slide; all other outer patches with a kind are fixed. A
     warning names the choice. Nothing is chosen without kinds, or where `moving` are no names.
     """

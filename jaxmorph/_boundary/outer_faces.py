@@ -1,4 +1,4 @@
-"""The boundary faces of a mesh, and the boundary faces in no list."""
+"""The boundary faces of a mesh, and the free faces among them."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -18,9 +18,8 @@ from .._mesh.polyhedra import Polyhedra, triangles
 @dataclasses.dataclass(frozen=True, eq=False)
 class OuterFaces:
     """The boundary faces (edges in 2-D) of the cells that fill the mesh, seen from outside.
-
-    - `corners`: node ids (k, corners) by type.
-    - `ids`: numbers (k,) of the file's faces; pieces of one face have one number.
+    `corners` are node ids (k, corners) by type, `ids` (k,) the file's faces, one for all pieces of
+    a face.
     """
 
     corners: dict[str, np.ndarray]
@@ -28,14 +27,12 @@ class OuterFaces:
 
     @classmethod
     def numbered(cls, faces: Mapping[str, Any]) -> "OuterFaces":
-        """Numbers faces one type after the other."""
         corners = {kind: np.asarray(nodes) for kind, nodes in faces.items()}
         ends = np.cumsum([len(nodes) for nodes in corners.values()])
         ids = {kind: np.arange(end - len(corners[kind]), end) for kind, end in zip(corners, ends, strict=True)}
         return cls(corners, ids)
 
     def count(self, chosen: Mapping[str, np.ndarray] | None = None) -> int:
-        """Counts the file's faces; with masks `chosen` by type, only faces with a chosen part."""
         ids = [numbers if chosen is None else numbers[chosen[kind]] for kind, numbers in self.ids.items()]
         return len(np.unique(np.concatenate(ids))) if ids else 0
 
@@ -46,16 +43,11 @@ def boundary_faces(mesh: Mesh, *patches: str) -> dict[str, np.ndarray]:
 
     A face belongs to the patches if all of its nodes do. Nodes are in counterclockwise order, seen
     from outside of the mesh. Faces of polyhedra with more than four corners are cut into triangles,
-    faces of curved cells into pieces between their nodes.
+    faces of curved cells into pieces between their nodes. By default `patches`, names as
+    `Mesh.patch` takes them, are the whole boundary.
 
-    **Arguments:**
-
-    - `patches`: names of patches, as `Mesh.patch` takes them. Default: the whole boundary.
-
-    **Returns:** ids (k, corners) by type: `line`, `triangle` and `quad`.
-
-    **Raises:** `ValueError` for a name that is no patch, and for a mesh without cells of its
-    dimension.
+    **Returns:** ids (k, corners) by type: `line`, `triangle` and `quad`. **Raises:** `ValueError`
+    for a name that is no patch, and for a mesh without cells of its dimension.
     """
     outer = outer_faces(mesh)
     if outer is None:
@@ -66,7 +58,7 @@ def boundary_faces(mesh: Mesh, *patches: str) -> dict[str, np.ndarray]:
 
 
 def outer_faces(mesh: Mesh) -> OuterFaces | None:
-    """Finds the boundary faces of a mesh, none to other parts; None if no cells fill the space."""
+    """The boundary faces of a mesh, none to other parts; None if no cells fill the space."""
     points = np.asarray(mesh.points)
     cells = {kind: np.asarray(corners) for kind, corners in topology.solid(mesh.cells, points.shape[1]).items()}
     if not cells:
@@ -86,7 +78,7 @@ def outer_faces(mesh: Mesh) -> OuterFaces | None:
 
 
 def _middles(cells: Mapping[str, np.ndarray], points: np.ndarray, owner: np.ndarray) -> np.ndarray:
-    """Computes the middles (f, d) of the corners of cells, numbered as in `cells`."""
+    """The middles (f, d) of the corners of cells, numbered as in `cells`."""
     middle, first = np.empty((len(owner), points.shape[1])), 0
     for kind, ids in cells.items():
         here = (owner >= first) & (owner < first + len(ids))
@@ -96,7 +88,7 @@ def _middles(cells: Mapping[str, np.ndarray], points: np.ndarray, owner: np.ndar
 
 
 def _outwards(corners: np.ndarray, middle: np.ndarray) -> np.ndarray:
-    """Computes values (f,) for faces (f, c, d), negative for a face that points to its cell."""
+    """Values (f,) for faces (f, c, d), negative for a face that points to its cell."""
     return np.einsum("kd,kd->k", outward(corners), corners.mean(axis=1) - middle)
 
 
@@ -108,7 +100,7 @@ def _seen_from_outside(
 
 
 def _of_polyhedra(whole: Polyhedra, points: np.ndarray, between: np.ndarray | None) -> OuterFaces:
-    """Finds the file's faces: pieces of polyhedra share none with the whole cells beside them."""
+    """The file's faces: pieces of polyhedra share none with the whole cells beside them."""
     faces = whole.faces
     outer = np.ones(len(faces.owner), dtype=bool)
     outer[: len(faces.neighbour)] = faces.neighbour < 0
@@ -132,9 +124,9 @@ def _of_polyhedra(whole: Polyhedra, points: np.ndarray, between: np.ndarray | No
 class FreeFaces:
     """Boundary faces that are neither moving, fixed, on a symmetry plane, nor declared free.
 
-    - `count`, `total`: how many free faces and how many boundary faces there are.
-    - `patches`: how many free faces a patch has, by name; only patches with free faces.
-    - `unnamed`: how many free faces lie in no patch.
+    - `count`, `total`: numbers of free faces and of boundary faces.
+    - `patches`: number of free faces by name of the patch, only for patches with free faces.
+    - `unnamed`: number of free faces in no patch.
     """
 
     count: int
@@ -146,7 +138,6 @@ class FreeFaces:
         return self.count > 0
 
     def __str__(self) -> str:
-        """Counts the faces by patch, in one sentence."""
         where = ", ".join(f"{name!r} ({number})" for name, number in self.patches.items())
         where = where and f", in {'patch' if len(self.patches) == 1 else 'patches'} {where}"
         where += f", {self.unnamed} of them in no patch" if self.unnamed else ""

@@ -23,16 +23,14 @@ class Periodic:
 
     Examples are passages of a cascade, sectors of a wheel and ends of a duct. A method sees the
     neighbours of the surface, and every pair of nodes takes its mean displacement. Both patches
-    move: they may change shape, but stay copies of each other.
-
-    Without `translation`, `rotation`, `about` and `axis`, the transform is the translation between
-    the middles of the patches. If the patches do not match, it is a rotation about an axis of
-    coordinates (in 2-D about the origin).
+    move: they may change shape, but stay copies of each other. Without `translation`, `rotation`,
+    `about` and `axis`, the transform is the translation between the middles of the patches. If the
+    patches do not match, it is a rotation about an axis of coordinates (in 2-D about the origin).
 
     **Arguments:**
 
-    - `patch`, `partner`: names of patches, or ids of their nodes. The transform leads from `patch`
-      to `partner`.
+    - `patch`, `partner`: names of patches, or ids of their nodes; the transform leads from the
+      first to the second.
     - `translation`: vector (d,), in the mesh's units. Default: found.
     - `rotation`: angle in radians. Default: found from the middles of the patches.
     - `about`: a point (d,) on the axis of the rotation. Default: the origin.
@@ -77,29 +75,20 @@ class Periodic:
         return not (self.rotation is None and self.about is None and self.axis is None)
 
 
-ALONG_AXIS = 1e-9
-"""Component of a translation, relative to the largest component, that counts as zero."""
+ALONG_AXIS = 1e-9  # component of a translation, relative to the largest component, that counts as zero
 
 
 class Pairing(eqx.Module):
-    """Pairs of nodes, and the transform x -> `matrix` x + `shift` from `first` to `second`.
+    """Pairs of nodes, and the transform x -> `matrix` x + `shift` from `first` to `second`."""
 
-    - `first`, `second` (q,): ids or rows of the nodes.
-    - `alone` (s,): nodes on the axis of a rotation, which the transform does not move.
-    - `keeps` (d, d): projection onto the vectors that the transform does not turn.
-    - `turn`: number of sectors in a whole turn; 0 if no power of the transform is the identity.
-    - `copies`: the number of images on either side; 0 for pairs that do no more than move alike.
-    - `is_rotation`: whether the transform is a rotation.
-    """
-
-    first: Int[Array | np.ndarray, " q"]
-    second: Int[Array | np.ndarray, " q"]
-    alone: Int[Array | np.ndarray, " s"]
+    first: Int[Array | np.ndarray, " q"]  # ids or rows of the nodes
+    second: Int[Array | np.ndarray, " q"]  # their partners
+    alone: Int[Array | np.ndarray, " s"]  # nodes on the axis of a rotation, which the transform does not move
     matrix: Float[Array | np.ndarray, "d d"]
     shift: Float[Array | np.ndarray, " d"]
-    keeps: Float[Array | np.ndarray, "d d"]
-    turn: int = eqx.field(static=True)
-    copies: int = eqx.field(static=True)
+    keeps: Float[Array | np.ndarray, "d d"]  # projection onto the vectors that the transform does not turn
+    turn: int = eqx.field(static=True)  # sectors in a whole turn; 0 if no power is the identity
+    copies: int = eqx.field(static=True)  # images on either side; 0 for pairs that do no more than move alike
     is_rotation: bool = eqx.field(static=True)
 
     @property
@@ -145,7 +134,7 @@ class Pairing(eqx.Module):
         return dataclasses.replace(self, shift=shift)
 
     def misses(self, points: Float[np.ndarray, "n d"]) -> Float[np.ndarray, " q"]:
-        """Measures distances of second nodes from their partners' images, on the host."""
+        """Distances of second nodes from their partners' images, on the host."""
         return np.linalg.norm(points[self.first] @ self.matrix.T + self.shift - points[self.second], axis=1)
 
     def matched(self, base: Float[Array, "n d"], points: Float[Array, "n d"]) -> Float[Array, "n d"]:
@@ -206,8 +195,7 @@ def check_pairings(pairings: Sequence[Pairing], planes: Sequence[Plane], size: f
                 raise ValueError("two periodic transforms must commute: all rotations need one axis.")
 
 
-MISMATCH = 1e-4
-"""Largest allowed distance of a node from its partner's image, relative to the node spacing."""
+MISMATCH = 1e-4  # largest allowed distance of a node from its partner's image, relative to the node spacing
 
 
 def paired(
@@ -226,9 +214,8 @@ def paired(
 
 
 def across_one_layer(planes: Sequence[Plane], points: Float[np.ndarray, "n d"]) -> tuple[Pairing, ...]:
-    """Pairs the nodes of two parallel planes that hold all nodes, around one layer of cells.
-
-    The pairs move alike, and make no images. There are none where the planes' nodes do not match.
+    """Pairs the nodes of two parallel planes that hold all nodes, around one layer of cells. The
+    pairs move alike, and make no images. There are none where the planes' nodes do not match.
     """
     nodes = [np.flatnonzero(plane.holds(points)) for plane in planes]
     for k, other in itertools.combinations(range(len(planes)), 2):
@@ -267,7 +254,6 @@ def _paired(
 def _partners(
     periodic: Periodic, first: np.ndarray, second: np.ndarray, points: np.ndarray, images: np.ndarray
 ) -> np.ndarray:
-    """Finds the second node at the image of each first node; each once."""
     exact = points[second].astype(float)
     distance, nearest = map(np.asarray, Tree(exact).query(images))
     gaps = np.minimum(spacing(exact), np.ptp(points.astype(float), axis=0).max())
@@ -292,7 +278,6 @@ def _partners(
 
 
 def _transform(periodic: Periodic, middle: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-    """Returns matrix, shift and angle of the transform: 0 for a translation."""
     dimension = len(middle)
     _check_vectors(periodic, dimension)
     if not periodic.is_rotation:
@@ -329,7 +314,6 @@ def _sharp(shift: np.ndarray) -> np.ndarray:
 
 
 def _generator(axis: np.ndarray | None, dimension: int) -> tuple[np.ndarray, np.ndarray]:
-    """Returns the matrix of the cross product with the axis, and the projection across the axis."""
     if axis is None:
         return np.array([[0.0, -1.0], [1.0, 0.0]]), np.eye(dimension)
     x, y, z = axis / np.linalg.norm(axis)

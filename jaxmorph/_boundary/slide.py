@@ -24,10 +24,8 @@ from .tracks import SMOOTH
 from .walls import AbstractWall, Flat, Round
 
 Walls = list[tuple[AbstractWall, np.ndarray]]
-"""Walls, each with the ids of its nodes."""
 
-DEVIATION = 1e-5
-"""Distance of nodes on a surface, relative to the patch's extent: files have few digits."""
+DEVIATION = 1e-5  # distance of nodes on a surface, relative to the patch's extent: files have few digits
 
 
 @dataclasses.dataclass(frozen=True, eq=False, init=False)
@@ -39,11 +37,10 @@ class Revolution:
     - `axis`: direction (3,) of the axis, of any length; None in 2-D.
     - `origin`: a point (d,) on the axis, in 2-D the centre. Default: zero.
     - `profile`: points (k, 2) of the surface: ascending places along the axis from the origin, and
-      radii. A cubic spline joins the points. Default: a line if the patch's nodes lie on one
-      (cylinder, cone, disc), otherwise a spline through the nodes.
+      radii, joined by a cubic spline. Default: a line if the patch's nodes lie on one (cylinder,
+      cone, disc), otherwise a spline through the nodes.
 
-    **Raises:** `ValueError` for an axis that is zero, and a profile that is not (k, 2) with
-    ascending places.
+    **Raises:** `ValueError` for an axis that is zero, and another profile.
     """
 
     axis: np.ndarray | None
@@ -68,11 +65,10 @@ class Slide:
 
     Examples are blade tips along a shroud, and a body along the sides of its box. Nodes between two
     sliding patches, or a patch and a symmetry plane, stay on both. Corners of the mesh, the apex of
-    a cone, and fixed nodes do not move. Moving nodes of the patch stay on it.
-
-    On a plane, a cylinder and other given surfaces the motion is smooth. On the patch's own faces
-    the motion has a kink where a node crosses an edge. Nodes of curved cells follow the polynomials
-    of their faces, if these are of one type.
+    a cone, and fixed nodes do not move. Moving nodes of the patch stay on it. On a plane, a
+    cylinder and other given surfaces the motion is smooth. On the patch's own faces the motion has
+    a kink where a node crosses an edge. Nodes of curved cells follow the polynomials of their
+    faces, if these are of one type.
 
     **Arguments:**
 
@@ -104,10 +100,7 @@ def walls_of_patch(
     faces: Mapping[str, np.ndarray] | None,
     moving: np.ndarray | Sequence[int] = (),
 ) -> Walls:
-    """Makes the walls of a sliding patch.
-
-    Own faces are divided at sharp edges, and filled up below bodies whose nodes are `moving`.
-    """
+    """Makes walls: own faces are divided at sharp edges, and filled up below `moving` bodies."""
     exact, dimension = points.astype(float), points.shape[1]
     if not len(nodes):
         raise ValueError(f"{slide.name} has no nodes.")
@@ -157,7 +150,6 @@ def _of_revolution(slide: Slide, on: Revolution, patch: np.ndarray) -> Round:
 
 
 def _line_or_profile(patch: np.ndarray, axis: np.ndarray, origin: np.ndarray) -> tuple[np.ndarray | None, np.ndarray]:
-    """Finds the line (3,) of a `Round` through nodes, or None, and their profile (k, 2)."""
     arm, size = patch - origin, np.ptp(patch, axis=0).max()
     along = arm @ axis
     profile = np.stack([along, np.linalg.norm(arm - along[:, None] * axis, axis=1)], axis=1)
@@ -225,9 +217,8 @@ def _flat(nodes: np.ndarray, points: np.ndarray, elements: np.ndarray) -> FlatFa
 
 
 def _smooth_parts(elements: Int[np.ndarray, "e d"], normals: Float[np.ndarray, "e d"]) -> Int[np.ndarray, " e"]:
-    """Numbers the parts of a patch between edges (2-D: corners) that turn by more than 60 degrees.
-
-    Faces that fold back onto each other, the two sides of a thin plate, are one part.
+    """The parts of a patch between edges (2-D: corners) that turn by more than 60 degrees. Faces
+    that fold back onto each other, the two sides of a thin plate, are one part.
     """
     ids = np.repeat(np.arange(len(elements)), elements.shape[1])
     touch = csr_array((np.ones(ids.size), (elements.ravel(), ids)))
@@ -238,9 +229,8 @@ def _smooth_parts(elements: Int[np.ndarray, "e d"], normals: Float[np.ndarray, "
 
 
 def with_own_curves(walls: Walls, mesh: Mesh | None) -> Walls:
-    """Replaces the linear pieces of walls by the curved faces that they are pieces of.
-
-    Walls whose faces are of two types, or that have faces across holes, keep their pieces.
+    """Replaces the linear pieces of walls by the curved faces that they are pieces of. Walls whose
+    faces are of two types, or that have faces across holes, keep their pieces.
     """
     if mesh is None or not mesh.is_curved:
         return walls

@@ -11,23 +11,17 @@ from .._host.package.errors import MeshError, place_of, worst_first
 from .._host.package.rounding import roundoff
 from .._kernels.module import Module
 
-TOLERANCE = 1e-8
-"""Distance from a plane, relative to the mesh's extent, within which a node lies on it."""
+TOLERANCE = 1e-8  # distance from a plane, relative to the mesh's extent, within which a node lies on it
 
 
 class Plane(Module):
     """A symmetry plane: nodes on the plane stay in the plane.
 
     Nodes within 1e-8 of the mesh's extent, or within the round-off of float32 coordinates, lie on
-    the plane. All other nodes are on one side. `Plane.through` finds a patch's plane.
+    the plane. All other nodes are on one side. The `normal` (d,) has any length but zero; `origin`
+    is a point (d,) of the plane. `Plane.through` finds a patch's plane.
 
-    **Arguments:**
-
-    - `normal`: direction (d,) of any length but zero.
-    - `origin`: a point (d,) of the plane, in the mesh's units.
-
-    **Raises:** `ValueError` for a normal that is zero, and for different dimensions of normal and
-    origin.
+    **Raises:** `ValueError` for a normal that is zero, and for different dimensions of both.
     """
 
     normal: np.ndarray
@@ -47,12 +41,7 @@ class Plane(Module):
 
     @staticmethod
     def through(points: Float[np.ndarray, "n d"], nodes: Int[np.ndarray, " k"]) -> "Plane":
-        """Finds the plane through nodes of a mesh.
-
-        **Arguments:**
-
-        - `points`: all points (n, d) of the mesh.
-        - `nodes`: ids (k,) of nodes in one plane.
+        """Finds the plane through nodes (k,), ids of `points` (n, d), all points of a mesh.
 
         **Raises:** `ValueError`, with the worst node, if the nodes do not lie in one plane.
         """
@@ -90,16 +79,14 @@ class Plane(Module):
         return (points - self.origin) @ self.normal
 
 
-MOST = 6
-"""Most planes of one patch: the sides of a box."""
+MOST = 6  # most planes of one patch: the sides of a box
 
 
 def planes_through(
     points: Float[np.ndarray, "n d"], nodes: Int[np.ndarray, " k"], faces: Iterable[Int[np.ndarray, "_ c"]]
 ) -> tuple[Plane, ...]:
-    """Finds the planes of a patch, such as front and back, by boundary faces (e, corners).
-
-    The plane with most of the nodes comes first, then the plane with most of the remaining nodes.
+    """Finds the planes of a patch, such as front and back, by boundary faces (e, corners). The
+    plane with most of the nodes comes first, then the plane with most of the remaining nodes.
     Raises the error of `Plane.through` if `MOST` planes do not hold all nodes, or if other planes
     hold as many nodes.
     """
@@ -115,7 +102,7 @@ def planes_through(
 def _largest_first(
     points: Float[np.ndarray, "n d"], nodes: Int[np.ndarray, " k"], faces: Iterable[Int[np.ndarray, "_ c"]]
 ) -> tuple[list[Plane], list[Plane]]:
-    """Lists planes that hold all nodes, none without such; also those with most nodes at first."""
+    """Planes that hold all nodes, none without such; also those with most nodes at first."""
     remaining = np.zeros(len(points), dtype=bool)
     remaining[nodes] = True
     sides = [np.asarray(corners)[remaining[corners].all(axis=1)][:, : points.shape[1]] for corners in faces]
@@ -138,9 +125,9 @@ def _largest_first(
 def _candidates(
     points: Float[np.ndarray, "n d"], faces: Sequence[Int[np.ndarray, "_ d"]], remaining: Bool[np.ndarray, " n"]
 ) -> list[Plane]:
-    """Lists planes of many faces, the most frequent first, moved onto `remaining` nodes nearby."""
-    # A face has a key: its unit normal and its height, rounded to four digits. Faces of one plane
-    # have equal keys, which are counted.
+    """Planes of many faces, the most frequent first, moved onto `remaining` nodes nearby."""
+    # A face has a key: its unit normal and its height, rounded to four digits, equal for faces of
+    # one plane. Equal keys are counted.
     corners = points[np.concatenate([np.zeros((0, points.shape[1]), dtype=np.int64), *faces])]
     normal = normals(corners)
     size = np.linalg.norm(normal, axis=1)
@@ -207,11 +194,9 @@ def _check_bounds(plane: Plane, points: np.ndarray) -> None:
 
 
 def facing(planes: Sequence[Plane]) -> Bool[np.ndarray, " p"]:
-    """Marks the planes that are parallel to another plane."""
     return np.array([sum(abs(plane.normal @ other.normal) > 0.5 for other in planes) > 1 for plane in planes], bool)
 
 
 def on_facing(planes: Sequence[Plane], points: Float[np.ndarray, "n d"]) -> Bool[np.ndarray, " n"]:
-    """Marks the points on planes that are parallel to another plane."""
     on = [plane.holds(points) for plane, has_other in zip(planes, facing(planes), strict=True) if has_other]
     return np.logical_or.reduce([np.zeros(len(points), dtype=bool), *on])

@@ -15,19 +15,12 @@ from .periodic import Pairing
 from .symmetry import Plane
 from .walls import AbstractWall, Flat, Round
 
-STEPS = 6
-"""Newton steps to a curved wall, or to the edge between two walls; they converge quadratically."""
-
-SMOOTH = np.cos(np.deg2rad(5))
-"""Cosine of the angle below which two sliding patches meet without an edge."""
+STEPS = 6  # Newton steps to a curved wall, or to the edge between two walls; they converge quadratically
+SMOOTH = np.cos(np.deg2rad(5))  # cosine of the angle below which two sliding patches meet without an edge
 
 
 class Track(eqx.Module):
-    """Nodes that stay on one wall, or on the edge between two walls.
-
-    - `rows` (k,): ids or rows of the nodes.
-    - `walls`: one or two walls.
-    """
+    """Nodes, `rows` (k,), that stay on one wall, or on the edge between two `walls`."""
 
     rows: Int[Array | np.ndarray, " k"]
     walls: tuple[AbstractWall, ...]
@@ -38,7 +31,7 @@ class Track(eqx.Module):
         return all(wall.is_flat for wall in self.walls)
 
     def normals(self, points: Float[Array, "n d"]) -> Float[Array, "k w d"]:
-        """Computes, in each row, orthogonal unit vectors that span the walls' normals. Traced."""
+        """In each row, orthogonal unit vectors that span the walls' normals. Traced."""
         places = self.project(points[self.rows])
         first, *others = (wall.height(places)[1] for wall in self.walls)
         frame = [first]
@@ -71,7 +64,6 @@ class Track(eqx.Module):
         return nearer(x, None)[0] if is_exact else jax.lax.scan(nearer, x, length=STEPS)[0]
 
     def at(self, points: Float[Array, "n d"]) -> "Track":
-        """Moves the track to other base points. Traced."""
         return Track(self.rows, tuple(wall.at(points) for wall in self.walls))
 
     def renumbered(self, place: Int[np.ndarray, " n"]) -> "Track":
@@ -79,7 +71,6 @@ class Track(eqx.Module):
 
 
 def smoothed(track: Track) -> Track:
-    """Replaces linear faces of a track's walls by the smooth surface through their nodes."""
     walls = [
         SmoothFaces(wall.nodes, wall.vertices, wall.faces, wall.around) if type(wall) is Faceted else wall
         for wall in track.walls
@@ -88,7 +79,7 @@ def smoothed(track: Track) -> Track:
 
 
 def _least(normals, above):
-    """Computes the shortest vectors with the components `above` along one or two normals."""
+    """The shortest vectors with the components `above` along one or two normals."""
     first, *others = (jnp.broadcast_to(normal, (len(above[0]), normal.shape[-1])) for normal in normals)
     if not others:
         return above[0][:, None] * first
@@ -102,12 +93,9 @@ def _least(normals, above):
 def tracks_of(
     walls: Sequence[tuple[AbstractWall, np.ndarray]], planes: Sequence[Plane], points: np.ndarray
 ) -> tuple[tuple[Track, ...], np.ndarray]:
-    """Groups nodes of sliding patches by walls, as tracks; also lists nodes that cannot slide.
-
-    Corners and the apex of a cone cannot slide.
-    """
-    # A node has a row of flags: the walls and planes on which it lies. Nodes with equal rows are
-    # one track. A node on as many walls as there are dimensions cannot slide.
+    """Tracks of nodes of sliding patches, by walls, and nodes that cannot slide: corners, apex."""
+    # A node has a row of flags: the walls and planes on which it lies. Equal rows are one track. A
+    # node on as many walls as there are dimensions cannot slide.
     n, dimension = points.shape
     flags = np.zeros((n, len(walls) + len(planes)), dtype=bool)
     is_apex = np.zeros(n, dtype=bool)
@@ -152,7 +140,6 @@ def check_repeated(
     points: np.ndarray,
     free: Bool[np.ndarray, " n"],
 ) -> None:
-    """Refuses a free node whose walls, transformed, are not its partner's walls."""
     if not tracks or not pairings:
         return
     exact, dimension = points.astype(float), points.shape[1]

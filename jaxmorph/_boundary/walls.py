@@ -9,8 +9,7 @@ from jaxtyping import Array, Bool, Float, Int
 from .._kernels.module import Module
 from .._kernels.values import norm
 
-ALONG_AXIS = 1e-7
-"""Component of a unit normal that counts as zero: coordinates in files have few digits."""
+ALONG_AXIS = 1e-7  # component of a unit normal that counts as zero: coordinates in files have few digits
 
 
 class AbstractWall(Module):
@@ -33,7 +32,6 @@ class AbstractWall(Module):
         return self
 
     def renumbered(self, place: Int[np.ndarray, " n"]) -> "AbstractWall":
-        """Renumbers the wall's nodes k to `place[k]`."""
         return self
 
     def has_end(self, x: Float[np.ndarray, "k d"]) -> Bool[np.ndarray, " k"]:
@@ -46,8 +44,6 @@ class AbstractWall(Module):
 
 
 class Flat(AbstractWall):
-    """A plane, or a line in 2-D."""
-
     normal: Float[Array | np.ndarray, " d"]
     origin: Float[Array | np.ndarray, " d"]
 
@@ -62,22 +58,13 @@ class Flat(AbstractWall):
 
 
 class Round(AbstractWall):
-    """A circle in 2-D, a surface of revolution in 3-D.
+    """A circle in 2-D, a surface of revolution in 3-D, of straight or cubic profile."""
 
-    The profile is a line, or a cubic spline of the radius.
-
-    - `axis`, `origin` (d,): the axis, zero in 2-D, and a point on it.
-    - `line` (3,): (a, b, c) with a z + b r = c and a^2 + b^2 = 1 at places z along the axis and
-      radii r.
-    - `knots` (k + 1,), `spline` (4, k): places along the axis, and coefficients, the cubic ones
-      first. None for a line.
-    """
-
-    axis: Float[Array | np.ndarray, " d"]
-    origin: Float[Array | np.ndarray, " d"]
-    line: Float[Array | np.ndarray, " 3"]
-    knots: Float[Array | np.ndarray, " l"] | None = None
-    spline: Float[Array | np.ndarray, "4 k"] | None = None
+    axis: Float[Array | np.ndarray, " d"]  # direction, zero in 2-D
+    origin: Float[Array | np.ndarray, " d"]  # a point on the axis
+    line: Float[Array | np.ndarray, " 3"]  # (a, b, c): a z + b r = c, a^2 + b^2 = 1 at place z along the axis, radius r
+    knots: Float[Array | np.ndarray, " l"] | None = None  # places along the axis; None for a line
+    spline: Float[Array | np.ndarray, "4 k"] | None = None  # coefficients, cubic ones first; None for a line
 
     def height(self, x):
         axis = jnp.asarray(self.axis, x.dtype)

@@ -24,15 +24,12 @@ from .motion import Distortion, Ways
 
 @dataclasses.dataclass(frozen=True)
 class Constraints:
-    """Nodes that are `held`, and `tracks` and `pairings` that lead other boundary nodes."""
-
     held: np.ndarray
     tracks: tuple[Track, ...]
     pairings: tuple[Pairing, ...]
 
 
 def constraints_of(boundary: Boundary, mesh: Mesh) -> Constraints:
-    """Finds the constraints of a boundary; nodes of the outside in no list are held."""
     points, data = boundary.points, np.concatenate([boundary.moving, boundary.fixed])
     sliding = np.concatenate([np.zeros(0, dtype=int), *(track.rows for track in boundary.tracks)])
     on_plane = [np.flatnonzero(plane.holds(points)) for plane in boundary.planes]
@@ -72,10 +69,7 @@ def prepared(
 
 
 def _leads(pairings: Sequence[Pairing], free: Bool[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
-    """Finds the node with which every node moves.
-
-    Clears `free` for nodes whose partners are held.
-    """
+    """The node with which every node moves. Clears `free` for nodes whose partners are held."""
     leads = np.arange(len(free))
     for pairing in pairings:
         leads[pairing.second] = leads[pairing.first]
@@ -96,7 +90,7 @@ def _cells(mesh: Mesh) -> dict[str, np.ndarray]:
 
 
 def _boundary(mesh: Mesh, ways: Sequence[np.ndarray]) -> np.ndarray:
-    """Lists nodes of patches and outer faces, except where one lies wholly in one of the `ways`."""
+    """Nodes of patches and outer faces, except where one lies wholly in one of the `ways`."""
     sides = [np.asarray(nodes)[None] for nodes in mesh.patches.values()]
     sides += boundary_faces(solid(mesh.cells, mesh.points.shape[1]), len(mesh.points)).values()
     for nodes in ways:

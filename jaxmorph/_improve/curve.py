@@ -37,7 +37,7 @@ def curve(
     """Puts the nodes of a wall onto a curved surface; the nodes between the boundaries follow.
 
     This makes a curved mesh of a straight one: `elevate` gives a mesh of linear cells the nodes.
-    Whether a curved cell is valid is told by `quality` of the result, or by `proof`.
+    `quality` of the result, or `proof`, tells whether curved cells are valid.
 
     **Arguments:**
 
@@ -49,11 +49,9 @@ def curve(
     - `moving`: the patches of the wall, or node ids (m,).
     - `fixed`, `method`, `symmetry`: as `prepare` takes them.
 
-    **Returns:** the mesh with other points.
-
-    **Raises:** `ValueError` for a mesh of linear cells alone, and for places of another shape or
-    that are not finite. Also for a surface that is farther from a node than the wall's face is
-    long. A warning tells of cells that were invalid before.
+    **Returns:** the mesh with other points; a warning tells of cells that were invalid before.
+    **Raises:** `ValueError` for a mesh of linear cells alone, and places of another shape or not
+    finite. Also for a surface farther from a node than the wall's face is long.
     """
     if not mesh.is_curved:
         raise ValueError(
@@ -83,7 +81,6 @@ def _places(surface: Any, wall: np.ndarray) -> np.ndarray:
 
 
 def _nearest(surface: Mesh, wall: np.ndarray) -> np.ndarray:
-    """Finds the places on the faces of a mesh that are nearest to the nodes of the wall."""
     d, linear = wall.shape[1], surface.linear
     if surface.points.shape[1] != d:
         raise ValueError(f"`surface` has points in {surface.points.shape[1]}-D, the mesh in {d}-D.")

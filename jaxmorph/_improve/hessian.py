@@ -21,14 +21,12 @@ from .._quality.vector import Vector, cross, divide, dot, norm, stack, total
 Scalar = Float[Array, "s k"]
 Matrix = list[list[Scalar]]
 SWEEPS = 5
-"""Sweeps of Jacobi rotations in 3-D: four or five converge to round-off.
-
-In 2-D one rotation is exact.
+"""Sweeps of Jacobi rotations in 3-D: four or five converge to round-off. In 2-D one rotation is
+exact.
 """
 
 
 def symmetric_eigen(matrix: Matrix) -> tuple[list[Scalar], list[Vector]]:
-    """Computes eigenvalues and eigenvectors of symmetric matrices (d, d) by Jacobi's method."""
     d = len(matrix)
     start = tuple(tuple(row) for row in matrix)
     zero, one = jnp.zeros_like(matrix[0][0]), jnp.ones_like(matrix[0][0])
@@ -53,7 +51,7 @@ def _rotated(state):
 
 
 def _angle(difference: Scalar, twice: Scalar) -> tuple[Scalar, Scalar]:
-    """Computes cosine and sine of a rotation, up to 45 degrees, that clears an entry."""
+    """Cosine and sine of a rotation, up to 45 degrees, that clears an entry."""
     root = jnp.sqrt(difference**2 + twice**2)
     tangent = divide(twice, jnp.abs(difference) + root, 0.0) * jnp.where(difference < 0, -1, 1)
     c = 1 / jnp.sqrt(1 + tangent**2)
@@ -61,9 +59,8 @@ def _angle(difference: Scalar, twice: Scalar) -> tuple[Scalar, Scalar]:
 
 
 def rotations(stretch: list[Vector]) -> tuple[list[Vector], list[Scalar], list[Vector]]:
-    """Splits T, given by its columns, into U, sigma and V with T = U diag(sigma) V^T.
-
-    U and V are rotations; the last entry of sigma has the sign of det T.
+    """Splits T, given by its columns, into rotations U and V, and sigma, with T = U diag(sigma)
+    V^T; the last entry of sigma has the sign of det T.
     """
     values, v = symmetric_eigen([[dot(a, b) for b in stretch] for a in stretch])
     v = _descending(values, v)
@@ -93,7 +90,7 @@ def _image(columns: list[Vector], x: Vector) -> Vector:
 
 
 def _unit(a: Vector, otherwise: Vector, noise: Scalar) -> Vector:
-    """Computes a vector's direction, or `otherwise` if it is no longer than `noise`."""
+    """A vector's direction, or `otherwise` if it is no longer than `noise`."""
     length = norm(a)
     inverse = divide(jnp.ones_like(length), length, 0.0)
     is_long = (inverse > 0) & (length > noise)
@@ -111,10 +108,9 @@ def _across(a: Vector) -> Vector:
 def convex(
     energy: Callable[[Scalar, Scalar], Scalar], sigma: list[Scalar], floor: Any
 ) -> tuple[Matrix, Matrix, Matrix]:
-    """Computes second derivatives of energy(|T|^2 / d, det T) by the entries of U^T T V.
-
-    Eigenvalues are at least `floor`. It returns three matrices (d, d): derivatives by entries
-    (i, i) and (j, j), by (i, j) twice, and by (i, j) and (j, i).
+    """Second derivatives of energy(|T|^2 / d, det T) by the entries of U^T T V, with eigenvalues of
+    at least `floor`. Three matrices (d, d), by entries (i, i) and (j, j), by (i, j) twice, and by
+    (i, j) and (j, i).
     """
     d = len(sigma)
     curvature = _hessian(lambda s: energy(*_measures(s)), jnp.stack(sigma))
@@ -159,10 +155,9 @@ def blocks(
     inverse: Sequence[Sequence[Scalar]],
     floor: Any = 0.0,
 ) -> Float[Array, "d d d d s k"]:
-    """Computes second derivatives by pairs of edges, with eigenvalues of at least `floor`.
-
-    The axes of the vectors come first, then the edges. `stretch` holds the columns of T = A W^-1.
-    `inverse` holds the rows of W^-1, one for every edge. The columns of A are the edges.
+    """Second derivatives by pairs of edges, with eigenvalues of at least `floor`. The axes of the
+    vectors come first, then the edges, the columns of A. `stretch` holds the columns of T = A W^-1,
+    `inverse` the rows of W^-1, one for every edge.
     """
     axes = range(len(stretch))
     u, sigma, v = rotations(stretch)

@@ -25,13 +25,9 @@ from .constraints import Constraints, constraints_of, prepared
 from .stages import Minimum, Search, judged, softened, stiffened
 
 MINIMUM = 1e-2
-"""Residual below which a minimum is reached."""
 
-SAME = 1e-6
-"""Difference of two margins that is round-off."""
-
-GAIN = 5e-3
-"""Relative gain in the smallest Jacobian ratio that pays for a larger skewness."""
+SAME = 1e-6  # difference of two margins that is round-off
+GAIN = 5e-3  # relative gain in the smallest Jacobian ratio that pays for a larger skewness
 
 
 class Improvement(Module):
@@ -46,8 +42,7 @@ class Improvement(Module):
     - `lost`: number of cells inverted after that held nodes alone invert: no free node mends them.
     - `energy`: mean distortion of a cell, 0 if all cells have the shape and size of their targets.
     - `residual`: largest derivative of the summed distortion, with `worst` the stiffened sum, with
-      respect to a node's place, in units of the node's smallest cell. It is far below 1 at a
-      minimum.
+      respect to a node's place, in units of the node's smallest cell: far below 1 at a minimum.
     - `steps`: steps of Newton's method, also rejected steps.
     - `cells`: number of cells, as `quality` counts them.
     """
@@ -84,8 +79,6 @@ class Improvement(Module):
 
 @dataclasses.dataclass(frozen=True)
 class Options:
-    """Arguments of `improve`: the target and the weight of the energy, and when the search ends."""
-
     ideal: bool = False
     size_weight: float = 0.5
     worst: bool = False
@@ -118,39 +111,30 @@ def improve(
 
     with T from target to cell, and chi the determinant of T, regularised: finite on inverted cells.
     Newton's method minimises the sum in five stages, in which the barrier at chi = 0 sharpens.
-    SciPy solves the sparse systems on the host.
-
-    With `worst`, stages follow that raise the worst cell at the cost of the mean. The energy e of a
-    corner becomes e / ((1 - s e) (1 - r / det T)): it stays below 1 / s, and det T above r. Both
-    bounds close in from stage to stage. The result has the largest of the stages' smallest
-    Jacobians. It is the result without `worst` where no stage has a larger smallest Jacobian ratio,
-    or where one inverts more cells or proves fewer. So it is where the ratio gains 0.5 % or less
-    and the largest skewness grows.
-
-    Traced in `points`, and differentiable in both modes with respect to the places of the fixed
-    nodes, by the implicit function theorem: derivatives are as accurate as `residual` is small.
-    Those with respect to the places of inner nodes, where the search starts, are zero. Close over
-    `mesh`; do not trace it. Use float64.
-
-    Nodes of symmetry planes and sliding patches move along them, and keep the distance that
-    `points` has. The two nodes of a periodic pair move alike. Nodes between two walls stay on both.
-    Corners, and nodes on the axis of a rotation, do not move. The surface of a patch's own faces is
-    a smooth one through their nodes. On a curved wall a node turns by less than 90 degrees from its
-    start; near 90 degrees, `residual` is infinite.
-
-    Nothing is promised for a boundary that crosses itself: see `after`, or `str` of the result.
-    `unproven` counts cells that may fold between their corners.
-
-    Sources: Garanzha et al., Foldover-free maps in 50 lines of code, ACM Trans. Graph. 40, 2021;
-    Teran et al., Robust quasistatic finite elements and flesh simulation, SCA 2005; Garanzha et
-    al., In the Quest for Scale-optimal Mappings, ACM Trans. Graph. 43, 2024.
+    SciPy solves the sparse systems on the host. With `worst`, stages follow that raise the worst
+    cell at the cost of the mean. The energy e of a corner becomes e / ((1 - s e) (1 - r / det T)):
+    it stays below 1 / s, and det T above r. Both bounds close in from stage to stage. The result
+    has the largest of the stages' smallest Jacobians. It is the result without `worst` where no
+    stage has a larger smallest Jacobian ratio, or where one inverts more cells or proves fewer. So
+    it is where the ratio gains 0.5 % or less and the largest skewness grows. Traced in `points`,
+    and differentiable in both modes with respect to the places of the fixed nodes, by the implicit
+    function theorem: derivatives are as accurate as `residual` is small. Those with respect to the
+    places of inner nodes, where the search starts, are zero. Close over `mesh`; do not trace it.
+    Use float64. Nodes of symmetry planes and sliding patches move along them, and keep the distance
+    that `points` has. The two nodes of a periodic pair move alike. Nodes between two walls stay on
+    both. Corners, and nodes on the axis of a rotation, do not move. The surface of a patch's own
+    faces is a smooth one through their nodes. On a curved wall a node turns by less than 90 degrees
+    from its start; near 90 degrees, `residual` is infinite. Nothing is promised for a boundary that
+    crosses itself: see `after`, or `str` of the result. Sources: Garanzha et al., Foldover-free
+    maps in 50 lines of code, ACM Trans. Graph. 40, 2021; Teran et al., Robust quasistatic finite
+    elements and flesh simulation, SCA 2005; Garanzha et al., In the Quest for Scale-optimal
+    Mappings, ACM Trans. Graph. 43, 2024.
 
     **Arguments:**
 
     - `mesh`: the mesh with its cells, or the `Boundary` of one; its points are undeformed. Moving
-      and fixed nodes, and boundary nodes in no list, stay at `points`, bit for bit. Nodes of
-      symmetry planes, sliding and periodic patches move along them. Of a `Mesh` all nodes of
-      patches and of the outer boundary stay.
+      and fixed nodes, and boundary nodes in no list, stay at `points`, bit for bit. Of a `Mesh` all
+      nodes of patches and of the outer boundary stay.
     - `points`: moved points (n, d), in the unit of `mesh.points`.
     - `ideal`: the target is the equilateral cell (a cube, a square) of the undeformed volume.
       Default False.
@@ -161,11 +145,8 @@ def improve(
     - `max_steps`: most Newton steps of a stage, default 60.
     - `progress`: the host calls `progress(softness, energy)` after every step. Default: none.
 
-    **Returns:** an `Improvement`.
-
-    **Raises:** `ValueError` for a mesh without cells of its dimension, and when the shapes of
-    `points` and the mesh's differ. Also for a boundary of points alone, and for a `size_weight`
-    that is not in 0 to 1.
+    **Raises:** `ValueError` for a mesh without cells of its dimension, another shape of `points`, a
+    boundary of points alone, and a `size_weight` that is not in 0 to 1.
     """
     options = Options(ideal, size_weight, worst, tolerance, max_steps, progress)
     with jax.ensure_compile_time_eval():  # not folded into the caller's program

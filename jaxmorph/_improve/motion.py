@@ -1,4 +1,4 @@
-"""The energy that `improve` minimises, by the motion of the free nodes; its second derivatives."""
+"""The energy of `improve` by the motion of the free nodes; its second derivatives."""
 
 import dataclasses
 from collections.abc import Callable, Iterator
@@ -20,12 +20,9 @@ from .hessian import blocks
 
 
 class Ways(eqx.Module):
-    """Leads nodes along walls, and the second node of a periodic pair as its first moves.
-
-    - `tracks`, `pairings`: of node ids.
-    - `follows` (n,): True for the second node of a pair.
-    - `normals` (n, q, d): unit vectors that span the normals of the walls where a node starts; zero
-      vectors fill up the list.
+    """Leads nodes along walls, and the second node of a periodic pair, marked by `follows` (n,), as
+    its first moves. `normals` (n, q, d) are unit vectors that span the normals of the walls where a
+    node starts, filled up by zero vectors.
     """
 
     tracks: tuple[Track, ...]
@@ -51,10 +48,9 @@ class Ways(eqx.Module):
     def __call__(
         self, start: Float[Array, "n d"], step: Float[Array, "n d"], change: Float[Array, "n d"]
     ) -> Float[Array, "n d"]:
-        """Turns steps into displacements from `start`.
-
-        `change` is zero in value, and has the derivative of the starting places: a change off a
-        wall, or a difference between partners, remains.
+        """Turns steps into displacements from `start`. `change` is zero in value, and has the
+        derivative of the starting places: a change off a wall, or a difference between partners,
+        remains.
         """
         step = step - jnp.einsum("nab,nb->na", self.off, step, precision="highest")
         off_walls = jnp.zeros_like(change)
@@ -67,19 +63,16 @@ class Ways(eqx.Module):
         return motion + change
 
     def matched(self, start: Float[Array, "n d"], points: Float[Array, "n d"]) -> Float[Array, "n d"]:
-        """Makes pairs match bit for bit if they do so at `start`."""
         for pairing in self.pairings:
             points = pairing.matched(start, points)
         return points
 
 
-SHIFT = 1e-12
-"""Added to a Hessian's diagonal (order one): it may be singular where cells are inverted."""
+SHIFT = 1e-12  # added to a Hessian's diagonal (order one): it may be singular where cells are inverted
 
 
 class Distortion(eqx.Module):
     """A mesh's energy by the free nodes' motion y (n, d) from their start, in units of `scale`.
-
     `ways` lead the nodes of walls and periodic pairs. All samples stay within `bounds`.
     """
 
@@ -110,24 +103,22 @@ class Distortion(eqx.Module):
         return total
 
     def shift(self) -> Float[Array, " n"]:
-        """Computes the diagonal's term (n,): 1 for nodes at rest or led, `SHIFT` for others."""
+        """The diagonal's term (n,): 1 for nodes at rest or led, `SHIFT` for others."""
         moves = self.free & (self.scale > 0)
         moves = moves if self.ways is None else moves & ~self.ways.follows
         return jnp.where(moves, SHIFT, 1.0).astype(self.scale.dtype)
 
     def _samples(self, points: Float[Array, "n d"]) -> Iterator[tuple[str, Array, Array, Array]]:
-        """Yields each type with the mask of samples that count, |T|^2 / d and det T."""
+        """Each type with the mask of samples that count, |T|^2 / d and det T."""
         for kind, ids in self.cells.items():
             goal = self.targets[kind]
             yield kind, goal.counts > 0, *samples(kind, corners(points, ids), goal)
 
     def least(self, y: Float[Array, "n d"], base: Float[Array, "n d"]) -> Float[Array, ""]:
-        """Computes the smallest determinant of T: negative if a cell is inverted."""
         rows = self._samples(self.points(y, base))
         return jnp.min(jnp.stack([jnp.min(jnp.where(counts, tau, 1)) for _, counts, _, tau in rows]))
 
     def worst(self, y: Float[Array, "n d"], base: Float[Array, "n d"]) -> Float[Array, ""]:
-        """Computes the largest distortion of a sample, without stiffness."""
         worst = []
         for _, counts, squared, tau in self._samples(self.points(y, base)):
             values = energy(squared, tau, self.softness, self.size, y.shape[1])
@@ -151,9 +142,8 @@ class Distortion(eqx.Module):
         }
 
     def blocks(self, y: Float[Array, "n d"], base: Float[Array, "n d"], floor: Any = 0.0) -> Float[Array, "d d pairs"]:
-        """Computes second derivatives for pairs of a cell's corners; with `ways`, of single nodes.
-
-        The eigenvalues of a sample are at least `floor`.
+        """Second derivatives by pairs of corners, or by nodes of `ways`; eigenvalues from
+        `floor`.
         """
         # A sample has second derivatives by its edges. An edge is a sum of corners (`share`), which
         # gives derivatives by corners. The last axis of the result runs over cells fastest, then
@@ -186,7 +176,7 @@ class Distortion(eqx.Module):
     def _by_edges(
         self, points: Float[Array, "n d"], energy: Callable, floor: Any
     ) -> list[Float[Array, "d d d d _s _k"]]:
-        """Computes second derivatives by the edges of samples: of all types in one program."""
+        """Second derivatives by the edges of samples: of all types in one program."""
         rows, counts = [], [self.targets[kind].counts for kind in self.cells]
         for kind, ids in self.cells.items():
             goal = self.targets[kind]
@@ -202,7 +192,7 @@ class Distortion(eqx.Module):
         ]
 
     def _alone(self, y: Float[Array, "n d"], base: Float[Array, "n d"], floor: Any) -> Float[Array, "n d d"]:
-        """Computes second derivatives of single nodes: one along normals, and walls' curvature."""
+        """Second derivatives of single nodes: one along normals, and walls' curvature."""
         assert self.ways is not None
         added = self.ways.off
         if self.ways.is_linear:
@@ -213,7 +203,7 @@ class Distortion(eqx.Module):
 
 
 def _columns(function: Callable, y: Float[Array, "n d"]) -> Float[Array, "n d d"]:
-    """Computes derivatives of a function row by row; the last axis is the axis of y."""
+    """Derivatives of a function row by row; the last axis is the axis of y."""
 
     def column(axis):
         return jax.jvp(function, (y,), (jnp.broadcast_to(axis, y.shape),))[1]
@@ -222,6 +212,6 @@ def _columns(function: Callable, y: Float[Array, "n d"]) -> Float[Array, "n d d"
 
 
 def _shares(kind: str) -> Float[Array, "s c e"]:
-    """Computes the corners' coefficients in all samples' edges: `frames` is linear in corners."""
+    """The corners' coefficients in all samples' edges: `frames` is linear in corners."""
     edges = measures.frames(kind, [Vector([jnp.asarray(row)] * DIMENSION[kind]) for row in np.eye(CORNERS[kind])])
     return jnp.stack([edge[0] for edge in edges], axis=2)

@@ -18,11 +18,7 @@ from .._kernels.compile import compiled
 from .._quality.distortion import Bounds
 from .motion import Distortion, Ways
 
-QUARTER = 0.05
-"""Least cosine between a wall's normals where a node starts and where it ends.
-
-Below it, the end is no minimum.
-"""
+QUARTER = 0.05  # least cosine between a wall's normals at a node's start and end; below it, no minimum
 
 SHARPEST, GENTLER, STAGES = 1e-3, 0.3, 5
 """Softness of the barrier in the last stage, its largest factor per stage, and most stages."""
@@ -30,13 +26,10 @@ SHARPEST, GENTLER, STAGES = 1e-3, 0.3, 5
 SHARE, RUNG, RUNGS = 0.95, 1.02, 40
 """Worst sample over its bound where a stage begins, ratio of two rungs, and most stages."""
 
-CLOSE = 0.03
-"""Least tolerance between two stages of stiffening: a looser one would end them too early."""
+CLOSE = 0.03  # least tolerance between two stages of stiffening: a looser one would end them too early
 
 
 class Search(NamedTuple):
-    """Settings that all stages share: the Hessian's pattern, and when a stage ends."""
-
     blocks: Pattern
     tolerance: Float[Array, ""]
     max_steps: int
@@ -48,8 +41,6 @@ class Search(NamedTuple):
 
 
 class Minimum(NamedTuple):
-    """Place where a distortion is least, and the number of steps up to there."""
-
     distortion: Distortion
     y: Float[Array, "n d"]
     steps: Int[Array, ""] | int
@@ -72,10 +63,9 @@ def softened(distortion: Distortion, base: Float[Array, "n d"], search: Search) 
 
 
 def stiffened(plain: Minimum, base: Float[Array, "n d"], search: Search) -> Minimum:
-    """Finds the minimum within the closest bounds on distortion and size that leave room for it.
-
-    Bounds stand on rungs. Between jumps they do not depend on the points, so the derivative of the
-    last minimum is the derivative of the whole search.
+    """Finds the minimum within the closest feasible bounds on distortion and size. Bounds stand on
+    rungs. Between jumps they do not depend on the points, so the derivative of the last minimum is
+    the derivative of the whole search.
     """
     y, held = map(jax.lax.stop_gradient, (plain.y, base))
     distortion, y, steps = _climbed(plain.distortion, y, held, search)
@@ -85,9 +75,8 @@ def stiffened(plain: Minimum, base: Float[Array, "n d"], search: Search) -> Mini
 
 @compiled
 def _climbed(distortion: Distortion, y, base, search: Search):
-    """Moves the bounds rung by rung until the worst samples leave no room for the next.
-
-    Returns the rungs where the smallest determinant is largest, and the steps of all rungs.
+    """Moves the bounds rung by rung until the worst samples leave no room for the next. Returns the
+    rungs where the smallest determinant is largest, and the steps of all rungs.
     """
     distortion, enough = distortion.movable(), jnp.stack([jnp.maximum(search.tolerance, CLOSE)] * 2)
 
@@ -155,7 +144,6 @@ _least = compiled(Distortion.least)
 
 @compiled
 def judged(plain: Distortion, minimum: Minimum, base: Float[Array, "n d"]):
-    """Computes the distortion without stiffness, the slope with it, the points, and lost pieces."""
     distortion, y, _ = minimum
     value, slope = plain(y, base), jax.grad(distortion)(y, base)
     points, ways = distortion.points(y, base), distortion.ways
@@ -168,8 +156,7 @@ def judged(plain: Distortion, minimum: Minimum, base: Float[Array, "n d"]):
     return value, slope, points, plain.lost(points)
 
 
-NEAR = 1.0
-"""Largest derivative (order one) at which the whole Hessian is taken: quadratic convergence."""
+NEAR = 1.0  # largest derivative (order one) at which the whole Hessian is taken: quadratic convergence
 
 
 def _on_host(solver: Callable, pattern: Pattern, blocks, shift, right: Float[Array, "n d"]) -> Float[Array, "n d"]:
@@ -178,8 +165,6 @@ def _on_host(solver: Callable, pattern: Pattern, blocks, shift, right: Float[Arr
 
 
 class _Inverse(lx.AbstractLinearOperator):
-    """The inverse of a Hessian, applied on the host."""
-
     pattern: Pattern
     blocks: Float[Array, "d d pairs"]
     shift: Float[Array, " n"]
@@ -202,9 +187,8 @@ class _Inverse(lx.AbstractLinearOperator):
 
 
 class HessianSolver(lx.AbstractLinearSolver):
-    """A solver with the energy's Hessian at a minimum, on the host: implicit differentiation.
-
-    Its operator is the derivative of the energy's gradient, as optimistix builds it.
+    """A solver with the energy's Hessian at a minimum, on the host: implicit differentiation. Its
+    operator is the derivative of the energy's gradient, as optimistix builds it.
     """
 
     distortion: Distortion
@@ -234,9 +218,8 @@ def _(operator):
 
 
 class ProjectedNewton(optx.AbstractQuasiNewton):
-    """Newton's method; far from a minimum without negative curvature, so that steps descend.
-
-    Teran et al., Robust quasistatic finite elements and flesh simulation, SCA 2005.
+    """Newton's method; far from a minimum without negative curvature, so that steps descend (Teran
+    et al., Robust quasistatic finite elements and flesh simulation, SCA 2005).
     """
 
     rtol: Any

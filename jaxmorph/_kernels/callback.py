@@ -12,15 +12,14 @@ from jax.interpreters import batching, mlir
 from jaxtyping import Array
 
 # `jax.pure_callback` makes JAX arrays of its arguments, which XLA copies on a thread pool that also
-# waits for programs: on one core, each waits for the other. This primitive passes on NumPy arrays.
+# waits for programs: on one core, a deadlock. This primitive passes on NumPy arrays.
 # `jax.experimental.buffer_callback` does so too, but not on a GPU, and once a device.
 
 
 def host_call(function: Callable[..., Any], result: jax.ShapeDtypeStruct, *arguments: Any) -> Array:
-    """Calls a function of NumPy arrays on the host, for an array shaped as `result`. Traced.
-
-    The function must be pure and must not call JAX. Under `vmap` it is called for one element after
-    another. It has no derivative: `jax.lax.custom_linear_solve`, for example, gives it one.
+    """Calls a pure function of NumPy arrays on the host, for an array shaped as `result`. Traced.
+    It must not call JAX. Under `vmap` it is called for each element. It has no derivative:
+    `jax.lax.custom_linear_solve`, for example, gives it one.
     """
     return _call_p.bind(*arguments, function=function, shape=result.shape, dtype=np.dtype(result.dtype), batch=())
 
@@ -59,7 +58,6 @@ def _lowered(context: Any, *operands: Any, **params: Any) -> Sequence[Any]:
 
 
 def _sharding(context: Any) -> Any:
-    """Makes one device of several call the host, as JAX does for its own callbacks."""
     layout = context.module_context.axis_context
     if isinstance(layout, mlir.ShardingContext) and layout.num_devices == 1:
         return None

@@ -14,11 +14,10 @@ import numpy as np
 from .values import is_known
 
 OPTIONS = {
-    # XLA's default is 256 bits, with which a kernel sum takes up to 50 % longer. No effect on
-    # smaller processors.
+    # XLA's default is 256 bits: a kernel sum takes up to 50 % longer. No effect on smaller
+    # processors.
     "xla_cpu_prefer_vector_width": 512,
-    # The newer emitters compile up to twice as long; programs here run as fast with the older
-    # emitters.
+    # The newer emitters compile up to twice as long; programs here run as fast with the older ones.
     "xla_cpu_use_fusion_emitters": False,
 }
 
@@ -32,18 +31,13 @@ Function = TypeVar("Function", bound=Callable)
 
 
 class Constant(eqx.Module):
-    """Holds a static value.
-
-    A call with arrays alone as leaves returns before its results are there; `equinox.filter_jit`
-    waits.
-    """
+    """A static value. With arrays alone as leaves a call is asynchronous; `filter_jit` waits."""
 
     value: Any = eqx.field(static=True)
 
 
 def compiled(function: Function) -> Function:
     """Compiles a function as `equinox.filter_jit` does, with `OPTIONS` for direct calls on a CPU.
-
     Within another transformation it is an ordinary jitted function: JAX takes options only for the
     outermost program. Lists and tuples of numbers become arrays, not static arguments.
     """
@@ -133,7 +127,6 @@ T = TypeVar("T")
 
 @contextlib.contextmanager
 def holding(variable: contextvars.ContextVar[T], value: T) -> Iterator[None]:
-    """Gives a context variable a value within a block, and the old value back at its end."""
     token = variable.set(value)
     try:
         yield

@@ -15,20 +15,14 @@ from jaxtyping import Array, Float
 
 from .compile import as_for_cpu
 
-BLOCK, WARPS = 512, 2
-"""Points of a program of the kernel, and its groups of 32 threads: eight points a thread."""
-
-FEW = 2**19
-"""Points below which sources are divided too: blocks of points alone do not fill a card."""
-
-FEW_BLOCK, FEW_WARPS = 64, 1
-"""`BLOCK` and `WARPS` for fewer points."""
+BLOCK, WARPS = 512, 2  # points of a program of the kernel, and its groups of 32 threads: eight points a thread
+FEW = 2**19  # points below which sources are divided too: blocks of points alone do not fill a card
+FEW_BLOCK, FEW_WARPS = 64, 1  # `BLOCK` and `WARPS` for fewer points
 
 PROGRAMS, LEAST_SHARE = 2**17, 256
 """Number of programs that keep a card busy to the end, and least number of sources of a program."""
 
-LEAST_CAPABILITY = 8
-"""Major compute capability below which Triton, by which Pallas compiles, has no kernels."""
+LEAST_CAPABILITY = 8  # major compute capability below which Triton, by which Pallas compiles, has no kernels
 
 ELEMENTWISE = {
     *("abs", "add", "cos", "div", "exp", "exp2", "integer_pow", "log", "log1p", "logistic"),
@@ -41,7 +35,6 @@ ELEMENTWISE = {
 
 
 def has_kernels() -> bool:
-    """Checks whether JAX's default device is a GPU of NVIDIA for which Pallas compiles."""
     if jax.default_backend() != "gpu":
         return False
     major = re.match(r"(\d+)\.\d+$", str(getattr(jax.devices()[0], "compute_capability", "")))  # of AMD: gfx90a
@@ -53,7 +46,6 @@ CALLS = {"jit": "jaxpr", "pjit": "jaxpr", "custom_jvp_call": "call_jaxpr", "clos
 
 
 def is_elementwise(phi: Callable, dtype: Any) -> bool:
-    """Checks whether a function of one array uses only operations that a kernel may use."""
     with as_for_cpu():
         closed = jax.make_jaxpr(phi)(jax.ShapeDtypeStruct((BLOCK,), dtype))
     return not any(jnp.ndim(const) for const in closed.consts) and _allowed(closed.jaxpr)
@@ -74,9 +66,8 @@ def fused_sum(
     points: Float[Array, "c d"],
     constants: Sequence[Float[Array, ""]] = (),
 ) -> Float[Array, "c k"]:
-    """Computes `phi(squared distances of points and sources, *constants) @ weights`, for CUDA.
-
-    A program of the kernel has a block of points, and, if there are few points, a part of the
+    """Returns `phi(squared distances of points and sources, *constants) @ weights`, for CUDA. A
+    program of the kernel has a block of points, and, if there are few points, a part of the
     sources. All blocks have one size: the last block overlaps the block before it. A thread keeps
     the sums of its points in registers, and the loop runs over the sources.
     """
@@ -114,7 +105,7 @@ def fused_sum(
 
 
 def _layout(n: int, count: int) -> tuple[int, int, int, int]:
-    """Lays out `n` points and `count` sources: block, warps, count of blocks, sources of a part."""
+    """For `n` points and `count` sources: block, warps, count of blocks, sources of a part."""
     block, warps = (BLOCK, WARPS) if n >= FEW else (min(FEW_BLOCK, 1 << int(math.log2(n))), FEW_WARPS)
     blocks = -(-n // block)
     return block, warps, blocks, count if n >= FEW else max(LEAST_SHARE, -(-count * blocks // PROGRAMS))

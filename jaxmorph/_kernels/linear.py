@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 
 
 def _changed(compute: Callable, primals: Sequence[Any], tangents: Sequence[Any]) -> Any:
-    """Computes the derivative of `compute` by all arguments that vary, but the first."""
+    """The derivative of `compute` by all arguments that vary, but the first."""
     moving = [i for i, tangent in enumerate(tangents) if i and not isinstance(tangent, ad.Zero)]
 
     def of_moving(*values):
@@ -28,7 +28,6 @@ def _changed(compute: Callable, primals: Sequence[Any], tangents: Sequence[Any])
 
 
 def _program(primitive: Primitive, compute: Callable) -> Callable:
-    """Makes the function that a direct call runs: the compiled primitive."""
     parameters = inspect.signature(compute).parameters.values()
     static = tuple(option.name for option in parameters if option.kind is option.KEYWORD_ONLY)
     program = jax.jit(primitive.bind, static_argnames=static)  # platforms have lowerings of the primitive
@@ -41,11 +40,10 @@ def _program(primitive: Primitive, compute: Callable) -> Callable:
 
 
 def linear_primitive(name: str, compute: Callable, rows: Callable, turned: Callable) -> Primitive:
-    """Makes a primitive of `compute(values, *others, **options)`, linear in `values` (b, c).
-
-    Its transpose is the primitive with other arguments, `turned(*others, **options)`. Derivatives
-    by `others` are those of `compute`. Under `vmap` of `values` alone the primitive gets more
-    columns; if `others` vary, `compute` is mapped. Options are static keywords. The result has
+    """Makes a primitive of `compute(values, *others, **options)`, linear in `values` (b, c). Its
+    transpose is the primitive with other arguments, `turned(*others, **options)`. Derivatives by
+    `others` are those of `compute`. Under `vmap` of `values` alone the primitive gets more columns;
+    if `others` vary, `compute` is mapped. Options are static keywords. The result has
     `rows(*others, **options)` rows. A lowering for one platform may be added.
     """
     primitive = Primitive(name)
@@ -87,8 +85,7 @@ def linear_primitive(name: str, compute: Callable, rows: Callable, turned: Calla
     return primitive
 
 
-MOST_ROWS = 4
-"""Most rows that one loop sums on a GPU; a displacement has two or three."""
+MOST_ROWS = 4  # most rows that one loop sums on a GPU; a displacement has two or three
 
 
 # The transpose of a sum over a kernel's block contracts a few rows of a cotangent with the block's
@@ -97,17 +94,16 @@ MOST_ROWS = 4
 
 
 def few_rows_times(rows: Float[Array, "k s"], block: Float[Array, "s c"]) -> Float[Array, "k c"]:
-    """Computes `rows @ block`, both of one dtype, with all derivatives and transformations."""
+    """`rows @ block`, both of one dtype, with all derivatives and transformations."""
     return _product.bind(rows, block, axis=0)
 
 
 def few_rows_times_transposed(rows: Float[Array, "k c"], block: Float[Array, "s c"]) -> Float[Array, "k s"]:
-    """Computes `rows @ block.T` as `few_rows_times`, without a transposed copy of the block."""
+    """`rows @ block.T` as `few_rows_times`, without a transposed copy of the block."""
     return _product.bind(rows, block, axis=1)
 
 
 def _contract(rows, block, axis):
-    """Sums the product over the last axis of `rows` and over `axis` of the matrix `block`."""
     dimensions = (((rows.ndim - 1,), (axis,)), ((), ()))
     return jax.lax.dot_general(rows, block, dimensions, precision="highest")  # a GPU would round float32 to ten bits
 
@@ -119,10 +115,7 @@ def _few_rows(rows, block, *, axis):
 
 
 def few_rows_in_one_loop(rows: Float[Array, "k s"], block: Float[Array, "..."], axis: int) -> Float[Array, "k c"]:
-    """Computes the product of `_few_rows` as one reduction of all rows, for GPUs.
-
-    XLA computes an element of the block where it is summed: the block is not in memory.
-    """
+    """The product as one reduction of all rows, for GPUs: the block is never in memory."""
     if len(rows) > MOST_ROWS:
         return _contract(rows, block, axis)
     terms = tuple(block * (row[:, None] if axis == 0 else row[None]) for row in rows)

@@ -12,13 +12,11 @@ from jaxtyping import Array, ArrayLike, Float
 
 from .compile import is_for_cpu
 
-_ROOT_HALF = 0x3FE6A09E00000000
-"""The bits of sqrt(1/2), rounded down to a multiple of 2^32."""
+_ROOT_HALF = 0x3FE6A09E00000000  # the bits of sqrt(1/2), rounded down to a multiple of 2^32
 
 _ONE = 0x3FF0000000000000
 _MANTISSA = 0x000FFFFFFFFFFFFF
-_EXPONENT_1 = 0x0010000000000000
-"""One more in the exponent."""
+_EXPONENT_1 = 0x0010000000000000  # one more in the exponent
 
 _TWO_52 = 0x4330000000000000
 """The bits of 2^52; with an integer k < 2^52 in the mantissa, they are the bits of 2^52 + k."""
@@ -43,7 +41,7 @@ _ARTANH = (
 
 @jax.custom_jvp
 def log(x: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
-    """Computes `jax.numpy.log` of positive normal numbers, to one unit in the last place."""
+    """`jax.numpy.log` of positive normal numbers, to one unit in the last place."""
     return _by_platform(lambda x: 2 * _half_log(x), jnp.log, x)
 
 
@@ -55,9 +53,8 @@ def _log_jvp(primals, tangents):
 
 @jax.custom_jvp
 def half_x_log_x(x: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
-    """Computes x log(x) / 2 for x >= 0, and 0 at 0: r^2 log r of x = r^2.
-
-    Below round-off squared, the slope is constant.
+    """x log(x) / 2, and 0 at 0: r^2 log r of x = r^2. Below round-off squared the slope is
+    constant.
     """
     return _by_platform(lambda x: x * _short_half_log(x), lambda x: 0.5 * x * jnp.log(_not_zero(x)), x)
 
@@ -69,7 +66,7 @@ def _half_x_log_x_jvp(primals, tangents):
 
 
 def _not_zero(x):
-    """Returns x, but at least the square of round-off at unit size."""
+    """x, but at least the square of round-off at unit size."""
     # A `where` on x > 0 is not safe. A compiler may compute the distance of a point from itself
     # twice: once as 0, and once, with a fused multiply-add, as a rounding error.
     return jnp.maximum(x, float(jnp.finfo(x.dtype).eps) ** 2)
@@ -84,22 +81,21 @@ def _by_platform(in_polynomials, otherwise, x):
 
 
 def _half_log(x):
-    """Computes log(x) / 2 for positive normal numbers; else a number below 373."""
+    """log(x) / 2 for positive normal numbers; else a number below 373."""
     k, f, s = _reduced(x)
     correction = s * s * _polynomial(_ARTANH, s * s)
     return k * _HALF_LOG_2[0] + (f + (k * _HALF_LOG_2[1] - s * (f - correction)))
 
 
 def _short_half_log(x):
-    """Computes log(x) / 2 to 3 units in the last place, three operations fewer: for kernels."""
+    """log(x) / 2 to 3 units in the last place, three operations fewer: for kernels."""
     k, _, s = _reduced(x)
     return k * sum(_HALF_LOG_2) + s * _polynomial((1.0, *_ARTANH), s * s)
 
 
 def _reduced(x):
-    """Splits x = 2^k m with m in [sqrt(1/2), sqrt(2)): k, f = (m - 1) / 2, s = (m - 1) / (m + 1).
-
-    The half in f costs nothing here, and a thin plate spline needs it.
+    """x = 2^k m with m in [sqrt(1/2), sqrt(2)): k, f = (m - 1) / 2, s = (m - 1) / (m + 1). The half
+    in f costs nothing here, and a thin plate spline needs it.
     """
     bits = _bits(x) + _word(_ONE - _ROOT_HALF)
     k = _float(bits >> _word(52) | _word(_TWO_52)) - (2.0**52 + 1023)

@@ -15,10 +15,9 @@ _BoundMethod: Any = type(_Probe().method)
 
 
 class Module(eqx.Module):
-    """An Equinox module that has a hash, also with arrays.
-
-    `jax.jit` looks functions up by hash and equality. A module with arrays is equal only to itself;
-    a module without arrays is compared by its fields. `equinox.tree_equal` compares arrays.
+    """An Equinox module with a hash, also with arrays, by which `jax.jit` looks functions up. A
+    module with arrays is equal only to itself; a module without is compared by its fields.
+    `equinox.tree_equal` compares arrays.
     """
 
     def __hash__(self) -> int:
@@ -39,8 +38,6 @@ class Module(eqx.Module):
 
 
 class Method(_BoundMethod):
-    """A module's method: a tree as Equinox's are, and equal to the method of an equal module."""
-
     def __hash__(self) -> int:
         return hash((self.__func__, self.__self__))
 

@@ -9,12 +9,11 @@ import numpy as np
 from jax.core import Tracer  # pyright: ignore[reportAttributeAccessIssue]
 from jaxtyping import Array, Float
 
-Either = Any
-"""An array of JAX or NumPy, for formulas with `namespace`."""
+Either = Any  # an array of JAX or NumPy, for formulas with `namespace`
 
 
 def namespace(array: Any) -> Any:
-    """Returns NumPy for its arrays, whose formulas need no compilation; else `jax.numpy`."""
+    """NumPy for its arrays, whose formulas need no compilation; else `jax.numpy`."""
     # A formula has two forms only where a first call gains a tenth of a process's time: `quality`,
     # `inverted` and `wall_quality` gain 0.4 to 0.9 CPU seconds of 3.5 in 2-D, 0.9 to 3.6 in 3-D;
     # the layer's width in `prepare` gains 1.1 of 4.2. See "First calls" in benchmarks/README.md.
@@ -22,7 +21,6 @@ def namespace(array: Any) -> Any:
 
 
 def constant(values: Either) -> Either:
-    """Returns the values without their derivative."""
     return values if isinstance(values, np.ndarray) else jax.lax.stop_gradient(values)
 
 
@@ -45,7 +43,7 @@ def on_host(*values: Any) -> bool:
 
 
 def taken(values: Any, rows: Any) -> Any:
-    """Returns some rows of an array; without a program where the array is in the host's memory."""
+    """Some rows of an array; without a program where the array is in the host's memory."""
     if not (isinstance(values, jax.Array) and on_host(values, rows) and len(values.devices()) == 1):
         return values[rows]
     return jax.device_put(np.asarray(values)[rows], values.sharding if values.committed else None)
@@ -58,23 +56,22 @@ def is_readable(*values: Any) -> bool:
 
 
 def root(squared: Float[Either, "*shape"]) -> Float[Either, "*shape"]:
-    """Computes the square root; its derivative at zero is zero."""
+    """The square root; its derivative at zero is zero."""
     xp, positive = namespace(squared), squared > 0
     return xp.where(positive, xp.sqrt(xp.where(positive, squared, 1)), 0)
 
 
 def norm(vectors: Float[Either, "*shape d"]) -> Float[Either, "*shape"]:
-    """Computes Euclidean lengths; their derivative at zero is zero."""
+    """Euclidean lengths; their derivative at zero is zero."""
     return root(namespace(vectors).sum(vectors**2, axis=-1))
 
 
 def largest(values: Float[Either, "*shape"], axis: int = 0) -> Float[Either, "*rest"]:
-    """Computes the largest value along an axis; the derivative is the mean over equal ones."""
+    """The largest value along an axis; the derivative is the mean over equal ones."""
     return np.max(values, axis=axis) if namespace(values) is np else _largest(values, axis)
 
 
 def smallest(values: Float[Either, "*shape"], axis: int = 0) -> Float[Either, "*rest"]:
-    """Computes the smallest value along an axis, with a derivative as `largest` has."""
     return -largest(-values, axis)
 
 
@@ -96,7 +93,7 @@ def _largest_jvp(axis, primals, tangents):
 
 
 def slack(dtype: Any) -> float:
-    """Computes the share beyond an interval's ends that counts as inside: more than round-off."""
+    """The share beyond an interval's ends that counts as inside: more than round-off."""
     return float(jnp.finfo(dtype).eps) ** 0.75
 
 
@@ -107,5 +104,4 @@ def clipped(values: Float[Array, "*shape"], low: Any, high: Any) -> Float[Array,
 
 
 def is_known(*values: Any) -> bool:
-    """Checks whether values are known: nothing in them is traced."""
     return not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(values))

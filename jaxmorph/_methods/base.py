@@ -15,8 +15,7 @@ from .._kernels.module import Module
 from .._kernels.values import is_known
 from .surface import Surface
 
-BLOCK = 512
-"""Points that are evaluated together: memory, also of derivatives, is that of one block."""
+BLOCK = 512  # points in a block: memory, also of derivatives, is that of one block
 
 
 def _no_rows() -> np.ndarray:
@@ -27,10 +26,9 @@ def _no_rows() -> np.ndarray:
 class Control:
     """Rows of the surface that control a field, and how far the field reaches.
 
-    - `sources` (s,): rows that are the field's control points, the centres of its functions.
-    - `matched` (k,): rows whose displacement the field reproduces. They leave nothing to a
-      correction.
-    - `reach`: how far from the surface the field reaches.
+    - `sources` (s,): the field's control points, the centres of its functions.
+    - `matched` (k,): rows whose displacement the field reproduces: nothing is left to a correction.
+    - `reach`: the field's distance from the surface.
     """
 
     sources: np.ndarray = dataclasses.field(default_factory=_no_rows)
@@ -43,18 +41,17 @@ class AbstractField(Module):
 
     @abc.abstractmethod
     def __call__(self, x: Float[Array, " d"], ids: PyTree) -> Float[Array, " d"]:
-        """Computes the displacement at `x`; `ids` are what `connect` or `place` made for it."""
+        """Computes the displacement at `x`; `ids` are those of `connect` or `place` for it."""
 
     def evaluate(self, points: Float[Array, "c d"], ids: PyTree) -> Float[Array, "c d"]:
         """Computes the displacements of a block of c points; leaves of `ids` have a row for each.
-
-        By default it maps the one-point form. To override it is for speed alone.
+        By default it maps the one-point form; an override is for speed alone.
         """
         return jax.vmap(self)(points, ids)
 
     @property
     def block_size(self) -> int | None:
-        """Points that are evaluated together; None if the memory needs no blocks."""
+        """Points in a block; None if the memory needs no blocks."""
         return BLOCK
 
 
@@ -63,13 +60,13 @@ class AbstractMethod(Module):
 
     A method of your own needs `connect`, `fit` and `field`; all other functions have defaults. A
     method that computes something for each point once per base mesh is an `AbstractPlacing`. The
-    surface's b rows are the moving nodes, then the fixed ones, no node twice. An argument means
-    one thing in all functions of a method:
+    surface's b rows are the moving nodes, then the fixed ones, no node twice. The arguments of all
+    functions:
 
     - `surface`: on the host a `Surface`; traced the coordinates (b, d) of its rows.
     - `points`: all points (n, d) of the mesh, in `fit` its base coordinates. `x` is one point (d,).
-    - `ids`: what `connect` returned for the surface; in the field what it returned for a point.
-    - `factors`: what `fit` returned.
+    - `ids`: results of `connect` for the surface; in the field for a point.
+    - `factors`: results of `fit`.
     - `u`: displacements (b, d) of the surface's rows.
     """
 
@@ -92,17 +89,13 @@ class AbstractMethod(Module):
         return Control()
 
     def check(self, ids: PyTree, factors: PyTree, u: Float[Array, "b d"]) -> None:
-        """Raises or warns when the factors are unusable. Once, on the host, after the first `fit`.
-
-        `u` is a displacement to try.
+        """Raises or warns when the factors are unusable, by a trial displacement `u`. Once, on the
+        host, after the first `fit`.
         """
 
     @property
     def needs_cells(self) -> bool:
-        """True if `connect` needs the cells of the whole mesh.
-
-        Its solve is for all nodes, so a plan is not split over devices.
-        """
+        """True if `connect` needs all cells of the mesh: a plan is then not split over devices."""
         return False
 
     @property
@@ -112,20 +105,16 @@ class AbstractMethod(Module):
 
     @property
     def exact(self) -> bool:
-        """True if the field takes the given displacements at the surface's nodes.
-
-        The driver then assigns them bit for bit.
-        """
+        """True if the field reproduces displacements at the surface: the driver keeps all bits."""
         return True
 
 
 class AbstractPlacing(AbstractMethod):
     """A method that computes something for each point once per base mesh: its place.
 
-    In `place` and `carry_place`, `ids` is what `connect` returned for the point. The field gets the
-    point's place as its `ids`. `carry` and `carry_place` say what changes on the mesh after a step
-    of `march`. By default the solve is new and points keep their places, for a graph stands on the
-    undeformed mesh.
+    In `place` and `carry_place`, `ids` is the result of `connect` for the point. The field gets the
+    point's place as its `ids`. `carry` and `carry_place` adapt to the mesh after a step of `march`.
+    By default the solve is new and points keep their places: a graph stands on the undeformed mesh.
     """
 
     @abc.abstractmethod
@@ -134,7 +123,6 @@ class AbstractPlacing(AbstractMethod):
 
     def carry(self, ids: PyTree, factors: PyTree, surface: Float[Array, "b d"], points: Float[Array, "n d"]) -> PyTree:
         """Computes factors on the mesh after a step of `march`, by default with `fit`. Traced.
-
         Factors that belong to the places of points stay as they are.
         """
         return self.fit(ids, surface, points)
@@ -162,7 +150,6 @@ def carry_place(method: AbstractMethod, x: Float[Array, " d"], *data: PyTree) ->
 
 
 def check_kind(value: Any, kind: type, name: str, example: str, *, optional: bool = False) -> None:
-    """Raises `ValueError` for an argument that is not an object of its kind."""
     if isinstance(value, kind) or (optional and value is None):
         return
     if isinstance(value, type):
@@ -172,10 +159,7 @@ def check_kind(value: Any, kind: type, name: str, example: str, *, optional: boo
 
 
 def number(name: str, low: float | int = -np.inf, high: float | int = np.inf, ends: str = "()") -> Callable[[Any], Any]:
-    """Returns a converter to one real number in an interval; `ends` are as for `between`.
-
-    The converter raises `ValueError` for anything else.
-    """
+    """A converter to one real number in an interval, `ends` as for `between`, or a `ValueError`."""
 
     def convert(value: Any) -> Float[Array, ""]:
         if is_known(value):
@@ -187,6 +171,5 @@ def number(name: str, low: float | int = -np.inf, high: float | int = np.inf, en
 
 
 def length_or_none(name: str) -> Callable[[Any], Any]:
-    """Returns a converter to a length, positive and finite, that leaves None as it is."""
     convert = number(name, 0)
     return lambda value: None if value is None else convert(value)

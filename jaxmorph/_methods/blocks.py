@@ -1,4 +1,4 @@
-"""Mapping over points: fields and places of a method, block by block."""
+"""Fields and places of a method over many points, block by block."""
 
 from collections.abc import Callable
 
@@ -10,18 +10,12 @@ from .._kernels.compile import is_for_cpu
 from .base import BLOCK, AbstractField, AbstractMethod, AbstractPlacing
 from .sparse import Interpolation
 
-WIDER = 256
-"""Factor of the size of blocks on platforms that are no CPU.
-
-A GPU wants millions of elements at once, and few launches.
-"""
-
-FEW = 64
-"""Blocks that are few enough for any platform. Two programs are traced for more."""
+WIDER = 256  # factor of a block's size off the CPU: a GPU wants many elements at once, and few launches
+FEW = 64  # most blocks of a single program on any platform; two programs are traced for more
 
 
 def map_points(field: AbstractField, points: Float[Array, "n d"], ids: PyTree) -> Float[Array, "n d"]:
-    """Evaluates the field at every point; for derivatives blocks are computed again, not stored."""
+    """Evaluates the field at every point; derivatives compute blocks anew and store none."""
     if field.block_size is None:
         return field.evaluate(points, ids)
     return map_rows(jax.checkpoint(lambda part: field.evaluate(*part)), (points, ids), field.block_size)
@@ -30,7 +24,6 @@ def map_points(field: AbstractField, points: Float[Array, "n d"], ids: PyTree) -
 def place_points(
     method: AbstractMethod, points: Float[Array, "n d"], ids: PyTree, factors: PyTree, surface: Float[Array, "b d"]
 ) -> PyTree:
-    """Computes every point's place by the method's `place`."""
     if not isinstance(method, AbstractPlacing) or not jax.tree.leaves(ids):
         return ids
     return _placed(lambda x, ids: method.place(x, ids, factors, surface), (points, ids))
@@ -59,10 +52,7 @@ def _placed(function: Callable[..., PyTree], rows: tuple) -> PyTree:
 
 
 def map_rows(function: Callable[[PyTree], PyTree], rows: PyTree, block: int) -> PyTree:
-    """Applies a function to blocks of `block` rows, and joins its results, which have as many rows.
-
-    Nothing is padded: the last block may be shorter. GPUs get larger blocks.
-    """
+    """Maps blocks of rows to as many rows; the last block may be shorter, GPUs get larger ones."""
 
     def mapped(rows, block):
         blocks, rest = _cut(rows, block)
@@ -76,7 +66,7 @@ def map_rows(function: Callable[[PyTree], PyTree], rows: PyTree, block: int) -> 
 
 
 def fold_rows(function: Callable[[PyTree, PyTree], PyTree], start: PyTree, rows: PyTree, block: int) -> PyTree:
-    """Folds blocks of rows into one result from `start` on: `function(result so far, rows)`."""
+    """Folds blocks of rows into one result: `function(result so far, rows)`, from `start` on."""
 
     def folded(rows, block):
         blocks, rest = _cut(rows, block)
@@ -89,7 +79,7 @@ def fold_rows(function: Callable[[PyTree, PyTree], PyTree], start: PyTree, rows:
 
 
 def _cut(rows: PyTree, block: int) -> tuple[PyTree | None, PyTree]:
-    """Cuts rows into whole blocks, laid along a first axis, and the rest, which is not empty."""
+    """Cuts rows into whole blocks, stacked along a first axis, and a rest that is not empty."""
     full = (len(jax.tree.leaves(rows)[0]) - 1) // block * block
     rest = jax.tree.map(lambda leaf: leaf[full:], rows)
     if full == 0:
@@ -98,7 +88,6 @@ def _cut(rows: PyTree, block: int) -> tuple[PyTree | None, PyTree]:
 
 
 def by_platform(function: Callable[[PyTree, int], PyTree], rows: PyTree, block: int) -> PyTree:
-    """Calls `function(rows, block)` with the size of blocks for the program's platform."""
     if len(jax.tree.leaves(rows)[0]) <= FEW * block or is_for_cpu():
         return function(rows, block)
     return jax.lax.platform_dependent(
@@ -111,17 +100,14 @@ def is_rows(leaf: object) -> bool:
 
 
 def with_tables(placed: PyTree, count: int, parts: int = 1) -> PyTree:
-    """Gives each operator in `placed` a table of its transpose, on the host."""
     return _map_rows_of(lambda rows: rows.with_table(count, parts), placed)
 
 
 def without_tables(placed: PyTree) -> PyTree:
-    """Drops the tables, so that every leaf has one row a point."""
     return _map_rows_of(lambda rows: rows.without_table(), placed)
 
 
 def with_tables_of(old: PyTree, placed: PyTree) -> PyTree:
-    """Gives the operators in `placed` the tables of `old` operators with equal ids. Traced."""
     return _map_rows_of(lambda rows, before: rows.with_table_of(before), placed, old)
 
 

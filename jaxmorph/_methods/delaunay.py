@@ -17,16 +17,12 @@ class DelaunayGraph(AbstractPlacing):
     """Moves each point with the simplex of surface nodes that holds it (eq. 8).
 
     The graph stands on the undeformed surface and carries displacements, so that the map is one
-    linear operator for any motion. A surface node follows itself alone, whatever the graph does
-    around it; of several coincident nodes the first one (moving before fixed) stands for all in the
-    graph.
+    linear operator for any motion. A surface node follows itself alone; the first of duplicate
+    nodes (moving before fixed) stands in the graph. The graph is discontinuous in the base
+    coordinates: nodes on one circle or sphere can be joined in several ways. Coordinates are
+    rounded first, far below the distance of nodes, so that round-off does not choose.
 
-    The graph is discontinuous in the base coordinates: nodes on one circle or sphere can be joined
-    in several ways, and change from one to another. Coordinates are rounded far below the distance
-    of nodes first, so round-off does not choose.
-
-    **Raises:** `prepare` raises a `ValueError` for points outside of the convex hull of the
-    surface.
+    **Raises:** `prepare` raises a `ValueError` for points outside of the surface's convex hull.
     """
 
     def connect(self, surface: Surface, points):
@@ -49,7 +45,7 @@ class DelaunayGraph(AbstractPlacing):
 
 
 def begin_graph(method: AbstractMethod, surface: Surface, count: int) -> None:
-    """Begins a method's graph in the background, if it has one and points are off the surface."""
+    """Starts a method's graph in the background, if it has one and points are off the surface."""
 
     def is_graph(leaf: object) -> bool:
         return isinstance(leaf, DelaunayGraph)
@@ -63,7 +59,6 @@ def _begun(surface: Surface) -> Beside[Graph]:
 
 
 def barycentric(x: Float[Array, " d"], corners: list[Float[Array, " d"]], at_node) -> list[Float[Array, ""]]:
-    """Computes barycentric coordinates (eqs. 6 and 7) in closed form; (1, 0, ...) `at_node`."""
     edges = [corner - corners[0] for corner in corners[1:]]
     rows = cofactors(edges)
     whole = jnp.where(at_node, 1, dot(rows[0], edges[0]))

@@ -1,4 +1,4 @@
-"""The methods that move nodes along boundaries, or carry a grid, where nothing is fixed."""
+"""Methods for nodes along boundaries, and for a grid without fixed nodes."""
 
 from .base import AbstractMethod
 from .delaunay import DelaunayGraph
@@ -10,16 +10,15 @@ from .reconstruction import SurfaceReconstruction
 
 
 def carrying() -> AbstractMethod:
-    """Returns the method for a body whose grid nothing holds, as an overset grid: IDWarp's."""
+    """Returns IDWarp's method, for a body whose grid nothing holds, as an overset grid."""
     return InverseDistance(rotations=True)
 
 
 def guiding(method: AbstractMethod) -> AbstractMethod:
-    """Returns the method that guides nodes along boundaries for a plan of `method`.
-
-    Such nodes lie outside of the hull of moving and fixed nodes, where no graph reaches, and have
-    no cells among themselves. Near moving and fixed nodes they have to follow exactly. The result
-    has the coarse field of `method`, with a `Multiscale` correction.
+    """Returns the method that guides nodes along boundaries: the coarse field of `method`, with a
+    `Multiscale` correction. Such nodes lie outside of the hull of moving and fixed nodes, where no
+    graph reaches, and have no cells among themselves. Near moving and fixed nodes they follow
+    exactly.
     """
     coarse = method.coarse if isinstance(method, SurfaceReconstruction) else method
     if coarse.needs_cells or isinstance(coarse, DelaunayGraph | NearWall):

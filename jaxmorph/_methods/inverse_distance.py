@@ -14,8 +14,7 @@ from .base import AbstractField, AbstractMethod, number
 from .rbf.system import block_size, squared_distances
 from .surface import Surface
 
-SMALLEST = 1e-12
-"""Distance, relative to the surface's extent, below which a point is at a node."""
+SMALLEST = 1e-12  # distance, relative to the surface's extent, below which a point is at a node
 
 Faces = Mapping[str, Int[Array, "k c"]]
 
@@ -26,8 +25,6 @@ class InverseDistanceIds(eqx.Module):
 
 
 class InverseDistanceFactors(eqx.Module):
-    """Each node's share of the boundary faces, and the length L."""
-
     area: Float[Array, " b"]
     extent: Float[Array, ""]
 
@@ -35,17 +32,14 @@ class InverseDistanceFactors(eqx.Module):
 class InverseDistance(AbstractMethod):
     """Moves each point by a mean of the surface's displacements, weighted by distance.
 
-    The method is that of Luke, Collins and Blades (Journal of Computational Physics 231, 2012).
-
-    The weight of node i is A_i ((L / r)^far + (alpha L / r)^near). A_i is its share of the boundary
+    The method is that of Luke, Collins and Blades (Journal of Computational Physics 231, 2012). The
+    weight of node i is A_i ((L / r)^far + (alpha L / r)^near). A_i is its share of the boundary
     faces; without cells it is 1. L is the largest distance of a surface node from the middle of the
     moving nodes. There is no system to solve. IDWarp has the defaults of the weights, and
-    `rotations=True`.
-
-    With `rotations` each node also turns its surroundings, as its normal turns: a body that pitches
-    keeps the cells around it. The normals come from the boundary faces, so `prepare` needs the
-    mesh. The displacement is then not linear in `u` (`method.linear` says so). Derivatives are
-    complete, at u = 0 too. A node's rotation about its own normal is not seen.
+    `rotations=True`. With `rotations` each node also turns its surroundings, as its normal turns: a
+    body that pitches keeps the cells around it. The normals come from the boundary faces, so
+    `prepare` needs the mesh. The displacement is then not linear in `u` (`method.linear` says so).
+    Derivatives are complete, at u = 0 too. A node's rotation about its own normal is not seen.
 
     **Arguments:**
 
@@ -53,7 +47,7 @@ class InverseDistance(AbstractMethod):
     - `alpha`: share of L within which the nearest nodes prevail. Default 0.25.
     - `rotations`: whether nodes turn. Default False.
 
-    **Raises:** `ValueError` for a number that is not positive. `prepare` raises it for rotations
+    **Raises:** `ValueError` for a number that is not positive, and in `prepare` for rotations
     without boundary faces.
     """
 
@@ -93,8 +87,6 @@ class InverseDistance(AbstractMethod):
 
 
 class InverseDistanceField(AbstractField):
-    """Evaluates the weighted mean; `turns` are the nodes' rotations less the identity."""
-
     method: InverseDistance
     factors: InverseDistanceFactors
     surface: Float[Array, "b d"]
@@ -131,7 +123,7 @@ class InverseDistanceField(AbstractField):
 
 
 def _power(squared: Float[Array, "..."], exponent: float) -> Float[Array, "..."]:
-    """Computes a power of a root; a whole power by products, many times faster."""
+    """Powers of a root; a whole power by products, many times faster."""
     if exponent != int(exponent):
         return squared ** (exponent / 2)
     whole = jax.lax.integer_pow(squared, int(exponent) // 2)
@@ -154,7 +146,7 @@ def _normals(faces: Faces, surface: Float[Array, "b d"]) -> Float[Array, "b d"]:
 
 
 def _areas(faces: Faces, surface: Float[Array, "b d"]) -> Float[Array, " b"]:
-    """Computes each node's share of its faces; a node without any has the mean share."""
+    """Each node's share of its faces; a node without any has the mean share."""
     total = jnp.zeros(len(surface), surface.dtype)
     for ids in faces.values():
         total = total.at[ids].add(norm(_vectors(surface[ids]))[:, None] / ids.shape[1])
@@ -162,7 +154,6 @@ def _areas(faces: Faces, surface: Float[Array, "b d"]) -> Float[Array, " b"]:
 
 
 def _turns(faces: Faces, surface: Float[Array, "b d"], u: Float[Array, "b d"]) -> Float[Array, "b d d"]:
-    """Computes the least rotations from normals to changed normals, less the identity."""
     # Normals are linear in 2-D, and quadratic in 3-D: N(x + u) = N(x) + N'(x) u + N(u). So their
     # change is zero, bit for bit, where u is.
     before, change = jax.jvp(lambda places: _normals(faces, places), (surface,), (u,))

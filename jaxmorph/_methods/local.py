@@ -14,14 +14,8 @@ from .rbf.basis import WendlandC2
 from .sparse import InterpolatedField, Reach, Searched, squared_distance
 from .surface import Surface
 
-REACH = 1.25
-"""Distance in radii within which nodes are searched for.
-
-By the part beyond 1 another node may come nearer than the nearest node.
-"""
-
-SPACING = 2.0
-"""The automatic radius, relative to the width of the layer of `NearWall`."""
+REACH = 1.25  # search distance in radii: beyond 1 another node may come nearer than the nearest node
+SPACING = 2.0  # the automatic radius, relative to the width of the layer of `NearWall`
 
 
 class LocalIds(eqx.Module):
@@ -30,8 +24,6 @@ class LocalIds(eqx.Module):
 
 
 class LocalFactors(eqx.Module):
-    """The radius over each node, and whether the nearest nodes were surely found."""
-
     radius: Float[Array, " b"]
     is_certain: Bool[Array, ""]
 
@@ -39,21 +31,17 @@ class LocalFactors(eqx.Module):
 class LocalCorrection(AbstractPlacing):
     """Moves a point with the nearest surface node, by a share that fades with distance.
 
-    u(x) = psi(|x - x_k| / R) u_k, with the nearest node k and Wendland's C2 function psi. In this
-    way Rendall and Allen correct what a reduced set of sources misses on the surface (Journal of
+    u(x) = psi(|x - x_k| / R) u_k, with the nearest node k and Wendland's C2 function psi. So
+    Rendall and Allen correct what a reduced set of sources misses on the surface (Journal of
     Computational Physics 228 and 229, 2009 and 2010). The field is exact at the surface's nodes. It
-    needs no system and no graph, so the mesh may reach beyond the hull of its boundary.
-
-    The field jumps where the nearest node changes, by as much as the offsets of two neighbours
-    differ. Of nodes that are equally near the first counts. Between two walls closer than twice the
-    radius it may tear cells; `NearWall` does not. Alone it reproduces no polynomial, and cells fold
-    where the offset is a good part of the radius.
-
-    **Arguments:**
-
-    - `radius`: R, in the mesh's units. Default None: for each wall the largest distance from one of
-      its nodes to the nearest source, or half of the mean chord of a wall without sources. Rendall
-      and Allen take a multiple of the largest offset, which would not be linear in `u`.
+    needs no system and no graph, so the mesh may reach beyond the hull of its boundary. The field
+    jumps where the nearest node changes, by as much as the offsets of two neighbours differ. Of
+    nodes that are equally near the first counts. Between two walls closer than twice the radius it
+    may tear cells; `NearWall` does not. Alone it reproduces no polynomial, and cells fold where the
+    offset is a good part of the radius. The `radius` R is in the mesh's units. By default it is for
+    each wall the largest distance from one of its nodes to the nearest source, or half of the mean
+    chord of a wall without sources. Rendall and Allen take a multiple of the largest offset, which
+    would not be linear in `u`.
 
     **Raises:** `ValueError` for a radius that is not positive and finite. `refit` raises it where
     another node has come within the radius of a point, and is nearer than the point's own node by a

@@ -20,19 +20,16 @@ from .surface import Surface
 class Multiscale(AbstractPlacing):
     """Interpolates with a Wendland C2 function of its own radius at each surface node.
 
-    The nodes are put in an order: the next node is the farthest from all nodes before it. Its
-    distance to the nearest node before it is the radius of its function. So a function vanishes at
-    every node before its own. The system is triangular and sparse, and its solution a forward
-    substitution (Kedward, Allen and Rendall, J. Comput. Phys. 345, 2017, the second stage). The
-    field is exact at the surface's nodes, has continuous derivatives, and is zero beyond the radii.
-    Points may lie anywhere: there is no graph, and no hull.
-
-    The order of the nodes is discontinuous in their coordinates. Distances within a relative 1e-9
-    are equal, and the first node in the order of coordinates counts, so round-off decides nothing.
-
-    As a correction, the sources of the coarse field come before all other nodes. Alone, the first
-    function reaches across the whole surface, and not even a translation is reproduced.
-    `Multiscale.whole` makes the method with its first stage.
+    The nodes are put in an order: the next node is the farthest from all nodes before it, and its
+    distance from these is the radius of its function. So a function vanishes at every node before
+    its own. The system is triangular and sparse, and its solution a forward substitution (Kedward,
+    Allen and Rendall, J. Comput. Phys. 345, 2017, the second stage). The field is exact at the
+    surface's nodes, has continuous derivatives, and is zero beyond the radii. Points may lie
+    anywhere: there is no graph, and no hull. The order of the nodes is discontinuous in their
+    coordinates. Distances within a relative 1e-9 are equal, and the first node in the order of
+    coordinates counts, so round-off decides nothing. As a correction, the sources of the coarse
+    field come before all other nodes. Alone, the first function reaches across the whole surface,
+    and not even a translation is reproduced: `Multiscale.whole` adds the first stage.
     """
 
     @staticmethod
@@ -40,17 +37,11 @@ class Multiscale(AbstractPlacing):
     def whole(radius, fraction: float = 0.05) -> SurfaceReconstruction:
         """Returns the method with both stages: a dense system for some nodes, this for the rest.
 
-        **Arguments:**
+        `radius` is that of the first stage's Wendland C2 functions, in the mesh's units: the size
+        of the body or larger. `fraction`, from 0 to 1, is the share of the nodes in the first
+        stage, spread evenly over the surface.
 
-        - `radius`: radius of the first stage's Wendland C2 functions, in the mesh's units. It is as
-          large as the body or larger.
-        - `fraction`: share of the nodes in the first stage, spread evenly over the surface, from 0
-          to 1. Default 0.05.
-
-        **Returns:** a `SurfaceReconstruction`.
-
-        **Raises:** `ValueError` for a radius that is not positive, and a fraction that is not
-        between 0 and 1.
+        **Raises:** `ValueError` for numbers outside of these ranges.
         """
         base = RBF(WendlandC2(radius), reduction=Share(fraction), fixed_reduction=Share(fraction), degree=None)
         return SurfaceReconstruction(base, Multiscale())
@@ -85,8 +76,6 @@ class Multiscale(AbstractPlacing):
 
 
 class Sweep(eqx.Module):
-    """Order in which the equations are solved; see `jaxmorph._host.sources.hierarchy.sweeps`."""
-
     entries: Int[Array, "s r w"]
     owner: Int[Array, "s r"]
 
@@ -106,10 +95,7 @@ class Sweep(eqx.Module):
 
 
 class Hierarchy(eqx.Module):
-    """The nearest node before each node, and the entries (row, column) of the system.
-
-    A node without a function is its own nearest node.
-    """
+    """The nearest node before each node, itself without a function; and entries (row, column)."""
 
     nearest: Int[Array, " b"]
     row: Int[Array, " e"]
@@ -131,8 +117,6 @@ class Hierarchy(eqx.Module):
 
 
 class MultiscaleFactors(eqx.Module):
-    """Squared radii of the functions, and entries of the matrix below its diagonal of ones."""
-
     squared: Float[Array, " b"]
     entries: Float[Array, " e"]
 

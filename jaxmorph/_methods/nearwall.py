@@ -16,20 +16,10 @@ from .rbf.basis import WendlandC2
 from .sparse import InterpolatedField, Interpolation
 from .surface import Surface
 
-NEIGHBOURS = 6
-"""Wall nodes whose displacements a point near the wall averages.
-
-One more node sets the distance at which weights vanish.
-"""
-
-REACH = 0.5
-"""Width of the layer, relative to the largest distance from a wall's node to its nearest source."""
-
-CHORD = 0.25
-"""Width of the layer of a wall without sources that are matched, relative to its mean chord."""
-
-SLIGHTLY = 1e-6
-"""Relative difference that keeps the maximum of equal lengths from having a kink."""
+NEIGHBOURS = 6  # wall nodes that a point averages; one more node sets the distance at which weights vanish
+REACH = 0.5  # width of the layer, relative to the largest distance from a wall's node to its nearest source
+CHORD = 0.25  # width of the layer of a wall without matched sources, relative to its mean chord
+SLIGHTLY = 1e-6  # relative difference that keeps the maximum of equal lengths from having a kink
 
 
 class NearWall(AbstractPlacing):
@@ -37,23 +27,19 @@ class NearWall(AbstractPlacing):
 
     u = chi u_wall + (1 - chi) u_correction. Here chi is Wendland's C2 function of the distance to
     the wall over `width`. The displacement u_wall is a mean over the nearest wall nodes, weighted
-    by inverse distance (Franke and Little's weights, which end continuously).
-
-    A Delaunay graph lays chords over a concave or flat wall. Points above a chord then move
-    differently from wall nodes under it, by more than the thickness of a boundary layer's first
-    cell. Points that follow the nearest wall keep their place in the layer. The map is one fixed
-    sparse operator, exact at the surface's nodes.
-
-    By default the width is half of the largest distance from a wall's node to the nearest matched
-    node of its wall. Matched nodes are sources at which the coarse field takes the displacement.
-    For a wall without matched nodes, the width is a quarter of the mean chord: of half of the
-    wall's length, in 3-D half of its area over its span.
+    by inverse distance (Franke and Little's weights, which end continuously). A Delaunay graph lays
+    chords over a concave or flat wall. Points above a chord then move differently from wall nodes
+    under it, by more than the thickness of a boundary layer's first cell. Points that follow the
+    nearest wall keep their place in the layer. The map is one fixed sparse operator, exact at the
+    surface's nodes.
 
     **Arguments:**
 
     - `correction`: any method. Default `DelaunayGraph()`.
     - `width`: width of the layer in the mesh's units. It ends before half of the gap to another
-      wall. Default None: it is chosen for each wall.
+      wall. Default None: for each wall half of the largest distance from one of its nodes to the
+      nearest matched node, a source that the coarse field reproduces. A wall without matched nodes
+      has a quarter of its mean chord: of half of its length, in 3-D half of its area over its span.
     """
 
     correction: AbstractMethod = eqx.field(default_factory=DelaunayGraph)
@@ -128,25 +114,16 @@ class WallPlace(eqx.Module):
 
 
 class Extent(eqx.Module):
-    """Walls, as rows of the surface.
+    """Walls, as rows of the surface."""
 
-    - `wall`: each row's wall.
-    - `matched`: each row's nearest matched row of its wall, or itself.
-    - `ends`: two ends of each wall.
-    - `widest`: each wall's row that is farthest from its matched row.
-    - `share`: each wall's mean chord, relative to the distance of its ends; zero where it has
-      matched rows.
-    """
-
-    wall: Int[Array, " b"]
-    matched: Int[Array, " b"]
-    ends: Int[Array, "w 2"]
-    widest: Int[Array, " w"]
-    share: Float[Array, " w"]
+    wall: Int[Array, " b"]  # each row's wall
+    matched: Int[Array, " b"]  # each row's nearest matched row of its wall, or itself
+    ends: Int[Array, "w 2"]  # two ends of each wall
+    widest: Int[Array, " w"]  # each wall's row that is farthest from its matched row
+    share: Float[Array, " w"]  # each wall's mean chord, relative to the distance of its ends; zero with matched rows
 
     @classmethod
     def seen(cls, surface: Surface) -> "Extent":
-        """Finds the walls on the host, once for a surface and its matched rows."""
         return surface.once(("extent", digest(surface.matched)), lambda: cls._searched(surface))
 
     @classmethod
@@ -164,7 +141,6 @@ class Extent(eqx.Module):
 
 
 def layer_width(width: Float[Either, ""] | None, extent: Extent, surface: Float[Either, "b d"]) -> Float[Either, " b"]:
-    """Computes the layer's width over each surface node: of its wall, unless `width` is set."""
     xp = namespace(surface)
     if width is not None:
         return xp.full(len(surface), xp.asarray(width, surface.dtype))
@@ -205,7 +181,7 @@ class NearWallField(AbstractField):
 def _blend(
     x: Float[Array, " d"], row: WallRow, width: Float[Array, " b"], surface: Float[Array, "b d"]
 ) -> tuple[Interpolation, Float[Array, ""]]:
-    """Computes the wall's part at x, chi u_wall, and 1 - chi."""
+    """Returns the wall's part at x, chi u_wall, and 1 - chi."""
     nearest, other = row.nodes[:-1], row.nodes[-1]
     distance = norm(surface[nearest] - x[None])
     # the last node was the farthest when it was found: of nodes as far as it is, it alone decides,

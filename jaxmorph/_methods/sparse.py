@@ -1,8 +1,4 @@
-"""A sparse operator from surface nodes to points, with its transpose as fast as itself.
-
-XLA transposes a gather into a scatter, which is many times slower on a CPU. A linear primitive in
-two forms, each the transpose of the other, avoids that.
-"""
+"""A sparse operator from surface nodes to points; XLA would transpose it to a slow scatter."""
 
 import dataclasses
 import weakref
@@ -18,15 +14,12 @@ from .._kernels.linear import linear_primitive
 from .._kernels.values import as_jax
 from .base import AbstractField
 
-WIDTH = 16
-"""Entries in a row of the table."""
+WIDTH = 16  # entries in a row of the table
 
 
 class Table(eqx.Module):
     """The entries of each column in the flattened weights (n, k), in the order of `tabulate`.
-
-    `weights` are the entries themselves, gathered once per base mesh: the gather costs more than
-    all else in a transpose.
+    `weights` are gathered once per base mesh: the gather costs more than all else in a transpose.
     """
 
     entries: Int[Array, "r width"]
@@ -51,9 +44,9 @@ class Interpolation(eqx.Module):
         """Adds a table for `count` surface nodes; the rows lie in `parts` equal shares. Host."""
         if self.table is not None:
             return self
-        # An interpolation is remade by each `jit` boundary, its array of weights is not. So the
-        # array is the key. Its `id` may serve another array later: the weak reference drops the
-        # entry first.
+        # An interpolation is remade by each `jit` boundary, its array of weights is not: the array
+        # is the key. Its `id` may serve another array later: the weak reference drops the entry
+        # first.
         key = id(self.weights), count, parts
         if key not in _made:
             _made[key] = self._tabled(count, parts), weakref.ref(self.weights, lambda _: _made.pop(key, None))
@@ -61,8 +54,7 @@ class Interpolation(eqx.Module):
 
     def _tabled(self, count: int, parts: int) -> Table:
         # A share's table has positions within the share. The last share overlaps the one before it.
-        # All tables get one length: rows that are added hold no entry, and belong to the last
-        # column.
+        # All tables get one length: added rows hold no entry, and belong to the last column.
         nodes, weights = np.asarray(self.nodes), np.asarray(self.weights)
         reached = np.ones(len(nodes), dtype=bool) if self.reached is None else np.asarray(self.reached)
         size = -(-len(nodes) // parts)
@@ -80,7 +72,6 @@ class Interpolation(eqx.Module):
         return dataclasses.replace(self, table=None)
 
     def with_table_of(self, old: "Interpolation") -> "Interpolation":
-        """Takes over the table of rows with equal ids, with the weights of these rows. Traced."""
         table = old.table
         if table is None:
             return self.without_table()
@@ -88,8 +79,7 @@ class Interpolation(eqx.Module):
         return dataclasses.replace(self, table=dataclasses.replace(table, weights=gathered))
 
 
-_made: dict[tuple[int, int, int], tuple[Table, weakref.ref]] = {}
-"""Tables by the weights that they are of, each as long as these exist."""
+_made: dict[tuple[int, int, int], tuple[Table, weakref.ref]] = {}  # cache of the tables of arrays of weights
 
 
 def _rounded(rows: int) -> int:
@@ -99,8 +89,6 @@ def _rounded(rows: int) -> int:
 
 
 class Reach(eqx.Module):
-    """The nodes whose functions reach a point; an entry that is not `reached` is empty."""
-
     nodes: Int[Array, "*n k"]
     reached: Bool[Array, "*n k"]
 
@@ -111,8 +99,6 @@ class Reach(eqx.Module):
 
 
 class InterpolatedField(AbstractField):
-    """Interpolates displacements between surface nodes (eq. 8)."""
-
     u: Float[Array, "b d"]
 
     @property
@@ -155,7 +141,6 @@ def _sum(values, weights, *table, turned: bool, count: int):
 
 
 def _rows(values: Float[Array, "b c"], ids: Int[Array, " n"]) -> Float[Array, "n c"]:
-    """Gathers `values[ids]` for ids that are known to be rows."""
     return values.at[ids].get(mode="promise_in_bounds", wrap_negative_indices=False)
 
 
@@ -170,16 +155,9 @@ _sum_p = linear_primitive(
 def tabulate(nodes: np.ndarray, used: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Sorts the entries of a sparse operator by column, into rows of `WIDTH` entries.
 
-    **Arguments:**
-
-    - `nodes`: columns (n, k) of the entries.
-    - `used`: a mask of rows (n,), or of entries (n, k), that count.
-    - `count`: number of columns.
-
-    **Returns:** `entries` (r, WIDTH), positions in the flattened (n, k), -1 for padding; and
-    `owner` (r,), the column of a row of the table, ascending.
-
-    **Raises:** `ValueError` for more entries than 32 bits count.
+    `nodes` are the columns of the entries, `used` a mask of rows (n,) or entries (n, k). Returns
+    positions of `entries` (r, WIDTH) in the flattened (n, k), -1 for padding, and the `owner` (r,),
+    the column of each row, ascending. Raises `ValueError` for more entries than 32 bits count.
     """
     # SciPy's counting sort orders the entries by column, faster than `numpy.argsort`. A column of s
     # entries fills ceil(s / WIDTH) rows of the table; its last row is padded. The shift of an entry
@@ -197,15 +175,10 @@ def tabulate(nodes: np.ndarray, used: np.ndarray, count: int) -> tuple[np.ndarra
 
 
 SLACK = 0.05
-"""Share of a radius by which a search goes beyond it.
-
-Where a new base differs by less than half of it, no other pairs are looked at.
-"""
+"""Search slack, relative to the radius: it serves bases that differ by less than half of it."""
 
 
 class Searched(eqx.Module):
-    """Base coordinates in which nodes within a `distance` were searched for."""
-
     points: Float[Array, "n d"]
     surface: Float[Array, "b d"]
     distance: Float[Array, ""]
@@ -213,10 +186,7 @@ class Searched(eqx.Module):
     def certain(
         self, radius: Float[Array, ""], surface: Float[Array, "b d"], points: Float[Array, "n d"]
     ) -> Bool[Array, ""]:
-        """Checks whether the search surely found all nodes within a radius.
-
-        The search reached `distance` on the old base, and nodes may have come nearer since.
-        """
+        """True if all nodes within a radius were surely found: nodes may have come nearer since."""
         shifts = surface - self.surface, points - self.points[: len(points)]  # images, which follow, are of the surface
         mean = shifts[0].mean(axis=0)
         shifts = [jnp.sqrt(jnp.sum((shift - mean[None]) ** 2, axis=1).max(initial=0)) for shift in shifts]
@@ -225,5 +195,5 @@ class Searched(eqx.Module):
 
 
 def squared_distance(a: Float[Array, "*k d"], b: Float[Array, "*m d"]) -> Float[Array, "*n"]:
-    """Computes squared distances without a derivative."""
+    """Squared distances without a derivative."""
     return jnp.sum(jax.lax.stop_gradient(a - b) ** 2, axis=-1)

@@ -16,30 +16,20 @@ T = TypeVar("T")
 
 @dataclasses.dataclass(frozen=True)
 class Cells:
-    """The cells of a mesh of n points, and the planes in which nodes slide.
+    """The cells of a mesh of n points, and the planes in which nodes slide."""
 
-    - `corners`: node ids (k, corners) by type, the cells of highest dimension alone.
-    - `normals` (p, d): unit normals of the symmetry planes, parallel or at right angles to each
-      other.
-    - `on_plane` (n, p): whether a node lies on a plane.
-    """
-
-    corners: Mapping[str, np.ndarray]
-    normals: np.ndarray
-    on_plane: np.ndarray
+    corners: Mapping[str, np.ndarray]  # node ids (k, corners) by type, of the cells of highest dimension
+    normals: np.ndarray  # (p, d) unit normals of the symmetry planes, parallel or at right angles
+    on_plane: np.ndarray  # (n, p) whether a node lies on a plane
 
 
 @dataclasses.dataclass(frozen=True)
 class Surface:
-    """The moving and fixed nodes as `AbstractMethod.connect` sees them, on the host.
-
-    A row of the surface is one of its b nodes.
+    """The moving and fixed nodes as `AbstractMethod.connect` sees them, on the host: b rows.
 
     - `points` (b, d): coordinates. The first `moving` rows move, all further rows are fixed.
-    - `nodes` (b,): for each row its id among the points of `connect`, -1 for a row that is not
-      among them.
-    - `moving`: the number of moving rows.
-    - `images` (b,): for each row the row of which it is the mirror image, or itself.
+    - `nodes` (b,): each row's id among the points of `connect`, or -1.
+    - `images` (b,): the row of which each row is the mirror image, or itself.
     - `matched`: rows whose displacement vanishes: a coarse field's sources, as its correction sees
       them.
     - `faces`: the boundary faces between rows, (k, corners) by type (`line` in 2-D), or None
@@ -67,7 +57,6 @@ class Surface:
 
     @property
     def walls(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Finds each row's wall (b,), two ends of each wall (w, 2), and its mean chord (w,)."""
         return self.once("walls", self._walls)
 
     def _walls(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -75,16 +64,15 @@ class Surface:
         return wall, *chords(self.points, wall, self.faces)
 
     def once(self, key: Any, make: Callable[[], T]) -> T:
-        """Makes a value once for all surfaces that are `altered` from this one.
-
-        `key` names the value, with all that it depends on beside the surface.
+        """Caches a value for all surfaces that are `altered` from this one. `key` names it, with
+        all that it depends on beside the surface.
         """
         if key not in self.values:
             self.values[key] = make()
         return self.values[key]
 
     def altered(self, **fields: Any) -> "Surface":
-        """Returns the surface with other `nodes` or `matched` rows; it shares all made `once`."""
+        """Returns the surface with other `nodes` or `matched` rows, and the same cache."""
         return dataclasses.replace(self, **fields)
 
     def reduced(self, moving: AbstractReduction, fixed: AbstractReduction) -> np.ndarray:
@@ -95,7 +83,7 @@ class Surface:
         return np.concatenate([first, drop_near(self.points, second, first, min(closest, closest_fixed))])
 
     def _chosen(self, reduction: AbstractReduction, rows: np.ndarray, others: np.ndarray) -> tuple[np.ndarray, float]:
-        """Chooses rows by a reduction, with images; returns also how close two of them may come."""
+        """Chooses rows by a reduction, with images; also returns the least distance of two."""
         # A source too close to its own image gives way to the nearest node that is not too close,
         # one on the plane if there is any. Two sources that are not too close are farther from each
         # other's images: all nodes lie on one side of a plane.
@@ -117,10 +105,7 @@ class Surface:
         return rows[np.isin(self.images[rows], chosen)], closest
 
     def _on_far_walls(self, reduction: AbstractReduction, rows: np.ndarray, others: np.ndarray) -> np.ndarray:
-        """Chooses rows of walls that are farther from the `others` (s, d) than they are long.
-
-        A wall's rows are chosen as if it were alone. There are none where they would be too many.
-        """
+        """Chooses rows of walls farther from the `others` (s, d) than they are long."""
         chosen = [rows[:0]]
         if not reduction.most_on_far_walls or self.faces is None or not len(rows):
             return chosen[0]
@@ -139,7 +124,6 @@ class Surface:
         return self.altered(nodes=nodes), np.concatenate([points, self.points[absent]])
 
     def rows(self, n: int) -> np.ndarray:
-        """Finds the surface's row of each of n points; b for a point off the surface."""
         rows = np.full(n, len(self.points), dtype=np.int32)
         present = np.flatnonzero(self.nodes >= 0)
         rows[self.nodes[present]] = present

@@ -28,17 +28,11 @@ def deform(plan: Plan, u: Real[ArrayLike, "m d"] | Sequence[Any]) -> Float[Array
     """Moves the mesh: node `plan.moving[i]` by `u[i]`; fixed nodes stay, all other nodes follow.
 
     A method that is `exact` moves and fixes these nodes exactly; a reduced `RBF` alone does so
-    approximately. The motion is one step, and linear in `u` where `plan.is_linear`. Traced. Judge
-    the result with `quality`: `deform` knows nothing of cells.
+    approximately. The motion is one step, and linear in `u` (m, d), in the mesh's unit, where
+    `plan.is_linear`. Traced. Judge the result with `quality`: `deform` knows nothing of cells.
 
-    **Arguments:**
-
-    - `plan`: what `prepare` returned.
-    - `u`: displacements (m, d) of the moving nodes, in the mesh's unit.
-
-    **Returns:** all points (n, d), in the mesh's own node order and unit.
-
-    **Raises:** `ValueError` when the shape of `u` is not (m, d).
+    **Returns:** all points (n, d), in the mesh's own node order and unit. **Raises:** `ValueError`
+    for another shape of `u`.
     """
     parts = slabs(len(plan.volume.points), plan, u) if isinstance(plan, Plan) and plan.layout is None else ()
     if not parts:
@@ -78,14 +72,11 @@ def pullback(
 
     **Arguments:**
 
-    - `plan`: what `prepare` returned.
+    - `plan`: from `prepare`.
     - `u`: displacements (m, d) of the moving nodes. Where `plan.is_linear`, only the shape matters.
     - `cotangent`: dJ/d(points) at all points (n, d), in the mesh's own node order.
 
-    **Returns:** dJ/du (m, d).
-
-    **Raises:** `ValueError` when the shape of `u` is not (m, d), or the shape of `cotangent` not
-    (n, d).
+    **Returns:** dJ/du (m, d). **Raises:** `ValueError` for another shape of `u` or `cotangent`.
     """
     number = shares(plan, u, cotangent) if isinstance(plan, Plan) and plan.layout is None else 1
     if number == 1:
@@ -113,20 +104,13 @@ def _of_points(plan: Plan, cotangent: Any) -> Float[Array, "n d"]:
 
 @checked
 def velocity(plan: Plan, u: Float[ArrayLike, "m d"], u_dot: Float[ArrayLike, "m d"]) -> Float[Array, "n d"]:
-    """Computes the velocity of every node from the velocity of the moving nodes.
+    """Computes the velocity of every node from the velocities `u_dot` of the moving nodes.
 
-    The volume of a cell changes at the rate of the velocity's flux through the faces of the cell,
-    to round-off: the geometric conservation law.
+    Both `u`, the displacements at this time, and `u_dot` are (m, d). The volume of a cell changes
+    at the rate of the velocity's flux through its faces, to round-off: the geometric conservation
+    law.
 
-    **Arguments:**
-
-    - `plan`: what `prepare` returned.
-    - `u`: displacements (m, d) at this time.
-    - `u_dot`: velocities (m, d) of the moving nodes.
-
-    **Returns:** velocities (n, d), zero at fixed nodes.
-
-    **Raises:** `ValueError` when the shape of `u` or `u_dot` is not (m, d).
+    **Returns:** velocities (n, d), zero at fixed nodes. **Raises:** `ValueError` for other shapes.
     """
     u, u_dot = jnp.asarray(u, plan.points.dtype), jnp.asarray(u_dot, plan.points.dtype)
     if u.shape != u_dot.shape:
@@ -135,10 +119,9 @@ def velocity(plan: Plan, u: Float[ArrayLike, "m d"], u_dot: Float[ArrayLike, "m 
 
 
 def with_transposes(plan: Any, parts: int = 1) -> Any:
-    """Adds the tables, for so many shares of points, to a plan of known arrays, and to its guide.
-
-    They are made once for a plan. A plan that is traced, or laid over devices, stays as it is: its
-    transpose scatters, or has tables.
+    """Adds the tables, for so many shares of points, to a plan of known arrays, and to its guide,
+    once. A plan that is traced, or laid over devices, stays as it is: its transpose scatters, or
+    has tables.
     """
     if not isinstance(plan, Plan) or plan.layout is not None or not is_readable(plan):
         return plan
@@ -164,26 +147,20 @@ def transposable(plan: Any, *arguments: Any) -> Any:
 # XLA splits the loop over a program's blocks among threads operation by operation, and they wait
 # for each other at each. Programs of one slab of points each have nothing to wait for. XLA runs the
 # programs that one thread begins one after the other, so a thread for each core begins them.
-LEAST = 2**16
-"""Points of a slab below which a program of its own costs more than it gains."""
-
-MOST = 64
-"""Slabs of all points, and shares of a sum: more cores than these would not make a call faster."""
-
-STEP = 1536
-"""Slabs begin at multiples of this, as blocks do: a block's size changes its last bits."""
+LEAST = 2**16  # points of a slab below which a program of its own costs more than it gains
+MOST = 64  # slabs of all points, and shares of a sum: more cores than these would not make a call faster
+STEP = 1536  # slabs begin at multiples of this, as blocks do: a block's size changes its last bits
 
 
 def slabs(count: int, *arguments: Any) -> list[tuple[np.ndarray, int]]:
-    """Divides points into slabs: first rows and counts; none for traced calls or few points.
-
-    All have one size, and so one program; some overlap. The number of cores does not change them:
+    """Divides points into slabs: first rows and counts; none for traced calls or few points. All
+    have one size, and so one program; some overlap. They do not depend on the number of cores:
     results have equal bits.
     """
     if count < 2 * LEAST or not is_direct(arguments):
         return []
     # Every slab ends with the points that are left over when all are divided into steps, as the
-    # last slab has to. The rows that a slab shares with the next slab are cut off.
+    # last slab has to. Rows shared with the next slab are cut off.
     rest, number = count % STEP, min(MOST, count // LEAST // 2 * 2)
     stride = -(-(count - rest) // (number * STEP)) * STEP
     size = stride + rest
@@ -192,7 +169,6 @@ def slabs(count: int, *arguments: Any) -> list[tuple[np.ndarray, int]]:
 
 @compiled
 def joined(parts: tuple[Float[Array, "s d"], ...], count: int) -> Float[Array, "n d"]:
-    """Joins the results of slabs of `count` points."""
     *others, last = parts
     stride, before = len(last) - count % STEP, count - len(last)
     return jnp.concatenate([*(part[: min(stride, before - k * stride)] for k, part in enumerate(others)), last])
@@ -245,7 +221,9 @@ def _varying(shared: Shared, mask: tuple[bool, ...]) -> list[Array]:
 
 @compiled
 def _share(shared: Shared, volume: VolumePart, cotangent: Array, k: Any, constant: Constant) -> list[Array]:
-    """Pulls the cotangents of one share of the points back to what varies of what they share."""
+    """Pulls the cotangents of one share of the points back to the varying part of the common
+    data.
+    """
     mask, number = constant.value
     count, size = len(cotangent), -(-len(cotangent) // number)
     start = jnp.minimum(k * size, count - size)  # the last share overlaps the one before it

@@ -35,7 +35,6 @@ class Layout:
         return Layout(Mesh(np.array(devices), (AXIS,)), count)
 
     def placed(self, tree: PyTree, *axes: str) -> PyTree:
-        """Puts a tree on the devices: whole on each, or divided along `AXIS`."""
         sharding = NamedSharding(self.mesh, PartitionSpec(*axes))
         return jax.tree.map(lambda leaf: jax.device_put(np.asarray(leaf), sharding), tree)
 

@@ -38,7 +38,6 @@ class BoundaryQuality:
         return dataclasses.replace(self, nodes=nodes, ended=ids[self.ended])
 
     def __str__(self) -> str:
-        """Formats the distances that the plan has, in one line."""
         words = {
             "off_plane": "nodes of symmetry planes at most {:.2g} off",
             "off_surface": "sliding nodes at most {:.2g} off their surface",
@@ -53,17 +52,11 @@ class BoundaryQuality:
 def boundary_quality(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> BoundaryQuality:
     """Measures, on the host, how well moved points keep planes, sliding surfaces and pairs.
 
-    The points may come from `deform`, the last step of a `march`, `improve`, or another tool.
+    The points (n, d) come from `deform`, the last step of a `march` (with its first plan),
+    `improve`, or another tool.
 
-    **Arguments:**
-
-    - `plan`: what `prepare` returned, or the first plan of a `march`.
-    - `points`: moved points (n, d), in the unit of the plan.
-
-    **Returns:** a `BoundaryQuality`; `str` of it is a line.
-
-    **Raises:** `ValueError` when the shape of `points` differs from the plan's, and for a plan of a
-    piece that lacks nodes of the surface: judge `half.plan`.
+    **Raises:** `ValueError` for another shape of `points`, and for a plan of a piece that lacks
+    nodes of the surface: judge `half.plan`.
     """
     plan.check_surface("boundary_quality")
     points = finite_array("points", points, tuple(plan.points.shape))
@@ -91,10 +84,7 @@ def deviations(plan: Plan, points: np.ndarray) -> Iterator[tuple[str, np.ndarray
 
 
 def ended(plan: Plan, places: Float[np.ndarray, "o d"]) -> Int[np.ndarray, " k"]:
-    """Lists the sliding rows that `places` has at or beyond an end of their surface.
-
-    Rows that were at an end in the base mesh, and rows between two walls, do not count.
-    """
+    """Sliding rows newly at or beyond an end of their only wall."""
     guide = plan.surface.guide
     base, rows = np.asarray(plan.surface_points), [np.zeros(0, dtype=int)]
     for track in () if guide is None else guide.tracks:
@@ -105,7 +95,6 @@ def ended(plan: Plan, places: Float[np.ndarray, "o d"]) -> Int[np.ndarray, " k"]
 
 
 def ends(nodes: np.ndarray, points: np.ndarray) -> str:
-    """Reports nodes at the end of their surface in two sentences; empty without nodes."""
     if not len(nodes):
         return ""
     return (

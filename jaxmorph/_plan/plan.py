@@ -1,4 +1,4 @@
-"""The plan: what is known of a mesh before it moves, and how its fields move it, traced."""
+"""The plan: everything about a mesh before it moves, and its motion by fields, traced."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -24,10 +24,9 @@ from .devices import Layout, over_points, rows_here
 
 
 class SurfacePart(eqx.Module):
-    """The surface and the solve, which every device holds whole.
-
-    The o own rows are the moving, fixed and guided nodes. The b rows are own rows and their images.
-    In a plan of a piece, `nodes` has numbers from n on for nodes that the piece lacks.
+    """The surface and the solve, which every device holds whole. The o own rows are the moving,
+    fixed and guided nodes. The b rows are own rows and their images. In a plan of a piece, `nodes`
+    has numbers from n on for nodes that the piece lacks.
     """
 
     points: Float[Array, "b d"]
@@ -46,17 +45,12 @@ class Guide(Module):
     It needs sources, images and factors, anew in every step of a march. So it is a plan too, of the
     outer plan's surface, without a guide. Its result is put back on walls, and made equal in
     periodic pairs. The outer plan takes it as data.
-
-    - `plan`: moves the surface's own rows, which are its points.
-    - `pairings`: pairs of own rows.
-    - `tracks`: own rows that stay on walls.
-    - `rows`: own rows with an assigned place, also for a method that is not exact.
     """
 
-    plan: "Plan"
-    pairings: tuple[Pairing, ...]
-    tracks: tuple[Track, ...]
-    rows: Int[Array, " r"]
+    plan: "Plan"  # moves the surface's own rows, which are its points
+    pairings: tuple[Pairing, ...]  # pairs of own rows
+    tracks: tuple[Track, ...]  # own rows that stay on walls
+    rows: Int[Array, " r"]  # own rows with an assigned place, also for a method that is not exact
 
     def __call__(self, vectors: Float[Array, "o d"]) -> Float[Array, "o d"]:
         plan, known = self.plan, len(self.plan.surface.nodes)
@@ -86,10 +80,8 @@ class Guide(Module):
 
 
 class VolumePart(eqx.Module):
-    """Per-point arrays, split over devices.
-
-    Every leaf has one row per mesh point, except tables of transposes. `rests` marks nodes of no
-    cell.
+    """Per-point arrays, split over devices. Every leaf has one row per mesh point, except tables of
+    transposes. `rests` marks nodes of no cell.
     """
 
     points: Float[Array, "n d"]
@@ -99,7 +91,7 @@ class VolumePart(eqx.Module):
     rests: Bool[Array, " n"] | None = None
 
     def seen(self, at: Float[Array, " d"]) -> Float[Array, "n d"]:
-        """Returns the points as a method sees them: nodes of no cell are `at` one place."""
+        """The points as a method sees them: nodes of no cell are `at` one place."""
         return self.points if self.rests is None else jnp.where(self.rests[:, None], at[None], self.points)
 
 
@@ -107,11 +99,10 @@ class Plan(Module):
     """Everything that `deform` needs to know about a mesh: an immutable pytree of arrays.
 
     `prepare` makes it. It survives `jax.tree` round trips, pickling and
-    `equinox.tree_serialise_leaves`, and passes through `jit`, `vmap` and `grad` like any array.
-
-    The fields `surface` and `volume` belong to the driver. So do `carried` (by a step of `march`)
-    and `layout` (over devices). In a plan of a piece (`SurfaceHalf.attach`), node ids from
-    len(points) on stand for nodes of other pieces.
+    `equinox.tree_serialise_leaves`, and passes through `jit`, `vmap` and `grad` like any array. The
+    fields `surface`, `volume`, `carried` (by a step of `march`) and `layout` (over devices) belong
+    to the driver. In a plan of a piece (`SurfaceHalf.attach`), node ids from len(points) on stand
+    for nodes of other pieces.
     """
 
     method: AbstractMethod
@@ -173,9 +164,8 @@ class Plan(Module):
 
     @property
     def sources(self) -> Int[np.ndarray, " s"]:
-        """Node ids of the coarse field's sources, on the host: moving ones first, without images.
-
-        A source is a control point of the field: the centre of one radial basis function.
+        """Node ids of the coarse field's sources, on the host: moving ones first, without images. A
+        source is a control point of the field: the centre of one radial basis function.
         """
         rows = np.asarray(self.method.control(self.surface.ids).sources, dtype=np.int64)
         rows = rows[np.asarray(self.images.kind)[rows] == 0]
@@ -207,7 +197,7 @@ class Plan(Module):
 
     @checked
     def offset(self, u: Real[ArrayLike, "m d"] | Sequence[Any]) -> Float[Array, "o d"]:
-        """Computes what is left to the correction (eq. 5), at all surface nodes. Traced in `u`."""
+        """Computes the offset for the correction (eq. 5), at all surface nodes. Traced in `u`."""
         return _offset(self, u)
 
     @checked
@@ -216,7 +206,6 @@ class Plan(Module):
         return kept(self, extended(self, u))
 
     def __repr__(self) -> str:
-        """Describes the plan, whose leaves may be concrete, stacked or traced, shapes, or None."""
         points, nodes = self.volume.points, self.surface.nodes
         parts = [f"{self.n_moving} moving"]
         if hasattr(points, "shape") and hasattr(nodes, "shape"):
@@ -260,8 +249,6 @@ def extended(plan: Plan, u: Any) -> Float[Array, "o d"]:
 
 
 class Shared(eqx.Module):
-    """Data common to all points: the field, images, and places (or displacements) of nodes."""
-
     field: AbstractField
     assigned: Float[Array, "a d"]
     nodes: Int[Array, " a"]
@@ -306,7 +293,6 @@ def move(shared: Shared, volume: VolumePart, at: Int[Array, " a"]) -> Float[Arra
 
 
 def moved_surface(plan: Plan, vectors: Float[Array, "o d"]) -> Float[Array, "o d"]:
-    """Moves the surface's own rows alone, as `deform_surface` does with an exact method."""
     vectors, guide = kept(plan, vectors), plan.surface.guide
     return plan.surface_points + vectors if guide is None else guide.placed(vectors)
 

@@ -27,7 +27,6 @@ from .plan import Plan, VolumePart
 
 @compiled
 def refitted(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Plan:
-    """Computes a plan anew on other base coordinates, with its own planes, walls and transforms."""
     return _fitted(plan, points)
 
 
@@ -35,10 +34,8 @@ def refitted(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Plan
 def carry(
     plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any], surface: Float[Array, "o d"] | None = None
 ) -> Plan:
-    """Moves a plan to the mesh of one of its own steps; a piece needs the whole moved surface.
-
-    The solve is made anew, and every point keeps its place in the graph. A layer over a wall is
-    laid anew.
+    """Moves a plan to the mesh of one of its own steps; a piece needs the whole moved surface. The
+    solve and layers over walls are made anew, and every point keeps its place in the graph.
     """
     return _fitted(plan, points, surface, carried=True)
 
@@ -69,15 +66,13 @@ def _fitted(plan: Plan, points: Any, surface: Float[Array, "o d"] | None = None,
 
 
 def base_points(plan: Plan, points: Any) -> Float[Array, "n d"]:
-    """Returns base coordinates in a plan's precision."""
     points = jnp.asarray(points, plan.volume.points.dtype)
     if points.shape != plan.points.shape:
         raise ValueError(f"`points` has shape {points.shape}; this plan was made for {plan.points.shape}.")
     return points
 
 
-DEVIATION = 1e-5
-"""Largest distance of new base points from a plane or wall, relative to its nodes' extent."""
+DEVIATION = 1e-5  # largest distance of new base points from a plane or wall, relative to its nodes' extent
 
 ANEW = "Call `prepare` with the new mesh and its boundaries."
 WORDS = {
@@ -89,21 +84,13 @@ WORDS = {
 
 @checked
 def refit(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Plan:
-    """Computes a plan anew on other base coordinates: ids stay, floats are computed.
+    """Computes a plan anew on other base coordinates `points` (n, d): ids stay, floats are
+    computed.
 
     Traced. It is meant for another mesh of one family. For the steps of one motion call `march`:
-    after a large motion, points have left their simplices and extrapolate.
-
-    The patches' own faces, and translations of periodic pairs, are taken from the new points.
-    Symmetry planes, surfaces given to `jm.Slide`, and rotations stay. Points that do not lie on
-    them are refused, unless the points are traced.
-
-    **Arguments:**
-
-    - `plan`: the plan.
-    - `points`: the new base coordinates (n, d), in the unit of the old ones.
-
-    **Returns:** a `Plan`.
+    after a large motion, points have left their simplices and extrapolate. The patches' own faces,
+    and translations of periodic pairs, are taken from the new points. Symmetry planes, surfaces
+    given to `jm.Slide`, and rotations stay; known points that do not lie on them are refused.
 
     **Raises:** `ValueError` for another shape of `points`, and for a plan of a piece: prepare the
     new surface, and attach the piece to it. Also where nodes leave a symmetry plane or a given
@@ -128,7 +115,6 @@ def refit(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Plan:
 
 
 def with_boundary_of(plan: Plan, other: Plan) -> Plan:
-    """Gives a plan the walls and transforms of another plan of its mesh and boundary."""
     guide = other.surface.guide
     return plan if guide is None else _with(plan, guide.tracks, guide.pairings)
 

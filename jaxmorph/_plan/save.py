@@ -1,8 +1,8 @@
 """Plans in files: arrays, and a description of the tree that holds the arrays.
 
-A file is a NumPy archive (.npz) of plain arrays and of one array of bytes, the description in JSON.
-The description names classes. `load` looks the names up among the package's classes and the
-caller's, fills in the fields, and runs no code.
+A file is a NumPy archive (.npz) of plain arrays and of one array of bytes, the description in JSON
+with names of classes. `load` looks these up among the package's classes and the caller's, fills in
+the fields, and runs no code.
 """
 
 import dataclasses
@@ -28,14 +28,10 @@ from .halves import SurfaceHalf
 from .plan import Plan
 
 ROOTS = (eqx.Module, AbstractReduction, AbstractSearchPoints)
-"""Base classes of all parts of a plan."""
 
 
 def known_classes(added: Sequence[type] = ()) -> dict[str, type]:
-    """Lists by name the classes that a file may name: subclasses of `ROOTS` in loaded modules.
-
-    They are the package's own classes and `added`.
-    """
+    """The classes that a file may name: subclasses of `ROOTS` of the package, and `added`."""
     package, classes = __name__.partition(".")[0], {}
     for kind in itertools.chain(*map(_below, ROOTS)):
         is_own = kind.__module__.partition(".")[0] == package
@@ -71,14 +67,9 @@ def save(path: str | os.PathLike[str], plan: Plans) -> None:
     members of an `enum`, tuples, lists, dictionaries by string, and objects of dataclasses (also of
     `equinox.Module`). The file has a temporary name until it is complete.
 
-    **Arguments:**
-
-    - `path`: the file to write.
-    - `plan`: a `Plan`, several plans in a sequence, or a `SurfaceHalf`.
-
     **Raises:** `ValueError`, with the place in the plan, for other fields (functions, say), and
-    your own class with the name of a jaxmorph class. Also for a plan laid over devices: save the
-    plan that `prepare` returned. Also for a `path` that is a folder, or whose folder is missing.
+    your own class with the name of a jaxmorph class. Also for a plan laid over devices (save the
+    plan that `prepare` returned), and a `path` that is a folder, or whose folder is missing.
     """
     path = output_path(path)
     if not _is_plans(plan):
@@ -95,14 +86,9 @@ def save(path: str | os.PathLike[str], plan: Plans) -> None:
 def load(path: str | os.PathLike[str], classes: Sequence[type] = ()) -> Any:
     """Reads what `save` wrote. Arrays go to JAX's default device.
 
-    **Arguments:**
-
-    - `path`: the file.
-    - `classes`: your own classes that the plan may hold: a basis, a method and its factors, a
-      reduction. Default: none. A file can name only these and jaxmorph's classes, so that a file
-      from elsewhere does no harm.
-
-    **Returns:** the `Plan`, a tuple of plans, or the `SurfaceHalf`.
+    `classes` are your own classes that the plan may hold: a basis, a method and its factors, a
+    reduction. A file can name only these and jaxmorph's classes, so that a file from elsewhere does
+    no harm.
 
     **Raises:** `ValueError` for a file that is no plan, is damaged or cut short, or is of another
     version. Also for a class that is unknown or has other fields, and for float64 while JAX's x64

@@ -20,13 +20,6 @@ def shard(plan: Plan, devices: Sequence[Any]) -> Plan:
     A gradient with respect to `u` costs one all-reduce. The devices may belong to several processes
     (`jax.distributed`). Every process then calls `shard` with an equal plan.
 
-    **Arguments:**
-
-    - `plan`: what `prepare` returned.
-    - `devices`: JAX's devices.
-
-    **Returns:** a `Plan`.
-
     **Raises:** `ValueError` without devices, for a plan that is laid over devices already, and for
     a method that solves for all nodes at once.
     """

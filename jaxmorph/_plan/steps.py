@@ -27,7 +27,7 @@ def march(
 
     **Arguments:**
 
-    - `plan`: what `prepare` returned.
+    - `plan`: from `prepare`.
     - `path`: displacements (k, m, d) in the mesh's unit. `path[j]` leads from the plan's base
       coordinates to the end of step j: a rotation is a path of rotated positions.
     - `rebuild`: choose the ids (sources, graph) again before every step, as the paper does. Default
@@ -36,10 +36,8 @@ def march(
     - `mesh`: the plan's mesh, for `rebuild`: methods see its cells and boundary faces again.
       Default: points alone, which methods on cells refuse.
 
-    **Returns:** the plans of all steps, for `replay`, and the points (n, d) at the end.
-
-    **Raises:** `ValueError` when `path` is not (k, m, d), for a mesh of other points, and where
-    `prepare` does.
+    **Returns:** the plans of all steps, for `replay`, and the points (n, d) at the end. **Raises:**
+    `ValueError` when `path` is not (k, m, d), for a mesh of other points, and where `prepare` does.
     """
     _check_march(plan, rebuild, mesh)
     points, surface, plans = plan.points, None, []
@@ -55,16 +53,10 @@ def replay(plans: Sequence[Plan], path: Real[ArrayLike, "k m d"] | Sequence[Any]
     """Repeats the steps of a `march` with the recorded ids: the points are equal.
 
     Traced; differentiable with respect to `path`, and to the base coordinates through
-    `refit(plans[0], points)`.
+    `refit(plans[0], points)`. `plans` are those that `march` returned, and `path` (k, m, d) has an
+    entry for every plan, as for `march`.
 
-    **Arguments:**
-
-    - `plans`: the plans that `march` returned.
-    - `path`: displacements (k, m, d), one entry for every plan, as for `march`.
-
-    **Returns:** the points (n, d) at the end.
-
-    **Raises:** `ValueError` when `path` does not have one entry (m, d) for every plan.
+    **Returns:** the points (n, d) at the end. **Raises:** `ValueError` for another shape of `path`.
     """
     if not plans:
         raise ValueError("`plans` is empty: pass the plans that `march` returned.")
@@ -85,7 +77,7 @@ def replay(plans: Sequence[Plan], path: Real[ArrayLike, "k m d"] | Sequence[Any]
 
 
 def _targets(plan: Plan, path) -> Float[Array, "k o d"]:
-    """Computes the places (k, o, d) of the surface's own rows at the end of every step."""
+    """Places (k, o, d) of the surface's own rows at the end of every step."""
     path = jnp.asarray(path, plan.points.dtype)
     m, d = plan.n_moving, plan.points.shape[1]
     if path.ndim != 3 or path.shape[1:] != (m, d):
@@ -98,7 +90,6 @@ def _targets(plan: Plan, path) -> Float[Array, "k o d"]:
 
 @compiled
 def _advance(plan: Plan, target: Float[Array, "o d"]) -> tuple[Float[Array, "n d"], Float[Array, "o d"] | None]:
-    """Moves the surface to the target, with moved fixed nodes; a piece returns all of it too."""
     vectors = target - plan.surface_points
     points = deform_surface(plan, vectors)
     if not plan.is_piece:

@@ -1,12 +1,10 @@
-"""Distance of cells from target shapes, as an energy.
-
-It stays finite, with a useful gradient, on inverted cells.
+"""Distance of cells from target shapes, as an energy that is finite and useful on inverted cells.
 
 At each corner of a cell, and at the centre of a hexahedron, the edges that leave it are the columns
-of A. The edges of the target cell are the columns of W, and T = A W^-1 takes the target to the
-cell. This is the target-matrix paradigm (Knupp, Algebraic mesh quality metrics, SIAM J. Sci.
-Comput. 23, 2001). The determinant in the denominators is regularised as in Garanzha et al.,
-Foldover-free maps in 50 lines of code, ACM Trans. Graph. 40, 2021.
+of A. Those of the target cell are the columns of W, and T = A W^-1 takes the target to the cell:
+the target-matrix paradigm (Knupp, Algebraic mesh quality metrics, SIAM J. Sci. Comput. 23, 2001).
+The determinant in the denominators is regularised as in Garanzha et al., Foldover-free maps in 50
+lines of code, ACM Trans. Graph. 40, 2021.
 """
 
 import functools
@@ -43,8 +41,7 @@ IDEAL = {
 """Corners of the ideal cell of each type, edges of length one."""
 
 
-NEAR = 0.1
-"""Least content of an affine cell that is a target, over that of an ideal cell."""
+NEAR = 0.1  # least volume of an affine target cell, over that of an ideal cell
 
 
 class Target(NamedTuple):
@@ -58,7 +55,6 @@ class Target(NamedTuple):
 def targets(
     cells: dict[str, Any], points: Float[Array, "n d"], signs: dict[str, Any], ideal: bool
 ) -> dict[str, Target]:
-    """Makes the targets of all linear cells, in the handedness `signs` of the undeformed mesh."""
     volumes = {kind: jnp.abs(volume_of(kind, corners(points, ids))) for kind, ids in cells.items()}
     sums = jnp.zeros((2, len(points)), points.dtype)
     for kind, ids in cells.items():
@@ -74,9 +70,9 @@ def target(kind: str, x: list[Vector], ideal: bool, sign: Any = None, around: An
     """Makes targets of the corners of undeformed cells.
 
     With `ideal` the targets are cells of ideal shape with the volume and handedness of the
-    undeformed ones. So are the targets of cells with a folded corner, but for the volume: it is
-    that of the cells `around`. Where a parallelogram or another affine image of the ideal cell is
-    near, that is the target. Without a `sign` each cell has its own handedness.
+    undeformed ones. So are the targets of cells with a folded corner, with the volume of the cells
+    `around`. An affine image of the ideal cell that is near, such as a parallelogram, is preferred.
+    Without a `sign` each cell has its own handedness.
     """
     edges, (volume, jacobians, noise) = measures.frames(kind, x), sizes_of(kind, x)
     sign = jnp.where(volume < 0 if sign is None else sign < 0, -1.0, 1.0).astype(volume.dtype)
@@ -99,7 +95,7 @@ def target(kind: str, x: list[Vector], ideal: bool, sign: Any = None, around: An
 
 
 def _ideal(kind: str, sign: Float[Array, " k"], volume: Float[Array, " k"]) -> list[Vector]:
-    """Computes frames of ideal cells; left-handed ones are their mirror images."""
+    """Frames of ideal cells; left-handed ones are their mirror images."""
     shape = [Vector(jnp.full_like(volume, c) for c in corner) for corner in IDEAL[kind]]
     size = volume / jnp.abs(measures.volume(kind, shape))
     size = jnp.where(size > 0, size, 1) ** (1 / DIMENSION[kind])
@@ -107,7 +103,7 @@ def _ideal(kind: str, sign: Float[Array, " k"], volume: Float[Array, " k"]) -> l
 
 
 def _affine(kind: str, edges: list[Vector]) -> list[Vector]:
-    """Computes frames of the image of the ideal cell by the mean of the corners' affine maps."""
+    """Frames of the image of the ideal cell by the mean of the corners' affine maps."""
     unit = measures.frames(kind, [Vector(np.full(1, float(c)) for c in corner) for corner in IDEAL[kind]])
     ideal = np.array(unit)[..., 0].transpose(2, 0, 1)  # samples, edges, axes
     share = np.linalg.inv(ideal) / len(ideal)
@@ -118,13 +114,13 @@ def _affine(kind: str, edges: list[Vector]) -> list[Vector]:
 
 
 def stretch(kind: str, x: list[Vector], goal: Target) -> list[Vector]:
-    """Computes the columns of T = A W^-1 at each sample."""
+    """The columns of T = A W^-1 at each sample."""
     edges = measures.frames(kind, x)
     return [total(edge * row[b] for edge, row in zip(edges, goal.inverse, strict=True)) for b in range(len(edges))]
 
 
 def samples(kind: str, x: list[Vector], goal: Target) -> tuple[Scalar, Scalar]:
-    """Computes |T|^2 / d and det T at each sample."""
+    """|T|^2 / d and det T at each sample."""
     columns = stretch(kind, x, goal)
     squared = functools.reduce(jnp.add, [dot(column, column) for column in columns])
     return squared / len(columns), determinant(measures.frames(kind, x)) * goal.determinant
@@ -133,10 +129,8 @@ def samples(kind: str, x: list[Vector], goal: Target) -> tuple[Scalar, Scalar]:
 def energy(
     squared: Float[Array, "*shape"], tau: Float[Array, "*shape"], softness: Any, size: float, dimension: int
 ) -> Float[Array, "*shape"]:
-    """Computes the energy: 0 for the target cell, large where det T is not positive.
-
-    It is (1 - size) |T|^2 / (d chi^(2/d)) + size (1 + det T^2) / (2 chi) - 1, with chi(det T) > 0
-    the regularised determinant.
+    """(1 - size) |T|^2 / (d chi^(2/d)) + size (1 + det T^2) / (2 chi) - 1, with the regularised
+    determinant chi(det T) > 0: 0 for the target cell, large where det T is not positive.
     """
     chi = positive_part(tau, softness)
     shape = squared / (chi if dimension == 2 else jnp.cbrt(chi) ** 2)
@@ -144,18 +138,15 @@ def energy(
 
 
 class Bounds(NamedTuple):
-    """Bounds on samples: the distortion stays below 1 / `stiffness`, det T above `least`."""
-
     stiffness: Any
     least: Any = 0.0
 
 
 def stiffened(energy: Float[Array, "*shape"], tau: Float[Array, "*shape"], bounds: Bounds) -> Float[Array, "*shape"]:
-    """Computes energy / ((1 - stiffness energy) (1 - least / tau)): infinite at both bounds.
-
-    Without `least` it is that of Garanzha et al., In the Quest for Scale-optimal Mappings, ACM
-    Trans. Graph. 43, 2024, but for a constant and a factor. The second bound keeps small cells,
-    whose distortion may be below that of cells that have lost their shape.
+    """energy / ((1 - stiffness energy) (1 - least / tau)): infinite at both bounds. Without `least`
+    it is that of Garanzha et al., In the Quest for Scale-optimal Mappings, ACM Trans. Graph. 43,
+    2024, but for a constant and a factor. The second bound keeps small cells, whose distortion may
+    be below that of cells that have lost their shape.
     """
     first, is_large = 1 - bounds.stiffness * energy, (bounds.least <= 0) | (tau > bounds.least)
     second = jnp.where(bounds.least > 0, 1 - bounds.least / jnp.where(is_large & (tau != 0), tau, 1), 1)
@@ -167,7 +158,6 @@ def stiffened(energy: Float[Array, "*shape"], tau: Float[Array, "*shape"], bound
 def energy_of_cells(
     kind: str, x: list[Vector], goal: Target, softness: Any, size: float, bounds: Bounds | None = None
 ) -> Float[Array, " k"]:
-    """Averages the energy, stiffened if there are `bounds`, over the samples of each cell."""
     squared, tau = samples(kind, x, goal)
     values = energy(squared, tau, softness, size, len(goal.inverse))
     if bounds is None:
@@ -176,7 +166,7 @@ def energy_of_cells(
 
 
 def node_scales(kinds: dict[str, Any], targets: dict[str, Target], n: int) -> Float[Array, " n"]:
-    """Computes how far nodes move to change the energy by one, by the Hessian's diagonal."""
+    """Lengths by which nodes move to change the energy by one, by the Hessian's diagonal."""
     stiffness = jnp.zeros(n)
     for kind, ids in kinds.items():
         goal, frames = targets[kind], np.array(FRAMES[kind])
@@ -188,7 +178,6 @@ def node_scales(kinds: dict[str, Any], targets: dict[str, Target], n: int) -> Fl
 
 
 def signs_of_pieces(mesh: Mesh) -> dict[str, Any]:
-    """Finds the sign of each piece of `linear_cells` by type: that by which its cell is judged."""
     dtype = jax.dtypes.canonicalize_dtype(mesh.points.dtype)
     with jax.ensure_compile_time_eval():
         signs = jnp.concatenate([standard.sign for standard in standards_of(mesh, dtype).values()])
@@ -206,9 +195,9 @@ def distortion(
 ) -> Float[Array, " k"]:
     """Measures the distortion of each cell that fills the space, the term of `improve`'s sum.
 
-    It is 0 for a cell like its target, finite on inverted cells, and traced in `points`. The target
-    of a cell that is folded on the undeformed mesh is one that is not, see `improve`. There it
-    is as large as (1 / softness)^2 in 2-D, with a derivative that turns cells round again. A curved
+    It is 0 for a cell like its target, finite on inverted cells, and traced in `points`. There it
+    is as large as (1 / softness)^2 in 2-D, with a derivative that turns cells round again. The
+    target of a cell that is folded on the undeformed mesh is not folded, see `improve`. A curved
     cell has the mean of its linear pieces, see `Mesh.linear`.
 
     **Arguments:**
@@ -222,10 +211,8 @@ def distortion(
     - `softness`: width of the regularisation of det T, without unit, default 1e-3. A larger value
       gives a smoother barrier.
 
-    **Returns:** an array (k,), the cells in the order of `mesh.cells`.
-
-    **Raises:** `ValueError` for a mesh without cells of its own dimension, and when the shape of
-    `points` differs from that of `mesh.points`.
+    **Returns:** an array (k,), the cells in the order of `mesh.cells`. **Raises:** `ValueError` for
+    a mesh without cells of its own dimension, and another shape of `points`.
     """
     check_solid(mesh, "distortion is not defined for others")
     cells = solid(mesh.cells, mesh.points.shape[1])

@@ -1,7 +1,4 @@
-"""Quality of cells from their faces, as OpenFOAM's checkMesh measures it.
-
-Vectors are arrays whose first axis runs over their components.
-"""
+"""Quality of cells from their faces, as checkMesh measures it; components of vectors come first."""
 
 import dataclasses
 import functools
@@ -19,8 +16,7 @@ from .sides import Block, Group, Sides
 
 Vectors = Float[np.ndarray, "_d _f"]
 
-FLOOR = 1e-300
-"""Least number by which anything is divided."""
+FLOOR = 1e-300  # least divisor
 
 MEASURES = ("skewness", "aspect_ratio", "non_orthogonality", "volume", "pyramid", "volume_ratio")
 
@@ -29,12 +25,11 @@ MEASURES = ("skewness", "aspect_ratio", "non_orthogonality", "volume", "pyramid"
 class FaceQuality(Report):
     """Measures (k,) of each cell by its faces; faces are edges in 2-D.
 
-    The cells are the file's cells, polyhedra and polygons whole, in the file's order: see
-    `Mesh.cell_ids`.
+    The cells are those of the file in its order, polyhedra and polygons whole: see `Mesh.cell_ids`.
 
     - `volume`: the sum of the pyramids between the faces and a point inside; in 2-D the area.
-    - `pyramid`: the smallest pyramid between a face and the cell's centre, over the mean of them. 1
-      for a regular cell, negative where a face is seen from behind. In 2-D a triangle.
+    - `pyramid`: the smallest pyramid (2-D: triangle) between a face and the cell's centre, over
+      their mean; 1 for a regular cell, negative where a face is seen from behind.
     - `is_inverted`: the volume or a pyramid is negative beyond round-off, as checkMesh tests cells
       of finite volumes. NaN counts. Cells that the mesh numbers the other way round are turned
       first, as `quality(mesh)` does; not in a part of a mesh.
@@ -87,19 +82,13 @@ class FaceQuality(Report):
 def face_quality(mesh: Mesh, points: Float[Any, "n d"] | None = None) -> FaceQuality:
     """Measures cells by their faces on the host, as OpenFOAM's checkMesh does.
 
-    `quality` has the measures that are traced; of polyhedra it sees the pieces, this the whole.
-    Where no cell is a polyhedron and faces are flat, both have one non-orthogonality. What is an
-    inverted cell differs: `quality` takes the Jacobians at the corners, as finite elements need
-    them, this the volumes and the pyramids of faces, as finite volumes do.
+    The `mesh` fills a region in 2-D or 3-D; `points` (n, d) are by default its own. `quality` has
+    the traced measures; of polyhedra it sees the pieces, this the whole. Without polyhedra and with
+    flat faces, both have one non-orthogonality. Inverted cells differ: `quality` takes the
+    Jacobians at the corners, for finite elements, this the volumes and the pyramids of faces, for
+    finite volumes.
 
-    **Arguments:**
-
-    - `mesh`: cells that fill a region in 2-D or 3-D.
-    - `points`: where the nodes are (n, d); None for where the mesh has them.
-
-    **Returns:** a `FaceQuality`.
-
-    **Raises:** `ValueError` for a mesh without cells, for surfaces in 3-D, and for another shape of
+    **Raises:** `ValueError` for a mesh without cells, surfaces in 3-D, and another shape of
     `points`.
     """
     return measured(mesh, Sides.listed(mesh), points)
@@ -162,7 +151,6 @@ def _add(sums: Vectors, cells: np.ndarray, vectors: Vectors) -> None:
 def _of_shape(
     sides: Sides, shape: _Shape, points: Float[np.ndarray, "n d"], old: Float[np.ndarray, " k"]
 ) -> FaceQuality:
-    """Makes the report of a shape; `old` are the undeformed volumes, times `d`."""
     columns, (d, total) = np.ascontiguousarray(points.T), shape.middle.shape
     counted, noise = sides.counts > 0, 8 * np.finfo(float).eps * np.abs(points).max()
     is_wrong, cosine, skewness = np.zeros(total, dtype=bool), np.ones(total), np.zeros(total)
@@ -199,10 +187,9 @@ def _of_shape(
 
 
 def _turns(mesh: Mesh, volume: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
-    """Finds the sign that makes the undeformed volumes positive.
-
-    It follows from neighbours, and from the volume that they enclose. A motion that turns a part of
-    the mesh inside out leaves no neighbour to tell so.
+    """The sign that makes the undeformed volumes positive. It follows from neighbours, and from the
+    volume that they enclose: a part of the mesh that a motion turns inside out has no neighbour to
+    tell.
     """
     turn = np.ones(len(volume))
     cells = {kind: np.asarray(corners) for kind, corners in mesh.cells.items()}
@@ -213,7 +200,7 @@ def _turns(mesh: Mesh, volume: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k
 
 
 def _centre_and_area(points: Vectors, block: Block) -> tuple[Vectors, Vectors]:
-    """Computes the centres and area vectors of faces; an edge is its own area, turned."""
+    """Centres and area vectors of faces; an edge is its own area, turned."""
     x = points.take(block.corners, axis=1)  # (d, corners, f)
     if len(points) == 2:
         along = x[:, 1] - x[:, 0]
@@ -228,7 +215,7 @@ def _centre_and_area(points: Vectors, block: Block) -> tuple[Vectors, Vectors]:
 
 
 def _pyramids(centres: Vectors, areas: Vectors, means: Vectors, block: Block) -> list[tuple[np.ndarray, Vectors]]:
-    """Computes d volumes (b,) and first moments of pyramids, as each view sees the faces."""
+    """d volumes (b,) and first moments of pyramids, as each view sees the faces."""
     d, parts = len(means), []
     centre, area = centres[:, block.rows], areas[:, block.rows]
     for sign, cells in block.views:
@@ -239,8 +226,6 @@ def _pyramids(centres: Vectors, areas: Vectors, means: Vectors, block: Block) ->
 
 
 class _Across(NamedTuple):
-    """Measures of a block of faces, and the heights of cells' middles below them, by view."""
-
     size: np.ndarray
     skewness: np.ndarray
     cosine: np.ndarray

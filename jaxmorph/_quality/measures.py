@@ -1,13 +1,10 @@
 """Measures of a cell, from the coordinates of its corners.
 
 Each function takes the cell's type and `x`, the corners of k cells: one vector for each corner,
-numbered as VTK numbers them, relative to the first one. For the measures without a unit they are
-divided by the cell's size, so that products of lengths stay within float32. The formulas read as
-for one cell.
-
-The definitions come from Verdict, the library behind VTK's cell quality (Stimpson et al., The
-Verdict geometric quality library, SAND2007-1751). They are written so that every derivative is
-finite, on cells of no size too.
+numbered as VTK numbers them, relative to the first one. For measures without unit they are divided
+by the cell's size, so that products of lengths stay within float32. The definitions are those of
+Verdict, the library behind VTK's cell quality (Stimpson et al., The Verdict geometric quality
+library, SAND2007-1751). Derivatives are finite, on cells of no size too.
 """
 
 import functools
@@ -55,12 +52,12 @@ def _edges(x: Sequence[Vector], kind: str) -> Vector:
 
 
 def principal_axes(kind: str, x: Sequence[Vector]) -> list[Vector]:
-    """Computes vectors between the middles of opposite sides: of quads times 2, of hexahedra 4."""
+    """Vectors between the middles of opposite sides: of quads times 2, of hexahedra 4."""
     return [total(x[end] - x[start] for start, end in pairs) for pairs in _PARALLEL[kind]]
 
 
 def face_areas(kind: str, x: Sequence[Vector]) -> Vector:
-    """Computes area vectors (f, k) of faces, 2-D: edges, outward for a right-handed cell."""
+    """Area vectors (f, k) of faces, 2-D: edges, outward for a right-handed cell."""
     if DIMENSION[kind] == 3:
         groups = faces_by_size(kind)
         areas = [area_vector(pick(x, group)) for group in groups]
@@ -75,7 +72,7 @@ def face_areas(kind: str, x: Sequence[Vector]) -> Vector:
 
 
 def area_vector(corners: Sequence[Vector]) -> Vector:
-    """Computes half the cross product of diagonals (triangle: two sides); a number in 2-D."""
+    """Half the cross product of diagonals (triangle: two sides); a number in 2-D."""
     if len(corners) == 3:
         return cross(corners[1] - corners[0], corners[2] - corners[0]) * 0.5
     return cross(corners[2] - corners[0], corners[3] - corners[1]) * 0.5
@@ -86,16 +83,15 @@ def _area(kind: str, x: Sequence[Vector]) -> Vector:
 
 
 def _normal(kind: str, x: Sequence[Vector]) -> Vector:
-    """Computes the unit normal of a triangle or quad; +1 in 2-D, where areas have a sign."""
+    """Unit normals of triangles or quads; +1 in 2-D, where areas have a sign."""
     area = _area(kind, x)
     return Vector([namespace(area[0]).ones_like(area[0])]) if len(area) == 1 else unit(area)
 
 
 def volume(kind: str, x: Sequence[Vector]) -> Scalar:
-    """Computes signed volume, 2-D: signed area; in 3-D a surface's area; a line's length.
-
-    Faces of four corners are bilinear: their flux is that of the mean of the corners, and the
-    volume that of the trilinear cell. Of a cell of high order it is the integral of its Jacobian.
+    """The signed volume, 2-D: signed area; in 3-D a surface's area; a line's length. Faces of four
+    corners are bilinear: their flux is that of the mean of the corners, and the volume that of the
+    trilinear cell. Of a cell of high order it is the integral of its Jacobian.
     """
     xp = namespace(x[0][0])
     if kind in HIGH_ORDER:
@@ -114,10 +110,8 @@ def volume(kind: str, x: Sequence[Vector]) -> Scalar:
 
 
 def frames(kind: str, x: Sequence[Vector]) -> list[Vector]:
-    """Computes the edges that leave each corner, (s, k) each; also a hexahedron's axes.
-
-    Of a cell of high order they are the tangents, the columns of its Jacobian matrix, on a lattice
-    and at Gauss points.
+    """The edges that leave each corner, (s, k) each; also a hexahedron's axes. Of a cell of high
+    order they are the columns of its Jacobian matrix, on a lattice and at Gauss points.
     """
     if kind in HIGH_ORDER:
         return _tangents(jacobian_samples(kind)[0], x)
@@ -129,10 +123,9 @@ def frames(kind: str, x: Sequence[Vector]) -> list[Vector]:
 
 
 def jacobians(kind: str, x: Sequence[Vector]) -> tuple[Float[Either, "s k"], Float[Either, "s k"]]:
-    """Computes Jacobians at corners, and a hexahedron's at its centre, as Verdict does.
-
-    Each comes with the bound that turns an error of the coordinates into one of the Jacobian: the
-    sum over the edges of the product of the other edges' lengths.
+    """Jacobians at corners, and a hexahedron's at its centre, as Verdict does. Each has a factor
+    from an error of the coordinates to one of the Jacobian: the sum over the edges of the product
+    of the other edges' lengths.
     """
     edges = frames(kind, x)
     lengths = [norm(edge) for edge in edges]
@@ -145,28 +138,28 @@ def jacobians(kind: str, x: Sequence[Vector]) -> tuple[Float[Either, "s k"], Flo
 
 
 def _tangents(derivatives: np.ndarray, x: Sequence[Vector]) -> list[Vector]:
-    """Computes the derivatives of the place by each reference coordinate, each (s, k)."""
+    """Derivatives of the place by each reference coordinate, each (s, k)."""
     nodes, xp = stack(x), namespace(x[0][0])
     tables = np.moveaxis(derivatives, 2, 0).astype(nodes[0].dtype)
     return [Vector(xp.matmul(table, component) for component in nodes) for table in tables]
 
 
 def linear_cells_at_nodes(kind: str, x: Sequence[Vector]) -> tuple[str, list[Vector]]:
-    """Computes linear cells of the tangents at high-order nodes: s k cells, node by node."""
+    """Linear cells of the tangents at high-order nodes: s k cells, node by node."""
     tangents = _tangents(derivatives_at_nodes(kind), x)
     places = [[tangents[0] * 0, *itertools.compress(tangents, place)] for place in PLACES[SHAPES[kind]]]
     return SHAPES[kind], [Vector(component.reshape(-1) for component in total(parts)) for parts in places]
 
 
 def openings(kind: str, x: Sequence[Vector]) -> Float[Either, "s k"]:
-    """Computes the largest Jacobians that corners could have by edge lengths; simplex: 0."""
+    """The largest Jacobians that corners could have by edge lengths; simplex: 0."""
     lengths = [constant(norm(edge)) for edge in frames(kind, x)]
     product = functools.reduce(namespace(lengths[0]).multiply, lengths)
     return product * (kind in HIGH_ORDER or (len(FRAMES[kind]) > 1 and kind != "triangle"))
 
 
 def skewness(kind: str, x: Sequence[Vector], maximum: Callable[[Float[Either, "t k"]], Scalar] = largest) -> Scalar:
-    """Measures the skewness: 0 for the ideal cell, 1 for a degenerate one.
+    """The skewness: 0 for the ideal cell, 1 for a degenerate one.
 
     It is the `maximum` of several terms, which may be a smooth stand-in. Quad and hexahedron: the
     largest |cos| of the angles between the principal axes (Taylor and Flanagan, SAND87-0525). The
@@ -202,12 +195,11 @@ def _deviations(angles: Float[Either, "a k"], ideal: float) -> list[Float[Either
 
 
 def aspect_ratio(kind: str, x: Sequence[Vector]) -> Scalar:
-    """Measures the aspect ratio: 1 for the ideal cell, infinite for a flat one.
+    """The aspect ratio: 1 for the ideal cell, infinite for a flat one.
 
     Triangle: longest edge / (2 sqrt 3 inradius). Quad: longest edge times perimeter / (4 area).
     Tetrahedron: longest edge / (2 sqrt 6 inradius). Hexahedron: longest over shortest principal
-    axis. Wedge and pyramid: longest over shortest edge. For a cell of high order it is the largest
-    of the linear cells with its tangents at its nodes.
+    axis. Wedge and pyramid: longest over shortest edge. A cell of high order is as for `skewness`.
     """
     if kind in HIGH_ORDER:
         shape, cells = linear_cells_at_nodes(kind, x)
@@ -224,10 +216,7 @@ def aspect_ratio(kind: str, x: Sequence[Vector]) -> Scalar:
 
 
 def aspect_terms(kind: str, x: Sequence[Vector]) -> tuple[Vector, tuple[Scalar, Scalar] | None]:
-    """Computes the aspect ratio's terms: edges or axes, and a signed size with a sum of sides.
-
-    The ratio is the longest over the shortest edge, or the longest times the sum over the size.
-    """
+    """Edges or axes, whose ratio or longest counts, and a signed size with a sum of sides."""
     edges = stack(principal_axes(kind, x)) if kind == "hexahedron" else _edges(x, kind)
     if kind in ("hexahedron", "wedge", "pyramid"):
         return edges, None
@@ -239,16 +228,13 @@ def aspect_terms(kind: str, x: Sequence[Vector]) -> tuple[Vector, tuple[Scalar, 
 
 
 def non_orthogonality(area: Vector, between: Vector, surface: bool) -> Scalar:
-    """Computes the angle (degrees) between a face's area vector and the line between the centres.
-
-    On a surface in 3-D the sides of an edge are not told apart: 0 to 90 degrees.
-    """
+    """Angle in degrees of area vector and line between centres; below 90 for a surface in 3-D."""
     degrees = angle(area, between) * (180 / math.pi)
     return namespace(degrees).minimum(degrees, 180 - degrees) if surface else degrees
 
 
 def relative_corners(x: list[Vector]) -> tuple[list[Vector], Float[Either, " k"]]:
-    """Computes corners relative to the first, and the cell's size, not differentiated."""
+    """Corners relative to the first, and the cell's size, not differentiated."""
     relative = [corner - x[0] for corner in x]
     size = reach(relative)
     return relative, namespace(size).where(size > 0, size, 1)
@@ -259,17 +245,12 @@ def scaled(x: list[Vector], size: Float[Either, " k"]) -> list[Vector]:
 
 
 def reach(x: list[Vector]) -> Float[Either, " k"]:
-    """Finds the largest coordinate, without sign and derivative."""
     xp = namespace(x[0][0])
     return constant(functools.reduce(xp.maximum, [xp.abs(component) for corner in x for component in corner]))
 
 
 def centre_of_mass(kind: str, x: Sequence[Vector]) -> Vector:
-    """Computes OpenFOAM's cell centre, for faces in a plane.
-
-    It is the centre of mass of triangles or tetrahedra between the sides, the means of the sides
-    and the first corner.
-    """
+    """OpenFOAM's cell centre, of plane faces: weighted middles of simplices between the sides."""
     if kind in ("line", "triangle", "tetra"):
         return mean(x)
     if kind == "quad":
@@ -290,7 +271,7 @@ def centre_of_mass(kind: str, x: Sequence[Vector]) -> Vector:
 
 
 def _moments(x: Vector, corners: Int[Either, " c"]) -> list:
-    """Computes six volumes and 24 first moments of the tetrahedra between a face and the origin."""
+    """Six volumes and 24 first moments of the tetrahedra between a face and the origin."""
     around = [x.at(corner) for corner in corners]
     middle = mean(around)
     pairs = [(around[i - 1], corner) for i, corner in enumerate(around)]

@@ -20,8 +20,7 @@ from .proof.search import has_least, least_jacobian
 from .report import QualityReport
 from .vector import ByType, Vector, by_place, by_type, joined, mean, stack
 
-FLAT = 1e-4
-"""Sine of a corner's angle up to which it is flat; 3-D: Jacobian over its edges' product."""
+FLAT = 1e-4  # sine of a corner's angle up to which it is flat; 3-D: Jacobian over its edges' product
 
 
 @checked
@@ -29,42 +28,32 @@ def quality(mesh: Mesh, points: Real[ArrayLike, "n d"] | Sequence[Any] | None = 
     """Measures a mesh's cells at `points`, judged relative to the undeformed `mesh.points`.
 
     Traced: `jit`, `grad` and `vmap` work over `points`, and over a mesh given as an argument.
-    Derivatives are finite on degenerate cells too.
-
-    The sign that a volume should have is that of the mesh, whichever way round its cells are
-    numbered. Cells numbered the other way round than their neighbours (a matter of ids, not of
-    coordinates) are turned. The sign is then that of the volume which the connected part of the
-    mesh encloses. So a cell on the wrong side of a face that it shares is folded, and cells of
-    mixed handedness are fine. `inverted`, `smooth_quality`, `proof`, `proven_margin`, `distortion`,
-    `improve` and `largest_step` take the same sign.
-
-    With `points`, a cell is inverted where its volume, or the Jacobian at one of its corners, has
-    not the sign of the undeformed mesh. Curved cells have a lattice of places, and the place where
-    bounds on their Jacobian find it least, instead of corners: a fold anywhere is found. A linear
-    hexahedron that folds between its corners is not: `proof` finds it. A cell that is folded on the
-    undeformed mesh is inverted until a motion unfolds it, and counts in `from_start`. Not judged
-    are corners that had no sign, or the wrong one in a cell that was not folded, as in a quad not
-    convex from the start. A corner has no sign within the round-off of the coordinates. One of a
-    cell that is no simplex has none either where its Jacobian is 1e-4 of the product of its edges
-    or less: flat or collapsed. A folded piece of a polyhedron is fine where the polyhedron as a
-    whole is not folded.
-
-    Without `points`, the mesh is judged by itself. A cell is then inverted where its volume or a
-    corner's Jacobian has not the sign of the mesh.
-
-    Neighbours are found on the host from the ids, under `jit` when it traces. For traced cells (a
-    mesh given to `jit` as an argument) that is in each call: close over the mesh instead.
+    Derivatives are finite on degenerate cells too. A volume should have the sign of the mesh,
+    whichever way round its cells are numbered. Cells numbered the other way round than their
+    neighbours (a matter of ids, not of coordinates) are turned. The sign is then that of the volume
+    which the connected part of the mesh encloses. So a cell on the wrong side of a face that it
+    shares is folded, and cells of mixed handedness are fine. `inverted`, `smooth_quality`, `proof`,
+    `proven_margin`, `distortion`, `improve` and `largest_step` take the same sign. A cell is
+    inverted where its volume, or the Jacobian at one of its corners, has not the sign of the
+    undeformed mesh. Without `points`, the mesh is judged by itself, by its own sign. Instead of
+    corners, curved cells have a lattice of places, and the place where bounds on their Jacobian
+    find it least: a fold anywhere is found. A linear hexahedron that folds between its corners is
+    not: `proof` finds it. A cell that is folded on the undeformed mesh is inverted until a motion
+    unfolds it, and counts in `from_start`. Not judged are corners that had no sign, or the wrong
+    one in a cell that was not folded, as in a quad not convex from the start. A corner has no sign
+    within the round-off of the coordinates. One of a cell that is no simplex has none either where
+    its Jacobian is 1e-4 of the product of its edges or less: flat or collapsed. A folded piece of a
+    polyhedron is fine where the polyhedron as a whole is not folded. Neighbours are found on the
+    host from the ids, under `jit` when it traces. For traced cells (a mesh given to `jit` as an
+    argument) that is in each call: close over the mesh instead.
 
     **Arguments:**
 
     - `mesh`: the mesh with its cells; `mesh.points` is undeformed.
-    - `points`: where the nodes are now (n, d), in the unit of `mesh.points`. Default: none, the
-      mesh is judged by itself.
+    - `points`: where the nodes are now (n, d), in the unit of `mesh.points`. Default: none.
 
     **Returns:** a `QualityReport` of arrays, one entry for each cell, in the dtype of `points`.
-
-    **Raises:** `ValueError` for a mesh without cells, and when the shape of `points` differs from
-    that of `mesh.points`.
+    **Raises:** `ValueError` for a mesh without cells, and another shape of `points`.
     """
     current = places(mesh, points)
     # computed when a caller traces, not folded into the caller's program
@@ -81,16 +70,9 @@ def inverted(mesh: Mesh, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Bool
     """Marks the inverted cells at `points`: a cheaper `quality(mesh, points).is_inverted`.
 
     Traced, and cheapest in a `jit` that closes over the mesh: the undeformed mesh is then measured
-    once.
+    once. Arguments and errors as `quality`.
 
-    **Arguments:**
-
-    - `mesh`: the mesh with its cells; `mesh.points` is undeformed.
-    - `points`: where the nodes are now (n, d), in the unit of `mesh.points`.
-
-    **Returns:** one flag for each cell (k,), one type of cells after another, as in `mesh.cells`.
-
-    **Raises:** `ValueError` as `quality` does.
+    **Returns:** a mask of the cells (k,), one type after another, as in `mesh.cells`.
     """
     current = places(mesh, points)
     with jax.ensure_compile_time_eval():
@@ -101,7 +83,6 @@ def inverted(mesh: Mesh, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Bool
 def places(
     mesh: Mesh, points: Real[ArrayLike, "n d"] | Sequence[Any] | None, name: str = "points"
 ) -> Float[Array, "n d"]:
-    """Returns the points to judge: `points`, or the mesh's; `name` is the argument's."""
     if not isinstance(mesh, Mesh):
         raise ValueError(f"the first argument must be a Mesh: quality(mesh, points), not {type(mesh).__name__}.")
     if not sum(len(corners) for corners in mesh.cells.values()):
@@ -113,7 +94,6 @@ def places(
 
 
 def check_solid(mesh: Mesh, reason: str) -> None:
-    """Raises `ValueError`, with a `reason`, for a mesh without cells that fill its space."""
     d = mesh.points.shape[1]
     if not any(map(len, solid(mesh.cells, d).values())):
         types = ", ".join(mesh.cells) or "none"
@@ -121,8 +101,6 @@ def check_solid(mesh: Mesh, reason: str) -> None:
 
 
 class Links(NamedTuple):
-    """Holds ids: the cell behind each face, each cell's sign by numbering, and its part."""
-
     neighbour: Int[Either, " f"]
     sign: Int[Either, " k"]
     part: Int[Either, " k"]
@@ -143,16 +121,12 @@ def link(cells: ByType) -> Links:
 
 
 def signs_of(mesh: Mesh, links: Links | None = None) -> dict[str, Int[Either, " k"]]:
-    """Finds the sign that each cell's volume should have, by type; see `quality`."""
     return _signs(mesh.cells, links or link(mesh.cells), mesh.points)
 
 
 @by_place
 def _signs(cells: ByType, links: Links, points: Float[Either, "n d"]) -> ByType:
-    """Takes each cell's sign from the volume of its part of the mesh, fixed by the boundary.
-
-    Cells of less than d dimensions are measured without a sign.
-    """
+    """The sign of each cell by the volume of its part of the mesh; none in lower dimension."""
     xp, volumes = namespace(points), by_type(volume_of, points, cells)
     volume = joined(xp, volumes)
     if xp is np:
@@ -164,9 +138,8 @@ def _signs(cells: ByType, links: Links, points: Float[Either, "n d"]) -> ByType:
 
 
 class Standard(NamedTuple):
-    """Holds the state of the cells of one type on the undeformed mesh, by which they are judged.
-
-    `sign` is that of the mesh, `is_folded` marks cells whose volume has another one.
+    """Cells of one type on the undeformed mesh, by which they are judged. `sign` is that of the
+    mesh, `is_folded` marks cells whose volume has another one.
     """
 
     sign: Int[Either, " k"]
@@ -245,9 +218,8 @@ def volume_of(kind: str, x: list[Vector]) -> Float[Either, " k"]:
 
 
 def sizes_of(kind: str, x: list[Vector]) -> tuple[Either, Either, Either]:
-    """Computes the volume (k,), the Jacobians (s, k), and the round-off error of each Jacobian.
-
-    The last Jacobian of a curved cell is its least one, wherever it is.
+    """The volume (k,), the Jacobians (s, k), and the round-off error of each Jacobian. The last
+    Jacobian of a curved cell is its least one, wherever it is.
     """
     rounding = 8 * float(jnp.finfo(x[0][0].dtype).eps) * measures.reach(x)
     relative, _ = measures.relative_corners(x)
@@ -267,7 +239,6 @@ def _with_largest(values: Float[Either, "s k"], rows: int) -> Float[Either, "row
 
 
 def _shape(kind: str, x: list[Vector]) -> dict[str, Either]:
-    """Computes the measures without a unit, and the place."""
     relative, size = measures.relative_corners(x)
     shape = measures.scaled(relative, size)
     return {
@@ -319,10 +290,9 @@ def largest_inner(degrees: Float[Either, "f k"], is_inner: Bool[Either, "f k"]) 
 def non_orthogonality(
     points: Float[Either, "n d"], cells: ByType, signs: ByType, neighbour: Either, maximum: Callable = largest_inner
 ) -> Float[Either, " k"]:
-    """Computes the largest angle over the inner faces of each cell, 0 for a cell without any.
-
-    `maximum` may be a smooth stand-in. Centres are kept relative to the first corner of their cell,
-    so that their differences do not lose digits.
+    """The largest angle over the inner faces of each cell, 0 for a cell without any; `maximum` may
+    be a smooth stand-in. Centres are relative to the first corner of their cell: their differences
+    do not lose digits.
     """
     xp = namespace(points)
     cells = {kind: ids[:, : CORNERS[SHAPES[kind]]] for kind, ids in cells.items()}  # of a curved cell the corners

@@ -1,4 +1,4 @@
-"""Reports on cells: the base of those of `quality`, `face_quality` and `proof`, and the first."""
+"""Reports on cells: the base class, and the report of `quality`."""
 
 from collections.abc import Callable
 from typing import Any, ClassVar
@@ -25,10 +25,8 @@ class Report:
     """The base of `QualityReport`, `FaceQuality` and `Proof`: cells, judged by measures.
 
     A subclass has the masks `is_inverted` and `counted` (k,), of cells that count, `volume` (k,),
-    `centroid` (k, d) and the arrays (k,) that `measures` names.
-
-    - `rule`: by what a cell is inverted.
-    - `rank`: the measure by which `worst` ranks, after `_levels`.
+    `centroid` (k, d) and the arrays (k,) that `measures` names. A cell is inverted by the `rule`;
+    `worst` ranks by the measure `rank`, after `_levels`.
     """
 
     rule: ClassVar[str]
@@ -65,16 +63,13 @@ class Report:
         return self._over_cells(lambda xp, values: xp.mean(values, axis=-1), self._measure(name))
 
     def worst(self, k: int = 5, *, by: str | None = None) -> np.ndarray:
-        """Lists ids of the worst cells on the host, the worst first.
+        """Lists ids of the `k` worst cells on the host, the worst first.
 
-        **Arguments:**
+        They are ranked by the measure `by`. By default inverted cells come first. Cells alike are
+        then ranked by skewness, faces' smallest pyramid, or the margin of a `Proof`.
 
-        - `k`: how many cells, default 5.
-        - `by`: the measure to rank by. By default inverted cells come first. Cells alike are then
-          ranked by skewness, faces' smallest pyramid, or the margin of a `Proof`.
-
-        **Raises:** `ValueError` for a measure that is not known, and a `k` that is negative or no
-        whole number.
+        **Raises:** `ValueError` for an unknown measure, and a `k` that is negative or no whole
+        number.
         """
         whole("k", k, 0)
         ids, has_levels = np.flatnonzero(self.counted), by is None
@@ -94,8 +89,7 @@ class Report:
 
     def raise_if_inverted(self) -> None:
         """Raises `ValueError` on the host for inverted cells: how many, and where the first is.
-
-        It does not work inside `jit`: there `inverted` is a value like any other.
+        Inside `jit` it does not work: there `inverted` is a value like any other.
         """
         bad = np.flatnonzero(np.asarray(self.is_inverted) & self.counted)
         if len(bad):

@@ -1,4 +1,4 @@
-"""Faces of a mesh, and the cells beside them: what measures by faces need of the ids."""
+"""Faces of a mesh, and the cells beside them, for measures by faces."""
 
 import dataclasses
 import functools
@@ -16,8 +16,7 @@ from .._mesh.mesh import Mesh
 
 T = TypeVar("T")
 
-BLOCK = 1 << 14
-"""Faces measured together: their columns stay in a core's cache."""
+BLOCK = 1 << 14  # faces in a block: their columns stay in a core's cache
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -51,8 +50,6 @@ class Group:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Block:
-    """Holds some faces of a group: the `rows` of the group, all shared or none."""
-
     group: Group
     rows: slice
     is_shared: bool
@@ -77,17 +74,13 @@ class Block:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Sides:
-    """Holds all faces by their number of corners, and the number of cells, `total`."""
-
     groups: tuple[Group, ...]
     total: int
 
     @classmethod
     def listed(cls, mesh: Mesh) -> "Sides":
         """Lists the faces of the cells of the highest dimension, polyhedra and polygons whole.
-
-        Raises `ValueError` where cells do not fill the mesh's dimension, and for a mesh without
-        cells.
+        Raises `ValueError` for a mesh without cells, or whose cells do not fill its dimension.
         """
         if mesh.is_curved:
             raise ValueError("OpenFOAM's measures are for linear cells; `quality` measures curved cells.")

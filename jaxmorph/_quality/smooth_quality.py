@@ -21,10 +21,7 @@ from .vector import ByType, Vector, by_type, dot, joined
 
 
 class SmoothQuality(Module):
-    """Holds the smooth measures of k cells: arrays (k,), in the order of `QualityReport`.
-
-    `skewness`, `aspect_ratio` and `jacobian_ratio` have no unit, `non_orthogonality` is in degrees.
-    """
+    """Smooth measures of k cells: arrays (k,), as in `QualityReport`; angles in degrees."""
 
     skewness: Float[Array, " k"]
     aspect_ratio: Float[Array, " k"]
@@ -42,10 +39,10 @@ def smooth_quality(
 ) -> SmoothQuality:
     """Measures cells as `quality` does, with smooth twins of the measures that have kinks.
 
-    `volume`, `volume_ratio` and `distortion` have none. Where `quality` takes the largest of m
-    terms of a cell, a soft maximum takes its place (for the smallest a soft minimum). Its
-    derivative is spread over the terms near the largest. The values approach those of `quality` as
-    `sharpness` grows:
+    `volume`, `volume_ratio` and `distortion` have none. Where `quality` takes the largest (or
+    smallest) of m terms of a cell, a soft maximum (or minimum) takes its place. Its derivative is
+    spread over the terms near the largest. The values approach those of `quality` as `sharpness`
+    grows:
 
     - `skewness` is less by log(m) / `sharpness` at most, m up to 36; a quad has m = 2.
     - `aspect_ratio` is less by a factor of m^(2 / `sharpness`) at most, m up to 12. It is finite on
@@ -56,22 +53,18 @@ def smooth_quality(
     - `jacobian_ratio` is more by log(m) / `sharpness` at most.
 
     Traced in `points`: `jit`, `grad` and `vmap` work, with finite derivatives on inverted cells.
-    Everything is relative to the undeformed mesh, `mesh.points`.
 
     **Arguments:**
 
     - `mesh`: the mesh with its cells; `mesh.points` is undeformed.
-    - `points`: where the nodes are now (n, d), in the unit of `mesh.points`. Default:
-      `mesh.points`.
+    - `points`: where the nodes are now (n, d), in the unit of `mesh.points`, the default.
     - `sharpness`: positive, without unit, default 50. A larger value is closer to `quality`, a
       smaller one smoother.
     - `softness`: positive, without unit, default 1e-6, far below the inverse of the aspect ratios
       that matter.
 
-    **Returns:** a `SmoothQuality`.
-
-    **Raises:** `ValueError` for a mesh without cells, for a shape of `points` other than that of
-    `mesh.points`, and for a `sharpness` or `softness` that is not positive.
+    **Raises:** `ValueError` for a mesh without cells, another shape of `points`, and a `sharpness`
+    or `softness` that is not positive.
     """
     current = places(mesh, points)
     for name, value in (("sharpness", sharpness), ("softness", softness)):
@@ -135,7 +128,6 @@ def _largest_angle(degrees: Float[Array, "f k"], is_inner: Bool[Array, "f k"], s
 
 
 def _soft_maximum_where(values: Float[Array, "m k"], counts: Bool[Array, "m k"], sharpness) -> Float[Array, " k"]:
-    """Computes the soft maximum of the values that count; 0 where none does."""
     number = jnp.sum(counts, axis=0)
     weights = jnp.where((number > 0)[None], counts, True).astype(values.dtype)
     largest = jax.scipy.special.logsumexp(sharpness * values, b=weights, axis=0)
@@ -159,8 +151,6 @@ def soft_maximum(
       closer to the maximum.
     - `axis`: the axis along which to take it. Default: all values.
 
-    **Returns:** a number, or an array without that axis.
-
     **Raises:** `ValueError` for a sharpness that is not positive and finite, and an axis that is
     not there.
     """
@@ -173,10 +163,9 @@ def soft_maximum(
 
 
 def positive_part(x: Float[Array, "..."], softness: Any) -> Float[Array, "..."]:
-    """Computes a smooth positive part: positive and increasing everywhere.
-
-    It is (x + sqrt(x^2 + softness^2)) / 2, the regularised determinant of Garanzha et al.,
-    Foldover-free maps in 50 lines of code, ACM Trans. Graph. 40, 2021.
+    """(x + sqrt(x^2 + softness^2)) / 2, positive and increasing everywhere: the regularised
+    determinant of Garanzha et al., Foldover-free maps in 50 lines of code, ACM Trans. Graph. 40,
+    2021.
     """
     root = jnp.sqrt(x**2 + softness**2)
     return jnp.where(x >= 0, (x + root) / 2, softness**2 / (2 * (root + jnp.abs(x))))

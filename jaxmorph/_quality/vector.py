@@ -1,8 +1,4 @@
-"""Vectors of two or three components, each an array whose last axis runs over the cells.
-
-Loops over many cells then run along the arrays, where the machine is fast, and nothing is laid out
-anew. An axis before it runs over the corners, edges or faces of one cell.
-"""
+"""Vectors of two or three components: arrays with the cells on the last axis, for fast loops."""
 
 import functools
 import math
@@ -22,12 +18,9 @@ from .._kernels.values import Either, namespace, on_host, root
 Scalar = Float[Either, "*rows k"]
 
 ByType = dict[str, Any]
-"""Arrays or reports by type of cells, in the order of `mesh.cells`."""
 
 
 class Vector(tuple):
-    """The components of a vector; sums and multiples are those of vectors."""
-
     __slots__ = ()
 
     def __add__(self, other: "Vector") -> "Vector":  # pyright: ignore[reportIncompatibleMethodOverride]
@@ -44,23 +37,20 @@ class Vector(tuple):
 
 
 def corners(points: Float[Either, "n d"], ids: Shaped[Either, "k c"]) -> list[Vector]:
-    """Gathers one vector for each corner of k cells."""
     axes = [points[:, axis] for axis in range(points.shape[1])]
     return [Vector(axis[ids[:, corner]] for axis in axes) for corner in range(ids.shape[1])]
 
 
 def cross(a: Vector, b: Vector) -> Vector:
-    """Computes the cross product; in 2-D its one component."""
     return Vector(products.cross(a, b))
 
 
 def determinant(columns: Sequence[Vector]) -> Scalar:
-    """Computes the determinant of a matrix, with three columns as (a x b) . c."""
     return products.determinant([*columns[2:], *columns[:2]])
 
 
 def norm(a: Vector) -> Scalar:
-    """Computes the length; its derivative at zero is zero."""
+    """The length; its derivative at zero is zero."""
     return root(dot(a, a))
 
 
@@ -82,31 +72,26 @@ def mean(vectors: Sequence[Vector]) -> Vector:
 
 
 def divide(a: Scalar, b: Scalar, otherwise: float) -> Scalar:
-    """Divides a by b; `otherwise`, without a derivative, where b is so small that it overflows."""
+    """a / b, or `otherwise`, without a derivative, where b is so small that it overflows."""
     xp = namespace(b)
     none = xp.abs(b) <= float(jnp.finfo(b.dtype).tiny) ** 0.4
     return xp.where(none, otherwise, a / xp.where(none, 1, b))
 
 
 def angle(a: Vector, b: Vector) -> Scalar:
-    """Computes the angle in radians; 0, without a derivative, for a vector of no length."""
+    """The angle in radians; 0, without a derivative, for a vector of no length."""
     xp, sine, cosine = namespace(a[0]), norm(cross(a, b)), dot(a, b)
     none = sine**2 + cosine**2 <= float(jnp.finfo(sine.dtype).tiny) ** 0.8
     return xp.where(none, 0, xp.arctan2(sine, xp.where(none, 1, cosine)))
 
 
-BLOCK = 1 << 16
-"""Cells that are measured together."""
-
-CACHED = 1 << 13
-"""Cells that NumPy measures together: intermediate values stay in the processor's cache."""
+BLOCK = 1 << 16  # cells in a block
+CACHED = 1 << 13  # cells in a block of NumPy: intermediate values stay in the processor's cache
 
 
 def by_place(function: Function) -> Function:
-    """Makes a function that runs by NumPy where its arrays are in the host's memory, else compiled.
-
-    Whole numbers among its arguments are static. A program would take longer to compile than NumPy
-    takes for all.
+    """Makes a function that runs by NumPy where its arrays are in the host's memory, else compiled:
+    a compilation would take longer than NumPy. Whole numbers among its arguments are static.
     """
     program = compiled(function)
 
@@ -124,11 +109,10 @@ def _converted(convert: Callable, arguments: Any) -> Any:
 
 
 def in_blocks(xp: Any, function: Callable, *rows: Any, size: int | None = None) -> Any:
-    """Applies `function`, of NumPy or `jax.numpy`, to blocks of cells: memory is that of one.
-
-    The last axis of each of `rows` runs over cells, and so does that of what `function` returns.
-    Reverse mode computes each block anew. A block has `size` cells. By default it has `CACHED` for
-    NumPy and `BLOCK` for JAX, fewer of cells with many values.
+    """Applies `function`, of NumPy or `jax.numpy`, to blocks of cells: memory is that of one. Cells
+    run along the last axis of `rows` and of the result. Reverse mode computes each block anew. A
+    block has `size` cells: by default `CACHED` for NumPy and `BLOCK` for JAX, fewer of cells with
+    many values.
     """
     leaves = jax.tree.leaves(rows)
     width = max(math.prod(leaf.shape[:-1]) for leaf in leaves)  # many values a cell, fewer cells

@@ -17,14 +17,12 @@ from .report import QualityReport, Report
 from .sides import Sides
 
 WORST = 5
-"""Cells named for each limit that is exceeded."""
 
 BY_FACES = {"face_skewness": "skewness", "face_aspect_ratio": "aspect_ratio"}
 """Measures of faces, by their names in limits and tables. The plain names are those of corners."""
 
 LABELS = {"non_orthogonality": "non-orthogonality", "pyramid": "face pyramid"}
-PROVEN = "min_proven_margin"
-"""The limit that `Limits.proven` sets, to 0."""
+PROVEN = "min_proven_margin"  # the limit that `Limits.proven` sets, to 0
 
 RATIOS = (("min", "volume_ratio"), ("min", "jacobian_ratio"))
 ROWS = tuple((kind, name) for name in ("skewness", "aspect_ratio", "non_orthogonality") for kind in ("mean", "max"))
@@ -72,10 +70,7 @@ class Limits:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Judged:
-    """A mesh on some points, judged relative to the mesh `before` a motion, through `steps`.
-
-    Cells have the numbers of the file.
-    """
+    """A mesh on some points, judged relative to the mesh `before` a motion, through `steps`."""
 
     mesh: Mesh
     points: Any
@@ -106,7 +101,6 @@ class Judged:
 
     @functools.cached_property
     def counted(self) -> np.ndarray:
-        """Ids of the cells that count: those of the highest dimension."""
         return np.flatnonzero(self.report.counted)
 
     @functools.cached_property
@@ -123,16 +117,12 @@ class Judged:
 
     @property
     def spoilt(self) -> np.ndarray:
-        """Ids of the cells that the motion has inverted, the worst first."""
         lost = self.inverted & ~self._old
         worst = self.report.worst(len(self.counted)) if lost.any() else np.zeros(0, dtype=int)
         return worst[lost[worst]]
 
     def values(self, key: str) -> np.ndarray:
-        """Lists a limited measure of the cells that count, in the order of `counted`.
-
-        Raises `ValueError` for a measure of corners where cells are polyhedra.
-        """
+        """A measure of the counted cells. Raises `ValueError` for corners of polyhedra."""
         if key in BY_FACES or key == "non_orthogonality":  # checkMesh's, exact also where faces are warped
             return getattr(self.faces, BY_FACES.get(key, key))[self.counted]
         if self.mesh.polyhedra is not None:
@@ -147,10 +137,7 @@ class Judged:
         return in_file[self.counted]
 
     def _proven_margin(self) -> np.ndarray:
-        """Finds the least margins of all cells at all instants, below 0 where one is not proven.
-
-        Where nodes leave straight lines, only the end of each step is looked at.
-        """
+        """The least margins over the motion, below 0 if not proven; off lines, at ends of steps."""
         starts, ends = (self.mesh.points, *self.steps), (*self.steps, self.points)
         bases = starts if self.is_straight and self.before is not None else [None] * len(starts)
         proofs = [proof(self.mesh, end, base=base) for base, end in zip(bases, ends, strict=True)]
@@ -161,10 +148,7 @@ class Judged:
 
 @dataclasses.dataclass(frozen=True)
 class Number:
-    """One number of a mesh: an extreme (`max`, `min`) at a cell, or a mean by weight.
-
-    `part` is the part of the mesh, None for the whole.
-    """
+    """An extreme (`max`, `min`) at a cell, or a mean by weight; `part` is None for the whole."""
 
     kind: str
     value: float
@@ -184,7 +168,6 @@ class Number:
 
     @property
     def name(self) -> str:
-        """The cell's number, with its part where the mesh has several."""
         return str(self.cell) if self.part is None else f"processor{self.part} cell {self.cell}"
 
     @property
@@ -199,8 +182,6 @@ class Number:
 
 @dataclasses.dataclass(frozen=True)
 class Gate:
-    """A limit by its name, the extreme value, and how many cells are beyond, with the worst."""
-
     name: str
     limit: float
     extreme: Number
@@ -218,10 +199,9 @@ class Verdict:
 
     - `ok`: the motion inverts no cell, a mesh by itself has none, and no limit is exceeded.
     - `cells`, `inverted`, `degenerate`: numbers of cells; `rule`: by what a cell is inverted.
-    - `spoilt`: how many cells the motion has inverted; `worst` is the worst of them, with its cell
-      and place.
-    - `bad` (k,): ids of the cells that are inverted or beyond a limit. Of joined parts there are
-      none.
+    - `spoilt`: number of cells that the motion has inverted; `worst`: the worst, its cell and
+      place.
+    - `bad` (k,): ids of the cells that are inverted or beyond a limit; none for joined parts.
     - `rows`: means and extremes by kind and measure, such as `("max", "skewness")`.
     - `gates`: each limit, with the number of cells `beyond` it.
     - `before`: the verdict on the undeformed mesh; None of a mesh by itself.
@@ -245,7 +225,6 @@ class Verdict:
     judged: Judged | None = dataclasses.field(default=None, compare=False, repr=False)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Returns the numbers, without the arrays of all cells."""
         return vars(self.of_part())
 
     def of_part(self) -> "Verdict":
@@ -302,9 +281,8 @@ class Verdict:
 
     @checked
     def table(self, more: Sequence[str] = ()) -> str:
-        """Formats the measures, before and after a motion, with the worst cells, 80 columns wide.
-
-        `more` are further rows. The limits follow.
+        """Formats the measures, before and after a motion, with the worst cells, 80 columns wide,
+        then the rows of `more` and the limits.
         """
         parts = f" in {self.parts} parts" if self.parts else ""
         note = f", {self.degenerate} degenerate from the start" if self.degenerate else ""
@@ -314,7 +292,7 @@ class Verdict:
         return "\n\n".join(filter(None, ["\n".join([*lines, *more]), self._limits()]))
 
     def _measures(self) -> list[str]:
-        """Formats a row for each measure: without ratios, or after a motion without volume."""
+        """A row for each measure: without ratios, or after a motion without volume."""
         if self.before is None:
             lines = [f"{'':<23}{'':>12}   worst cell"]
             rows = {row: ("", number) for row, number in self.rows.items() if row not in RATIOS}
@@ -330,7 +308,6 @@ class Verdict:
         return lines
 
     def _limits(self) -> str:
-        """Formats a row for each limit, then the worst cells beyond."""
         if not self.gates:
             return ""
         now = "now" if self.before is None else "after"
@@ -346,7 +323,6 @@ class Verdict:
         return "\n".join(lines + worst)
 
     def _starts(self) -> list[float | None]:
-        """Lists the extremes before the motion; a ratio to the mesh before has none."""
         if self.before is None:
             return [None] * len(self.gates)
         return [None if gate.name == "min_jacobian_ratio" else gate.extreme.value for gate in self.before.gates]
@@ -404,18 +380,16 @@ def judge(
 
     - `mesh`: the undeformed mesh.
     - `points`: points (n, d) after a motion, in the unit of the mesh. Default: the mesh by itself.
-    - `limits`: what else must hold. Default: no limits.
+    - `limits`: further conditions. Default: none.
     - `before`: the verdict on the undeformed mesh under the same limits, for several motions of one
       mesh. Default: made.
     - `steps`: points after each step of the motion but the last, for `Limits.proven`.
     - `is_straight`: nodes move along straight lines from step to step, as with a plan that
-      `is_linear`. Default True. Where they do not, the ends of steps alone are proven.
+      `is_linear`. Default True. Else the ends of steps alone are proven.
     - `part`: number of the part of a mesh that `mesh` is, for `Verdict.together`.
 
-    **Returns:** a `Verdict`.
-
-    **Raises:** `ValueError` for points of another shape, and for a limit on a measure that the
-    cells do not have.
+    **Raises:** `ValueError` for points of another shape, and a limit on a measure that the cells
+    lack.
     """
     limits = Limits() if limits is None else limits
     if part is not None:
@@ -454,7 +428,6 @@ def _verdict(judged: Judged, limits: Limits, before: Verdict | None) -> Verdict:
 
 
 def _gate(judged: Judged, name: str, limit: float) -> tuple[Gate, np.ndarray]:
-    """Compares a measure with its limit; also returns the ids of the cells beyond."""
     kind, values = name[:3], judged.values(name[4:]).astype(float)
     badness = np.where(np.isnan(values), np.inf, values if kind == "max" else -values)
     rows = np.flatnonzero(badness > (limit if kind == "max" else -limit))
@@ -490,7 +463,6 @@ def _joined(gates: Sequence[Gate]) -> Gate:
 
 
 def _merged(numbers: Sequence[Number]) -> Number:
-    """Takes the worst of all parts, or the mean by their volumes."""
     if numbers[0].kind != "mean":
         return max(numbers, key=lambda number: number.badness)
     weight = sum(number.weight for number in numbers)

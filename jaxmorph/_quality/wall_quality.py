@@ -20,8 +20,7 @@ from .vector import Vector, angle, by_place, cross, dot, norm
 class WallQuality(Module):
     """Result of `wall_quality` at w wall nodes: arrays (w,).
 
-    - `nodes`: their ids, ascending. A wall node without an edge that leaves the wall is not among
-      them.
+    - `nodes`: their ids, ascending, without nodes from which no edge leaves the wall.
     - `angle`: degrees by which the first grid line has left its own angle to the wall; 0 on the
       undeformed mesh.
     - `height`: distance from the wall at which that line ends, along the wall's normal, over the
@@ -58,13 +57,10 @@ def wall_quality(
     The area-weighted mean of skewness hides both. The first grid line of a wall node is the edge
     that leaves the wall most nearly along its normal on the undeformed mesh. The wall's normal at a
     node is that of the faces around it, weighted by their area. In 3-D a neighbour on the wall says
-    how the wall turns about the normal.
-
-    Traced over `points`. The ids are found on the host at each call: close over the mesh.
-
-    Of curved cells all nodes of the wall count. The normal is that of the sides' own polynomials at
-    the node. The first grid line goes through the whole cell: its angle is that of its tangent at
-    the wall, its height that of its other end.
+    how the wall turns about the normal. Traced over `points`. The ids are found on the host at each
+    call: close over the mesh. Of curved cells all nodes of the wall count. The normal is that of
+    the sides' own polynomials at the node. The first grid line goes through the whole cell: its
+    angle is that of its tangent at the wall, its height that of its other end.
 
     **Arguments:**
 
@@ -75,11 +71,8 @@ def wall_quality(
       softness takes its place, smooth and less by `softness` at most. Default None: none. `height`
       has no kink.
 
-    **Returns:** a `WallQuality`.
-
-    **Raises:** `ValueError` for a patch that is not there, ids out of range, and nodes that hold no
-    side of a cell on the boundary. Also for a mesh without cells, and a shape of `points` other
-    than that of `mesh.points`.
+    **Raises:** `ValueError` for an unknown patch, ids out of range, nodes that hold no side of a
+    cell on the boundary, a mesh without cells, and another shape of `points`.
     """
     current = places(mesh, points)
     if softness is not None and is_known(softness):
@@ -106,7 +99,6 @@ def _measured(
 
 
 def _components(lines: Lines, x: Float[Either, "n d"]) -> tuple[Vector, Float[Either, " w"]]:
-    """Computes components of first grid lines along the wall's normal and the wall, and heights."""
     xp = namespace(x)
     areas = xp.zeros((len(lines.nodes), x.shape[1]), x.dtype)
     for rows, area in lines.areas(x):

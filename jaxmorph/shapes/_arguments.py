@@ -1,4 +1,4 @@
-"""Checks what comes in: shapes always, values where they are known."""
+"""Checks of arguments: shapes always, values where they are known."""
 
 from collections.abc import Sequence
 from typing import Any, TypeVar
@@ -19,7 +19,6 @@ Numbers = Real[ArrayLike, "..."] | Sequence[Any]
 
 
 def positions(x: Numbers, name: str = "x") -> Float[Array, "m d"]:
-    """Turns positions into an array (m, d) of floats."""
     places = array(x)
     if places.ndim != 2 or places.shape[1] not in (2, 3):
         raise ValueError(f"`{name}` has shape {places.shape}; positions have shape (m, 2) or (m, 3).")
@@ -35,12 +34,11 @@ def positions_in(x: Numbers, counts: tuple[int, ...]) -> Float[Array, "m d"]:
 
 
 def cast(module: M, x: Float[Array, "m d"]) -> M:
-    """Casts the floats of a module to the dtype of positions."""
     return jax.tree.map(lambda leaf: leaf.astype(x.dtype) if jnp.issubdtype(leaf.dtype, jnp.inexact) else leaf, module)
 
 
 def known_positions(x: Numbers, name: str = "x") -> Float[np.ndarray, "m d"]:
-    """Turns positions that can be read into an array (m, d) of NumPy, all finite."""
+    """Turns positions that can be read into a finite array (m, d) of NumPy."""
     known = np.asarray(positions(x, name))
     bad = np.flatnonzero(~np.isfinite(known).all(axis=1))
     if len(bad):
@@ -49,32 +47,27 @@ def known_positions(x: Numbers, name: str = "x") -> Float[np.ndarray, "m d"]:
 
 
 def check_finite(**arrays: Any) -> None:
-    """Raises `ValueError` for the first array that can be read and is not finite."""
     for name, values in arrays.items():
         if values is not None and is_known(values) and not (finite := np.isfinite(np.asarray(values, float))).all():
             raise ValueError(f"{(~finite).sum()} of {finite.size} numbers of `{name}` are not finite.")
 
 
 def check_parameters(parameters: Any) -> None:
-    """Raises `ValueError` for a leaf of parameters that holds no real numbers."""
     for leaf in jax.tree.leaves(parameters):
         if not hasattr(leaf, "dtype") and np.asarray(leaf).dtype.kind not in "fiub":
             raise ValueError(f"`parameters` holds {shown(leaf)}; design variables are real numbers.")
 
 
 def rows_of(name: str, ids: Any, count: int) -> Int[np.ndarray, "..."]:
-    """Turns ids into row numbers of `count` positions, in an array of any shape."""
     ids = as_array(name, ids)
     return listed_rows(name, ids.ravel(), count).reshape(ids.shape)
 
 
 def number(name: str, value: Any, like: Array) -> Float[Array, ""]:
-    """Turns one finite number into an array of the positions' dtype."""
     return _finite(name, value, like, (), "it is one number")
 
 
 def vector(name: str, values: Any, like: Array) -> Float[Array, " d"]:
-    """Turns d finite numbers into an array of the positions' dtype."""
     d = like.shape[1]
     return _finite(name, values, like, (d,), f"positions in {d}-D need ({d},)")
 
@@ -89,7 +82,6 @@ def _finite(name: str, values: Any, like: Array, shape: tuple[int, ...], expecte
 
 
 def direction(name: str, values: Any, like: Array) -> Float[Array, " d"]:
-    """Turns d numbers into a vector of length 1."""
     values = vector(name, values, like)
     if is_known(values) and not np.asarray(values).any():  # NumPy's, which no trace records
         raise ValueError(f"`{name}` has length 0; it must be a direction.")

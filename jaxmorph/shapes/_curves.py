@@ -15,20 +15,19 @@ from ._shape import AbstractLinearShape, AbstractShape, Move
 
 
 class HicksHenne(AbstractLinearShape):
-    """Bumps on an airfoil's side (Hicks and Henne, 1978).
+    """Hicks-Henne bumps (1978): sin(pi t^(ln 0.5 / ln c))^w, of height 1 at t = c.
 
-    A bump is sin(pi t^(ln 0.5 / ln c))^w, of height 1 at t = c. t runs along the chord from 0 to 1;
-    positions before and behind it stay. The parameters (k,) are the heights, in the units of the
-    positions, across the chord. `Part` restricts the bumps to one side.
+    t runs along the chord from 0 to 1; positions before and behind it stay. The parameters (k,) are
+    the heights across the chord, in the units of the positions. `Part` restricts the bumps to one
+    side.
 
     **Arguments:**
 
-    - `centres`: (k,) between 0 and 1.
-    - `widths`: exponents, one or (k,), above 0. A bump with a larger exponent is narrower.
-    - `chord`: where the airfoil lies; from (0, 0) to (1, 0) by default.
+    - `centres`: c (k,), between 0 and 1.
+    - `widths`: exponents w above 0, one or (k,). A larger exponent is a narrower bump.
+    - `chord`: of the airfoil; from (0, 0) to (1, 0) by default.
 
-    **Raises:** `ValueError` for centres outside of 0 to 1, widths that are not above 0, and equal
-    bumps.
+    **Raises:** `ValueError` for numbers outside of these ranges, and equal bumps.
     """
 
     centres: Float[Array, " k"]
@@ -65,16 +64,16 @@ class HicksHenne(AbstractLinearShape):
 class CST(AbstractLinearShape):
     """Class and shape functions of one side of an airfoil (Kulfan, 2008).
 
-    They are t^a (1 - t)^b times Bernstein polynomials. The parameters are `order + 2` numbers in
-    chords: the weights of the polynomials, and the ordinate of a blunt trailing edge. The
-    displacement is what they add across the chord. `Part` restricts it to one side; `fit_cst` finds
-    the weights of an airfoil.
+    They are t^a (1 - t)^b times Bernstein polynomials. The `order + 2` parameters, in chords, are
+    the weights of the polynomials and the ordinate of a blunt trailing edge. They are added to the
+    airfoil, across the chord. `Part` restricts them to one side; `fit_cst` finds the weights of an
+    airfoil.
 
     **Arguments:**
 
     - `order`: degree of the polynomials, 1 or more.
     - `exponents`: (a, b); (0.5, 1) is a round nose and a sharp tail.
-    - `chord`: where the airfoil lies; from (0, 0) to (1, 0) by default.
+    - `chord`: of the airfoil; from (0, 0) to (1, 0) by default.
     """
 
     order: int = eqx.field(static=True)
@@ -105,10 +104,7 @@ class CST(AbstractLinearShape):
 
 
 def _power(distance: Float[Array, " m"], exponent: float) -> Float[Array, " m"]:
-    """Raises distances from nose or tail to a power.
-
-    The derivative at the nose or tail is the derivative inside, or 0 where that is infinite.
-    """
+    """The derivative at the nose or tail is the one inside, or 0 where that is infinite."""
     if float(exponent).is_integer():
         return distance ** int(exponent)
     ahead = distance > 0
@@ -118,16 +114,10 @@ def _power(distance: Float[Array, " m"], exponent: float) -> Float[Array, " m"]:
 class BSplineCurve(AbstractLinearShape):
     """A B-spline along a curve of nodes, which follow control points by their arc length.
 
-    The parameters are the displacements (count, d) of the control points.
+    The nodes are `points` (m, d) in order, end to end; neighbours must not coincide. The parameters
+    are the displacements (count, d) of the control points, more than the `degree` of the spline.
 
-    **Arguments:**
-
-    - `points`: (m, d) the nodes in order, end to end.
-    - `count`: control points, above `degree`.
-    - `degree`: of the spline.
-
-    **Raises:** `ValueError` for too few control points, coincident neighbours, and other positions
-    than `points`.
+    **Raises:** `ValueError` for other arguments, and positions other than `points`.
     """
 
     shares: Float[Array, " m"]
@@ -160,9 +150,7 @@ class BSplineCurve(AbstractLinearShape):
 
 
 class Modes(AbstractLinearShape):
-    """Given displacement fields, such as mode shapes; the parameters (k,) are amplitudes.
-
-    `fields` are (k, m, d).
+    """Displacement fields (k, m, d), such as mode shapes; the parameters (k,) are amplitudes.
 
     **Raises:** `ValueError` for fields of another shape than the positions.
     """
@@ -186,26 +174,19 @@ class Modes(AbstractLinearShape):
         return lambda amplitudes: jnp.tensordot(self._numbers(amplitudes, x), self.fields.astype(x.dtype), 1)
 
 
-LAST = (0.1015, 0.1036)
-"""Last coefficient of the thickness: for a blunt trailing edge, and for a sharp edge."""
-
-REACH = 2.0
-"""Chords before and behind the crest of the mean line within which feet are searched."""
+LAST = (0.1015, 0.1036)  # last coefficient of the thickness: for a blunt trailing edge, and for a sharp edge
+REACH = 2.0  # chords before and behind the crest of the mean line in which feet are searched
 
 HALVINGS = 56
-"""Halvings of an interval, down to round-off."""
 
 
 class NACA4(AbstractShape):
     """Turns a NACA 4-digit airfoil into another: exact for its own nodes, smooth nearby.
 
     The parameters are (camber, place, thickness) in chords: (0.04, 0.4, 0.12) is the NACA 4412. A
-    node keeps its place on the mean line; its height above the mean line scales with the thickness.
-
-    **Arguments:**
-
-    - `camber`, `place`, `thickness`: of the airfoil that is given.
-    - `chord`: where it lies; from (0, 0) to (1, 0) by default.
+    node keeps its place on the mean line; its height above it scales with the thickness. `camber`,
+    `place` and `thickness` are those of the given airfoil, `chord` its chord; from (0, 0) to (1, 0)
+    by default.
 
     **Raises:** `ValueError` for a thickness that is not above 0, and a place outside of 0 to 1.
     """
@@ -241,7 +222,6 @@ class NACA4(AbstractShape):
 
 
 def _mean_line(s, airfoil: Float[Array, " 3"]) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
-    """Computes ordinate and slope of the mean line at each place."""
     camber, place = airfoil[0], airfoil[1]
     width = jnp.where(s < place, place, 1 - place)
     ordinate = camber / width**2 * (jnp.where(s < place, 0, 1 - 2 * place) + 2 * place * s - s**2)
@@ -249,7 +229,6 @@ def _mean_line(s, airfoil: Float[Array, " 3"]) -> tuple[Float[Array, "..."], Flo
 
 
 def _away(s, t, height, airfoil: Float[Array, " 3"]) -> Float[Array, "..."]:
-    """Computes how far positions are beyond the mean line's normal at s: 0 at their foot."""
     ordinate, slope = _mean_line(s, airfoil)
     return s - t + (ordinate - height) * slope
 
@@ -261,10 +240,7 @@ def _rate(s, *position) -> Float[Array, "..."]:
 @jax.custom_jvp
 @jax.jit
 def _station(t: Float[Array, " m"], height: Float[Array, " m"], airfoil: Float[Array, " 3"]) -> Float[Array, " m"]:
-    """Finds the foot of each position on the mean line.
-
-    Of several feet it is the one at which the airfoil is as thick as the position is far.
-    """
+    """The foot of each position on the mean line; of several, the one half a thickness away."""
     position = t[None], height[None], airfoil
     near, far = _intervals(height[None], airfoil)
     sign = jnp.sign(_away(near, *position))
@@ -319,7 +295,6 @@ def _half_thickness(s, thickness, last: float) -> Float[Array, "..."]:
 
 
 def _offset(s, t, height, airfoil: Float[Array, " 3"]) -> Float[Array, "..."]:
-    """Computes the signed distance of each position from its foot."""
     ordinate, slope = _mean_line(s, airfoil)
     return ((height - ordinate) - (t - s) * slope) / jnp.sqrt(1 + slope**2)
 

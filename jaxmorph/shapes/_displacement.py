@@ -1,4 +1,4 @@
-"""From design variables to the input of `deform`, back to their sensitivities, and their names."""
+"""The input of `deform` from design variables, their sensitivities, and their names."""
 
 import difflib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -29,9 +29,8 @@ def displacement(shape: AnyShape, plan: Plan, parameters: PyTree) -> Float[Array
     - `plan`: from `prepare`.
     - `parameters`: what the shape takes; traced, for derivatives.
 
-    **Returns:** displacement (m, d); row i is that of node `plan.moving[i]`.
-
-    **Raises:** `ValueError` where the shape returns another number of positions.
+    **Returns:** displacement (m, d); row i is that of node `plan.moving[i]`. **Raises:**
+    `ValueError` where the shape returns another number of positions.
     """
     return moves(shape, plan.moving_points, parameters)
 
@@ -40,9 +39,8 @@ def displacement(shape: AnyShape, plan: Plan, parameters: PyTree) -> Float[Array
 def path(shape: AnyShape, x: Numbers, parameters: PyTree, steps: int) -> Float[Array, "k m d"]:
     """Computes total displacements after equal steps of the parameters: the path of `march`.
 
-    A rotation in steps is a path of rotated positions. Traced in positions and parameters.
-
-    The path of positions (m, d) begins at `shape.neutral()` and ends at `parameters`.
+    The parameters go from `shape.neutral()` to `parameters`, so a rotation stays a rotation in each
+    step. Traced in the positions `x` (m, d) and the parameters.
 
     **Raises:** `ValueError` for a plain function in several steps, and as `displacement` does.
     """
@@ -66,8 +64,8 @@ def pullback(shape: AnyShape, plan: Plan | Sequence[Plan], parameters: PyTree, c
 
     **Arguments:**
 
-    - `shape`, `parameters`: what moved the mesh, as `displacement` takes them.
-    - `plan`: from `prepare`; or the plans that `march` returned for `path(shape, x, parameters,
+    - `shape`, `parameters`: as `displacement` takes them.
+    - `plan`: from `prepare`, or the plans of `march` along `path(shape, x, parameters,
       len(plans))`.
     - `cotangent`: dJ/d(points) (n, d) at the moved mesh.
 
@@ -93,7 +91,7 @@ def project(shape: AnyShape, x: Numbers, parameters: PyTree, gradient: Numbers) 
 
     **Arguments:**
 
-    - `shape`, `parameters`: what moved the wall, as `displacement` takes them.
+    - `shape`, `parameters`: as `displacement` takes them.
     - `x`: undeformed positions (m, d) of the wall.
     - `gradient`: dJ/d(positions) (m, d) of the moved wall.
 
@@ -112,14 +110,12 @@ def _floats(parameters: PyTree, x: Float[Array, "m d"]) -> PyTree:
 
 
 def neutral(shape: AnyShape) -> PyTree:
-    """Returns the parameters that move nothing. Raises `ValueError` for a plain function."""
     if not hasattr(shape, "neutral"):
         raise ValueError("a plain function has no neutral parameters: take `shapes.Function(function, rest)`.")
     return shape.neutral()  # pyright: ignore[reportFunctionMemberAccess]
 
 
 def moves(shape: AnyShape, x: Float[Array, "m d"], parameters: PyTree) -> Float[Array, "m d"]:
-    """Computes the displacement of positions, as `displacement` does."""
     check_parameters(parameters)
     if isinstance(shape, AbstractLinearShape):
         if parameters is None:
@@ -131,8 +127,7 @@ def moves(shape: AnyShape, x: Float[Array, "m d"], parameters: PyTree) -> Float[
     return moved - x
 
 
-LISTED = 12
-"""Names in a message, at most."""
+LISTED = 12  # names in a message, at most
 
 
 @checked
@@ -147,18 +142,13 @@ def names(parameters: PyTree) -> list[str]:
 
 @checked
 def varied(parameters: PyTree, changes: Mapping[str, Any]) -> PyTree:
-    """Sets some parameters by name, on the host.
+    """Sets some of a shape's parameters by name, on the host.
 
-    **Arguments:**
+    `changes` has values by the names that `names` gives, or of whole arrays (`wing.box`); an
+    unambiguous end of a name is enough (`twist`).
 
-    - `parameters`: what a shape takes.
-    - `changes`: values by the names that `names` gives, or by names of whole arrays (`wing.box`).
-      The end of a name is enough where no other name ends like it (`twist`).
-
-    **Returns:** parameters in their structure, as NumPy's floats.
-
-    **Raises:** `ValueError` for names that are unknown or that several parameters share, counts
-    that differ, and values that are not finite.
+    **Returns:** parameters in their structure, as NumPy's floats. **Raises:** `ValueError` for
+    unknown or ambiguous names, counts that differ, and values that are not finite.
     """
     check_parameters(parameters)
     stems = [stem for stem, _ in _leaves(parameters)]

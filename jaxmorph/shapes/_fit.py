@@ -24,8 +24,8 @@ class Fit(Module):
 
     - `parameters`: as the shape takes them.
     - `residual`: (m,) distance of each position from its target.
-    - `rank`: of the derivative by the parameters. Below `count` some parameters have no effect, and
-      are as small as possible.
+    - `rank`: of the derivative by the parameters. Below `count` some have no effect, and are as
+      small as possible.
     - `count`: numbers in the parameters.
     """
 
@@ -44,7 +44,6 @@ class Fit(Module):
 
     @property
     def max_residual(self) -> Float[Array, ""]:
-        """The largest distance left."""
         return self.residual.max()
 
 
@@ -59,12 +58,11 @@ def fit(
     **Arguments:**
 
     - `shape`: a shape, or a function of positions and parameters.
-    - `points`: (m, d) before.
-    - `targets`: (m, d) after, row by row.
+    - `points`, `targets`: (m, d) before and after, row by row.
     - `start`: parameters to begin with; `shape.neutral()` by default.
     - `max_steps`: of the iteration.
 
-    **Raises:** `ValueError` for different shapes, no `start` for a function, and parameters of
+    **Raises:** `ValueError` for different shapes, a function without `start`, and parameters of
     which none moves a point.
     """
     whole("max_steps", max_steps)
@@ -112,10 +110,10 @@ def fit_cst(
     - `chord`: `Chord.along` by default. A nose between two nodes shows in the residual there.
     - `wall`: as `upper_side` takes it; it names all points.
 
-    **Returns:** the shape, whose parameters are (upper, lower), and the `Fit`, whose parameters
-    describe this airfoil. Changes to them move the airfoil: `shape(points, (d_upper, d_lower))`.
+    **Returns:** the shape and the `Fit`, whose parameters (upper, lower) describe this airfoil.
+    Changes to them move it: `shape(points, (d_upper, d_lower))`.
 
-    **Raises:** `ValueError` for fewer nodes than unknowns, and where two sides are not to be seen.
+    **Raises:** `ValueError` for fewer nodes than unknowns, and an airfoil without two sides.
     """
     whole("order", order)
     points = positions(points, "points")

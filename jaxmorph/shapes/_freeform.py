@@ -1,4 +1,4 @@
-"""Free-form deformation: a lattice of control points carries what is inside."""
+"""Free-form deformation: a lattice of control points carries the points inside."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -26,15 +26,14 @@ class FreeForm(AbstractLinearShape):
     **Arguments:**
 
     - `origin`: a corner (d,) of the box.
-    - `axes`: the edges (d, d) that leave it, one in each row; they need not be at right angles.
+    - `axes`: the edges (d, d) from it, one in each row, at any angle.
     - `counts`: numbers of control points along each edge, 2 or more.
-    - `degree`: of the B-splines, one number or a number for each direction; None is the highest,
-      `counts - 1`.
+    - `degree`: of the B-splines, one or one for each direction; None is the highest, `counts - 1`.
     - `continuity`: k holds the k + 1 outer layers of control points, so that a wall across the
       border has k continuous derivatives. None holds none: the wall tears where the border moves.
 
-    **Raises:** `ValueError` for wrong shapes, edges in one plane, counts below 2, degrees outside
-    of 1 to `counts - 1`, and a continuity that leaves no control point free.
+    **Raises:** `ValueError` for other shapes or ranges, edges in one plane, and a continuity that
+    leaves no control point free.
     """
 
     origin: Float[Array, " d"]
@@ -99,7 +98,7 @@ class FreeForm(AbstractLinearShape):
 
     @property
     def free(self) -> Bool[np.ndarray, "..."]:
-        """True for control points that `continuity` leaves free, (*counts,)."""
+        """Mask (*counts,) of the control points that `continuity` leaves free."""
         layers = 0 if self.continuity is None else self.continuity + 1
         return np.pad(np.ones([count - 2 * layers for count in self.counts], bool), layers)
 
@@ -143,13 +142,13 @@ class FreeForm(AbstractLinearShape):
 
         **Arguments:**
 
-        - `free`: True for free controls (*counts,), or coordinates (*counts, d); all by default.
+        - `free`: mask (*counts,) of free controls, or (*counts, d) of coordinates; all by default.
         - `groups`: lists of controls (i, j[, k]) that move alike.
-        - `mirror`: direction of the lattice whose two halves move as mirror images; its edge must
-          be along an axis.
+        - `mirror`: direction of the lattice whose halves are mirror images; its edge is along an
+          axis.
 
-        **Raises:** `ValueError` for arrays or controls that are not of this lattice, an edge along
-        no axis, and nothing free.
+        **Raises:** `ValueError` for arrays or controls of another lattice, an edge along no axis,
+        and nothing free.
         """
         needed = *self.counts, len(self.counts)
         free = np.ones(needed, bool) if free is None else np.asarray(free)
@@ -176,9 +175,8 @@ class FreeForm(AbstractLinearShape):
 
     @checked
     def raise_if_torn(self, x: Numbers, control: Numbers) -> None:
-        """Raises `ValueError` where the border passes nodes (m, d) outside: it tears a wall.
-
-        These nodes are nearer to the border than it moves there by `control` (*counts, d).
+        """Raises `ValueError` where the border, moved by `control`, passes nodes outside and tears
+        a wall. These nodes (m, d) are nearer to the border than it moves there.
         """
         x = known_positions(x)
         t = np.asarray(self.coordinates(jnp.asarray(x)))
@@ -217,8 +215,7 @@ def _checked_degrees(degree: Any, counts: tuple[int, ...]) -> tuple[int, ...]:
 def _link_matrix(
     free: Bool[np.ndarray, "..."], groups: Sequence[Sequence[tuple[int, ...]]], mirror: tuple[int, np.ndarray] | None
 ) -> Float[np.ndarray, "p q"]:
-    """Builds the matrix from free parameters to the displacements of all controls, flattened.
-
+    """Builds the matrix from free parameters to the flattened displacements of all controls.
     `mirror` is the reflected direction of the lattice, with the signs (d,) of the reflection.
     """
     ids, count = np.arange(free.size).reshape(free.shape), free.size

@@ -23,7 +23,7 @@ from ._arguments import Numbers
 class QualityRows:
     """The smallest Jacobian ratios at corners of a moved mesh, with their derivatives.
 
-    - `values` (k,): the ratios less the bound, ascending. A negative value breaks the bound.
+    - `values` (k,): the ratios less the bound, ascending; below 0 the bound is broken.
     - `matrix` (k, p): derivatives by the design variables. A step `s` gives `values + matrix @ s`.
     - `cells` (k,): the cells, in the order of `quality`.
     """
@@ -43,9 +43,8 @@ class MeshGuard(Module):
     """A constraint that keeps the mesh valid: a soft smallest Jacobian ratio less a bound.
 
     The soft ratio is -log(sum(exp(-sharpness ratio))) / sharpness over all corners of cells, and
-    centres of hexahedra. It is below the smallest ratio, by log(count) / sharpness at most, so a
-    design with a constraint of 0 or more has no cell below the bound. It is twice differentiable,
-    along any motion of a plan.
+    centres of hexahedra. It lies below the smallest ratio, by log(count) / sharpness at most: a
+    design with a constraint of 0 or more is feasible. It is twice differentiable, along any motion.
 
         guard = shapes.MeshGuard(plan, mesh, lambda p: shapes.displacement(bumps, plan, p))
         options = {"jac": True, "method": "SLSQP", "constraints": guard.constraint()}
@@ -53,13 +52,13 @@ class MeshGuard(Module):
 
     **Arguments:**
 
-    - `plan`: what `prepare` returned.
+    - `plan`: from `prepare`.
     - `mesh`: whose `points` are the plan's, with cells.
     - `displacement`: takes the design variables (p,) and returns `u` (m, d); traced.
     - `min_jacobian_ratio`: bound on `QualityReport.jacobian_ratio`, from 0 to 1. Default 0.1; cells
       invert at 0.
-    - `sharpness`: positive, default 100. A larger value comes closer to the smallest ratio, and
-      bends more.
+    - `sharpness`: positive, default 100. A larger value is closer to the smallest ratio, and bends
+      more.
 
     **Raises:** `ValueError` for numbers out of their range, and for a mesh that is not the plan's.
     """
@@ -85,7 +84,6 @@ class MeshGuard(Module):
         self.last = LastDesign()
 
     def __call__(self, design: Any) -> Float[Array, ""]:
-        """Computes the soft smallest ratio less the bound; 0 or more keeps the bound. Traced."""
         ratios = self.mesh.ratios(design)
         return -jax.scipy.special.logsumexp(-self.sharpness * ratios) / self.sharpness - self.bound
 
@@ -106,9 +104,8 @@ class MeshGuard(Module):
 
     @checked
     def quality_rows(self, design: Numbers, count: int) -> QualityRows:
-        """Finds the `count` smallest ratios at design variables (p,), and their derivatives.
-
-        A linear program steps by them so that no corner breaks the bound.
+        """Finds the `count` smallest ratios at design variables (p,), and their derivatives: rows
+        of a linear program whose step keeps all corners above the bound.
 
         **Raises:** `ValueError` for more rows than the cells have Jacobians.
         """
@@ -131,9 +128,8 @@ class MeshGuard(Module):
         return ratios[chosen] - self.bound, chosen, matrix
 
     def constraint(self, count: int | None = None) -> dict[str, Any]:
-        """Makes the constraint of `scipy.optimize.minimize` with its derivative.
-
-        It is the soft smallest ratio, or the ratios of the `count` smallest corners.
+        """Makes the constraint of `scipy.optimize.minimize` with its derivative: on the soft
+        smallest ratio, or on the ratios of the `count` smallest corners.
         """
         if count is None:
             return {"type": "ineq", "fun": self.value, "jac": self.gradient}
@@ -143,10 +139,9 @@ class MeshGuard(Module):
         return {"type": "ineq", "fun": lambda design: at(design).values, "jac": lambda design: at(design).matrix}
 
     def guarded(self, objective: Callable[[Any], Any]) -> Callable[[Any], Any]:
-        """Makes an objective that is infinite, without a flow, where a cell is below the bound.
-
-        Line searches step back there. The objective takes design variables (p,), and returns its
-        value and its derivative (p,).
+        """Makes an objective that is infinite, without a flow, for an infeasible design: line
+        searches step back. The objective takes design variables (p,), and returns its value and
+        derivative (p,).
         """
 
         def guard(design: Any) -> tuple[float, Any]:
@@ -159,7 +154,7 @@ class MeshGuard(Module):
 
     @checked
     def callback(self, function: Callable[[Any], Any]) -> Callable[..., Any]:
-        """Makes the `callback` of `scipy.optimize.minimize`, for a history of valid designs.
+        """Makes the `callback` of `scipy.optimize.minimize`, for a history of feasible designs.
 
         It calls the function with the last design (p,) that `guarded` let through. SLSQP gives the
         first trial of each line search, which may invert cells.

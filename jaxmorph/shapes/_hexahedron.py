@@ -13,11 +13,8 @@ from ._arguments import Numbers, check_finite, positions_in
 from ._freeform import FreeForm
 from ._shape import AbstractLinearShape, Move
 
-STEPS = 30
-"""Steps of Newton's method; a place in a box that is no parallelepiped takes about six."""
-
-OUTSIDE = 2.0
-"""Coordinate of a position whose place in the box is not found: it lies far from the box."""
+STEPS = 30  # steps of Newton's method; a box that is no parallelepiped takes about six
+OUTSIDE = 2.0  # coordinate of a position far from the box, whose place is not found
 
 SQUARE = np.array([(0, 0), (1, 0), (1, 1), (0, 1)])
 ORDER = {2: SQUARE, 3: np.array([(*corner, k) for k in (0, 1) for corner in SQUARE])}
@@ -28,14 +25,10 @@ class Hexahedron(AbstractLinearShape):
     """A box of control points between corners that may stand anywhere: a bent `FreeForm`.
 
     In 2-D it is a quadrilateral. Coordinates in the box are those of a multilinear map of the unit
-    cube. Positions inside move by the controls' displacements, weighted with B-splines of these
-    coordinates; positions outside stay. The parameters are the displacements (*counts, d).
-
-    **Arguments:**
-
-    - `corners`: (8, 3) in the order of a cell of the mesh (VTK's and SU2's), the first four around
-      one face; (4, 2) in 2-D.
-    - `counts`, `degree`, `continuity`: as for `FreeForm`.
+    cube. Positions inside move by the controls' displacements (*counts, d), the parameters,
+    weighted with B-splines of these coordinates; positions outside stay. The `corners` are (8, 3)
+    in the order of a cell of the mesh (VTK's and SU2's), the first four around one face; (4, 2) in
+    2-D. All else is as for `FreeForm`.
 
     **Raises:** `ValueError` for another number of corners, a box without volume or turned inside
     out, and as `FreeForm` does.
@@ -80,12 +73,11 @@ class Hexahedron(AbstractLinearShape):
 
     @property
     def free(self) -> Bool[np.ndarray, "..."]:
-        """True for control points that `continuity` leaves free, (*counts,)."""
+        """Mask (*counts,) of the control points that `continuity` leaves free."""
         return self.box.free
 
     @property
     def given_corners(self) -> Float[np.ndarray, "c d"]:
-        """The corners in the order in which they were given."""
         return np.asarray(self.corners)[tuple(ORDER[len(self.counts)].T)]
 
     def neutral(self) -> Float[Array, "..."]:
@@ -119,7 +111,6 @@ _slopes = jax.jacfwd(_at)
 @jax.custom_jvp
 @jax.jit
 def _places(x: Float[Array, "m d"], corners: Float[Array, "..."]) -> Float[Array, "m d"]:
-    """Inverts the map by Newton's method from the middle of the box."""
     tolerance = 1e3 * jnp.finfo(x.dtype).eps * jnp.max(jnp.abs(corners))
 
     def one(position: Float[Array, " d"]) -> Float[Array, " d"]:

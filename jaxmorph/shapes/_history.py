@@ -12,8 +12,7 @@ from jaxtyping import Float
 from .._host.package.arguments import checked, finite_array
 from .._host.package.files import input_path, output_path
 
-FIELDS = ("design", "value", "constraints", "measures")
-"""Fields of an iteration in the file."""
+FIELDS = ("design", "value", "constraints", "measures")  # fields of an iteration in the file
 
 
 class History:
@@ -24,11 +23,10 @@ class History:
         measures = {"jacobian_ratio": guard.smallest(design)}
         history.add(design, drag, constraints={"lift": lift}, measures=measures)
 
-    An existing file is read first, less a last line that is cut off: the run goes on from its last
+    An existing file is read first, less a truncated last line: the run goes on from its last
     iteration. `plot.convergence(history)` draws it.
 
-    **Raises:** `ValueError` for a file that holds anything else, with its line, and a folder that
-    is not there.
+    **Raises:** `ValueError` for a file of anything else, with its line, and a missing folder.
     """
 
     @checked
@@ -95,8 +93,8 @@ class History:
     ) -> None:
         """Adds an iteration, and writes it to the disk.
 
-        It has design variables (p,), the objective, and numbers or lists of numbers by name. What
-        is not finite is kept as none.
+        It has design variables (p,), the objective, and numbers or lists of numbers by name; a
+        number that is not finite becomes null.
 
         **Raises:** `ValueError` for another number of design variables, and for what is no number.
         """

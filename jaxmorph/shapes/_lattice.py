@@ -1,7 +1,4 @@
-"""B-splines on clamped, equal knots over [0, 1], which curves and boxes of control points share.
-
-Those of the highest degree are Bernstein polynomials.
-"""
+"""B-splines on clamped, equal knots over [0, 1], Bernstein polynomials at the highest degree."""
 
 import functools
 import math
@@ -11,12 +8,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-SLAB = 8192
-"""Points whose sums are computed together: intermediate sums are larger than the result."""
+SLAB = 8192  # points in a block: intermediate sums are larger than the result
 
 
 def splines(t: Float[Array, " m"], count: int, degree: int) -> Float[Array, "m k"]:
-    """Evaluates all `count` functions of a degree at each t."""
     if degree == count - 1:
         return bernstein(t, degree)
     pieces = count - degree
@@ -38,7 +33,6 @@ def splines(t: Float[Array, " m"], count: int, degree: int) -> Float[Array, "m k
 
 
 def bernstein(t: Float[Array, " m"], degree: int) -> Float[Array, "m k"]:
-    """Evaluates the Bernstein polynomials of a degree."""
     powers, rest = [jnp.ones_like(t)], [jnp.ones_like(t)]
     for _ in range(degree):
         powers.append(powers[-1] * t)
@@ -48,7 +42,6 @@ def bernstein(t: Float[Array, " m"], degree: int) -> Float[Array, "m k"]:
 
 @jax.jit
 def sums(weights: Sequence[Float[Array, "m _"]], control: Float[Array, "*counts d"]) -> Float[Array, "m d"]:
-    """Sums control displacements for each point, with its weights along each direction."""
     return jax.lax.map(functools.partial(_sum, control), tuple(weights), batch_size=SLAB)
 
 

@@ -21,8 +21,7 @@ def rotate(x: Numbers, angle: Number | Numbers, about: Numbers, axis: Numbers | 
     **Arguments:**
 
     - `x`: positions (m, d).
-    - `angle`: radians, counter-clockwise as seen against `axis`, for all positions or one for each
-      (m,); 0 is neutral.
+    - `angle`: radians, counter-clockwise as seen against `axis`, one or (m,); 0 is neutral.
     - `about`: a point (d,) that stays.
     - `axis`: direction (3,) of any length; only in 3-D.
 
@@ -46,9 +45,7 @@ def translate(x: Numbers, by: Numbers) -> Float[Array, "m d"]:
 
 @checked
 def scale(x: Numbers, factors: Numbers | Number, about: Numbers) -> Float[Array, "m d"]:
-    """Scales positions (m, d) about a point (d,) that stays.
-
-    `factors` is one number, or one for each coordinate (d,); 1 is neutral.
+    """Scales positions (m, d) about a point (d,) that stays, by one factor or (d,); 1 is neutral.
 
     **Raises:** `ValueError` for wrong shapes.
     """
@@ -61,9 +58,8 @@ def scale(x: Numbers, factors: Numbers | Number, about: Numbers) -> Float[Array,
 
 @checked
 def twist(x: Numbers, angle: Number, about: Numbers, axis: Numbers, length: Number) -> Float[Array, "m 3"]:
-    """Twists positions about an axis, in proportion to the distance along the axis.
-
-    Positions before `about` stay, positions beyond `length` turn by the whole angle.
+    """Twists positions about an axis, in proportion to the distance along it. Positions before
+    `about` stay, positions beyond `length` turn by the whole angle.
 
     **Arguments:**
 
@@ -121,7 +117,6 @@ def bend(
 
 
 def _turn(arm: Float[Array, "m d"], angle: Array, axis: Float[Array, " 3"] | None) -> Float[Array, "m d"]:
-    """Computes what a rotation adds to arms from its centre (Rodrigues' formula)."""
     versine = 2 * jnp.sin(angle / 2) ** 2
     if axis is None:
         return jnp.sin(angle) * jnp.stack([-arm[:, 1], arm[:, 0]], axis=1) - versine * arm
@@ -131,7 +126,6 @@ def _turn(arm: Float[Array, "m d"], angle: Array, axis: Float[Array, " 3"] | Non
 
 
 NEUTRAL = {"twist": 0.0, "chord": 1.0, "sweep": 0.0, "dihedral": 0.0, "span": 0.0}
-"""Values of a planform's parameters that change nothing."""
 
 
 class ReferenceAxis(AbstractShape):
@@ -148,11 +142,9 @@ class ReferenceAxis(AbstractShape):
 
     **Arguments:**
 
-    - `points`: (k, 3) stations on the axis, from root to tip; straight lines join them.
-    - `chordwise`, `spanwise`: directions (3,) of chord and span, at right angles; the axes x and y
-      by default.
-    - `cubic`: natural cubic splines between stations instead of straight lines, for values and
-      axis.
+    - `points`: (k, 3) stations on the axis, from root to tip.
+    - `chordwise`, `spanwise`: directions (3,) at right angles; the axes x and y by default.
+    - `cubic`: natural cubic splines of values and axis between stations, not straight lines.
 
     **Raises:** `ValueError` for fewer than two stations, stations that do not advance along the
     span, and wrong parameters.
@@ -225,7 +217,7 @@ class ReferenceAxis(AbstractShape):
 
 
 def _second_derivatives(steps: Float[Array, " j"]) -> Float[Array, "k k"]:
-    """Computes the matrix from values at stations to second derivatives of a natural spline."""
+    """The matrix from values at stations to second derivatives of a natural spline."""
     before, after = steps[:-1], steps[1:]
     slopes = jnp.diff(jnp.eye(len(steps) + 1, dtype=steps.dtype), axis=0) / steps[:, None]
     middle = jnp.pad(2 * (before + after), 1, constant_values=1)

@@ -13,27 +13,19 @@ from .._kernels.module import Module
 from ._arguments import Numbers, known_positions, rows_of
 from ._walls import simplices_of
 
-SAME = 1e-9
-"""Distance in chords within which two nodes stand at one place."""
-
-TIE = 1e-12
-"""Difference in chords within which two tours are equally long."""
-
-AT = 1e-3
-"""Share of an edge within which the nose or the tail is the node at its end."""
-
-BLUNT = 0.1
-"""Largest length in chords of a blunt tail whose corner is given as the tail."""
+SAME = 1e-9  # distance in chords within which two nodes stand at one place
+TIE = 1e-12  # difference in chords within which two tours are equally long
+AT = 1e-3  # share of an edge within which the nose or the tail is the node at its end
+BLUNT = 0.1  # largest length in chords of a blunt tail whose corner is given as the tail
 
 CORNER, SHARP = np.cos(np.deg2rad([45, 135]))
 """Cosines of the turn of a loop at a corner of a blunt tail: an upper and a lower bound."""
 
 
 class Chord(Module):
-    """The chord of an airfoil, from nose to tail, and the direction across it.
+    """The chord of an airfoil, from point `nose` (d,) to `tail`, and the direction `up` across it.
 
-    `nose` and `tail` are points (d,), `up` a direction (d,): the chord turned to the left by
-    default, needed in 3-D.
+    By default `up` (d,) is the chord turned to the left; 3-D needs it.
 
     **Raises:** `ValueError` for a chord without length, and for no `up` in 3-D.
     """
@@ -59,7 +51,6 @@ class Chord(Module):
 
     @property
     def length(self) -> Float[Array, ""]:
-        """The distance from nose to tail."""
         return jnp.linalg.norm(self.tail - self.nose)
 
     def coordinates(self, x: Float[Array, "m d"]) -> tuple[Float[Array, " m"], Float[Array, " m"]]:
@@ -75,8 +66,8 @@ class Chord(Module):
     def along(points: Numbers) -> "Chord":
         """Finds the chord of an airfoil in 2-D from its nodes (m, 2).
 
-        The tail has the largest x, the nose is the node farthest from the tail. Several such nodes,
-        as those of a blunt tail, give their mean.
+        The tail has the largest x, the nose is farthest from the tail. Of several such nodes, as of
+        a blunt tail, the mean counts.
         """
         known = known_positions(points, "points")
         last = known[:, 0].max()
@@ -89,22 +80,19 @@ class Chord(Module):
 def upper_side(points: Numbers, chord: Chord | None = None, *, wall: Any = None) -> Bool[np.ndarray, " m"]:
     """Marks the nodes on the upper side of an airfoil.
 
-    The wall is cut at nose and tail. A single node there is on the upper side. A blunt tail has a
-    corner on either side. In 2-D without `wall`, the shortest way around through all nodes, along
-    the chord and back, counts as the wall.
+    The wall is cut at nose and tail. A single node there is on the upper side; a blunt tail has a
+    corner on either side. In 2-D without `wall`, the shortest tour of all nodes, along the chord
+    and back, counts as the wall.
 
     **Arguments:**
 
-    - `points`: positions (m, d) of the airfoil's nodes, or of a mesh where `wall` names the
-      airfoil's nodes.
+    - `points`: positions (m, d) of the airfoil's nodes, or of a mesh with `wall`.
     - `chord`: the airfoil's. Default `Chord.along` of its nodes.
-    - `wall`: ids of its nodes in order, as `wall_loop` finds them. Its faces in 3-D, where they are
-      needed, as `jaxmorph.boundary_faces` finds them.
+    - `wall`: ids of its nodes in order, as `wall_loop` finds them; in 3-D, where it is needed, its
+      faces, as `jaxmorph.boundary_faces` finds them.
 
-    **Returns:** booleans (m,), False for nodes that are not the airfoil's.
-
-    **Raises:** `ValueError` where all nodes would be on one side, and for a wall whose ids are no
-    rows of the points, or that is missing in 3-D.
+    **Returns:** mask (m,), False beside the airfoil. **Raises:** `ValueError` where all nodes would
+    be on one side, for ids that are no rows, and without `wall` in 3-D.
     """
     x = known_positions(points, "points").astype(float)
     ids = _ids_of(wall, x.shape)
@@ -123,7 +111,6 @@ def upper_side(points: Numbers, chord: Chord | None = None, *, wall: Any = None)
 
 
 def _ids_of(wall: Any, shape: tuple[int, ...]) -> Int[np.ndarray, "..."]:
-    """Returns a wall's nodes: a loop (k,) in 2-D, triangles (k, 3) in 3-D."""
     if shape[1] == 3:
         if wall is None:
             raise ValueError(
@@ -143,10 +130,8 @@ def _ids_of(wall: Any, shape: tuple[int, ...]) -> Int[np.ndarray, "..."]:
 def _by_faces(
     x: Float[np.ndarray, "m 3"], triangles: Int[np.ndarray, "k 3"], up: Float[np.ndarray, " 3"]
 ) -> Bool[np.ndarray, " m"]:
-    """Marks the nodes whose faces look upwards; a tie is upper.
-
-    The normals of a node's faces are summed with the faces' angles at the node. Inward faces, as
-    those of a mesh's cells around the body, enclose a negative volume.
+    """The normals of a node's faces are summed with the faces' angles at the node; a tie is upper.
+    Inward faces, as those of a mesh's cells around the body, enclose a negative volume.
     """
     corners = x[triangles] - x[np.unique(triangles)].mean(axis=0)
     ahead, back = np.roll(corners, -1, axis=1) - corners, np.roll(corners, 1, axis=1) - corners
@@ -160,10 +145,9 @@ def _by_faces(
 
 
 def _by_loop(places: Float[np.ndarray, "k 2"]) -> Bool[np.ndarray, " k"]:
-    """Marks the nodes on the upper side of a loop in either sense; a line has none.
-
-    Of several nodes at the nose or the tail each side has one half. `places` are along the chord
-    from 0 to 1 and across it, in chords.
+    """Marks the nodes on the upper side of a loop in either sense; a line has none. Of several
+    nodes at the nose or the tail each side has one half. `places` are along and across the chord,
+    in chords.
     """
     x, y = places.T
     area = (x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2
@@ -188,7 +172,6 @@ def _by_loop(places: Float[np.ndarray, "k 2"]) -> Bool[np.ndarray, " k"]:
 
 
 def _by_tour(places: Float[np.ndarray, "m 2"]) -> Bool[np.ndarray, " m"]:
-    """Marks the nodes on the upper side by the shortest way around; those at one place alike."""
     near = KDTree(places).query_pairs(SAME, output_type="ndarray")
     spot = parts_of(near[:, 0], near[:, 1], len(places))
     different = places[np.unique(spot, return_index=True)[1]]
@@ -211,7 +194,6 @@ def _cut(corners: Float[np.ndarray, "k 2"], place: float) -> tuple[int, int]:
 
 
 def _blunt(corners: Float[np.ndarray, "k 2"], first: int, last: int) -> tuple[int, int]:
-    """Extends one corner of a blunt tail to both of its corners."""
     edges, count = np.roll(corners, -1, axis=0) - corners, len(corners)
     lengths, before = np.linalg.norm(edges, axis=1), np.roll(edges, 1, axis=0)
     turn = np.sum(edges * before, axis=1) / (lengths * np.linalg.norm(before, axis=1))
@@ -231,7 +213,6 @@ def _blunt(corners: Float[np.ndarray, "k 2"], first: int, last: int) -> tuple[in
 
 
 def _tour(places: Float[np.ndarray, "m 2"]) -> Int[np.ndarray, " m"]:
-    """Finds the shortest tour of different places, along the chord and back (bitonic)."""
     along = np.argsort(places[:, 0], kind="stable")
     column = np.cumsum(np.diff(places[along, 0], prepend=-np.inf) > SAME)
     order = along[np.lexsort((places[along, 1], column))]

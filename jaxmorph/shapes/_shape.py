@@ -30,8 +30,7 @@ class AbstractShape(Module):
         """Makes the parameters that move nothing."""
 
 
-Move = Callable[[Any], Float[Array, "m d"]]
-"""Takes parameters to displacements of given positions."""
+Move = Callable[[Any], Float[Array, "m d"]]  # takes parameters to displacements of given positions
 
 
 class AbstractLinearShape(AbstractShape):
@@ -46,12 +45,10 @@ class AbstractLinearShape(AbstractShape):
         """
 
     def __call__(self, x: Numbers, parameters: Any) -> Float[Array, "m d"]:
-        """Moves positions (m, d): `x + shape.at(x)(parameters)`."""
         x = positions(x)
         return x + self.at(x)(parameters)
 
     def _numbers(self, parameters: Any, like: Array) -> Float[Array, "..."]:
-        """Turns parameters that are one array into the dtype of positions."""
         needed, parameters = self.neutral().shape, jnp.asarray(parameters, like.dtype)
         if parameters.shape != needed:
             raise ValueError(f"parameters have shape {parameters.shape}; this shape needs {needed}.")
@@ -80,7 +77,7 @@ class Function(AbstractShape):
 class Chain(AbstractShape):
     """Applies shapes in sequence, in the order of a dict by their names.
 
-    So are the parameters, and a shape whose name is not among them is not applied.
+    The parameters are a dict too; a shape without parameters is not applied.
 
         wing = shapes.Chain({"box": box, "pitch": pitch})
         u = shapes.displacement(wing, plan, {"pitch": 0.1})
@@ -111,9 +108,8 @@ class Chain(AbstractShape):
 
 
 class OnRows(AbstractShape):
-    """Moves some rows of the positions by a shape, such as one patch of a wall.
-
-    Unlike `Part`, it takes any shape, which meets its own rows alone.
+    """Moves some rows of the positions, such as a patch of a wall, by any shape, which sees them
+    alone.
 
     **Raises:** `ValueError` for rows (k,) that are equal, negative, or beyond the positions.
     """
@@ -141,8 +137,8 @@ class OnRows(AbstractShape):
 class Linked(AbstractLinearShape):
     """A shape whose parameters are a linear map of fewer parameters, such as a basis of your own.
 
-    The `matrix` is (p, q): the p parameters of `shape`, flattened as
-    `jax.flatten_util.ravel_pytree` does, are `matrix @ parameters`.
+    The p parameters of `shape`, flattened as `jax.flatten_util.ravel_pytree` does, are `matrix @
+    parameters`, with a `matrix` (p, q).
 
     **Raises:** `ValueError` for a matrix of another height.
     """
@@ -172,7 +168,7 @@ class Linked(AbstractLinearShape):
 class Together(AbstractLinearShape):
     """Several linear shapes added, such as two boxes side by side; the parameters are a tuple.
 
-    A box that another box is to carry is nested instead: `outer(inner(x, q), p)`, or a `Chain`.
+    A box that another box carries is nested instead: `outer(inner(x, q), p)`, or a `Chain`.
     """
 
     shapes: tuple[AbstractLinearShape, ...]
@@ -198,7 +194,7 @@ class Together(AbstractLinearShape):
 
 
 class Part(AbstractLinearShape):
-    """A linear shape that acts where `kept` (m,) is True, such as the upper side of an airfoil.
+    """A linear shape restricted to the mask `kept` (m,), such as the upper side of an airfoil.
 
     **Raises:** `ValueError` for a mask of another length than the positions.
     """

@@ -23,7 +23,7 @@ from ._walls import faces_of, wall_faces
 class Smoother(AbstractLinearShape):
     """Smooths along a wall: waves much shorter than `length` vanish.
 
-    It solves (I + length^2 L) v = u, where L is the wall's Laplace-Beltrami operator: with linear
+    It solves (I + length^2 L) v = u, with the wall's Laplace-Beltrami operator L: with linear
     elements and lumped masses M, v = (M + length^2 K)^-1 M u. As a shape its parameters are (m, d):
     vertex morphing.
 
@@ -70,8 +70,6 @@ class Smoother(AbstractLinearShape):
     def on(mesh: Mesh, patch: str, length: float, *, held: Any = ()) -> "Smoother":
         """Makes the smoother of a mesh's patch; row i is node `mesh.patch(patch)[i]`.
 
-        `length` and `held` are as the class takes them.
-
         **Raises:** `ValueError` as the class does, and for a patch without faces.
         """
         nodes = mesh.patch(patch)
@@ -110,10 +108,7 @@ class Smoother(AbstractLinearShape):
 
 
 def _pieces(faces: Any, points: np.ndarray) -> list[tuple[np.ndarray, float]]:
-    """Cuts faces into segments or triangles, with weights.
-
-    A quad becomes its four corner triangles with half their weight.
-    """
+    """Cuts faces into segments or triangles: a quad into four triangles of half weight."""
     corners = [(0, 1, 2), (0, 2, 3), (0, 1, 3), (1, 2, 3)]
     return [
         (np.concatenate([ids[:, three] for three in corners]), 0.5) if ids.shape[1] == 4 else (ids, 1.0)
@@ -138,7 +133,7 @@ def _elements(points: np.ndarray, pieces: list[tuple[np.ndarray, float]]) -> tup
 
 
 def _stiffness(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Computes sizes (k,) and stiffnesses (k, c, c) of segments or triangles (k, c, d)."""
+    """Returns sizes (k,) and stiffnesses (k, c, c) of segments or triangles (k, c, d)."""
     if corners.shape[1] == 2:
         size = np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)
         local, scale = np.array([[1, -1], [-1, 1]])[None], np.where(size > 0, size, 1)

@@ -48,11 +48,10 @@ def wall_loop(mesh: Mesh, patch: str) -> Int[np.ndarray, " k"]:
 def wall_normals(mesh: Mesh, *patches: str) -> Float[np.ndarray, "m d"]:
     """Sums the areas of a wall's faces at its nodes: vectors from the body into the mesh.
 
-    A face gives each of its corners an equal share of its area. Solvers decide by the sum which
-    side of an airfoil a node is on.
+    A face gives each corner an equal share. Solvers take the side of an airfoil's node from the
+    sum.
 
     **Returns:** vectors (m, d), in the order of `mesh.patch(*patches)`; 0 for a node of no face.
-
     **Raises:** `ValueError` for patches without faces on the boundary of the mesh's cells.
     """
     nodes, points = mesh.patch(*patches), np.asarray(mesh.points, float)
@@ -63,7 +62,6 @@ def wall_normals(mesh: Mesh, *patches: str) -> Float[np.ndarray, "m d"]:
 
 
 def wall_faces(mesh: Mesh, *patches: str) -> dict[str, np.ndarray]:
-    """Lists the boundary faces of patches by type. Raises `ValueError` if there are none."""
     faces = {kind: ids for kind, ids in boundary_faces(mesh, *patches).items() if len(ids)}
     if not faces:
         raise ValueError(f"patch {', '.join(patches)} has no faces on the boundary of the mesh's cells.")
@@ -71,18 +69,16 @@ def wall_faces(mesh: Mesh, *patches: str) -> dict[str, np.ndarray]:
 
 
 def _areas(corners: Float[np.ndarray, "f c d"]) -> Float[np.ndarray, "f d"]:
-    """Computes area vectors of faces, of the edge's length in 2-D; outward from the mesh."""
+    """Area vectors outward from the mesh, of the edge's length in 2-D."""
     if corners.shape[2] == 2:
         return (corners[:, 1] - corners[:, 0])[:, ::-1] * [1.0, -1.0]
     return np.cross(corners[:, 2] - corners[:, 0], corners[:, -1] - corners[:, 1]) / 2
 
 
-WIDTHS = {2: (2,), 3: (3, 4)}
-"""Corners of a wall's faces, by the dimension of its positions."""
+WIDTHS = {2: (2,), 3: (3, 4)}  # corners of a wall's faces, by the dimension of its positions
 
 
 def faces_of(faces: Any, shape: tuple[int, ...]) -> list[Int[np.ndarray, "k c"]]:
-    """Checks faces, one array or several, of a wall whose positions have a shape (n, d)."""
     is_list = isinstance(faces, list | tuple) and np.ndim(faces[0]) == 2
     arrays, widths = [rows_of("faces", ids, shape[0]) for ids in (faces if is_list else [faces])], WIDTHS[shape[1]]
     for ids in arrays:
@@ -93,7 +89,6 @@ def faces_of(faces: Any, shape: tuple[int, ...]) -> list[Int[np.ndarray, "k c"]]
 
 
 def simplices_of(faces: Any, shape: tuple[int, ...]) -> Int[np.ndarray, "k d"]:
-    """Cuts faces into segments in 2-D, triangles in 3-D."""
     d = shape[1]
     cuts = [(ids, [0, *range(k, k + d - 1)]) for ids in faces_of(faces, shape) for k in range(1, ids.shape[1] - d + 2)]
     return np.concatenate([ids[:, corners] for ids, corners in cuts])
@@ -132,7 +127,7 @@ def volume(x: Numbers, faces: Any, plane: Numbers | None = None) -> Float[Array,
     - `faces`: ids (k, 3) or (k, 4), one array or a list of them.
     - `plane`: a point (3,) of the plane that closes an open wall, such as a symmetry plane.
 
-    **Raises:** `ValueError` for an open wall without a plane, or with a border beside it.
+    **Raises:** `ValueError` for an open wall without a plane, or with a border off it.
     """
     x = positions(x)
     if x.shape[1] != 3:
@@ -146,7 +141,7 @@ def volume(x: Numbers, faces: Any, plane: Numbers | None = None) -> Float[Array,
 
 @checked
 def chord(x: Numbers, nose: Any, tail: Any) -> Float[Array, ""]:
-    """Computes the distance from nose to tail, nodes of an airfoil in positions (n, d).
+    """Computes the distance from nose to tail of an airfoil, nodes of positions `x` (n, d).
 
     Of several nodes, as of a blunt tail, the mean counts.
 
@@ -159,9 +154,8 @@ def chord(x: Numbers, nose: Any, tail: Any) -> Float[Array, ""]:
 
 @checked
 def curvature(x: Numbers, loop: Any) -> Float[Array, " k"]:
-    """Computes the curvature at each node of a loop (2-D), positive where convex.
-
-    It is that of the circle through the node and its neighbours; arguments and errors as `area`.
+    """Computes the curvature at each node of a loop (2-D), positive where convex: that of the
+    circle through the node and its neighbours. Arguments and errors as `area`.
     """
     x = positions(x)
     here, after = _segments(x, loop)
@@ -175,14 +169,9 @@ def curvature(x: Numbers, loop: Any) -> Float[Array, " k"]:
 def leading_edge_radius(x: Numbers, loop: Any, tail: int, around: int = 4) -> Float[Array, ""]:
     """Computes the radius of the nose of an airfoil (2-D).
 
-    The circle is closest to the node farthest from the tail and `around` nodes on each side of it:
-    the osculating circle to second order in their spacing.
-
-    **Arguments:**
-
-    - `x`, `loop`: as `area` takes them.
-    - `tail`: a node of the trailing edge.
-    - `around`: nodes on each side of the nose, 1 or more.
+    The circle is fitted to the node farthest from the tail and `around` nodes on each side, 1 or
+    more: the osculating circle to second order in their spacing. `x` and `loop` are as `area` takes
+    them; `tail` is a node of the trailing edge.
 
     **Raises:** `ValueError` for a tail that is not in the loop, and for too many nodes.
     """
@@ -299,12 +288,10 @@ class Stations(Module):
 
 @checked
 def thickness(x: Numbers, stations: Stations) -> Float[Array, " s"]:
-    """Computes the distance between the two faces that each line meets, with positions (n, d).
+    """Computes the distance between the two faces on each line, with positions (n, d). The faces
+    count as planes, beyond their corners too.
 
-    The faces count as planes, beyond their corners too.
-
-    **Raises:** `ValueError` for positions in another dimension, or with fewer rows than the faces
-    name.
+    **Raises:** `ValueError` for positions in another dimension, or with too few rows.
     """
     x = positions(x)
     if x.shape[1] != stations.points.shape[1]:
@@ -323,7 +310,6 @@ def thickness(x: Numbers, stations: Stations) -> Float[Array, " s"]:
 
 
 def _first_and_last(x: np.ndarray, ids: np.ndarray, point: np.ndarray, line: np.ndarray, same: float) -> list[int]:
-    """Finds the first and the last face that a line meets; none within a distance `same`."""
     # point + s line = first corner + weights times edges
     first, d = x[ids[:, 0]], x.shape[1]
     columns = [np.broadcast_to(line, first.shape)] + [first - x[ids[:, k]] for k in range(1, d)]

@@ -15,15 +15,14 @@ from .topology import FACES
 def neighbours(cells: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Finds the cell behind every face of `cells`, corner ids (k, corners) by type.
 
-    Returns two arrays with one entry a face, by cell, faces in the order of `FACES`:
-
-    - The id of the neighbour, -1 on the boundary, where more than two cells meet, and at a face
-      without extent, as at the pole of a grid of hexahedra.
-    - True where the neighbour is numbered with the opposite handedness.
+    Returns two arrays with one entry a face, by cell, faces in the order of `FACES`. The first has
+    the id of the neighbour. It is -1 on the boundary, where more than two cells meet, and at a face
+    without extent, as at a grid's pole. The second is True where the neighbour is numbered with the
+    opposite handedness.
     """
     # A face becomes a row of its sorted nodes, with its cell and its sense of rotation. `twins`
-    # sorts all rows, so that equal faces stand side by side: the twin's cell is the neighbour. Two
-    # cells of one handedness run round their common face in opposite senses.
+    # sorts all rows: equal faces are neighbours. Two cells of one handedness run round their common
+    # face in opposite senses.
     columns, turns, owners, first = [], [], [], 0
     width = max((len(face) for kind in cells for face in FACES[kind]), default=2)
     for kind, corners in cells.items():
@@ -72,10 +71,8 @@ def _by_cell(values: np.ndarray, cells: Mapping[str, np.ndarray]) -> np.ndarray:
 def handedness(
     cells: Mapping[str, np.ndarray], neighbour: np.ndarray, flipped: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Finds the orientation sign of all cells, and their connected parts.
-
-    Ids alone decide, no coordinates. `neighbour` and `flipped` are those of `neighbours`. Returns
-    two arrays with one entry a cell: its sign, 1 or -1, and the id of its part. A part that cannot
+    """Returns each cell's orientation sign, 1 or -1, and the id of its connected part, from
+    `neighbour` and `flipped` of `neighbours`: ids alone decide, no coordinates. A part that cannot
     be oriented (a Moebius strip) has sign 1 throughout.
     """
     count = sum(len(corners) for corners in cells.values())
@@ -94,7 +91,7 @@ def handedness(
 
 
 def parts_of(first: np.ndarray, second: np.ndarray, count: int) -> np.ndarray:
-    """Numbers connected parts of nodes (count,); `first` (e,) and `second` (e,) are connected."""
+    """Connected parts of nodes (count,); `first` (e,) and `second` (e,) are connected."""
     graph = coo_array((np.ones(len(first), dtype=bool), (first, second)), shape=(count, count))
     return connected_components(graph, directed=False)[1]
 
@@ -104,8 +101,8 @@ def sorted_columns(nodes: Sequence[np.ndarray], width: int) -> list[np.ndarray]:
     columns = [np.empty_like(column) for column in nodes]
 
     def sort(rows: slice) -> None:
-        # Neighbouring columns swap entries until every row ascends. For few columns this is several
-        # times faster than a sort of rows.
+        # Neighbouring columns swap entries until every row ascends: for few columns several times
+        # faster than a sort of rows.
         parts = [column[rows] for column in nodes]
         for sweep in range(len(parts)):
             for low in range(sweep % 2, len(parts) - 1, 2):
@@ -125,10 +122,7 @@ def columns_of(corners: np.ndarray) -> list[np.ndarray]:
 
 
 def twins(columns: Sequence[np.ndarray]) -> np.ndarray:
-    """Finds the row of the other face with equal nodes (f,); -1 for none or several.
-
-    `columns` are those of `sorted_columns`.
-    """
+    """The row of the other face with equal nodes (f,); -1 for none or several."""
     order, first, size = _groups(columns)
     one, other = order[first[size == 2]], order[first[size == 2] + 1]
     partner = np.full(len(order), -1)
@@ -158,10 +152,10 @@ def _groups(columns: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.n
 
 
 def unpaired(parts: Sequence[Sequence[np.ndarray]], n: int) -> list[np.ndarray]:
-    """Lists the rows of each part, columns of nodes below n, without most faces that come twice."""
+    """The rows of each part, columns of nodes below n, without most faces that come twice."""
     # A face has a random number, made of its nodes in any order. The numbers of two equal faces
     # cancel each other in an "exclusive or" over all faces of their first node. Few faces of a mesh
-    # are left, so that exact work on them is fast.
+    # are left for exact work.
     random = np.random.default_rng(n).integers(0, 2**64, n, dtype=np.uint64)
     left, firsts = np.zeros(n, np.uint64), []
 
@@ -184,5 +178,5 @@ def is_among(faces: np.ndarray, others: np.ndarray) -> np.ndarray:
 
 
 def repeated_cells(corners: np.ndarray) -> np.ndarray:
-    """Finds rows, ascending, of cells (k, corners) with the nodes of another cell in any order."""
+    """Rows, ascending, of cells (k, corners) with the nodes of another cell in any order."""
     return np.flatnonzero(~is_single(sorted_columns(columns_of(corners), corners.shape[1])))

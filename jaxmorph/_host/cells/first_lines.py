@@ -13,52 +13,39 @@ from .topology import CORNERS, DIMENSION, FACES, SHAPES
 
 
 class Sides(NamedTuple):
-    """Sides of cells of one type on the wall.
+    """Sides of cells of one type on the wall."""
 
-    - `ids`, `rows` (f, s): nodes of each side, and their rows among the wall nodes; a node without
-      a line has the row after them.
-    - `sign` (f,): 1 or -1, of triangles the half, so that area vectors point into the mesh.
-    - `slopes` (s, s, d - 1): derivatives of the shape functions at the nodes of a side.
-    """
-
-    ids: np.ndarray
-    rows: np.ndarray
-    sign: np.ndarray
-    slopes: np.ndarray
+    ids: np.ndarray  # (f, s) nodes of each side
+    rows: np.ndarray  # (f, s) their rows among the wall nodes; a node without a line has the row after them
+    sign: np.ndarray  # (f,) 1 or -1, of triangles the half, so that area vectors point into the mesh
+    slopes: np.ndarray  # (s, s, d - 1) derivatives of the shape functions at the nodes of a side
 
     def areas(self, x: Any) -> Any:
-        """Computes the area vectors (f, s, d) at the nodes of the sides. NumPy or JAX."""
+        """Area vectors (f, s, d) at the nodes of the sides, by NumPy or JAX."""
         return _node_areas(x[self.ids], self.slopes.astype(x.dtype)) * self.sign[:, None, None].astype(x.dtype)
 
 
 class Lines(NamedTuple):
-    """First grid lines of w wall nodes, and the sides of the wall.
+    """First grid lines of w wall nodes, and the sides of the wall by type."""
 
-    - `nodes`, `ends` (w,): ids of the wall nodes, and of the ends of their lines, at the other side
-      of the cell.
-    - `near`, `weights` (w, k): the derivative along a line at its wall node, as a sum of nodes.
-    - `beside` (w,): ids of neighbours on the wall.
-    - `sides`: the sides on the wall, by type.
-    """
-
-    nodes: np.ndarray
-    ends: np.ndarray
-    near: np.ndarray
-    weights: np.ndarray
-    beside: np.ndarray
+    nodes: np.ndarray  # (w,) ids of the wall nodes
+    ends: np.ndarray  # (w,) ids of the other ends of their lines
+    near: np.ndarray  # (w, k) nodes of a sum, the derivative along a line at its wall node
+    weights: np.ndarray  # (w, k) their weights in it
+    beside: np.ndarray  # (w,) ids of neighbours on the wall
     sides: tuple[Sides, ...]
 
     def directions(self, x: Any) -> Any:
-        """Computes the derivatives (w, d) along the lines at their wall nodes. NumPy or JAX."""
+        """Derivatives (w, d) along the lines at their wall nodes, by NumPy or JAX."""
         return (x[self.near] * self.weights[:, :, None].astype(x.dtype)).sum(axis=1)
 
     def areas(self, x: Any) -> list[tuple[Any, Any]]:
-        """Lists rows (e,) of wall nodes, with the area vectors (e, d) of the sides there."""
+        """Rows (e,) of wall nodes, with the area vectors (e, d) of the sides there."""
         return [(side.rows.ravel(), side.areas(x).reshape(-1, x.shape[1])) for side in self.sides]
 
 
 def _node_areas(x: Any, slopes: Any) -> Any:
-    """Computes the area vectors (f, s, d) of sides x (f, s, d) at their own nodes."""
+    """Area vectors (f, s, d) of sides x (f, s, d) at their own nodes."""
     nodes = range(slopes.shape[1])
     a, *others = (
         functools.reduce(operator.add, (slopes[None, :, k, axis, None] * x[:, k, None] for k in nodes))
@@ -71,14 +58,13 @@ def _node_areas(x: Any, slopes: Any) -> Any:
 
 
 def _slopes(kind: str) -> np.ndarray:
-    """Returns derivatives at the nodes of a side; of a linear side their mean, the whole face's."""
+    """Derivatives at the nodes of a side; of a linear side their mean, the whole face's."""
     slopes = derivatives_at_nodes(kind)
     return slopes if lagrange_types()[kind].order > 1 else np.broadcast_to(slopes.mean(axis=0), slopes.shape)
 
 
 def first_lines(cells: Mapping[str, np.ndarray], points: np.ndarray, wall: np.ndarray) -> Lines:
     """Picks, for every wall node, the grid line off the wall that is nearest to the wall's normal.
-
     From a node inside of an edge or a side, a line goes to the node opposite. Raises `ValueError`
     if no boundary side of a cell has all nodes among the wall nodes.
     """
@@ -109,7 +95,7 @@ def first_lines(cells: Mapping[str, np.ndarray], points: np.ndarray, wall: np.nd
 
 
 def _neighbour(kind: str, node: int) -> int:
-    """Returns a node beside a side's node: the corner before, or the nearest on the lattice."""
+    """A node beside a side's node: the corner before, or the nearest on the lattice."""
     cell = lagrange_types()[kind]
     if cell.order == 1:
         return node - 1
@@ -119,7 +105,7 @@ def _neighbour(kind: str, node: int) -> int:
 
 
 def _sides(cells: Mapping[str, np.ndarray], points: np.ndarray, wall: np.ndarray) -> dict[str, Sides]:
-    """Lists sides of single cells with all nodes on the wall, by type; rows are ids here."""
+    """Sides of single cells with all nodes on the wall, by type; rows are ids here."""
     corners = [points[ids[:, : CORNERS[SHAPES[kind]]]].mean(axis=1) for kind, ids in cells.items()]
     centre, result = np.concatenate(corners or [points[:0]]), {}
     for side, (ids, owner) in owned_sides(cells, len(points), wall).items():
@@ -134,7 +120,7 @@ def _sides(cells: Mapping[str, np.ndarray], points: np.ndarray, wall: np.ndarray
 def _candidates(
     cells: Mapping[str, np.ndarray], starts: np.ndarray, on_wall: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Lists lines from `starts` to nodes off the wall: start, end, nodes and weights (l, k)."""
+    """Lines from `starts` to nodes off the wall: start, end, nodes and weights (l, k)."""
     width = max((len(row) for kind in cells for *_, row, _ in _lines(kind)), default=1)
     parts = []
     for kind, ids in cells.items():
@@ -151,7 +137,7 @@ def _candidates(
 
 @functools.cache
 def _lines(kind: str) -> tuple[tuple[int, int, np.ndarray, np.ndarray], ...]:
-    """Lists the lines of a type that may leave a wall: start, end, and weights of some nodes."""
+    """Lines of a type that may leave a wall: start, end, and weights of some nodes."""
     cell, lines = lagrange_types()[kind], []
     ends = derivatives_at_nodes("line" if cell.order == 1 else f"line{cell.order + 1}")[:2, :, 0]
     for edge in cell.edges:
@@ -168,7 +154,6 @@ def _lines(kind: str) -> tuple[tuple[int, int, np.ndarray, np.ndarray], ...]:
 
 
 def _opposite(cell: Lagrange, side: tuple[int, ...], at: np.ndarray) -> list[int]:
-    """Returns the place on the lattice opposite a place of a side."""
     corners, p = np.array(PLACES[cell.shape]), cell.order
     others = [k for k in range(cell.corners) if k not in side]
     if len(others) == 1:  # the apex of a simplex, or of a pyramid

@@ -1,20 +1,14 @@
 """Cells of high order: their nodes, the order in which a cell lists them, and shape functions.
 
-A cell of order p has nodes on a lattice of step 1 / p in a reference cell. The reference cells have
-corners at 0 and 1:
-
-- triangle and tetrahedron: the origin and the unit vectors; quadrilateral and hexahedron: the unit
-  square and cube;
-- wedge: the triangle times the unit interval; pyramid: the unit square, and its apex (0, 0, 1)
-  above corner 0.
-
-In the canonical order corners come first, then inner nodes of the `EDGES`, from first to second
-corner. Those of the `FACES` go in rows along the first edge, from the first corner towards the
-last. At the end come inner nodes of the cell, the first coordinate fastest.
-
-The shape functions are polynomials whose exponents are the lattice; for a pyramid the space of
-Bergot et al. (J. Sci. Comput. 42, 2010), polynomials in (x / (1 - z), y / (1 - z), 1 - z). They
-take a place in a pyramid as x / (1 - z), y / (1 - z), z, by which its apex has directions.
+A cell of order p has nodes on a lattice of step 1 / p in a reference cell, with corners at 0 and 1:
+unit interval, square, cube. Triangle and tetrahedron have the origin and the unit vectors. The
+wedge is the triangle times the unit interval, the pyramid the unit square and the apex (0, 0, 1)
+above corner 0. In the canonical order corners come first, then inner nodes of the `EDGES`, from
+first to second corner. Those of the `FACES` go in rows along the first edge, from the first corner
+towards the last. At the end come inner nodes of the cell, the first coordinate fastest. The shape
+functions are polynomials whose exponents are the lattice; for a pyramid the space of Bergot et al.
+(J. Sci. Comput. 42, 2010), polynomials in (x / (1 - z), y / (1 - z), 1 - z). They take a place in a
+pyramid as x / (1 - z), y / (1 - z), z, by which its apex has directions.
 """
 
 import dataclasses
@@ -28,7 +22,6 @@ from numpy.polynomial import legendre
 from .topology import CORNERS, DIMENSION, EDGES, FACES, SIDE_TYPES, numbers
 
 ORDERS = (1, 2, 3, 4)
-"""Orders of cells that are known."""
 
 PLACES = {
     "line": numbers("0 1"),
@@ -44,21 +37,15 @@ PLACES = {
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Lagrange:
-    """Describes the cells of one type.
+    """The cells of one type."""
 
-    - `shape`, `order`: the type of its linear cell, and the order of its edges.
-    - `lattice`: whole numbers (k, d), the place of each node in the reference cell times `order`.
-    - `is_complete`: False without nodes inside of faces and of the cell (serendipity).
-    """
-
-    shape: str
-    order: int
-    lattice: np.ndarray
-    is_complete: bool = True
+    shape: str  # type of its linear cell
+    order: int  # of its edges
+    lattice: np.ndarray  # (k, d) place of each node in the reference cell, times `order`
+    is_complete: bool = True  # False without nodes inside of faces and of the cell (serendipity)
 
     @property
     def name(self) -> str:
-        """The name of the type, as in meshio."""
         return self.shape if self.order == 1 else f"{self.shape}{len(self.lattice)}"
 
     @property
@@ -97,9 +84,8 @@ class Lagrange:
         return sides
 
     def completion(self) -> tuple[str, np.ndarray]:
-        """Returns the type with all lattice nodes, and the matrix (nodes, k) that makes them.
-
-        The cell keeps its curved shape: a missing node is where the serendipity functions put it.
+        """The type with all lattice nodes, and the matrix (nodes, k) that makes them. The cell
+        keeps its curved shape: a missing node is where the serendipity functions put it.
         """
         complete, place, missing = of_order(self.shape, self.order), self.place, []
         matrix = np.zeros((len(complete.lattice), len(self.lattice)))
@@ -118,7 +104,7 @@ class Lagrange:
 
 
 def depth(shape: str, order: int, at: np.ndarray) -> Any:
-    """Counts the steps (k,) of lattice places (k, d) from the nearest side; negative outside."""
+    """Steps (k,) of lattice places (k, d) from the nearest side; negative outside."""
     beyond = at
     if shape in ("triangle", "tetra"):
         beyond = at.sum(axis=1, keepdims=True)
@@ -130,13 +116,13 @@ def depth(shape: str, order: int, at: np.ndarray) -> Any:
 
 
 def inner_places(shape: str, order: int) -> np.ndarray:
-    """Lists the inner lattice (k, d) of a shape, the first coordinate fastest."""
+    """The inner lattice (k, d) of a shape, the first coordinate fastest."""
     grid = np.indices((order + 1,) * DIMENSION[shape]).reshape(DIMENSION[shape], -1)[::-1].T
     return grid[depth(shape, order, grid) > 0]
 
 
 def lattice(shape: str, order: int, is_complete: bool, edges=EDGES, faces=FACES, inner=inner_places) -> np.ndarray:
-    """Lists the places (k, d) of nodes: corners, then the inner ones of edges, faces, cell."""
+    """The places (k, d) of nodes: corners, then the inner ones of edges, faces, cell."""
     corners, t = np.array(PLACES[shape]), np.arange(1, order)[:, None]
     nodes = [order * corners]
     for first, second in edges.get(shape, EDGES[shape]):
@@ -156,7 +142,7 @@ def of_order(shape: str, order: int, is_complete: bool = True) -> Lagrange:
 
 @functools.cache
 def lagrange_types() -> dict[str, Lagrange]:
-    """Lists all types by name: linear, orders 2 to 4 complete, order 2 with nodes on edges."""
+    """All types by name: linear, orders 2 to 4 complete, order 2 with nodes on edges."""
     cells = [of_order(shape, order) for shape in PLACES for order in ORDERS]
     partial = [of_order(shape, 2, False) for shape in ("quad", "pyramid", "wedge", "hexahedron")]
     return {cell.name: cell for cell in (*cells, *partial)}
@@ -164,15 +150,14 @@ def lagrange_types() -> dict[str, Lagrange]:
 
 @functools.cache
 def derivatives_at_nodes(kind: str) -> np.ndarray:
-    """Returns derivatives (s, nodes, d) of the shape functions at the nodes of a type."""
+    """Derivatives (s, nodes, d) of the shape functions at the nodes of a type."""
     return derivatives(kind, collapsed(kind, lagrange_types()[kind].reference))
 
 
 @functools.cache
 def jacobian_samples(kind: str) -> tuple[np.ndarray, np.ndarray]:
-    """Returns shape function derivatives (s, nodes, d) where det J is measured, and weights (s,).
-
-    Places are a lattice of half the step, of weight 0, and Gauss points of the exact volume.
+    """Shape function derivatives (s, nodes, d) where det J is measured, and weights (s,). Places
+    are a lattice of half the step, of weight 0, and Gauss points of the exact volume.
     """
     cell = lagrange_types()[kind]
     d, fine = cell.dimension, 2 * cell.order
@@ -188,7 +173,7 @@ def jacobian_samples(kind: str) -> tuple[np.ndarray, np.ndarray]:
 
 
 def derivatives(kind: str, places: np.ndarray) -> np.ndarray:
-    """Computes derivatives (s, nodes, d) of the shape functions of a type at places (s, d)."""
+    """Derivatives (s, nodes, d) of the shape functions of a type at places (s, d)."""
     (_, slopes), inverse, completion = _expanded(kind, places)
     return np.einsum("skd,kn,nm->smd", slopes, inverse, completion, optimize=True)
 
@@ -199,7 +184,6 @@ def values(kind: str, places: np.ndarray) -> np.ndarray:
 
 
 def _expanded(kind: str, places: np.ndarray) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray, np.ndarray]:
-    """Returns basis and derivatives at places, and two matrices to the functions of a type."""
     name, completion = lagrange_types()[kind].completion()
     complete = lagrange_types()[name]
     at_nodes, _ = _basis(complete, collapsed(name, complete.reference))
@@ -223,9 +207,8 @@ def _basis(cell: Lagrange, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _pyramid(
     one: np.ndarray, slope: np.ndarray, places: np.ndarray, powers: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Computes a pyramid's basis: f(a) g(b) c^n with c = 1 - z, a = x / c, b = y / c.
-
-    n is not below the degrees of f and g.
+    """A pyramid's basis f(a) g(b) c^n with c = 1 - z, a = x / c, b = y / c, n at least their
+    degrees.
     """
     f, g = one[:, 0, powers[:, 0]], one[:, 1, powers[:, 1]]
     df, dg = slope[:, 0, powers[:, 0]], slope[:, 1, powers[:, 1]]
@@ -258,7 +241,7 @@ def _of_cube(shape: str, cube: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def node_keys(ids: np.ndarray, cell: Lagrange) -> np.ndarray:
-    """Lists ascending corners and weights in turn (k, new, 16) of new nodes; zeros in front."""
+    """Ascending corners and weights in turn (k, new, 16) of new nodes; zeros in front."""
     weights = _weights(cell)
     weights = weights // np.gcd.reduce(weights, axis=1)[:, None]  # alike in cells of all types that share a face
     order = np.argsort(np.where(weights[None] > 0, ids[:, None], -1), axis=2, kind="stable")
@@ -273,6 +256,6 @@ def node_keys(ids: np.ndarray, cell: Lagrange) -> np.ndarray:
 
 
 def _weights(cell: Lagrange) -> np.ndarray:
-    """Lists integer weights (new, corners) of corners at new nodes: 12^3 linear shape functions."""
+    """Integer weights (new, corners) of corners at new nodes: 12^3 linear shape functions."""
     places = collapsed(cell.shape, cell.reference[cell.corners :])
     return np.rint(12**3 * values(cell.shape, places)).astype(np.int64)

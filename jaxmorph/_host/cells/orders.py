@@ -1,8 +1,4 @@
-"""The order in which each format lists the nodes of a cell of high order.
-
-All formats list corners first, then inner nodes of edges, of faces and of the cell. They differ in
-the order and the sense of edges and faces, and in how inner nodes go.
-"""
+"""The order of nodes in each format: corners, then inner nodes of edges, of faces, of the cell."""
 
 import dataclasses
 import functools
@@ -14,17 +10,12 @@ import numpy as np
 from .lagrange import PLACES, inner_places, lagrange_types, lattice
 from .topology import SHAPES, numbers
 
-Sides = Mapping[str, tuple[tuple[int, ...], ...]]
-"""Corners of the edges, or of the faces, by shape."""
+Sides = Mapping[str, tuple[tuple[int, ...], ...]]  # corners of the edges, or of the faces, by shape
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class NodeOrder:
-    """Describes the order of a format.
-
-    - `edges`, `faces`: in the format's order; other shapes go as `EDGES`, `FACES`.
-    - `inner`: lists the inner lattice of a shape and order.
-    """
+    """Edges and faces in a format's order, if not `EDGES`, `FACES`, and its inner lattice."""
 
     edges: Sides
     faces: Sides
@@ -35,7 +26,7 @@ class NodeOrder:
 
     @functools.cache  # noqa: B019
     def places(self, kind: str) -> np.ndarray:
-        """Finds the place (k,) in the format's list of each node of the canonical order."""
+        """The place (k,) in the format's list of each node of the canonical order."""
         cell = lagrange_types()[kind]
         listed = self.lattice(cell.shape, cell.order, is_complete=cell.is_complete)
         place = cell.place
@@ -51,7 +42,7 @@ def reordered(kind: str, ids: Any, origin: NodeOrder | None, target: NodeOrder |
 
 
 def _as_gmsh(shape: str, order: int) -> np.ndarray:
-    """Lists the inner lattice as gmsh does: as the nodes of a cell of the order that is left."""
+    """gmsh's inner lattice: the nodes of a cell of the order that is left."""
     if shape == "line":
         return inner_places(shape, order)
     if shape == "wedge":  # at each place in the triangle the ends of the line first
@@ -97,7 +88,7 @@ VTK_ORDER = NodeOrder(
 
 
 def _spirals(shape: str, order: int) -> np.ndarray:
-    """Lists the inner lattice as CGNS does: layer by layer, each layer of a square in rings."""
+    """CGNS's inner lattice: layer by layer, each layer of a square in rings."""
     rows = inner_places(shape, order)
     if shape == "quad":
         return _spiral(rows)

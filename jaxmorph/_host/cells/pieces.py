@@ -25,7 +25,7 @@ def linear_cells(cells: Mapping[str, Any], join: Any = np.concatenate) -> dict[s
 
 
 def owners(cells: Mapping[str, Any]) -> dict[str, np.ndarray]:
-    """Finds the cell of each of the `linear_cells`, by type; cells are numbered as in `cells`."""
+    """The cell of each of the `linear_cells`, by type; cells are numbered as in `cells`."""
     ids = np.cumsum([0, *map(len, cells.values())])
     numbered = {kind: np.arange(first, first + len(cells[kind])) for kind, first in zip(cells, ids, strict=False)}
     nodes = {kind: np.repeat(ids[:, None], NODES[kind], axis=1) for kind, ids in numbered.items()}
@@ -33,15 +33,13 @@ def owners(cells: Mapping[str, Any]) -> dict[str, np.ndarray]:
 
 
 def boundary_faces(cells: Mapping[str, np.ndarray], n: int, among: np.ndarray | None = None) -> dict[str, np.ndarray]:
-    """Finds the linear pieces of `boundary_sides`, by type."""
     return linear_cells(boundary_sides(cells, n, among))
 
 
 def boundary_sides(cells: Mapping[str, np.ndarray], n: int, among: np.ndarray | None = None) -> dict[str, np.ndarray]:
-    """Finds faces, with all of their nodes, that belong to one cell only (2-D: edges), by type.
-
-    `cells` are node ids (k, nodes) by type, below `n`; all nodes of a face are `among` these ids.
-    Returns node ids (f, nodes), each face seen counterclockwise from outside.
+    """Finds faces (f, nodes) that belong to one cell only (2-D: edges), by type, with all of their
+    nodes, counterclockwise as seen from outside. `cells` are node ids (k, nodes) by type, below
+    `n`; all nodes of a face are `among` these ids.
     """
     return {side: ids for side, (ids, _) in owned_sides(cells, n, among).items()}
 
@@ -72,10 +70,7 @@ def owned_sides(
 
 
 def _single(parts: list[tuple[list[np.ndarray], int, np.ndarray | None]], n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Finds the faces without an equal, and their cells.
-
-    A part has faces by column, the first cell's number, and the rows of the cells (None: all).
-    """
+    """Finds unique faces and their cells. A part: faces by column, first cell, its rows or None."""
     columns, owner = [], []
     for (part, first, here), rows in zip(parts, unpaired([part for part, *_ in parts], n), strict=True):
         columns.append([column[rows] for column in part])
@@ -92,20 +87,20 @@ def sides_of(kind: str) -> list[tuple[str, np.ndarray]]:
 
 @functools.cache
 def pieces_of(kind: str) -> dict[str, np.ndarray]:
-    """Returns the pieces of a type: their nodes, as rows of the cell's nodes, by their own type."""
+    """The pieces of a type: their nodes, as rows of the cell's nodes, by their own type."""
     pieces = ON_EDGES[kind] if kind in ON_EDGES else _of_lattice(lagrange_types()[kind])
     return {shape: np.array(rows) for shape, rows in pieces.items() if len(rows)}
 
 
 @functools.cache
 def places_of(kind: str, m: int) -> np.ndarray:
-    """Returns the shape functions (s, nodes) of a type at a lattice of m steps."""
+    """The shape functions (s, nodes) of a type at a lattice of m steps."""
     return values(kind, collapsed(kind, of_order(SHAPES[kind], m).reference))
 
 
 @functools.cache
 def steps_of(shape: str, m: int) -> dict[str, np.ndarray]:
-    """Returns the linear pieces of a lattice of m steps, as rows of it, by type."""
+    """The linear pieces of a lattice of m steps, as rows of it, by type."""
     return {piece: np.array(rows) for piece, rows in _of_lattice(of_order(shape, m)).items() if len(rows)}
 
 
@@ -124,10 +119,9 @@ ON_EDGES = {
         "pyramid": numbers("89abe gch8e hdi9e jfgbe"),
     },
 }
-"""Pieces of cells without inner nodes; a is node 10.
-
-Each corner is cut off, with the middles of its edges. What is left goes from one of its nodes to
-its sides: inner polygons of the faces, and triangles where corners were.
+"""Pieces of cells without inner nodes; a is node 10. Each corner is cut off, with the middles of
+its edges. The rest goes from one of its nodes to its sides: inner polygons of the faces, and
+triangles at the corners.
 """
 
 UNITS = {

@@ -35,13 +35,11 @@ DIMENSION = {"line": 1, "triangle": 2, "quad": 2, "tetra": 3, "pyramid": 3, "wed
 DIMENSION |= {kind: DIMENSION[SHAPES[kind]] for kind in HIGH_ORDER}
 
 KNOWN = f"known are {', '.join(CORNERS)}, and of order 2 to 4 {', '.join(HIGH_ORDER)}"
-"""The known types, for the end of a message."""
 
 _ALIASES = {"tri": "triangle", "tet": "tetra", "tetrahedron": "tetra", "prism": "wedge", "hex": "hexahedron"}
 
 
 def canonical_type(name: str) -> str:
-    """Returns meshio's name of a cell type. Raises `ValueError` for an unknown type."""
     name = _ALIASES.get(name, name)
     if name not in NODES:
         raise ValueError(f"unknown cell type {name!r}; {KNOWN}.")
@@ -49,7 +47,6 @@ def canonical_type(name: str) -> str:
 
 
 def filling(cells: Mapping[str, Any]) -> dict[str, Any]:
-    """Selects the cells of the highest dimension; no cells if it is below two."""
     highest = max((DIMENSION[kind] for kind, corners in cells.items() if len(corners)), default=0)
     return {kind: corners for kind, corners in cells.items() if DIMENSION[kind] == highest >= 2}
 
@@ -93,7 +90,6 @@ FRAMES: dict[str, tuple[tuple[int, ...], ...]] = {
 """Corners with the ends of their edges, right-handed, for corner Jacobians; a simplex has one."""
 
 SIDE_TYPES = {2: "line", 3: "triangle", 4: "quad"}
-"""Types of faces by their number of corners."""
 
 
 def solid(cells: Mapping[str, Any], dimension: int) -> dict[str, Any]:

@@ -7,31 +7,22 @@ from scipy import sparse
 
 from .solves import Factors, conjugate_gradients, inner_product, is_factored
 
-DAMPING = (1e-2, 1e-1, 1.0, 10.0)
-"""Terms that are added to the diagonal, one after another, until a matrix is positive."""
-
-ROUGH = 1e-2
-"""Relative residual that is enough for a step of Newton's method."""
+DAMPING = (1e-2, 1e-1, 1.0, 10.0)  # damping terms of the diagonal, tried in turn until a matrix is positive
+ROUGH = 1e-2  # relative residual that is enough for a step of Newton's method
 
 
 class Pattern(NamedTuple):
-    """The blocks of a matrix in compressed rows.
+    """The blocks of a matrix in compressed rows."""
 
-    - `starts`, `columns`: where rows begin, and the column of every block.
-    - `block`: the block to which a pair of a cell's corners adds.
-    - `order`: row i belongs to node `order[i]`.
-    """
-
-    starts: np.ndarray
-    columns: np.ndarray
-    block: np.ndarray
-    order: np.ndarray
+    starts: np.ndarray  # where rows begin
+    columns: np.ndarray  # column of every block
+    block: np.ndarray  # the block to which a pair of a cell's corners adds
+    order: np.ndarray  # row i belongs to node `order[i]`
 
 
 def pattern(cells: list[np.ndarray], n: int, dimension: int) -> Pattern:
-    """Makes the pattern of cells, given by corner ids (k, c), type by type.
-
-    Pairs of a type run over first corners, then over second corners, then, fastest, over cells.
+    """Makes the pattern of cells, given by corner ids (k, c), type by type. Pairs of a type run
+    over first corners, then over second corners, then, fastest, over cells.
     """
     starts, columns, block = _rows(cells, n)
     order = np.arange(n)
@@ -44,8 +35,7 @@ def pattern(cells: list[np.ndarray], n: int, dimension: int) -> Pattern:
 
 def _rows(cells: list[np.ndarray], n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     # Each pair of corners of a cell adds a block at (row, column). The key row * n + column is one
-    # integer, so that unique keys are the matrix in CSR order, and their inverse the blocks'
-    # places.
+    # integer: unique keys are the matrix in CSR order, and their inverse the blocks' places.
     rows = [np.repeat(ids.T, ids.shape[1], axis=0).ravel() for ids in cells]
     columns = [np.tile(ids.T, (ids.shape[1], 1)).ravel() for ids in cells]
     keys = np.concatenate(rows).astype(np.int64) * n + np.concatenate(columns)
@@ -62,20 +52,16 @@ def _ordering(starts: np.ndarray, columns: np.ndarray) -> np.ndarray:
 
 
 def solve(starts, columns, block, order, blocks, shift, right) -> np.ndarray:
-    """Solves (H + diag(shift)) x = right for a step that descends.
-
-    `right` is (n, d), and H the sum of `blocks` (d, d, pairs). A small matrix is factored, and
-    damped if it is not positive. For a large matrix, conjugate gradients run to 1 % of the right
-    side. The result is zero if H is not finite.
+    """Solves (H + diag(shift)) x = right (n, d) for a step that descends, with the sum H of
+    `blocks` (d, d, pairs). A small matrix is factored, and damped if it is not positive. For a
+    large one, conjugate gradients run to 1 % of the right side. The result is zero if H is not
+    finite.
     """
     return _solved((starts, columns, block, order), blocks, shift, right, None)
 
 
 def solve_exactly(starts, columns, block, order, blocks, shift, right) -> np.ndarray:
-    """Solves as `solve` does, to round-off or to 1e-10 of the right side.
-
-    The result is NaN if the matrix is not positive or the iteration does not converge.
-    """
+    """Solves as `solve`, to round-off or 1e-10; NaN if not positive, or without convergence."""
     return _solved((starts, columns, block, order), blocks, shift, right, 1e-10)
 
 

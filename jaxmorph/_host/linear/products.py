@@ -5,8 +5,7 @@ from typing import Any
 
 import numpy as np
 
-Components = Any
-"""A sequence of numbers or arrays: a tuple, a list, or an array whose first axis runs over them."""
+Components = Any  # a sequence of numbers or arrays: a tuple, a list, or an array whose first axis runs over them
 
 
 def dot(a: Components, b: Components) -> Any:
@@ -17,19 +16,17 @@ def dot(a: Components, b: Components) -> Any:
 
 
 def cross(a: Components, b: Components) -> list[Any]:
-    """Computes the cross product; in 2-D its one component."""
     pairs = ((0, 1),) if len(a) == 2 else ((1, 2), (2, 0), (0, 1))
     return [a[i] * b[j] - a[j] * b[i] for i, j in pairs]
 
 
 def determinant(columns: Sequence[Components]) -> Any:
-    """Computes the determinant of a 2 by 2 or 3 by 3 matrix by its first column: a . (b x c)."""
+    """a . (b x c), by the first column; 2 by 2 or 3 by 3."""
     first, *others = columns
     return cross(first, *others)[0] if len(columns) == 2 else dot(cross(*others), first)
 
 
 def cofactors(columns: Sequence[Components]) -> list[list[Any]]:
-    """Computes the rows of the inverse of a matrix, times its determinant."""
     if len(columns) == 2:
         a, b = columns
         return [[b[1], -b[0]], [-a[1], a[0]]]
@@ -38,10 +35,7 @@ def cofactors(columns: Sequence[Components]) -> list[list[Any]]:
 
 
 def smallest_height(corners: np.ndarray) -> np.ndarray:
-    """Computes least heights (k,) of simplices (k, c, d): content over the largest side's content.
-
-    The result does not depend on which corner comes first.
-    """
+    """Least heights (k,) of simplices (k, c, d), independent of the first corner."""
     count = corners.shape[1]
     sides = [_content([corners[:, i] for i in range(count) if i != corner]) for corner in range(count)]
     largest = np.max(sides, axis=0)
@@ -49,7 +43,7 @@ def smallest_height(corners: np.ndarray) -> np.ndarray:
 
 
 def _content(corners: list[np.ndarray]) -> np.ndarray:
-    """Computes lengths, twice areas or six times volumes from corners (k, d); 1 for points."""
+    """Lengths, twice areas or six times volumes from corners (k, d); 1 for points."""
     edges = [corner - corners[0] for corner in corners[1:]]
     if not edges:
         return np.ones(len(corners[0]))
@@ -60,23 +54,23 @@ def _content(corners: list[np.ndarray]) -> np.ndarray:
 
 
 def normals(corners: np.ndarray) -> np.ndarray:
-    """Computes normals (k, d) of segments or triangles (k, d, d), of length or twice the area."""
+    """Normals (k, d) of segments or triangles (k, d, d), of length or twice the area."""
     edges = corners[:, 1:] - corners[:, :1]
     return edges[:, 0, ::-1] * [1, -1] if edges.shape[1] == 1 else cross_rows(edges[:, 0], edges[:, 1])
 
 
 def cofactor_rows(edges: list[np.ndarray]) -> list[np.ndarray]:
-    """Computes the rows of the adjugate of the matrix whose columns are the edges, each (k, d)."""
+    """Rows of the adjugate of the matrix whose columns are the edges, each (k, d)."""
     return [np.stack(row, axis=1) for row in cofactors([edge.T for edge in edges])]
 
 
 def cross_rows(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Computes cross products of rows; `numpy.cross` is slow for many short vectors."""
+    """Cross products of rows; `numpy.cross` is slow for many short vectors."""
     return np.stack(cross(a.T, b.T), axis=1)
 
 
 def outward(corners: np.ndarray) -> np.ndarray:
-    """Computes outward normals (k, d) of faces (k, corners, d), as long as the area (2-D: edge)."""
+    """Outward normals (k, d) of faces (k, corners, d), as long as the area (2-D: edge)."""
     if corners.shape[1] == 2:
         return normals(corners)
     return np.cross(corners[:, 2] - corners[:, 0], corners[:, -1] - corners[:, 1]) / 2

@@ -1,7 +1,7 @@
 """Solvers of a sparse symmetric system: factors, conjugate gradients, and a multigrid cycle.
 
 SciPy's conjugate gradients stop at the residual alone, and sum by a BLAS whose threads cost a
-second core. The cycle has pyamg's levels, swept by SciPy's products. pyamg's Gauss-Seidel sweeps
+second core. The cycle has pyamg's levels, swept by SciPy's products: pyamg's Gauss-Seidel sweeps
 take two to three times as long, and its polynomials take bounds from random vectors.
 """
 
@@ -12,20 +12,15 @@ from typing import Any
 import numpy as np
 from scipy.sparse import linalg
 
-DIRECT = 12_000
-"""Unknowns up to which a 3-D system is factored; 2-D systems always are: factors stay sparse."""
+DIRECT = 12_000  # unknowns up to which a 3-D system is factored; 2-D systems always are: factors stay sparse
 
 
 def is_factored(unknowns: int, dimension: int) -> bool:
-    """Decides whether a system of a mesh is small enough to be factored."""
     return dimension == 2 or unknowns <= DIRECT
 
 
 class Factors:
-    """Factors of a sparse symmetric matrix, by pivots on the diagonal.
-
-    Their order is that of minimum degree, or, with `is_ordered`, of the matrix.
-    """
+    """Factors of a sparse symmetric matrix; minimum degree orders them unless `is_ordered`."""
 
     def __init__(self, matrix: Any, *, is_ordered: bool = False):
         try:
@@ -58,8 +53,8 @@ def conjugate_gradients(
     """Solves for a right side (k,), up to negative curvature (Nocedal and Wright, algorithm 7.1).
 
     `inverse` is the preconditioner. `is_enough` decides from the solution, the residual and the
-    residual's image under `inverse`; there are at most `limit` steps. Returns x (k,), and True if
-    it `is_enough`. If the first direction has negative curvature, x is the direction.
+    residual's image under `inverse`. Returns x (k,), and whether it `is_enough` within `limit`
+    steps. If the first direction has negative curvature, x is the direction.
     """
     x, residual, along, before = np.zeros_like(right), right.copy(), np.zeros_like(right), 1.0
     for _ in range(limit):
@@ -79,39 +74,29 @@ def conjugate_gradients(
 
 
 def inner_product(a: np.ndarray, b: np.ndarray) -> float:
-    """Sums products without a BLAS."""
     return float(np.einsum("i,i->", a, b))
 
 
-SPREAD = 10
-"""Ratio of the largest to the smallest eigenvalue that the smoother reduces."""
+SPREAD = 10  # ratio of the largest to the smallest eigenvalue that the smoother reduces
 
 STRONG = 0.3
-"""Least entry, relative to the most negative entry of its row, by which unknowns are joined.
-
-In a thin layer of hexahedra, the neighbour across the layer has the entry -16/36, nodes beside it
--4/36, other nodes a positive entry. So only lines across the layer are joined.
+"""Least entry, relative to the most negative of its row, that joins unknowns. In a thin layer of
+hexahedra the neighbour across has -16/36, nodes beside it -4/36, others a positive entry: only
+lines across the layer are joined.
 """
 
-COARSEST = 90
-"""Most unknowns of the last level, solved by a dense inverse: few enough for unthreaded BLAS."""
+COARSEST = 90  # most unknowns of the last level, solved by a dense inverse: few enough for unthreaded BLAS
 
 
 @dataclasses.dataclass(frozen=True)
 class Level:
-    """A matrix (k, k) of the cycle, and the way to the next matrix.
-
-    - `prolongation` (k, coarse): the interpolation from the next level; `restriction`: its
-      transpose.
-    - `inverse` (k,): one over the diagonal.
-    - `top`: a bound of the eigenvalues of the matrix over its diagonal, by Gershgorin's circles.
-    """
+    """A matrix (k, k) of the cycle, and the way to the next matrix."""
 
     matrix: Any
-    prolongation: Any
-    restriction: Any
-    inverse: np.ndarray
-    top: float
+    prolongation: Any  # (k, coarse) from the next level
+    restriction: Any  # its transpose
+    inverse: np.ndarray  # (k,) one over the diagonal
+    top: float  # a bound of the eigenvalues of the matrix over its diagonal, by Gershgorin's circles
 
     def smoothed(self, right: np.ndarray) -> np.ndarray:
         """Solves roughly for (k,), by Chebyshev's second polynomial for upper eigenvalues."""

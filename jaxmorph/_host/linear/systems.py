@@ -14,17 +14,10 @@ from ..cells.adjacency import parts_of
 from ..package.rounding import distinct
 from .solves import Factors, by_component, conjugate_gradients, hierarchy, inner_product, is_factored
 
-ACCURACY = 1e-9
-"""Residual relative to the right side, and error relative to the solution, that end CG."""
-
-LIMIT = 500
-"""Most steps of conjugate gradients. A mesh of 65,000 nodes takes 50."""
-
-RESORT = 60_000
-"""Unknowns up to which a 3-D system is factored if CG does not converge, as on thin layers."""
-
-LATEST = 2
-"""Number of the latest systems whose factors are cached."""
+ACCURACY = 1e-9  # residual relative to the right side, and error relative to the solution, that end CG
+LIMIT = 500  # most steps of conjugate gradients. A mesh of 65,000 nodes takes 50.
+RESORT = 60_000  # unknowns up to which a 3-D system is factored if CG does not converge, as on thin layers
+LATEST = 2  # number of the latest systems whose factors are cached
 
 _kept: collections.deque[tuple[tuple[np.ndarray, ...], Callable]] = collections.deque(maxlen=LATEST)
 _lock = threading.Lock()
@@ -33,20 +26,17 @@ _lock = threading.Lock()
 def solve(pairs, values, diagonal, masses, free, right, *, multigrid: bool = True) -> np.ndarray:
     """Solves A x = right for the free unknowns; x is zero for all other unknowns.
 
-    **Arguments:**
-
     - `pairs` (e, 2): nodes i and j of each pair, no pair twice.
-    - `values` (e,) or (e, d, d): the matrix's entries in row i and column j; the entries in row j
-      and column i are their transposes.
+    - `values` (e,) or (e, d, d): entries in row i and column j; those in row j and column i are
+      their transposes.
     - `diagonal` (n,) or (n, d, d): entries of a node with itself.
-    - `masses` (n,) or (0,): with masses M, the matrix is K M^-1 K, where K is the matrix described
-      above.
+    - `masses` (n,) or (0,): with masses M, the matrix is K M^-1 K of the matrix K above.
     - `free` (n, d): unknowns to solve for.
     - `right` (n, k): k = d columns.
-    - `multigrid`: whether conjugate gradients use multigrid: for equations on cells.
+    - `multigrid`: whether conjugate gradients use it, for equations on cells.
 
-    **Returns:** x (n, d), in the precision of `right`; NaN if a system is not finite, not positive,
-    or not solved.
+    Returns x (n, d), in the precision of `right`; NaN if a system is not finite, not positive, or
+    not solved.
     """
     key = (pairs, values, diagonal, masses, free, np.array(multigrid))
     with _lock:
@@ -62,7 +52,6 @@ def solve(pairs, values, diagonal, masses, free, right, *, multigrid: bool = Tru
 
 
 def check_solver(unknowns: int, dimension: int) -> None:
-    """Raises `ImportError` if a system needs multigrid, and pyamg is missing."""
     if not is_factored(unknowns, dimension) and find_spec("pyamg") is None:
         raise ImportError(
             f"{unknowns} unknowns in 3-D are solved by multigrid, which needs pyamg: pip install 'jaxmorph[solvers]'."
@@ -113,9 +102,9 @@ def _scalar(pairs, values, diagonal, n) -> sparse.csr_matrix:
 
 
 def _blocks(pairs, values, diagonal, rows, used) -> sparse.bsr_matrix:
-    """Assembles the matrix of the nodes `rows` by blocks; the diagonal of others is one."""
-    # The blocks of pairs, of their transposes and of the diagonal are listed one after the other,
-    # and sorted by row and column. Rows and columns of unused unknowns are cleared.
+    """The matrix of the nodes `rows` by blocks; the diagonal of others is one."""
+    # The blocks of pairs, of their transposes and of the diagonal are listed in turn, and sorted by
+    # row and column. Rows and columns of unused unknowns are cleared.
     d = used.shape[1]
     number = np.full(len(diagonal), -1)
     number[rows] = np.arange(len(rows))
@@ -170,10 +159,9 @@ def _factored(scaled: Any, scale: np.ndarray) -> Callable[[np.ndarray], np.ndarr
 def iterated(
     matrix: Any, right: np.ndarray, cycle: Callable[[np.ndarray], np.ndarray] | None, scale: np.ndarray
 ) -> np.ndarray:
-    """Solves for a right side (k,); NaN if CG does not converge, or the matrix is not positive.
-
-    The wanted unknowns are `scale` (k,) times x. The cycle's image of the residual is as large as
-    the error: a residual that is small beside stiff cells moves soft cells far.
+    """Solves for a right side (k,); NaN if CG does not converge, or the matrix is not positive. The
+    wanted unknowns are `scale` (k,) times x. The cycle's image of the residual is as large as the
+    error: a residual that is small beside stiff cells moves soft cells far.
     """
     enough = ACCURACY**2 * inner_product(right, right)
 
@@ -192,7 +180,7 @@ def _largest(x: np.ndarray) -> float:
 
 
 def _cycle(scaled: Any, scale: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-    """Makes a matrix's multigrid cycle; for blocks, one a component, by Korn's inequality."""
+    """A matrix's multigrid cycle; for blocks, one a component, by Korn's inequality."""
     if scaled.format != "bsr":
         return hierarchy(scaled, 1 / scale)
     d, cycles = scaled.blocksize[0], []
@@ -204,7 +192,7 @@ def _cycle(scaled: Any, scale: np.ndarray) -> Callable[[np.ndarray], np.ndarray]
 
 
 def _of_square(root: Any) -> Callable[[np.ndarray], np.ndarray]:
-    """Makes the solver of B^T B x = right for a sparse B (n, k), without squaring its condition."""
+    """The solver of B^T B x = right for a sparse B (n, k), without squaring its condition."""
     n = root.shape[0]
     scale = 1 / np.sqrt(np.ravel(root.power(2).sum(axis=0)))
     scaled = root @ sparse.diags(scale)
@@ -241,7 +229,7 @@ def reached(pairs: np.ndarray, known: np.ndarray) -> np.ndarray:
 
 
 def coincident(points: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """Finds the point that represents each point's place (n,); one of `first` if there is any."""
+    """The point that represents each point's place (n,); one of `first` if there is any."""
     order = np.concatenate([first, np.setdiff1d(np.arange(len(points)), first)])
     index, inverse = distinct(points[order])
     stands = np.empty(len(points), dtype=np.int64)

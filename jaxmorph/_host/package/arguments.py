@@ -1,7 +1,4 @@
-"""Checks of arguments: by their annotations, and by ranges and shapes that no annotation says.
-
-A wrong argument raises `ValueError` with one sentence.
-"""
+"""Checks of arguments by their annotations, ranges and shapes: a `ValueError` of one sentence."""
 
 import contextlib
 import functools
@@ -17,8 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-NOTHING = np.zeros((), object)
-"""Placeholder for a value that is no array."""
+NOTHING = np.zeros((), object)  # placeholder for a value that is no array
 
 Function = typing.TypeVar("Function", bound=Callable)
 
@@ -26,8 +22,8 @@ Function = typing.TypeVar("Function", bound=Callable)
 def checked(function: Function) -> Function:
     """Makes a function compare its arguments with its annotations at every call.
 
-    The function then raises `ValueError` for a wrong argument, with its name, its value and the
-    call to make. Numbers of another machine's byte order are turned: JAX reads them as they lie.
+    It then raises `ValueError` for a wrong argument, with its name, its value and the call to make.
+    Numbers of another machine's byte order are turned: JAX reads them as they lie.
     """
     parameters = inspect.signature(function).parameters
     rest = [name for name, parameter in parameters.items() if parameter.kind is parameter.VAR_POSITIONAL]
@@ -46,21 +42,19 @@ def checked(function: Function) -> Function:
 
 
 def native(value: Any) -> Any:
-    """Returns NumPy's arrays in this machine's byte order, and in float64 if they are longer."""
+    """NumPy's arrays in this machine's byte order, and in float64 if they are longer."""
     if not isinstance(value, np.ndarray) or (value.dtype.isnative and value.dtype != np.longdouble):
         return value
     return value.astype(float if value.dtype == np.longdouble else value.dtype.newbyteorder("="))
 
 
 def check_fields(instance: Any) -> None:
-    """Compares a dataclass's fields with their annotations, as `checked` compares arguments."""
     for name, field in instance.__dataclass_fields__.items():
         if field.init:
             check(name, getattr(instance, name), field.type, type(instance))
 
 
 def check(name: str, value: Any, annotation: Any, callee: Callable) -> None:
-    """Raises `ValueError` for a value that does not fit its annotation."""
     rule = _rule(annotation)
     if not rule.fits(value):
         parameters = inspect.signature(callee).parameters.values()
@@ -70,7 +64,6 @@ def check(name: str, value: Any, annotation: Any, callee: Callable) -> None:
 
 
 def shown(value: Any) -> str:
-    """Describes a value for a message: a class by its name, an array by its shape and type."""
     if isinstance(value, type):
         return f"the class {value.__name__}"
     if np.ma.is_masked(value):
@@ -82,7 +75,6 @@ def shown(value: Any) -> str:
 
 
 def whole(name: str, value: Any, least: int = 1) -> int:
-    """Returns a whole number of at least `least`. Raises `ValueError` for other values."""
     if not _is_whole(value) or value < least:
         raise ValueError(f"`{name}` must be a whole number of at least {least}, not {shown(value)}.")
     return int(value)
@@ -107,7 +99,6 @@ def _range(low: float | int, high: float | int, ends: str) -> str:
 
 
 def as_array(name: str, values: Any) -> np.ndarray:
-    """Makes an array of values. Raises `ValueError` for rows of several lengths."""
     try:
         return np.asarray(values)
     except ValueError:
@@ -115,7 +106,6 @@ def as_array(name: str, values: Any) -> np.ndarray:
 
 
 def rows_of(name: str, ids: Any, count: int) -> np.ndarray:
-    """Returns ids. Raises `ValueError` unless they are whole numbers from 0 to `count` - 1."""
     array = as_array(name, ids) if isinstance(ids, list | tuple | range) or has_type(ids) else NOTHING
     if array.size == 0:
         return np.zeros(0, dtype=np.int64)
@@ -129,7 +119,6 @@ def rows_of(name: str, ids: Any, count: int) -> np.ndarray:
 
 
 def check_patch(name: str, patch: Any) -> None:
-    """Raises `ValueError` unless a value is a patch name, several names, or node ids."""
     names = patch if isinstance(patch, list | tuple) else [patch]
     if not all(isinstance(entry, str) for entry in names):
         rows_of(name, patch, 2**62)
@@ -154,7 +143,6 @@ def _matches(shape: tuple[int, ...], expected: tuple[int | None, ...]) -> bool:
 
 
 def finite_array(name: str, values: Any, *shapes: tuple[int | None, ...]) -> np.ndarray:
-    """Returns a `real_array`. Raises `ValueError` for numbers that are not finite."""
     array = real_array(name, values, *shapes)
     if not np.isfinite(array).all():
         raise ValueError(f"{(~np.isfinite(array)).sum()} of {array.size} numbers of `{name}` are not finite.")
@@ -162,8 +150,6 @@ def finite_array(name: str, values: Any, *shapes: tuple[int | None, ...]) -> np.
 
 
 class Rule(NamedTuple):
-    """The values that fit an annotation: their description, and a test."""
-
     words: str
     fits: Callable[[Any], bool]
 
@@ -202,10 +188,7 @@ SIMPLE = {
     Callable: Rule("a function", lambda value: callable(value) and not isinstance(value, type)),
 }
 KINDS = {"Float": "fiuV", "Real": "fiuV", "Int": "iu", "Integer": "iu", "Bool": "b", "Shaped": "fiubcV"}
-"""NumPy's letters for the numbers of an annotated array.
-
-Whole numbers count as real numbers. V is bfloat16 and similar types.
-"""
+"""NumPy's letters for the numbers of an annotated array. V is bfloat16 and similar types."""
 
 MANY = {
     tuple: ("a tuple, each", lambda value: isinstance(value, tuple | list) or _rank(value) == 1),
@@ -215,7 +198,6 @@ MANY = {
     ),
     Mapping: ("a dict, each value", lambda value: isinstance(value, Mapping)),
 }
-"""Containers of any number of members, with their tests."""
 
 SILENT = ("Any", "PyTree", "_empty", "object")
 """Classes that restrict nothing, like names of classes that are defined later."""
@@ -269,7 +251,6 @@ def _arrays_first(members: tuple[Any, ...]) -> tuple[Any, ...]:
 
 
 def _of_array(annotation: Any) -> Rule:
-    """Makes the rule of unmasked arrays of the annotated numbers, of any shape."""
     kinds = KINDS.get(annotation.__name__.partition("[")[0], "f")
     what = {"i": "whole numbers", "b": "True and False"}.get(kinds[0], "real numbers")
     dims = annotation.dim_str.replace("...", "any").split()
@@ -292,7 +273,6 @@ def _of_array(annotation: Any) -> Rule:
 
 
 def _holds_traced(value: Any) -> bool:
-    """Checks whether nested lists hold a number that JAX traces."""
     return any(map(_holds_traced, value)) if isinstance(value, list | tuple) else hasattr(value, "aval")
 
 

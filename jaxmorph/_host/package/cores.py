@@ -10,20 +10,14 @@ from typing import Any, Generic, TypeVar
 
 T = TypeVar("T")
 
-SWITCH = "JAXMORPH_CPUS"
-"""The environment variable that limits the cores to use."""
-
-BLOCK = 1 << 16
-"""Rows that one core computes at a time."""
-
-AHEAD = 2
-"""Pieces of work for each core that are begun before a result is asked for."""
+SWITCH = "JAXMORPH_CPUS"  # the environment variable that limits the cores to use
+BLOCK = 1 << 16  # rows in a block of one core
+AHEAD = 2  # pieces of work for each core in advance
 
 
 def cores() -> int:
     """Counts the cores to use: what `JAXMORPH_CPUS` says, else all of the process' affinity mask.
-
-    **Raises:** `ValueError` where the variable is no whole number of 1 or more.
+    Raises `ValueError` where the variable is no whole number of 1 or more.
     """
     words = os.environ.get(SWITCH, "")
     if words:
@@ -36,10 +30,7 @@ def cores() -> int:
 
 
 class Beside(Generic[T]):
-    """A background call.
-
-    With one core, the call runs when its result is asked for, so that no thread waits for another.
-    """
+    """A future. With one core it runs when its result is asked for: no thread waits."""
 
     def __init__(self, function: Callable[..., T], *arguments: Any):
         context = contextvars.copy_context()
@@ -57,16 +48,14 @@ class Beside(Generic[T]):
         del self._call  # and all that it holds
 
     def result(self) -> T:
-        """Waits for the call, and returns what it returned, or raises what it raised."""
         if not self._has_thread and not self._future.done():
             self._run()
         return self._future.result()
 
 
 def in_order(function: Callable[[Any], T], pieces: Iterable[Any]) -> Iterator[T]:
-    """Yields `function` of each piece of work, in order, while all cores compute what comes next.
-
-    NumPy and SciPy release Python's lock for all that takes long, but `ufunc.at` and `unique`.
+    """Yields `function` of each piece of work, in order, while all cores compute ahead. NumPy and
+    SciPy release Python's lock for all that takes long, but `ufunc.at` and `unique`.
     """
     pieces = list(pieces)
     number = min(cores(), len(pieces))
@@ -85,9 +74,6 @@ def in_order(function: Callable[[Any], T], pieces: Iterable[Any]) -> Iterator[T]
 
 
 def by_blocks(function: Callable[[slice], Any], count: int) -> None:
-    """Calls `function` with slices of `count` rows, on all cores: it fills the rows of results.
-
-    Slices do not depend on the number of cores.
-    """
+    """Calls `function` with slices of `count` rows, whatever the number of cores, on all cores."""
     for _ in in_order(function, (slice(start, min(start + BLOCK, count)) for start in range(0, count, BLOCK))):
         pass

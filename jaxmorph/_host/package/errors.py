@@ -9,12 +9,8 @@ import numpy as np
 
 
 class MeshError(ValueError):
-    """A `ValueError` about a mesh that names the nodes at fault.
-
-    **Arguments:**
-
-    - `message`: the text. `str` replaces `{node}` in it by the id of the worst node.
-    - `nodes`: ids of the nodes at fault, the worst first.
+    """A `ValueError` about a mesh with the ids of the nodes at fault, the worst first. `str`
+    replaces `{node}` in its `message` by the worst.
     """
 
     def __init__(self, message: str, nodes: Sequence[int] | np.ndarray):
@@ -34,7 +30,6 @@ INNER = {"jaxmorph", "jax", "equinox", "jaxtyping", "beartype", "contextlib", "f
 
 
 def warn(message: str) -> None:
-    """Warns, with the line of the user's script that called the library."""
     level, frame = 1, sys._getframe()
     while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] in INNER:
         level, frame = level + 1, frame.f_back
@@ -42,11 +37,10 @@ def warn(message: str) -> None:
 
 
 def worst_first(off: np.ndarray, allowed: Any) -> np.ndarray:
-    """Lists the rows where `off` (k,) exceeds what is `allowed`, the largest first."""
+    """Rows where `off` (k,) exceeds the `allowed`, the largest first."""
     wrong = np.flatnonzero(off > allowed)
     return wrong[np.argsort(-off[wrong], kind="stable")]
 
 
 def place_of(point: np.ndarray) -> str:
-    """Writes coordinates (d,) for a message, without brackets."""
     return ", ".join(f"{x:.6g}" for x in point)

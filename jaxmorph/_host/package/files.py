@@ -15,10 +15,7 @@ import numpy as np
 
 
 def input_path(path: str | os.PathLike[str]) -> pathlib.Path:
-    """Checks the name of a file or folder to read; returns a path, also where nothing exists.
-
-    Raises `ValueError` for a device or a pipe, and for a name with a null byte.
-    """
+    """Returns a path to read. Raises `ValueError` for a device, a pipe, or a null byte."""
     path = _without_null(path)
     if path.exists() and not (path.is_file() or path.is_dir()):
         raise ValueError(
@@ -28,10 +25,7 @@ def input_path(path: str | os.PathLike[str]) -> pathlib.Path:
 
 
 def file_path(path: str | os.PathLike[str]) -> pathlib.Path:
-    """Returns the name of a file to write as a path.
-
-    Raises `ValueError` for a name with a null byte, and for the name of a folder.
-    """
+    """Returns a path to write. Raises `ValueError` for a folder or a null byte."""
     name = os.fspath(path)
     if name.endswith((os.sep, os.altsep or os.sep)):
         raise ValueError(f"{name}: ends as a folder does, but a file is written. Remove the {name[-1]} at the end.")
@@ -45,10 +39,9 @@ def _without_null(path: str | os.PathLike[str]) -> pathlib.Path:
 
 
 def output_path(path: str | os.PathLike[str], *endings: str, folder: bool = False) -> pathlib.Path:
-    """Checks the name of a file, or of a folder, to write, before any work; returns it as a path.
-
-    Raises `ValueError` for a name without one of the `endings`, if there are any, without a parent
-    folder, and for a folder, a device or a pipe.
+    """Checks the path of a file, or of a folder, to write, before any work. Raises `ValueError` for
+    a name without one of the `endings`, if there are any, without a parent folder, and for a
+    folder, a device or a pipe.
     """
     path = _without_null(path) if folder else file_path(path)
     if endings and path.suffix.lower() not in endings:
@@ -60,7 +53,6 @@ def output_path(path: str | os.PathLike[str], *endings: str, folder: bool = Fals
 
 
 def is_same(a: pathlib.Path, b: pathlib.Path) -> bool:
-    """Checks whether two paths lead to one file."""
     try:
         return os.path.samefile(a, b)
     except OSError:
@@ -70,10 +62,8 @@ def is_same(a: pathlib.Path, b: pathlib.Path) -> bool:
 def check_apart(
     outputs: Iterable[tuple[str, pathlib.Path]], inputs: Mapping[str, Iterable[str | os.PathLike[str] | None]]
 ) -> None:
-    """Raises `ValueError` for an output that is an input, and for two outputs in one file.
-
-    Outputs come with the names that messages give them. Inputs are listed by what is read from
-    them: `the mesh is`.
+    """Raises `ValueError` for an output that is an input, and for two outputs in one file. Outputs
+    come with the names that messages give them, inputs by their role: `the mesh is`.
     """
     read = [(pathlib.Path(file), what) for what, files in inputs.items() for file in files if file is not None]
     written: dict[pathlib.Path, str] = {}
@@ -88,10 +78,7 @@ def check_apart(
 
 
 def read_arrays(path: pathlib.Path, what: str = "an NPZ file") -> dict[str, np.ndarray]:
-    """Reads the arrays of an NPZ file by name, without objects.
-
-    Raises `ValueError` for a damaged file, and one that is not `what` is expected.
-    """
+    """Reads arrays by name. Raises `ValueError` for objects, a damaged file, or not `what`."""
     with path.open("rb") as file:
         try:
             with zipfile.ZipFile(file) as archive:
@@ -111,7 +98,6 @@ def _member(archive: zipfile.ZipFile, name: str) -> np.ndarray:
 
 
 def real_array(path: pathlib.Path, arrays: dict[str, np.ndarray], name: str) -> np.ndarray:
-    """Returns an array of a file as floats; raises `ValueError` if it holds no real numbers."""
     if arrays[name].dtype.kind not in "fiu":
         raise ValueError(f"{path}: the array {name} holds {arrays[name].dtype}; real numbers expected.")
     return arrays[name].astype(float)
@@ -139,11 +125,9 @@ def complete(path: pathlib.Path, *, folder: bool = False, name_errors: bool = Tr
     """Yields a temporary file or folder that replaces `path` at the end; a failure leaves nothing.
 
     If `path` is a symbolic link, its target is replaced. The new file has the permissions of the
-    old file.
-
-    Raises `FileNotFoundError` if the parent folder does not exist, and `ValueError` if `path` is a
-    folder, a device or a pipe. An `OSError` of the writer names `path`. A caller with errors of its
-    own passes `name_errors=False`, and writes within `named`.
+    old file. Raises `FileNotFoundError` if the parent folder does not exist, and `ValueError` if
+    `path` is a folder, a device or a pipe. An `OSError` of the writer names `path`. A caller with
+    errors of its own passes `name_errors=False`, and writes within `named`.
     """
     target = pathlib.Path(os.path.realpath(path))
     if not target.parent.is_dir():
@@ -197,7 +181,6 @@ def _is_of_another(error: Exception) -> bool:
 
 
 def _new(target: pathlib.Path, folder: bool) -> pathlib.Path:
-    """Creates the temporary folder, or a temporary file with the permissions of its target."""
     room = 255 - len(os.fsencode(target.suffix)) - len("..12345678.partial")  # of a file system's 255 bytes
     stem = os.fsencode(target.stem)[: max(room, 0)].decode(errors="ignore")
     while True:

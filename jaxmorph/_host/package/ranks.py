@@ -1,4 +1,4 @@
-"""Work that the processes of a run share, by a communicator such as mpi4py's."""
+"""Work shared by the processes of a run, by a communicator such as mpi4py's."""
 
 from collections.abc import Callable
 from typing import Any, Protocol, TypeVar, runtime_checkable
@@ -10,7 +10,7 @@ T = TypeVar("T")
 
 @runtime_checkable
 class Ranks(Protocol):
-    """The part of a communicator that is used here: a process is number `rank` of `size`."""
+    """A communicator, as far as it is used here: a process is number `rank` of `size`."""
 
     @property
     def rank(self) -> int: ...
@@ -28,8 +28,6 @@ class Ranks(Protocol):
 
 
 class Alone:
-    """One process, as a communicator."""
-
     rank, size = 0, 1
 
     def allgather(self, value: Any) -> list[Any]:
@@ -62,9 +60,8 @@ def together(ranks: Ranks, function: Callable[[], T]) -> T:
 
 
 class Agreement:
-    """Makes the values of a node that several parts share equal: the first values count.
-
-    One process keeps the values of an id, and no process keeps the values of all ids.
+    """Makes the values of a node that several parts share equal: the first values count. One
+    process keeps the values of an id, and no process keeps the values of all ids.
     """
 
     def __init__(self, ranks: Ranks):
@@ -74,7 +71,7 @@ class Agreement:
     def __call__(self, ids: np.ndarray, values: np.ndarray) -> np.ndarray:
         """Returns common values (k, d) of ids (k,); all processes call it, also without nodes."""
         # The keeper of an id is the process `id % size`. Every process sends ids and values to
-        # their keepers, which add new ids and answer with the values that they keep.
+        # their keepers, which add new ids and answer with their values.
         rows = [np.flatnonzero(ids % self.ranks.size == rank) for rank in range(self.ranks.size)]
         received = self.ranks.alltoall([(ids[row], values[row]) for row in rows])
         for names, places in received:

@@ -1,8 +1,4 @@
-"""Decisions free of round-off, orders of points, and searches for the nearest.
-
-Many lengths of a regular mesh are equal but for the last bit, which depends on the processor.
-Numbers within `SAME` are equal, and the first of equals is taken.
-"""
+"""Decisions free of round-off, by which many lengths of a regular mesh differ; orders of points."""
 
 from typing import Any
 
@@ -11,31 +7,24 @@ from scipy.spatial import KDTree
 
 from .cores import cores
 
-SAME = 1e-9
-"""Relative difference up to which two numbers count as equal."""
-
-TIES = 4
-"""Nearest places that are searched first; if all are equally near, more are searched."""
-
-FEW = 4096
-"""Points of a search up to which threads cost more than they gain."""
+SAME = 1e-9  # relative difference up to which two numbers count as equal
+TIES = 4  # nearest places that are searched first; if all are equally near, more are searched
+FEW = 4096  # points of a search up to which threads cost more than they gain
 
 
 class Tree(KDTree):
     """A k-d tree that is searched with all cores. The answers do not depend on their number."""
 
     def query(self, x: Any, *arguments: Any, **keywords: Any) -> tuple[Any, Any]:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """Finds the nearest points of the tree, as `scipy.spatial.KDTree.query` does."""
         return super().query(x, *arguments, **{"workers": cores() if len(x) > FEW else 1} | keywords)
 
 
 def roundoff(points: np.ndarray) -> float:
-    """Computes the distance below which two points count as one."""
     return 8 * float(np.finfo(points.dtype).eps) * float(np.abs(points).max(initial=0))
 
 
 def spacing(points: np.ndarray) -> np.ndarray:
-    """Measures each point's distance (n,) from its nearest neighbour; infinite for one point."""
+    """Each point's distance (n,) from its nearest neighbour; infinite for one point."""
     return np.asarray(Tree(points).query(points, k=2)[0])[:, 1]
 
 
@@ -48,7 +37,7 @@ def ranked(values: np.ndarray, slack: float) -> np.ndarray:
 
 
 def distinct(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Finds places of points: each place's first point (k,), and each point's place (n,)."""
+    """Each place's first point (k,), and each point's place (n,)."""
     slack = roundoff(points)
     rows = np.stack([ranked(column, slack) for column in points.T], axis=1)
     _, first, place = np.unique(rows, axis=0, return_index=True, return_inverse=True)
@@ -56,26 +45,25 @@ def distinct(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def first_largest(values: np.ndarray, slack: float | None = None) -> int:
-    """Finds the first number within a slack of the largest; by default `SAME` times the largest."""
+    """The first number within a slack of the largest; by default `SAME` times the largest."""
     top = values.max()
     return int((values >= top - (SAME * abs(top) if slack is None else slack)).argmax())
 
 
 def nearest_of(points: np.ndarray, chosen: np.ndarray, ids: np.ndarray) -> np.ndarray:
-    """Finds each point's nearest `chosen` place, as an entry of `ids`; ties go to the first."""
+    """Each point's nearest `chosen` place, as an entry of `ids`; ties go to the first."""
     return ids[nearest_few(points, chosen, 1)[:, 0]]
 
 
 def nearest_few(points: np.ndarray, chosen: np.ndarray, count: int) -> np.ndarray:
-    """Finds each point's `count` nearest `chosen` places (k, count), nearest first, then lowest."""
+    """Each point's `count` nearest `chosen` places (k, count), nearest first, then lowest."""
     return few_by(Tree(chosen), points, count, max(roundoff(points), roundoff(chosen)))
 
 
 def few_by(tree: Tree, points: np.ndarray, count: int, slack: float) -> np.ndarray:
-    """Finds `nearest_few` in a tree of the places; equal distances differ by a `slack` at most."""
-    # Distances are ranked: a distance within the slack of the one before has its rank. The sort is
-    # by rank, then by number. If the last rank reaches the end of the search, more places are
-    # searched.
+    """`nearest_few` in a tree of the places; equal distances differ by a `slack` at most."""
+    # A distance within the slack of the one before has its rank. The sort is by rank, then by
+    # number. If the last rank reaches the end of the search, more places are searched.
     nearest, left = np.zeros((len(points), count), dtype=np.int64), np.arange(len(points))
     looked = min(count - 1 + TIES, tree.n)
     while left.size:
@@ -91,8 +79,7 @@ def few_by(tree: Tree, points: np.ndarray, count: int, slack: float) -> np.ndarr
     return nearest
 
 
-BETWEEN = 0.618
-"""Place of the borders of Morton's cells, relative to their size: off structured grids."""
+BETWEEN = 0.618  # place of the borders of Morton's cells, relative to their size: off structured grids
 
 
 def canonical_order(points: np.ndarray) -> np.ndarray:
@@ -102,7 +89,7 @@ def canonical_order(points: np.ndarray) -> np.ndarray:
 
 
 def rows_in(ids: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """Finds the row in `ids` (k,) of each of `wanted`, which are all among them."""
+    """The row in `ids` (k,) of each of `wanted`, which are all among them."""
     order = np.argsort(ids, kind="stable")
     return order[np.searchsorted(ids[order], wanted)]
 

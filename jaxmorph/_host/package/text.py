@@ -25,7 +25,6 @@ SENSITIVITIES, GRADIENTS, LATTICES = (".csv", ".npz"), (".csv", ".json"), (".vts
 
 
 def is_folder(path: pathlib.Path) -> bool:
-    """Tells whether a mesh of this name is a folder. Raises `ValueError` for an unknown ending."""
     if any(path.suffix.lower() in endings for endings in MESHES.values()):
         return False
     if path.is_dir() or path.suffix.strip(".0123456789") == "":
@@ -38,7 +37,6 @@ def is_folder(path: pathlib.Path) -> bool:
 
 
 def read(name: str, content: bytes) -> dict[str, Any]:
-    """Reads a table from content. Raises `ValueError` for what is no TOML, or nested too deep."""
     try:
         text = content.decode()
         return tomllib.loads(text.replace("\r\n", "\n"))
@@ -52,7 +50,6 @@ def read(name: str, content: bytes) -> dict[str, Any]:
 
 
 def written(value: Any) -> str:
-    """Formats a value in TOML."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, int | float):
@@ -65,7 +62,7 @@ def written(value: Any) -> str:
 
 
 def similar(word: str, known: Iterable[str]) -> str | None:
-    """Finds the known word that was probably meant, in small letters or capitals; None if none."""
+    """The known word that was probably meant, in small letters or capitals; None if none."""
     words = {other.lower(): other for other in known}
     near = difflib.get_close_matches(word.lower(), list(words), n=1)
     return words[near[0]] if near else None

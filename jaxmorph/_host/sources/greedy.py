@@ -24,13 +24,13 @@ class Greedy(AbstractSeparated):
     - `motions`: typical displacements (k, m, d) of the m points, such as modes. Default None.
     - `tolerance`: the largest miss, relative to the largest displacement, at which it ends early.
       Default 0, which is 1e-9.
-    - `group`: number of sources that join in one round, relative to the chosen sources; with 0, one
-      by one. Default 1/8.
+    - `group`: number of sources in one round, relative to the chosen ones; with 0, one by one.
+      Default 1/8.
     - `separation`: the least distance between two sources, relative to the diagonal of all points.
       Default 1e-3.
 
-    **Raises:** `ValueError` for fewer than one source, and if the points are not as many as the
-    motions'.
+    **Raises:** `ValueError` for fewer than one source, and for another number of points than the
+    motions have.
     """
 
     sources: int
@@ -93,7 +93,7 @@ def _by_error(
 
 
 def _missed(kernel: np.ndarray, tail: np.ndarray, chosen: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Computes the largest miss (m,), over all values, of the chosen points' spline (eq. 3)."""
+    """The largest miss (m,), over all values, of the chosen points' spline (eq. 3)."""
     terms = tail.shape[1]
     matrix = np.block([[kernel[chosen], tail[chosen]], [tail[chosen].T, np.zeros((terms, terms))]])
     rhs = np.concatenate([values[chosen], np.zeros((terms, values.shape[1]))])

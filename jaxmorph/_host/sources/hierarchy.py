@@ -10,11 +10,8 @@ from ..package.rounding import SAME, Tree, canonical_order, first_largest, neare
 from .farthest import FarthestPoints
 from .reduction import AbstractReduction
 
-BATCH = 256
-"""Candidates for the next nodes that are examined together."""
-
-WIDTH = 8
-"""Entries in a row of a sweep's table."""
+BATCH = 256  # candidates for the next nodes in a batch
+WIDTH = 8  # entries in a row of a sweep's table
 
 
 def farthest_first(points: np.ndarray, earlier: np.ndarray, images: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -23,11 +20,11 @@ def farthest_first(points: np.ndarray, earlier: np.ndarray, images: np.ndarray) 
     Also finds nearest predecessors. The `earlier` nodes are predecessors of all nodes, and mirror
     images of a node, of its number in `images` (b,), are its predecessors. Without earlier nodes,
     the first node is the farthest from the middle, and the node farthest from it counts as its
-    nearest predecessor. A node that coincides with a predecessor is left out. Left out and earlier
-    nodes are their own nearest predecessors.
+    nearest predecessor. A duplicate of a predecessor is left out. Duplicates and earlier nodes are
+    their own nearest predecessors.
     """
-    # A batch holds the nodes with the largest distances. Those that do not depend on each other are
-    # picked together. Only nodes within the distance of a picked node can come nearer to it.
+    # A batch holds the nodes with the largest distances. Independent ones are picked together. Only
+    # nodes within the distance of a picked node can come nearer to it.
     rank = canonical_order(points)
     place = np.argsort(rank)
     ordered = points[rank].astype(float)
@@ -71,8 +68,8 @@ class Share(AbstractReduction):
 
 def _own_images(points: np.ndarray, images: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     distance, nearest = np.full(len(points), np.inf), np.arange(len(points))
-    # Sorted by number, the images of a node are neighbours. Two rows that are `shift` places apart
-    # are compared where their numbers are equal, for all shifts up to the largest group.
+    # Sorted by number, the images of a node are neighbours. Rows `shift` places apart are compared
+    # where their numbers are equal, for all shifts up to the largest group.
     order = np.argsort(images, kind="stable")
     for shift in range(1, int(np.bincount(np.unique(images, return_inverse=True)[1]).max())):
         for here, there in ((order[shift:], order[:-shift]), (order[:-shift], order[shift:])):
@@ -98,7 +95,7 @@ def _nearest_of(points: np.ndarray, chosen: np.ndarray, others: np.ndarray) -> t
 
 
 def _farthest(distance: np.ndarray, least: float) -> np.ndarray:
-    """Lists nodes with the largest distances above `least`, largest first; ties by first node."""
+    """Nodes with the largest distances above `least`, largest first; ties by first node."""
     last = np.partition(distance, -min(BATCH, len(distance)))[-min(BATCH, len(distance))]
     above, below = np.flatnonzero(distance > (1 + SAME) * last), (1 - SAME) * last
     equal = np.flatnonzero((distance >= below) & (distance <= (1 + SAME) * last))
@@ -108,7 +105,7 @@ def _farthest(distance: np.ndarray, least: float) -> np.ndarray:
 
 
 def _certain(points: np.ndarray, distance: np.ndarray, batch: np.ndarray) -> np.ndarray:
-    """Selects the nodes of a batch whose distance does not change by earlier nodes of the batch."""
+    """The nodes of a batch whose distance does not change by earlier nodes of the batch."""
     gap = np.where(np.tri(len(batch), k=-1, dtype=bool), cdist(points[batch], points[batch]), np.inf)
     return batch[gap.min(axis=1) >= distance[batch] * (1 - SAME)]
 
@@ -129,7 +126,7 @@ def _joined(lists) -> np.ndarray:
 def overlaps(
     points: np.ndarray, centres: np.ndarray, radius: np.ndarray, targets: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Finds pairs (target, centre) within the centre's radius (b,), by target, then centre."""
+    """Pairs (target, centre) within the centre's radius (b,), by target, then centre."""
     tree = Tree(targets, leafsize=32, balanced_tree=False, compact_nodes=False)
     around = tree.query_ball_point(points[centres], radius[centres], return_sorted=False)
     target, rank = _joined(around), np.repeat(np.arange(len(centres)), [len(ids) for ids in around])
@@ -148,10 +145,8 @@ def padded(target: np.ndarray, centre: np.ndarray, count: int) -> tuple[np.ndarr
 
 
 Sweep = tuple[np.ndarray, np.ndarray]
-"""The order in which a triangular system is solved: s steps of r rows.
-
-A row adds up to `WIDTH` entries of its owner: positions (s, r, WIDTH) in the list of entries, -1
-for padding, and owners (s, r).
+"""The order in which a triangular system is solved: s steps of r rows. A row adds up to `WIDTH`
+entries of its owner: positions (s, r, WIDTH), -1 for padding, and owners (s, r).
 """
 
 
@@ -173,8 +168,8 @@ def sweeps(row: np.ndarray, column: np.ndarray, count: int) -> tuple[Sweep, Swee
 def _sweep(owner: np.ndarray, level: np.ndarray) -> Sweep:
     """Lays entries (e,), sorted by level and owner, into steps of rows."""
     # The entries of one owner within a level fill rows of `WIDTH`. All steps have equally many
-    # rows, a quarter of the mean number of rows of a level. A level begins with a new step and
-    # takes as many steps as it needs; the rest of its last step stays empty.
+    # rows, a quarter of the mean number of rows of a level. A level begins with a new step; the
+    # rest of its last step stays empty.
     if not owner.size:
         return np.zeros((0, 1, WIDTH), dtype=np.int32), np.zeros((0, 1), dtype=np.int32)
     order = np.lexsort((owner, level))

@@ -16,11 +16,10 @@ from ..package.rounding import SAME, Tree, canonical_order, first_largest, neare
 class AbstractReduction(abc.ABC):
     """Chooses source points: called with points (k, d), it returns distinct ids, ascending.
 
-    Your own reduction is a frozen (hashable) dataclass with one method, `__call__`.
-
-    A choice is discontinuous in the coordinates: as nodes move, another node becomes a source. In
-    the library's own reductions, lengths within a relative 1e-9 are equal, and the first of equals
-    in the order of coordinates counts.
+    Your own reduction is a frozen (hashable) dataclass with one method, `__call__`. A choice is
+    discontinuous in the coordinates: as nodes move, another node becomes a source. In the library's
+    own reductions, lengths within a relative 1e-9 are equal, and the first of equals in the order
+    of coordinates counts.
     """
 
     most_on_far_walls: ClassVar[int] = 0
@@ -30,10 +29,7 @@ class AbstractReduction(abc.ABC):
     def __call__(self, points: np.ndarray) -> np.ndarray: ...
 
     def beside(self, points: np.ndarray, others: np.ndarray) -> np.ndarray:
-        """Chooses as `__call__`, near the `others` (k, d): fixed nodes, or moving sources.
-
-        The default ignores `others`.
-        """
+        """Chooses near the `others` (k, d), fixed nodes or moving sources; ignored by default."""
         return self(points)
 
     def closest(self, points: np.ndarray) -> float:
@@ -170,15 +166,10 @@ class KDTree(AbstractSeparated):
     def with_sources(count: int, points: np.ndarray) -> "KDTree":
         """Searches for the tree that gives about `count` sources, with `extremes`.
 
-        **Arguments:**
+        `count` is at least d + 1; not all numbers are possible, and the nearest is taken. `points`
+        are the coordinates (n, d) of the moving nodes.
 
-        - `count`: number of sources, at least d + 1. Not all numbers are possible: the nearest is
-          taken.
-        - `points`: coordinates (n, d) of the moving nodes.
-
-        **Returns:** a `KDTree`.
-
-        **Raises:** `ValueError` for a count below d + 1.
+        **Raises:** `ValueError` for a smaller count.
         """
         points, count = finite_array("points", points, (None, 2), (None, 3)), whole("count", count)
         points = points.astype(float)
@@ -229,7 +220,6 @@ def _halves(points: np.ndarray, members: np.ndarray, axis: int) -> tuple[np.ndar
 
 
 def chosen_in_order(points: np.ndarray, choose: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> np.ndarray:
-    """Calls `choose` with the points in canonical order and their ids; returns sorted ids."""
     points = np.asarray(points, dtype=float)
     if len(points) == 0:
         return np.zeros(0, dtype=np.int64)
@@ -238,7 +228,6 @@ def chosen_in_order(points: np.ndarray, choose: Callable[[np.ndarray, np.ndarray
 
 
 def extreme_points(points: np.ndarray) -> np.ndarray:
-    """Finds the points farthest apart on all sides of the bounding box."""
     extremes, slack = [], SAME * float(np.ptp(points, axis=0).max())
     for axis in range(points.shape[1]):
         for sign in (-1, 1):

@@ -4,24 +4,15 @@ import numpy as np
 
 from ..linear.products import cross
 
-AFTER, BEFORE = 1e-9, 1e-6
-"""Slack of a crossing after and before the motion, relative to the faces.
-
-Faces that nearly touched before are not reported.
-"""
-
-PARALLEL = 1e-9
-"""Sine of the angle below which an edge lies along a face, and does not cross it."""
-
-TOGETHER = 1 << 17
-"""Pairs of faces that are checked together."""
+AFTER, BEFORE = 1e-9, 1e-6  # slack of a crossing, relative to the faces: faces that nearly touched before do not count
+PARALLEL = 1e-9  # sine of the angle below which an edge lies along a face, and does not cross it
+TOGETHER = 1 << 17  # pairs of faces in a block
 
 
 def crossing_faces(
     points: np.ndarray, moved: np.ndarray, faces: np.ndarray, place: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Finds pairs (k, 2) of faces that meet only after the motion, and where (k, d) they meet.
-
     `faces` are segments (f, 2) or triangles (f, 3), rows of `points` (b, d), which are `moved`.
     Faces with a common number of `place` (b,) are neighbours, and do not count.
     """
@@ -44,9 +35,9 @@ def crossing_faces(
 
 
 def overlapping_boxes(corners: np.ndarray, is_moving: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Finds pairs of faces (f, corners, d), one moving, with overlapping boxes, each pair once."""
+    """Pairs of faces (f, corners, d), one moving, with overlapping boxes, each pair once."""
     # Faces are the leaves of a balanced tree. The search goes down level by level, for all pairs of
-    # boxes together. Only pairs that overlap, and of which one box moves, have pairs of children.
+    # boxes together. Only overlapping pairs, of which one box moves, have pairs of children.
     order, depth = _balanced(corners.mean(axis=1))
     is_face, order = order < len(corners), np.minimum(order, len(corners) - 1)
     slack = AFTER * np.ptp(corners, axis=1).max(axis=1, keepdims=True)
@@ -72,7 +63,7 @@ def overlapping_boxes(corners: np.ndarray, is_moving: np.ndarray) -> tuple[np.nd
 
 
 def _balanced(centres: np.ndarray) -> tuple[np.ndarray, int]:
-    """Orders faces as leaves of a balanced tree, halved along the widest axis; padded from k on."""
+    """Faces as leaves of a balanced tree, halved along the widest axis; padded from k on."""
     depth = (len(centres) - 1).bit_length()
     order = np.arange(1 << depth)[None]
     padded = np.concatenate([centres, np.repeat(centres[-1:], (1 << depth) - len(centres), axis=0)])
@@ -105,7 +96,6 @@ def _meet(first: np.ndarray, second: np.ndarray, slack: float) -> tuple[np.ndarr
 
 
 def _aside(first: np.ndarray, second: np.ndarray, slack: float) -> np.ndarray:
-    """Marks the pairs whose second triangle lies on one side of the first triangle's plane."""
     normal = np.cross(first[:, 1] - first[:, 0], first[:, 2] - first[:, 0])
     arms = second - first[:, :1]
     height = np.einsum("kcd,kd->kc", arms, normal)

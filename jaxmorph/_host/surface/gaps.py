@@ -6,16 +6,14 @@ from scipy import spatial
 from ..package.rounding import Tree
 from .neighbours import nearest_boxes_first, searched_together
 
-CLOSEST = 12
-"""Faces of other walls to which a node's distance is measured: the faces of nearest middles."""
+CLOSEST = 12  # faces of other walls, of nearest middles, to which a node's distance is measured
 
 
 def share_left(
     before: np.ndarray, after: np.ndarray, wall: np.ndarray, faces: np.ndarray, touching: float
 ) -> np.ndarray:
-    """Measures the share (b,) of the gap at every row that a motion leaves; infinite without a gap.
-
-    The gap before is the smaller of those at the row and at the corners of the face that is nearest
+    """Share (b,) of the gap at every row that a motion leaves; infinite without a gap. The gap
+    before is the smaller of those at the row and at the corners of the face that is nearest
     afterwards: sliding walls keep their gap. Distances up to `touching` count as no gap.
     """
     first, second = gaps(before, wall, faces)[0], gaps(after, wall, faces)
@@ -25,10 +23,9 @@ def share_left(
 
 
 def gaps(points: np.ndarray, wall: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Finds each point's distance (b,) from other walls, else infinite, and the face (b, d) there.
-
-    `wall` (b,) numbers the walls; `faces` are rows of `points`, segments (f, 2) or triangles
-    (f, 3). A face between two walls does not count.
+    """Each point's distance (b,) from other walls, else infinite, and the face (b, d) there. `wall`
+    (b,) numbers the walls; `faces` are rows of `points`, segments (f, 2) or triangles (f, 3). A
+    face between two walls does not count.
     """
     labels = wall[faces]
     whole = (labels == labels[:, :1]).all(axis=1)
@@ -48,7 +45,7 @@ def gaps(points: np.ndarray, wall: np.ndarray, faces: np.ndarray) -> tuple[np.nd
 
 
 def _closest(points: np.ndarray, trees: list[tuple[np.ndarray, Tree]]) -> np.ndarray:
-    """Finds faces (k, c) with middles nearest to points (k, d), by trees with their face rows."""
+    """Faces (k, c) with middles nearest to points (k, d), by trees with their face rows."""
     count = min(CLOSEST, sum(len(rows) for rows, _ in trees))
     distance, near = np.full((len(points), count), np.inf), np.zeros((len(points), count), dtype=np.int64)
     for k, wanted in nearest_boxes_first(points, [tree for _, tree in trees], distance[:, -1]):
@@ -65,15 +62,13 @@ def _closest(points: np.ndarray, trees: list[tuple[np.ndarray, Tree]]) -> np.nda
 
 
 def distance_from_segment(x: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """Measures distances (k,) of points (k, d) from a segment."""
+    """Distances (k,) of points (k, d) from a segment."""
     return _places(np.broadcast_to(np.stack([start, end]), (len(x), 2, x.shape[1])), x)[1]
 
 
 BLOCK = 1 << 12
-"""Points looked for together."""
 
-NEAR = 8
-"""Nearest simplices that bound the distance to all others."""
+NEAR = 8  # nearest simplices that bound the distance to all others
 
 
 def fans(ids: np.ndarray, counts: np.ndarray) -> np.ndarray:
@@ -86,11 +81,10 @@ def fans(ids: np.ndarray, counts: np.ndarray) -> np.ndarray:
 
 def closest(corners: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Finds the first simplex (m,) of `corners` (t, c, d) that is closest to each of `x` (m, d).
-
     Returns its number, the weights (m, c) of its corners at its closest place, and the distance.
     """
-    # Simplices of one size are looked at together: one ball around a point then holds all of them
-    # that can be closest, and a few long ones do not make candidates of all.
+    # Simplices of one size are searched together: one ball around a point holds all that can be
+    # closest, and a few long ones do not make candidates of all.
     centre = corners.mean(axis=1)
     radius = np.linalg.norm(corners - centre[:, None], axis=2).max(axis=1)
     level = np.floor(np.log2(np.maximum(radius, max(radius.max() * 1e-9, np.finfo(float).tiny))))
@@ -108,7 +102,6 @@ def closest(corners: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray,
 
 
 def _candidates(trees: list, corners: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs rows of `x` with the simplices that may be the closest ones to them."""
     bound = np.full(len(x), np.inf)
     for group, tree, _ in trees:
         count = min(NEAR, len(group))
@@ -125,7 +118,7 @@ def _candidates(trees: list, corners: np.ndarray, x: np.ndarray) -> tuple[np.nda
 
 
 def _places(corners: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Computes weights (m, c) of corners (m, c, d) at places closest to `x`, and distances."""
+    """Weights (m, c) of corners (m, c, d) at places closest to `x`, and distances."""
     if corners.shape[1] == 2:
         weights = _on_segment(corners[:, 0], corners[:, 1], x)
         return weights, np.linalg.norm(np.einsum("mc,mcd->md", weights, corners) - x, axis=1)

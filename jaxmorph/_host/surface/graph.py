@@ -18,48 +18,30 @@ from ..package.errors import MeshError, place_of, worst_first
 from ..package.rounding import BETWEEN, canonical_order, morton_order, roundoff, spacing
 from ..sources.reduction import drop_close
 
-JITTER = 1e-8
-"""Relative to the nearest node's distance: at 1e-9 location is slow, at 1e-7 weights go wrong."""
-
-SNAP = 2e-9
-"""Rounding of coordinates for qhull, relative to the nearest node; well below `JITTER`."""
-
-TRIALS = 4
-"""Most jitters tried: qhull now and then ends with a precision error on good nodes."""
+JITTER = 1e-8  # relative to the nearest node's distance: at 1e-9 location is slow, at 1e-7 weights go wrong
+SNAP = 2e-9  # rounding of coordinates for qhull, relative to the nearest node; well below `JITTER`
+TRIALS = 4  # most jitters tried: qhull now and then ends with a precision error on good nodes
 
 OPTIONS = "Qbb Qc Qz Q12 Q5"
 """SciPy's options of qhull, without a last check of outer planes, which simplices do not use."""
 
-FLAT = 64
-"""A simplex lower than this times the round-off of the coordinates holds no point."""
+FLAT = 64  # a simplex lower than this times the round-off of the coordinates holds no point
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Graph:
-    """The Delaunay graph of a surface, in which any number of points can be located.
-
-    `graph_of` makes it.
-
-    - `unique` (k,), `nodes` (k, d): ids of the distinct nodes, and their places relative to
-      `centre`, over `size`.
-    - `delaunay`: the simplices between the distinct nodes.
-    - `flat`: the height below which a simplex holds no point; `slack`: round-off of the
-      coordinates.
-    """
+    """The Delaunay graph of a surface, in which any number of points can be located."""
 
     centre: np.ndarray
     size: float
-    unique: np.ndarray
-    nodes: np.ndarray
-    delaunay: Delaunay
-    flat: float
-    slack: float
+    unique: np.ndarray  # (k,) ids of the distinct nodes
+    nodes: np.ndarray  # (k, d) their places relative to `centre`, over `size`
+    delaunay: Delaunay  # the simplices between the distinct nodes
+    flat: float  # the height below which a simplex holds no point
+    slack: float  # round-off of the coordinates
 
     def smallest_weight(self, simplex: np.ndarray, points: np.ndarray) -> np.ndarray:
-        """Computes least barycentric coordinates (k,) of points (k, d) in simplices (k,).
-
-        It is -inf where the simplex is -1 or not higher than `flat`.
-        """
+        """Least barycentric coordinates (k,) of points in simplices; -inf in -1 or flat ones."""
         smallest = np.empty(len(points))
 
         def weigh(part: slice) -> None:
@@ -95,10 +77,9 @@ def graph_of(surface: np.ndarray) -> Graph:
 
 
 class _Graph(Delaunay):
-    """A triangulation with a closed form of the barycentric transforms.
-
-    SciPy calls LAPACK for every simplex, at twenty times the cost. It fails for flat simplices, and
-    then `find_simplex` searches through all simplices.
+    """A triangulation with a closed form of the barycentric transforms. SciPy calls LAPACK for
+    every simplex, at twenty times the cost. It fails for flat simplices, and then `find_simplex`
+    searches through all simplices.
     """
 
     @functools.cached_property
@@ -140,17 +121,13 @@ def _without_coincident(unit: np.ndarray, closest: float) -> np.ndarray:
 
 
 def _snapped(nodes: np.ndarray) -> np.ndarray:
-    """Rounds coordinates to about `SNAP` of the distance of the nearest node.
-
-    So the last bits of the mesh do not reach qhull.
-    """
+    """Rounds coordinates to about `SNAP` of the nearest distance: qhull sees no last bits."""
     step = 2 ** np.floor(np.log2(SNAP * spacing(nodes)) + BETWEEN)[:, None]
     return np.floor(nodes / step + BETWEEN) * step
 
 
 def _jittered(nodes: np.ndarray, phase: int) -> np.ndarray:
     """Moves nodes by `JITTER` of the distance of their nearest nodes, by a function of place alone.
-
     Unlike random numbers, a sine of very short wave length does not depend on the order of nodes.
     """
     dimension = nodes.shape[1]
@@ -160,8 +137,7 @@ def _jittered(nodes: np.ndarray, phase: int) -> np.ndarray:
     return nodes + JITTER * spacing(nodes)[:, None] * np.sin(angle + np.arange(dimension) + phase)
 
 
-TOLERANCE = 1e-6
-"""A point whose smallest weight is below minus this is searched again."""
+TOLERANCE = 1e-6  # a point whose smallest weight is below minus this is searched again
 
 
 @dataclasses.dataclass(frozen=True)
@@ -245,7 +221,6 @@ def _search(graph: Graph, points: np.ndarray, simplex: np.ndarray) -> tuple[np.n
 
 def _beyond_hull(graph: Graph, targets: np.ndarray) -> np.ndarray:
     """Measures how far points surely lie beyond the plane of a facet of the hull: 0 or less inside.
-
     A small facet says little about a distant point: jitter and round-off may have turned it.
     """
     corners = graph.nodes[graph.delaunay.convex_hull]

@@ -8,11 +8,8 @@ import numpy as np
 from ..package.cores import by_blocks
 from ..package.rounding import SAME, Tree, few_by, morton_order, nearest_few, roundoff
 
-FEW = 16
-"""Most walls for which every wall has a search tree of its own."""
-
-AROUND = 8
-"""Neighbours among whose distances a leap is searched."""
+FEW = 16  # most walls for which every wall has a search tree of its own
+AROUND = 8  # neighbours among whose distances a leap is searched
 
 Once = Callable[[Any, Callable[[], Any]], Any]
 
@@ -23,7 +20,7 @@ def at_once(key: Any, make: Callable[[], Any]) -> Any:
 
 
 def digest(values: np.ndarray) -> tuple[int, int]:
-    """Makes a cache key of an array: its length and a hash of its bytes."""
+    """A cache key of an array: its length and a hash of its bytes."""
     return len(values), hash(values.tobytes())
 
 
@@ -38,9 +35,8 @@ def near_walls(
     nearer to another wall is left out. `once(key, make)` caches what depends on the surface alone.
     """
     # A search finds the nearest node of a point within reach. The `count` nearest nodes of the
-    # point are then among 2 `count` neighbours of that node on its wall, which are found once a
-    # node, not once a point. Then the points of a wall are compared with the nodes of all other
-    # walls.
+    # point are among 2 `count` neighbours of that node on its wall, found once a node, not once a
+    # point. Then the points of a wall are compared with the nodes of all other walls.
     if len(points) == 0:
         return np.zeros(0, dtype=np.int64), np.zeros((0, count + 1), dtype=np.int32)
     order = morton_order(points)  # a tree is searched three times faster for neighbours one after the other
@@ -88,7 +84,7 @@ def _closest(nodes: np.ndarray, squared: np.ndarray, count: int) -> np.ndarray:
 def _nearest_within(
     surface: np.ndarray, wall: np.ndarray, reach: np.ndarray, points: np.ndarray, once: Once
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Finds the nearest surface node whose reach has the point, and its distance, else infinite."""
+    """The nearest surface node whose reach has the point, and its distance, else infinite."""
     # nodes of similar reach are searched together: too large a bound costs ten times as much
     bounded = []
     for members in searched_together(wall, np.flatnonzero(reach > 0)):
@@ -99,10 +95,9 @@ def _nearest_within(
 
 
 def searched_together(wall: np.ndarray, rows: np.ndarray) -> list[np.ndarray]:
-    """Divides rows of the surface by their walls, unless there are more than `FEW` walls.
-
-    A search in a plane is fast from any distance. In a tree of several planes, a search from the
-    middle of a cube takes fifty times longer.
+    """Divides rows of the surface by their walls, unless there are more than `FEW`. A search in a
+    plane is fast from any distance. In a tree of several planes, a search from the middle of a cube
+    takes fifty times longer.
     """
     labels = wall[rows]
     walls = np.unique(labels)
@@ -116,9 +111,8 @@ def _nearest(
     once: Once,
     reach: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Finds the nearest node of several lists within their bounds, and its distance, else infinite.
-
-    With `reach` (b,), a node counts only within its own reach. Ties go to the first list.
+    """The nearest node of several lists within their bounds, and its distance, else infinite. With
+    `reach` (b,), a node counts only within its own reach. Ties go to the first list.
     """
     trees = [once(("tree", digest(members)), lambda members=members: _tree(surface[members])) for members, _ in bounded]
     distance, nearest = np.full(len(points), np.inf), np.zeros(len(points), dtype=np.int64)
@@ -152,8 +146,7 @@ def nearest_boxes_first(
     points: np.ndarray, trees: list[Tree], farthest: np.ndarray, bounds: list[float] | None = None
 ) -> Iterator[tuple[int, np.ndarray]]:
     """Yields trees, by number, with the rows of points to search in each, up to `bounds`.
-
-    `farthest` (n,) is what a search has to beat; the caller lowers it between two trees.
+    `farthest` (n,) is the bound of a search; the caller lowers it between two trees.
     """
     # A tree is searched only for points whose answer so far is farther than the tree's box. The
     # tree with the nearest box comes first: it holds the answer of most points.
@@ -167,7 +160,7 @@ def nearest_boxes_first(
 
 
 def _to_box(points: np.ndarray, tree: Tree) -> np.ndarray:
-    """Measures the distances (n,) of points from the box of a tree's points."""
+    """Distances (n,) of points from the box of a tree's points."""
     gaps = (
         np.maximum(np.maximum(low - x, x - high), 0)
         for x, low, high in zip(points.T, tree.mins, tree.maxes, strict=True)
@@ -176,12 +169,12 @@ def _to_box(points: np.ndarray, tree: Tree) -> np.ndarray:
 
 
 def _tree(points: np.ndarray) -> Tree:
-    """Builds a tree for many searches: cells cut in the middle are faster than at the median."""
+    """A tree for many searches: cells cut in the middle are faster than at the median."""
     return Tree(points, leafsize=32, balanced_tree=False, compact_nodes=False)
 
 
 def _around(surface: np.ndarray, wall: np.ndarray, count: int) -> np.ndarray:
-    """Lists (b, count) nearest nodes on the wall: the node itself first, and as padding."""
+    """The (b, count) nearest nodes on the wall: the node itself first, and as padding."""
     around = np.empty((len(surface), count), dtype=np.int32)
     for label in np.unique(wall):
         nodes = np.flatnonzero(wall == label)
@@ -192,10 +185,9 @@ def _around(surface: np.ndarray, wall: np.ndarray, count: int) -> np.ndarray:
 
 
 def nearly_coincident(points: np.ndarray, radius: float, share: float) -> tuple[np.ndarray, np.ndarray]:
-    """Finds points with neighbours far nearer than the next: ids, and nearest ids, closest first.
-
-    Far nearer means below a `share` of the distance of the next neighbour, or of the `radius`. Up
-    to `AROUND` points may be near each other.
+    """Points with neighbours far nearer than the next: ids, and nearest ids, closest first. Far
+    nearer means below a `share` of the distance of the next neighbour, or of the `radius`. Up to
+    `AROUND` points may be near each other.
     """
     if len(points) < 2:
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)

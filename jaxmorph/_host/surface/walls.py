@@ -12,17 +12,10 @@ from ..sources.farthest import farthest
 SHARP = np.cos(np.deg2rad(45))
 """Cosine of the angle at a concave corner from which on its two faces belong to different walls."""
 
-REACH = 1.5
-"""Distance of neighbours, relative to that of the eighth nearest node (2-D: second nearest)."""
-
-CURVED = 4
-"""Most nodes of a curve, as its extent over the nearest node's distance; surfaces have more."""
-
-SAMPLE = 16
-"""Nodes of a curve that vote for the next part."""
-
-AROUND = 512
-"""Nearest nodes among which a node finds its vote; if votes fail, all nodes are searched."""
+REACH = 1.5  # distance of neighbours, relative to that of the eighth nearest node (2-D: second nearest)
+CURVED = 4  # most nodes of a curve, as its extent over the nearest node's distance; surfaces have more
+SAMPLE = 16  # nodes of a curve that vote for the next part
+AROUND = 512  # nearest nodes among which a node finds its vote; if votes fail, all nodes are searched
 
 
 def walls(
@@ -31,17 +24,15 @@ def walls(
     faces: Mapping[str, np.ndarray] | None = None,
     in_planes: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Numbers the walls; returns each surface node's wall (b,); the first `moving` nodes move.
+    """Returns each surface node's wall (b,); the first `moving` nodes move.
 
     Moving and fixed nodes are on different walls. `faces` are rows of `points`, counterclockwise as
     seen from outside of the mesh. With faces, a wall continues from a face to its neighbours, but
     not round a corner of less than 135 degrees with the mesh inside. Floor and side of a box are
-    two walls, both sides of an airfoil are one.
-
-    Without faces, chains of nearest neighbours (2 in 2-D, 8 in 3-D) join nodes. In structured 3-D
-    meshes a chain may stay within one section of a wing, so parts that are curves are joined to the
-    parts beside them. Nodes of symmetry planes, marked by `in_planes` (b,), take the wall of the
-    nearest other node.
+    two walls, both sides of an airfoil are one. Without faces, chains of nearest neighbours (2 in
+    2-D, 8 in 3-D) join nodes. In structured 3-D meshes a chain may stay within one section of a
+    wing, so parts that are curves are joined to the parts beside them. Nodes of symmetry planes,
+    marked by `in_planes` (b,), take the wall of the nearest other node.
     """
     label = np.full(len(points), -1)
     groups = [in_order(np.asarray(group)) for _, group in sorted((faces or {}).items()) if len(group)]
@@ -67,9 +58,8 @@ def in_order(faces: np.ndarray) -> np.ndarray:
 
 
 def ordered_rows(points: np.ndarray, moving: int, faces: Mapping[str, np.ndarray] | None) -> np.ndarray:
-    """Sorts nodes (b, d) by place, the first `moving` nodes before all others.
-
-    Of nodes in one place, as on two sides of a slit, the directions of their `faces` decide.
+    """Sorts nodes (b, d) by place, the first `moving` nodes before all others. Of nodes in one
+    place, as on two sides of a slit, the directions of their `faces` decide.
     """
     columns = [ranked(column, SAME * float(np.ptp(points, axis=0).max(initial=0))) for column in points.T]
     is_still = np.arange(len(points)) >= moving
@@ -91,7 +81,7 @@ def _unit(vectors: np.ndarray) -> np.ndarray:
 
 
 def _by_faces(points: np.ndarray, moving: int, groups: list[np.ndarray]) -> np.ndarray:
-    """Finds the wall of every node (b,) by its faces; -1 for a node without faces."""
+    """The wall of every node (b,) by its faces; -1 for a node without faces."""
     normal = np.concatenate([outward(points[group]) for group in groups])
     middle = np.concatenate([points[group].mean(axis=1) for group in groups])
     first, second, agree = _beside(groups)
@@ -114,9 +104,9 @@ def _by_faces(points: np.ndarray, moving: int, groups: list[np.ndarray]) -> np.n
 
 
 def _beside(groups: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Finds pairs of faces that share an edge (2-D: node), and marks opposite senses along it."""
+    """Pairs of faces that share an edge (2-D: node), and a mask of opposite senses along it."""
     # Every face lists its edges. Sorted by their nodes, lowest node first, equal edges are
-    # neighbours in the list. The sense of an edge is lost by that, so `turned` keeps it.
+    # neighbours. The sense of an edge is lost by that, so `turned` keeps it.
     edges, owners, start = [], [], 0
     for group in groups:
         count = group.shape[1]
@@ -137,7 +127,7 @@ def _beside(groups: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarra
 
 
 def _by_chains(points: np.ndarray) -> np.ndarray:
-    """Finds the wall of nodes (k,), all moving or all fixed, by chains of nearest neighbours."""
+    """The wall of nodes (k,), all moving or all fixed, by chains of nearest neighbours."""
     first, inverse = distinct(points)
     unique = points[first]
     count = min({2: 2, 3: 8}[points.shape[1]], len(unique) - 1)
@@ -153,9 +143,8 @@ def _by_chains(points: np.ndarray) -> np.ndarray:
 
 
 def _next_to_curves(points: np.ndarray, label: np.ndarray, spacing: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs every part that is a curve with the next part of its wall, on both sides.
-
-    Most nodes of a sample of the curve must find one part there.
+    """Pairs every part that is a curve with the next part of its wall, on both sides, if most nodes
+    of a sample of the curve find one part there.
     """
     tree, pairs = Tree(points), []
     for curve in range(label.max() + 1):
@@ -173,7 +162,6 @@ def _next_to_curves(points: np.ndarray, label: np.ndarray, spacing: np.ndarray) 
 
 
 def _votes(points: np.ndarray, label: np.ndarray, members: np.ndarray, sample: np.ndarray, around: np.ndarray) -> list:
-    """Pairs a curve with the nearest part on both sides, by the vote of its sample."""
     curve = label[members[0]]
     offsets = points[around] - sample[:, None]
     distance = np.where(label[around] == curve, np.inf, np.linalg.norm(offsets, axis=2))
@@ -191,7 +179,7 @@ def _votes(points: np.ndarray, label: np.ndarray, members: np.ndarray, sample: n
 
 
 def _across(curve: np.ndarray, offsets: np.ndarray, distance: np.ndarray) -> np.ndarray:
-    """Finds the normal of a curve's plane, or the way from a straight curve to the nearest node."""
+    """The normal of a curve's plane, or the way from a straight curve to the nearest node."""
     size, axes = np.linalg.svd(curve - curve.mean(axis=0), full_matrices=False)[1:]
     if size[1] > 0.01 * size[0]:
         return axes[-1]

@@ -1,4 +1,4 @@
-"""Methods that solve an equation on the mesh's cells, inner nodes and all: what they share."""
+"""Methods that solve an equation on the mesh's cells, inner nodes and all."""
 
 import abc
 from collections.abc import Mapping
@@ -19,17 +19,13 @@ from ..base import AbstractField, AbstractMethod
 from ..blocks import fold_rows
 from ..surface import Surface
 
-CELLS = 4096
-"""Cells whose entries are computed together."""
+CELLS = 4096  # cells in a block
 
 
 class CellIds(eqx.Module):
-    """Ids of k cells of one type.
-
-    - `corners`: node ids.
-    - `entry`: the number of each pair of corners in the list of pairs; the list's length for
-      corners that are one node.
-    - `flipped`: whether the pair's first corner is the entry's second node.
+    """Ids of k cells of one type: nodes at the `corners`. `entry` is the place of each pair of
+    corners in the list of pairs, its length for corners that are one node. `flipped` pairs begin
+    with the entry's second node.
     """
 
     corners: Int[Array, "k c"]
@@ -38,29 +34,20 @@ class CellIds(eqx.Module):
 
 
 class NodeIds(eqx.Module):
-    """Ids of a mesh's n nodes for a solve.
-
-    - `cells`: by type.
-    - `pairs` (e, 2): nodes that share an entry of the matrix, the smaller id first.
-    - `frame` (d, d): axes in its columns, of which each symmetry plane has one as its normal.
-    - `free` (n, d): unknowns, by node and axis of the frame.
-    - `wall` (n,): for each node the nearest moving node.
-    - `rows`, `nodes` (r,): rows of the surface that are nodes of the mesh, and the nodes.
-    """
+    """Ids of a mesh's n nodes for a solve."""
 
     cells: dict[str, CellIds]
-    pairs: Int[Array, "e 2"]
-    frame: Float[Array, "d d"]
-    free: Bool[Array, "n d"]
-    wall: Int[Array, " n"]
-    rows: Int[Array, " r"]
-    nodes: Int[Array, " r"]
+    pairs: Int[Array, "e 2"]  # nodes that share an entry of the matrix, the smaller id first
+    frame: Float[Array, "d d"]  # axes in columns; the normal of each symmetry plane is one
+    free: Bool[Array, "n d"]  # unknowns, by node and axis of the frame
+    wall: Int[Array, " n"]  # for each node the nearest moving node
+    rows: Int[Array, " r"]  # rows of the surface that are nodes of the mesh
+    nodes: Int[Array, " r"]  # these nodes
 
 
 class NodeFactors(eqx.Module):
-    """A symmetric matrix of numbers or blocks as `systems.solve` takes it, and places in the frame.
-
-    It has an entry for each pair of nodes, and one for each node. With `masses` M it is K M^-1 K.
+    """A symmetric matrix as `systems.solve` takes it, and places in the frame. It has an entry for
+    each pair of nodes and each node, numbers or blocks. With `masses` M it is K M^-1 K.
     """
 
     values: Float[Array, "e ..."]
@@ -84,7 +71,6 @@ class NodeFactors(eqx.Module):
     def solve(
         self, pairs: Int[Array, "e 2"], free: Bool[Array, "n d"], right: Float[Array, "n d"]
     ) -> Float[Array, "n d"]:
-        """Solves for the free unknowns on the host, within traced code; the others are zero."""
         leaves = (pairs, self.values, self.diagonal, self.masses, free)
 
         def times(x):
@@ -109,12 +95,10 @@ class AbstractCellMethod(AbstractMethod):
 
     The matrix is symmetric, and its rows add to zero: a translation is reproduced. Nodes at one
     place are one node. Nodes on a symmetry plane slide in it. Nodes in no cell rest, and so do
-    cells without a connection to a moving or fixed node.
-
-    The solve runs on the host, within traced code. In 2-D it factors the matrix. In 3-D a large
-    system takes conjugate gradients with a multigrid cycle. If they do not converge, up to 60,000
-    unknowns are factored; with more unknowns `prepare` raises. The factors of the last two systems
-    stay in memory. The transpose costs as much as the solve.
+    cells without a connection to a moving or fixed node. The solve runs on the host, within traced
+    code. In 2-D it factors the matrix. In 3-D a large system takes conjugate gradients with a
+    multigrid cycle. If they do not converge, up to 60,000 unknowns are factored; with more,
+    `prepare` raises. The last two factors are cached. The transpose costs as much as the solve.
     """
 
     def pairs(self, kind: str) -> tuple[tuple[int, int], ...]:
@@ -163,10 +147,9 @@ class AbstractCellMethod(AbstractMethod):
         return NodeIds(of_kind, *as_jax((pairs, frame, free, wall, rows, nodes))), volume
 
     def _numbered(self, corners: Mapping[str, np.ndarray], n: int) -> tuple[np.ndarray, dict[str, CellIds]]:
-        """Numbers the pairs of nodes (e, 2), and finds each cell's entries."""
-        # A pair of nodes is one integer, smaller id times n plus larger id. Sorted and without
-        # copies they are the list of pairs, so a search finds each cell's entries. Corners at one
-        # place get the number beyond the list.
+        # A pair of nodes is one integer, smaller id times n plus larger id. The list of pairs is
+        # sorted and unique, so a search finds each cell's entries. Corners at one place get the
+        # number beyond it.
         both = {kind: np.moveaxis(cells[:, np.array(self.pairs(kind))], 2, 0) for kind, cells in corners.items()}
         keys = {kind: np.minimum(i, j) * n + np.maximum(i, j) for kind, (i, j) in both.items()}
         real = [keys[kind][i != j] for kind, (i, j) in both.items()]

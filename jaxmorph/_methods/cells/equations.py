@@ -23,20 +23,16 @@ class AbstractStiffness(Module):
 
     @abc.abstractmethod
     def __call__(self, volume: Float[Array, ""], distance: Float[Array, ""]) -> Float[Array, ""]:
-        """Computes a cell's stiffness by its volume and its corners' mean distance. Traced.
-
-        Volumes are areas in 2-D, distances those from the nearest moving node.
+        """Computes a cell's stiffness by its volume (in 2-D its area), and its corners' mean
+        distance from the nearest moving node. Traced.
         """
 
 
 class ByVolume(AbstractStiffness):
     """Makes a cell as stiff as 1 / volume^exponent: small cells keep their shape.
 
-    OpenFOAM calls it `inverseVolume`.
-
-    **Arguments:**
-
-    - `exponent`: default 1. With 0 all cells are equally stiff.
+    OpenFOAM calls it `inverseVolume`. The default of `exponent` is 1; with 0 all cells are equally
+    stiff.
     """
 
     exponent: Float[Array, ""] = eqx.field(converter=number("exponent"), default=1.0)
@@ -49,12 +45,8 @@ class ByDistance(AbstractStiffness):
     """Makes a cell as stiff as 1 / distance^exponent, by its corners' mean distance.
 
     The distance is that from the nearest moving node. A quad has a stiffness at each corner, with
-    the mean of the corner and its two neighbours. OpenFOAM calls it `inverseDistance`, with the
-    exponent 2 `quadratic inverseDistance`.
-
-    **Arguments:**
-
-    - `exponent`: default 1.
+    the mean of the corner and its two neighbours. The default of `exponent` is 1. OpenFOAM calls it
+    `inverseDistance`, with the exponent 2 `quadratic inverseDistance`.
     """
 
     exponent: Float[Array, ""] = eqx.field(converter=number("exponent"), default=1.0)
@@ -63,14 +55,13 @@ class ByDistance(AbstractStiffness):
         return distance ** -self.exponent.astype(distance.dtype)
 
 
-SLIVER = 1e-6
-"""Share of a cell's largest Jacobian below which a point of its quadrature fades out."""
+SLIVER = 1e-6  # share of a cell's largest Jacobian below which a quadrature point fades out
 
 
 def gradients(kind: str, corners: Float[Array, "c d"]) -> tuple[Float[Array, "q c d"], Float[Array, " q"]]:
-    """Computes the shape functions' gradients and the volumes at the quadrature points. Traced."""
-    # a point whose Jacobian is small beside the cell's largest fades out: it belongs to a triangle
-    # at a straight corner, or between two corners at one place
+    """Returns the shape functions' gradients and the volumes at the quadrature points. Traced."""
+    # A point whose Jacobian is small beside the cell's largest fades out: it belongs to a triangle
+    # at a straight corner, or between two corners at one place.
     reference, weights = (jnp.asarray(table, corners.dtype) for table in quadrature(kind))
     jacobian = jnp.einsum("qca,cb->qab", reference, corners, precision="highest")  # d place / d reference, transposed
     inverse, determinant, safe = _inverse(jacobian)
@@ -84,10 +75,9 @@ def gradients(kind: str, corners: Float[Array, "c d"]) -> tuple[Float[Array, "q 
 def stiffness(
     of_cell: AbstractStiffness, kind: str, volume: Float[Array, " q"], distance: Float[Array, " c"]
 ) -> Float[Array, " q"]:
-    """Computes the stiffness at the points of a cell's quadrature. Traced.
-
-    A point takes the mean distance of the corners whose shape functions vary there. Where all
-    corners move, nothing depends on the stiffness.
+    """Computes the stiffness at the quadrature points. A point takes the mean distance of the
+    corners whose shape functions vary there. Where all corners move, nothing depends on the
+    stiffness.
     """
     share = np.any(quadrature(kind)[0] != 0, axis=2).astype(float)
     share = jnp.asarray(share / share.sum(axis=1, keepdims=True), distance.dtype)
@@ -118,11 +108,10 @@ _COLLAPSED = {
 
 @functools.cache
 def quadrature(kind: str) -> tuple[np.ndarray, np.ndarray]:
-    """Computes reference derivatives (q, corners, d) of the shape functions, and weights (q,).
-
-    A simplex has one point. A quad has its four corners, with the linear triangles of the corners
-    and their neighbours: the mean of both ways to cut it. Other types have two Gauss points in
-    every direction.
+    """Returns reference derivatives (q, corners, d) of the shape functions, and weights (q,). A
+    simplex has one point; a quad its four corners, with the linear triangles of the corners and
+    their neighbours: the mean of both diagonals. Other types have two Gauss points in every
+    direction.
     """
     if kind in ("triangle", "tetra"):
         d = 2 if kind == "triangle" else 3
@@ -143,13 +132,10 @@ class Laplacian(AbstractCellMethod):
     """Smooths each component of the displacement by Laplace's equation, of linear finite elements.
 
     Löhner and Yang made the diffusivity depend on the distance from the body (Communications in
-    Numerical Methods in Engineering 12, 1996). Components do not know of each other: a rotation
-    shears the cells. `prepare` needs cells, and refuses those without volume.
-
-    **Arguments:**
-
-    - `diffusivity`: of a cell: `ByDistance(exponent)` or `ByVolume(exponent)`. Default
-      `ByDistance(2)`, which OpenFOAM calls `quadratic inverseDistance`.
+    Numerical Methods in Engineering 12, 1996). Components are independent: a rotation shears the
+    cells. `prepare` needs cells, and refuses those without volume. The `diffusivity` of a cell is
+    `ByDistance(exponent)` or `ByVolume(exponent)`, by default `ByDistance(2)`, which OpenFOAM calls
+    `quadratic inverseDistance`.
     """
 
     diffusivity: AbstractStiffness = eqx.field(default_factory=lambda: ByDistance(2.0))
@@ -184,7 +170,6 @@ class Biharmonic(AbstractCellMethod):
 
 
 def _products(gradient, volume, pairs):
-    """Integrates the products of the gradients of two shape functions, for each pair."""
     i, j = np.array(pairs).T
     return jnp.einsum("q,qpa,qpa->p", volume, gradient[:, i], gradient[:, j], precision="highest")
 
@@ -192,10 +177,10 @@ def _products(gradient, volume, pairs):
 class LinearElasticity(AbstractCellMethod):
     """Moves the mesh like an elastic solid, of linear finite elements (in 2-D in plane strain).
 
-    A quad is the mean of the two ways to cut it into triangles. Small cells are stiff, as Johnson
-    and Tezduyar proposed (Computer Methods in Applied Mechanics and Engineering 119, 1994).
-    Translations, and small rotations, are reproduced; a large rotation of everything is not, for
-    the equation is linear. `prepare` needs cells, and refuses those without volume.
+    A quad is the mean of both cuts into triangles. Small cells are stiff, as Johnson and Tezduyar
+    proposed (Computer Methods in Applied Mechanics and Engineering 119, 1994). Translations and
+    small rotations are reproduced; a large rotation is not, for the equation is linear. `prepare`
+    needs cells, and refuses those without volume.
 
     **Arguments:**
 
@@ -228,11 +213,8 @@ class LinearElasticity(AbstractCellMethod):
 class SpringAnalogy(AbstractCellMethod):
     """Holds each edge by a spring that acts in all directions (Batina 1990).
 
-    `prepare` needs cells, and takes their edges alone.
-
-    **Arguments:**
-
-    - `exponent`: a spring is as stiff as 1 / length^exponent. Default 2.
+    A spring is as stiff as 1 / length^`exponent`, by default 2. `prepare` needs cells, for their
+    edges.
     """
 
     exponent: Float[Array, ""] = eqx.field(converter=number("exponent"), default=2.0)
@@ -251,16 +233,12 @@ class SpringAnalogy(AbstractCellMethod):
 class TorsionalSprings(AbstractCellMethod):
     """Holds each edge by a spring, and each angle by a spring that grows stiff as it closes.
 
-    `prepare` needs cells. In 2-D it is the method of Farhat et al. (1998): springs against
-    changes of the angles of each triangle. A quad has the triangles at its four corners. In 3-D it
-    is the semi-torsional method (Zeng and Ethier 2005). An edge of a tetrahedron is as stiff as 1 /
-    sin^2 of the angle between the two faces that do not hold it. Other cells have the tetrahedra at
-    their corners.
-
-    **Arguments:**
-
-    - `lineal`: stiffness of the springs along edges, times 1 / length^2, so that scaling the mesh
-      changes nothing. Farhat et al. have 1 / length. Default 0.1.
+    `prepare` needs cells. In 2-D it is the method of Farhat et al. (1998): springs against changes
+    of the angles of each triangle. A quad has the triangles at its four corners. In 3-D it is the
+    semi-torsional method (Zeng and Ethier 2005). An edge of a tetrahedron is as stiff as 1 / sin^2
+    of the angle between the two faces that meet it in one node. Other cells have the tetrahedra at
+    their corners. `lineal`, by default 0.1, is the stiffness of the springs along edges, times 1 /
+    length^2, so that scaling the mesh changes nothing. Farhat et al. have 1 / length.
     """
 
     lineal: Float[Array, ""] = eqx.field(converter=number("lineal", 0, ends="[)"), default=0.1)
@@ -274,8 +252,6 @@ class TorsionalSprings(AbstractCellMethod):
 
 
 def _triangle(corners: Float[Array, "3 2"], lineal: Float[Array, ""]) -> Float[Array, "3 3 2 2"]:
-    """Computes the blocks of a triangle's torsional and lineal springs, off the diagonal."""
-
     def angles(corners):
         (ax, ay), (bx, by) = ((jnp.roll(corners, -k, axis=0) - corners).T for k in (1, 2))
         return jnp.arctan2(ax * by - ay * bx, ax * bx + ay * by)
@@ -294,10 +270,7 @@ _ENDS = np.array([(i, j, *sorted({0, 1, 2, 3} - {i, j})) for i, j in itertools.p
 
 
 def _tetrahedron(corners: Float[Array, "4 3"], lineal: Float[Array, ""]) -> Float[Array, "4 4"]:
-    """Computes the stiffness of a tetrahedron's edges, off the diagonal.
-
-    It has a lineal part, and a part by the angle between the faces opposite to the ends.
-    """
+    """Stiffnesses of edges: lineal, and by the angle between the faces opposite to the ends."""
     i, j, k, m = (corners[ends] for ends in _ENDS)
     normal_i, normal_j = jnp.cross(m - k, i - k), jnp.cross(m - k, j - k)  # both faces have the edge k m
     both = jnp.sum(normal_i**2, axis=1) * jnp.sum(normal_j**2, axis=1)

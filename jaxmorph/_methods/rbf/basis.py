@@ -22,16 +22,14 @@ from ..base import number
 class AbstractBasis(Module):
     """A radial function phi of the squared distance r2 (any shape, the mesh's units squared).
 
-    A basis of your own needs `__call__` alone. Two class attributes say when the interpolation is
-    well posed and how it scales; their defaults suit every positive definite function with a
-    radius:
+    A basis of your own needs `__call__` alone. The defaults of two class attributes suit every
+    positive definite function with a radius:
 
     - `min_degree`: the lowest degree of the polynomial with which the interpolation matrix is
-      regular (None: no polynomial needed). For a conditionally positive definite function of order
-      k it is k - 1.
+      regular (None: no polynomial needed): k - 1 for a conditionally positive definite function of
+      order k.
     - `scale_free`: True if phi of a scaled distance differs from a multiple of phi by a polynomial
-      of `min_degree`. Distances are then taken in units of the sources' extent, which conditions
-      the matrix.
+      of `min_degree`. Distances are then in units of the sources' extent: better conditioned.
     """
 
     min_degree: ClassVar[int | None] = None

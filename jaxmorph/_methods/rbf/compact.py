@@ -19,44 +19,31 @@ from ..surface import Surface
 from .basis import WendlandC2
 from .expansion import is_sound, warn_of_close
 
-NEIGHBOURS = 200
-"""Nodes that the automatic radius reaches from half of the moving nodes."""
-
-INSIDE = 1 - 1e-6
-"""Share of a squared radius at which a function counts as zero: its value there is 1e-24."""
+NEIGHBOURS = 200  # nodes within the automatic radius of half of the moving nodes
+INSIDE = 1 - 1e-6  # share of a squared radius at which a function counts as zero: its value there is 1e-24
 
 
 class CompactIds(eqx.Module):
-    """Ids of the surface's b rows.
+    """Ids of the surface's b rows."""
 
-    - `stands` (b,): the row that has the function of all rows at its place.
-    - `speaks` (b,): whether a row's displacement counts. A fixed row at the place of a moving row
-      does not.
-    - `pairs` (e, 2): rows with functions, within the search's distance of each other.
-    - `radius`: the functions' radius.
-    - `searched`: the coordinates of the search.
-    """
-
-    stands: Int[Array, " b"]
-    speaks: Bool[Array, " b"]
-    pairs: Int[Array, "e 2"]
-    radius: Float[Array, ""]
-    searched: Searched
+    stands: Int[Array, " b"]  # the row that has the function of all rows at its place
+    speaks: Bool[Array, " b"]  # whether a row's displacement counts; a fixed row at a moving row's place does not
+    pairs: Int[Array, "e 2"]  # rows with functions, within the search's distance of each other
+    radius: Float[Array, ""]  # the functions' radius
+    searched: Searched  # the coordinates of the search
 
     @property
     def has_function(self) -> Bool[Array, " b"]:
         return self.stands == jnp.arange(len(self.stands))
 
     def at_functions(self, u: Float[Array, "b d"]) -> Float[Array, "b d"]:
-        """Computes each function's displacement, the mean of rows that speak there; 0 elsewhere."""
+        """The mean displacement of the rows that speak at each function; 0 elsewhere."""
         count = jax.ops.segment_sum(self.speaks.astype(u.dtype), self.stands, len(u))
         total = jax.ops.segment_sum(jnp.where(self.speaks[:, None], u, 0), self.stands, len(u))
         return jnp.where(self.has_function[:, None], total / jnp.maximum(count, 1)[:, None], 0)
 
 
 class CompactFactors(eqx.Module):
-    """The radius, the matrix, rows with functions, and whether all neighbours were surely found."""
-
     radius: Float[Array, ""]
     matrix: NodeFactors
     has_function: Bool[Array, " b"]
@@ -67,7 +54,6 @@ class CompactFactors(eqx.Module):
         return squared_distance(x, y) < INSIDE * self.radius**2
 
     def count(self, x: Float[Array, " d"], surface: Float[Array, "b d"]) -> Int[Array, ""]:
-        """Counts the functions that reach a point."""
         return (self.has_function & self.reaches(x[None], surface)).sum()
 
 
@@ -77,24 +63,19 @@ class CompactRBF(AbstractPlacing):
     The system is sparse. The field is exact at the nodes, and zero beyond the radius from all
     nodes. It has no polynomial, so alone it does not even reproduce a translation. It may be a
     correction too. Cells fold where the motion is a good part of the radius, so take a radius of
-    several times the largest displacement. Memory is that of the pairs of nodes within the radius.
-
-    Nodes at one place have one function: within 1.5e-8 (3.5e-4 in float32) times the radius or the
-    extent of the surface, whichever is less, they are equal in the matrix. The function takes the
-    mean of their displacements, of moving nodes alone where fixed nodes are among them. Each node
-    still goes where `u` sends it. The field is one-valued, so it does not follow the two sides of a
-    crack that opens. `LinearElasticity`, which sees cells, does.
-
-    **Arguments:**
-
-    - `radius`: in the mesh's units. Default: half of the moving nodes reach 200 nodes of the
-      surface, or all of it.
+    several times the largest displacement. By default the `radius`, in the mesh's units, reaches
+    200 nodes of the surface, or all of it, from half of the moving nodes. Memory is that of the
+    pairs of nodes within the radius. Duplicate nodes have one function: within 1.5e-8 (3.5e-4 in
+    float32) times the radius or the extent of the surface, whichever is less, they are equal in the
+    matrix. The function takes the mean of their displacements, of moving nodes alone where fixed
+    nodes are among them. Each node still goes where `u` sends it. The field is one-valued, so it
+    does not follow the two sides of a crack that opens. `LinearElasticity`, which sees cells, does.
 
     **Raises:** `ValueError` for a radius that is not positive and finite. `prepare` raises it if
     rounding changes displacements by more than 1 %, because the radius is too wide, and warns from
     1e-6 on (1e-3 in float32). It also warns of pairs of nodes that are nearer to each other than
     1/1000 of the distance to the next nodes: the difference of a pair comes out a thousandfold.
-    `refit` raises it where nodes have come within the radius since the plan was made. Traced code
+    `refit` raises it where nodes have come within the radius since the plan was made; traced code
     answers NaN there.
     """
 
@@ -173,7 +154,6 @@ class CompactRBF(AbstractPlacing):
 
 @compiled
 def _missed(method: CompactRBF, ids: CompactIds, factors: CompactFactors, u: Float[Array, "b d"]) -> Float[Array, ""]:
-    """Computes what the field misses of displacements at its nodes, relative to their size."""
     reached = factors.matrix.times(ids.pairs, method.field(ids, factors, u, u).u)
     missed = jnp.where(ids.has_function[:, None], ids.at_functions(u) - reached, 0)
     return jnp.abs(missed).max() / jnp.abs(u).max()

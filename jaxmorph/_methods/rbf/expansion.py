@@ -33,9 +33,8 @@ from .system import (
 
 class RBFFactors(eqx.Module):
     """Sources in coordinates of order one, and the factored system (eq. 3) of t = s + p equations.
-
-    `order` are the rows as the pivots have them. With `cardinals`, the factored system is that of
-    the first sources alone.
+    `order` are the rows as pivoted. With `cardinals`, the factored system is that of the first
+    sources.
     """
 
     sources: Float[Array, "s d"]
@@ -47,7 +46,6 @@ class RBFFactors(eqx.Module):
 
     @property
     def places(self) -> Float[Array, "s d"]:
-        """The sources in the mesh's coordinates."""
         return self.sources / self.scale + self.centre[None]
 
     def solve(self, values: Float[Array, "t k"]) -> Float[Array, "t k"]:
@@ -56,8 +54,6 @@ class RBFFactors(eqx.Module):
 
 
 class RBFField(AbstractField):
-    """Evaluates eq. (4)."""
-
     basis: AbstractBasis
     degree: int | None = eqx.field(static=True)
     sources: Float[Array, "s d"]
@@ -89,10 +85,7 @@ class RBFField(AbstractField):
 
 
 class Expansion(Module):
-    """Radial functions and a polynomial without coefficients: basis, degree and ridge.
-
-    Sources and points are in scaled coordinates; `scale` is the factor that scaled them.
-    """
+    """Basis, degree and ridge. Sources and points have coordinates in units of 1 / `scale`."""
 
     basis: AbstractBasis
     degree: int | None = eqx.field(static=True)
@@ -113,7 +106,6 @@ class Expansion(Module):
         return kernel + self.at_sources * jnp.eye(len(kernel), dtype=kernel.dtype) if self.ridge else kernel
 
     def factored(self, sources, scale):
-        """Factors the dense system of some sources; returns also the rows in the pivots' order."""
         tail = polynomial(sources, self.degree)
         # One reduction, not a sum of d terms: XLA's CPU backend (jaxlib 0.10.2) merges d terms
         # wrongly with the transposition that LAPACK asks for, and the jitted gradient with respect
@@ -165,7 +157,6 @@ class Expansion(Module):
         )
 
     def _times_kernel(self, factors: RBFFactors, beta: Float[Array, "s k"]) -> Float[Array, "s k"]:
-        """Multiplies by the kernel's matrix, block by block. To be differentiated."""
         sources, phi = factors.sources, Radial(self.basis, factors.scale)
 
         def of_block(points):
@@ -191,14 +182,12 @@ class Expansion(Module):
 USELESS, NOTICEABLE, NOTICEABLE_SINGLE = 3e-2, 1e-6, 1e-3
 """Relative changes of displacements by rounding: an error, a warning, one in float32."""
 
-NEAR = 1e-3
-"""Distance of two sources, relative to the distance of sources around, that is worth a warning."""
+NEAR = 1e-3  # distance of two sources, relative to the distance of sources around, that is worth a warning
 
 
 def is_sound(error: float, dtype, message: Callable[[str], str], otherwise: str) -> bool:
-    """Raises or warns where rounding changes displacements by an `error` relative to their size.
-
-    `message` is that of a fault; `otherwise` is the fault of an error that is not finite.
+    """Raises or warns where rounding changes displacements by an `error` relative to their size:
+    `message` of a fault, which is `otherwise` where the error is not finite.
     """
     if error <= (NOTICEABLE if jnp.finfo(dtype).bits == 64 else NOTICEABLE_SINGLE):
         return True
@@ -212,10 +201,9 @@ def is_sound(error: float, dtype, message: Callable[[str], str], otherwise: str)
 
 @compiled
 def rounding(expansion: Expansion, factors: RBFFactors, values: Float[Array, "s k"]) -> Float[Array, ""]:
-    """Measures how much rounding changes the interpolation, at the sources and between them.
-
-    It takes one step of iterative refinement: the field of what the first field misses at the
-    sources. It is infinite for a system without a solution.
+    """Measures how much rounding changes the interpolation, at the sources and between them, by one
+    step of iterative refinement: the field of what the first field misses at the sources. It is
+    infinite for a system without a solution.
     """
     sources, count = factors.sources, len(values)
 
@@ -238,12 +226,10 @@ def rounding(expansion: Expansion, factors: RBFFactors, values: Float[Array, "s 
 
 @compiled
 def is_solved(expansion: Expansion, factors: RBFFactors, values: Float[Array, "s k"]) -> Bool[Array, ""]:
-    """Checks whether the iterations converge for the values."""
     return jnp.isfinite(expansion.field(factors, values, values.dtype).beta).all()
 
 
 def nearest_two(sources: np.ndarray) -> str:
-    """Describes the two sources that are nearest to each other, as the end of a sentence."""
     if len(sources) < 2:
         return ""
     distance, nearest = map(np.asarray, Tree(sources).query(sources, k=2))

@@ -10,31 +10,22 @@ from jaxtyping import Array, Float, Int
 
 from .system import polynomial, squared_distances
 
-LIMIT = 150
-"""Most products of a solve. A sound matrix takes 10 to 20."""
-
-ROUNDS = 3
-"""Solves for what rounding leaves of the residual."""
-
-STALLED = 0.5
-"""Share of the residual that another solve must take away: the rest is the product's rounding."""
+LIMIT = 150  # most products of a solve. A sound matrix takes 10 to 20.
+ROUNDS = 3  # solves for what rounding leaves of the residual
+STALLED = 0.5  # least share of the residual that another solve takes away: the rest is the product's rounding
 
 MISSED, NOTICEABLE = 1e3, 1e-3
-"""Tolerances, and share of the displacement, by which a field misses its sources that is NaN."""
+"""A field is NaN that misses its sources by this many tolerances, and share of the displacement."""
 
-ROUNDINGS = 100
-"""Units of rounding below which no tolerance goes: what single precision can reach."""
-
-GIVE = 1e-10
-"""Corner of a small system, relative to its kernel, for neighbours that lie in one plane."""
+ROUNDINGS = 100  # units of rounding below which no tolerance goes: what single precision can reach
+GIVE = 1e-10  # corner of a small system, relative to its kernel, for neighbours that lie in one plane
 
 Product = Callable[[Float[Array, "s k"]], Float[Array, "s k"]]
 
 
 class OrderedIds(eqx.Module):
-    """Sources in the order from far apart to close, and neighbours of all but the first ones.
-
-    A row of `earlier` has the source's own place first, then places of sources before it.
+    """Sources in the order from far apart to close, and neighbours of all but the first ones. A row
+    of `earlier` has the source's own place first, then places of sources before it.
     """
 
     sources: Int[Array, " s"]
@@ -42,8 +33,6 @@ class OrderedIds(eqx.Module):
 
 
 class Cardinals(eqx.Module):
-    """Functions that are 1 at one source and 0 at the nearest sources before it."""
-
     earlier: Int[Array, "r q"]
     weights: Float[Array, "r q"]
     tolerance: Float[Array, ""]
@@ -52,7 +41,9 @@ class Cardinals(eqx.Module):
 def local_weights(
     phi: Callable, sources: Float[Array, "s d"], earlier: Int[Array, "r q"], degree: int | None, sign: int
 ) -> Float[Array, "r q"]:
-    """Computes the functions' coefficients; `sign` is that of `phi` as a definite function."""
+    """Coefficients of functions that are 1 at one source, 0 at the nearest sources before it;
+    `sign` is that of `phi` as a definite function.
+    """
     count = earlier.shape[1]
 
     def of_one(ids):
@@ -106,7 +97,6 @@ class Progress(eqx.Module):
 @dataclasses.dataclass(frozen=True, eq=False)
 class ConjugateGradients:
     """Solves K beta + T alpha = v, T' beta = g, on weights that the polynomial does not see.
-
     `product` multiplies by K, `inverse` by the preconditioner; `tail` is T.
     """
 
@@ -138,7 +128,6 @@ class ConjugateGradients:
         return Progress(now.beta + share * now.direction, residual, direction, left, energy, now.count + 1)
 
     def is_far(self, now: Progress, size: Float[Array, ""]) -> Array:
-        """Checks whether the residual, or the error in the basis's norm, exceeds the tolerance."""
         beyond = jnp.abs(now.left) > self.tolerance**2 * jnp.abs(now.energy)
         return (jnp.abs(now.residual).max() > self.tolerance * size) | beyond.any()
 

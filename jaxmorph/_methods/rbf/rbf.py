@@ -1,9 +1,4 @@
-"""Interpolation by radial basis functions from reduced sources (eqs. 1 to 4 of the paper).
-
-The classic method on all nodes of the surface is that of de Boer, van der Schoot and Bijl
-(Computers and Structures 85, 2007). Rendall and Allen (Journal of Computational Physics 228, 2009)
-reduced its sources.
-"""
+"""Interpolation by radial basis functions from reduced sources (eqs. 1 to 4 of the paper)."""
 
 import dataclasses
 import functools
@@ -28,34 +23,30 @@ from .basis import AbstractBasis, ThinPlateSpline
 from .expansion import Expansion, RBFFactors, is_solved, is_sound, nearest_two, rounding, warn_of_close
 from .iterations import ROUNDINGS, Cardinals, OrderedIds, local_weights
 
-MANY = 8192
-"""Sources beyond which the system is solved by iterations."""
+MANY = 8192  # sources beyond which the system is solved by iterations
 
 DENSE, SHARE = (1000, 6000), 6
 """Least and greatest number of sources solved densely by default; between, one of every `SHARE`."""
 
 
 class Direct(Module):
-    """Factors the dense system once per plan: 8 s^2 bytes for s sources, and a time with s^3.
-
-    That is 0.5 GB for 8,000. Each displacement then costs little.
+    """Factors the dense system once per plan: 8 s^2 bytes for s sources (0.5 GB for 8,000), and a
+    time with s^3. Each displacement then costs little.
     """
 
 
 class Iterative(Module):
     """Solves by conjugate gradients without the matrix.
 
-    For s sources the memory grows with s, the time with s^2. A displacement takes 10 to 20 products
-    with the kernel, and so does a gradient. The preconditioner is a sparse factor of the inverse
-    (Faul, Goodsell and Powell, IMA Journal of Numerical Analysis 25, 2005). Sources are ordered
-    from far apart to close (Schaefer, Katzfuss and Owhadi, SIAM Journal on Scientific Computing 43,
-    2021). A source carries the function that is 1 at its place and 0 at the nearest sources before
-    it. The first sources are solved densely.
-
-    The system is symmetric, so its solve serves derivatives too. `prepare` finds sources and
-    neighbours, and `refit` does not change them. Where no solve converges, `prepare` raises. A
-    field is NaN if it misses its sources by a thousand tolerances, or by a thousandth of the
-    displacement where that is less.
+    For s sources the memory grows with s, the time with s^2. A displacement or a gradient takes 10
+    to 20 products with the kernel. The preconditioner is a sparse factor of the inverse (Faul,
+    Goodsell and Powell, IMA Journal of Numerical Analysis 25, 2005). Sources are ordered from far
+    apart to close (Schaefer, Katzfuss and Owhadi, SIAM Journal on Scientific Computing 43, 2021). A
+    source carries the function that is 1 at its place and 0 at the nearest sources before it. The
+    first sources are solved densely. The system is symmetric, so its solve serves derivatives too.
+    `prepare` finds sources and neighbours, and `refit` does not change them. Where no solve
+    converges, `prepare` raises. A field is NaN if it misses its sources by a thousand tolerances,
+    or by a thousandth of the displacement where that is less.
 
     **Arguments:**
 
@@ -81,7 +72,6 @@ class Iterative(Module):
             whole("dense", self.dense, 8)
 
     def dense_count(self, count: int) -> int:
-        """Returns how many of `count` sources are solved densely."""
         fewest, most = DENSE
         return min(count, min(max(fewest, count // SHARE), most) if self.dense is None else self.dense)
 
@@ -91,9 +81,10 @@ class RBF(AbstractMethod):
 
     A source x_j is a node of the surface that carries a function: a control point, or centre, of
     the field. Moving and fixed nodes are reduced to sources separately. With `AllPoints()` for both
-    reductions it is the classic method, exact on the surface. With fewer sources the surface
-    follows approximately, and fixed nodes that are no sources move too; `SurfaceReconstruction`
-    adds what is missing.
+    it is the classic method, exact on the surface (de Boer, van der Schoot and Bijl, Computers and
+    Structures 85, 2007). With fewer sources (Rendall and Allen, Journal of Computational Physics
+    228, 2009) the surface follows approximately, and fixed nodes that are no sources move too;
+    `SurfaceReconstruction` adds the rest.
 
     **Arguments:**
 
@@ -110,9 +101,9 @@ class RBF(AbstractMethod):
       displacement without the matrix. Default None: `Iterative()` for more than 8,192 sources.
 
     **Raises:** `ValueError` for another degree or a negative ridge. `prepare` raises it where the
-    sources cannot determine the polynomial (all in one plane). It also does so if rounding changes
-    displacements by more than 1 %, because the radius is wide or sources nearly coincide. It warns
-    from 1e-6 on (1e-3 without x64).
+    sources cannot determine the polynomial (all in one plane), and where rounding changes
+    displacements by more than 1 %: the radius is wide or sources nearly coincide. It warns from
+    1e-6 on (1e-3 without x64).
 
     The system (eq. 3) is solved in float64 if JAX's x64 mode is on. The effect of rounding is the
     largest value, at the sources and between them, of the field that interpolates what the first
@@ -144,14 +135,8 @@ class RBF(AbstractMethod):
     def classic(cls, basis: AbstractBasis | None = None, *, degree: int | None = 1) -> "RBF":
         """Returns the classic method: every surface node is a source (de Boer et al. 2007).
 
-        The surface is exact, by one dense solve of as many unknowns as it has nodes.
-
-        **Arguments:**
-
-        - `basis`: the function phi. Default `ThinPlateSpline()`.
-        - `degree`: degree of the polynomial: None, 0 or 1. Default 1.
-
-        **Returns:** an `RBF`.
+        The surface is exact, by one dense solve of as many unknowns as it has nodes. `basis` is by
+        default `ThinPlateSpline()`; `degree`, of the polynomial, is None, 0 or 1, by default 1.
         """
         return cls(ThinPlateSpline() if basis is None else basis, AllPoints(), AllPoints(), degree)
 
@@ -175,7 +160,6 @@ class RBF(AbstractMethod):
         return OrderedIds(jnp.asarray(sources[order]), jnp.asarray(earlier)), None
 
     def chosen(self, surface: Surface) -> np.ndarray:
-        """Chooses sources on the host; raises `ValueError` if they determine no polynomial."""
         sources = surface.reduced(self.reduction, self.fixed_reduction)
         sources = drop_close(surface.points, sources, roundoff(surface.points))
         if len(sources) == 0:
@@ -190,7 +174,6 @@ class RBF(AbstractMethod):
         return sources.astype(np.int32)
 
     def iterative(self, count: int) -> Iterative | None:
-        """Returns the iterative solver for `count` sources; None where the system is factored."""
         if self.solver is None:
             return Iterative() if count > MANY else None
         return self.solver if isinstance(self.solver, Iterative) else None

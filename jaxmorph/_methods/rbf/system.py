@@ -1,7 +1,7 @@
 """Parts of the interpolation system (eq. 3): distances, polynomial, kernel sums.
 
-On a GPU a kernel sum is one operation. It is linear in its weights, and its transpose is the sum
-with points and sources exchanged. Derivatives by places and constants are computed block by block.
+On a GPU a kernel sum is one operation, linear in its weights; its transpose exchanges points and
+sources. Derivatives by places and constants are computed block by block.
 """
 
 from collections.abc import Callable
@@ -22,18 +22,13 @@ from ..base import BLOCK
 from ..blocks import fold_rows, map_rows
 from .basis import AbstractBasis
 
-KERNEL_BLOCK = 2**17
-"""Elements of the kernel in a block of points: 1 MiB in float64, for a core's own cache."""
-
-MOST_FUSED = 48
-"""Columns of weights beyond which a product of matrices is faster than the GPU's kernel."""
-
-SQUARE = 256
-"""Sources along each side of a block of the symmetric product: 512 KiB in float64."""
+KERNEL_BLOCK = 2**17  # elements of the kernel in a block of points: 1 MiB in float64, for a core's own cache
+MOST_FUSED = 48  # columns of weights beyond which a product of matrices is faster than the GPU's kernel
+SQUARE = 256  # sources along each side of a block of the symmetric product: 512 KiB in float64
 
 
 def polynomial(points: Float[Array, "k d"], degree: int | None) -> Float[Array, "k p"]:
-    """Evaluates the monomials of eq. (1) at each point: none, 1, or 1, x1, x2(, x3)."""
+    """The monomials of eq. (1) at each point: none, 1, or 1, x1, x2(, x3)."""
     one = jnp.ones((len(points), 1), points.dtype)
     return {None: one[:, :0], 0: one, 1: jnp.concatenate([one, points], axis=1)}[degree]
 
@@ -48,9 +43,9 @@ def block_size(count: int) -> int:
 
 def in_rows(points: Float[Array, "c d"], scale: Float[Array, ""]) -> Float[Array, "d c"]:
     """Scales points, and lays each coordinate in a row of its own, for `kernel_sum`."""
-    # A product of matrices does it. The compiler does not merge it into the loop along the points,
-    # as it would a transposition. The barrier keeps it from making the transposed product of it,
-    # which it does in programs for several devices.
+    # A product of matrices, which the compiler does not merge into the loop along the points, as it
+    # would a transposition. The barrier keeps it from making the transposed product of it in
+    # programs for several devices.
     matrix = scale * jnp.eye(points.shape[1], dtype=points.dtype)
     return jax.lax.optimization_barrier(jnp.matmul(matrix, points.T, precision="highest"))
 
@@ -67,7 +62,6 @@ def kernel_sum(
 def symmetric_kernel_sum(
     phi: Callable, sources: Float[Array, "s d"], weights: Float[Array, "k s"]
 ) -> Float[Array, "k s"]:
-    """Sums weighted functions at the sources themselves, with half of the kernel's blocks."""
     # The sources are padded to whole blocks by copies of the last one, which have the weight 0. A
     # scan goes over the blocks (i, j) with i <= j: a block gives sums of columns j and, transposed,
     # of columns i.
@@ -94,8 +88,6 @@ def symmetric_kernel_sum(
 
 
 class Radial(eqx.Module):
-    """A basis as a function of squared distances that are in units of the sources' extent."""
-
     basis: AbstractBasis
     scale: Float[Array, ""]
 
@@ -104,7 +96,6 @@ class Radial(eqx.Module):
 
 
 def is_fused(phi: Radial, dtype: Any) -> bool:
-    """Checks whether a sum can be one operation: on a GPU, of a function for its kernel."""
     if is_for_cpu() or not has_kernels() or dtype not in (jnp.float32, jnp.float64):
         return False
     return all(jnp.ndim(leaf) == 0 for leaf in jax.tree.leaves(phi)) and is_elementwise(phi, dtype)
@@ -113,7 +104,6 @@ def is_fused(phi: Radial, dtype: Any) -> bool:
 def fused(
     phi: Radial, sources: Float[Array, "s d"], weights: Float[Array, "s k"], points: Float[Array, "c d"]
 ) -> Float[Array, "c k"]:
-    """Sums weighted functions at points by one operation. Only where `is_fused`."""
     if not len(points) or not len(sources):
         return jnp.zeros((len(points), weights.shape[1]), points.dtype)
     leaves, structure = jax.tree.flatten(phi)

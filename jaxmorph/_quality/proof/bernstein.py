@@ -3,11 +3,9 @@
 On a simplex with barycentric coordinates lambda, a polynomial of degree q is the sum over |alpha| =
 q of b_alpha multinomial(alpha) lambda^alpha. The terms are positive and add up to 1. So the
 polynomial lies between its least and its largest coefficient, and the coefficients at corners are
-its values there.
-
-A space is a tuple with (dimension, degree) of each factor. Coefficients of a product are in C order
-of its factors' indices. Scaled coefficients are b_alpha multinomial(alpha): they multiply as
-coefficients of ordinary polynomials do.
+its values there. A space is a tuple with (dimension, degree) of each factor. Coefficients of a
+product are in C order of its factors' indices. Scaled coefficients are b_alpha multinomial(alpha):
+they multiply as coefficients of ordinary polynomials do.
 """
 
 import functools
@@ -25,7 +23,7 @@ Space = tuple[tuple[int, int], ...]
 
 @functools.cache
 def indices(dimension: int, degree: int) -> np.ndarray:
-    """Lists the multi-indices (n, dimension + 1) of one factor, the corner of lambda_0 first."""
+    """The multi-indices (n, dimension + 1) of one factor, the corner of lambda_0 first."""
     rows = itertools.product(range(degree, -1, -1), repeat=dimension + 1)
     return np.array([row for row in rows if sum(row) == degree])
 
@@ -36,7 +34,7 @@ def count(space: Space) -> int:
 
 @functools.cache
 def multinomials(space: Space) -> np.ndarray:
-    """Computes what turns coefficients into scaled ones (n,)."""
+    """Factors (n,) from coefficients to scaled ones."""
     factors = [
         [math.factorial(degree) // math.prod(map(math.factorial, row)) for row in indices(dimension, degree).tolist()]
         for dimension, degree in space
@@ -46,7 +44,7 @@ def multinomials(space: Space) -> np.ndarray:
 
 @functools.cache
 def rows_of_products(first: Space, second: Space) -> np.ndarray:
-    """Lists the product space's row for each product of terms: (second's, first's)."""
+    """The product space's row for each product of terms: (second's, first's)."""
     table = np.zeros((1, 1), dtype=np.int64)
     for (dimension, low), (_, high) in zip(first, second, strict=True):
         place = {tuple(row): i for i, row in enumerate(indices(dimension, low + high).tolist())}
@@ -59,7 +57,7 @@ def rows_of_products(first: Space, second: Space) -> np.ndarray:
 
 @functools.cache
 def corners(space: Space) -> np.ndarray:
-    """Lists the rows of the coefficients at corners, in C order of the factors' corners."""
+    """The rows of the coefficients at corners, in C order of the factors' corners."""
     rows = np.zeros(1, dtype=np.int64)
     for factor in space:
         own = np.argsort(-indices(*factor), axis=0, kind="stable")[0]
@@ -68,7 +66,7 @@ def corners(space: Space) -> np.ndarray:
 
 
 def terms(space: Space, places: Either) -> Either:
-    """Computes lambda^alpha (n, k) at places (d, k): what scaled coefficients are multiplied by."""
+    """lambda^alpha (n, k) at places (d, k): the factors of scaled coefficients."""
     xp, first = namespace(places), 0
     product = xp.ones((1, places.shape[1]), places.dtype)
     for dimension, degree in space:
@@ -81,10 +79,8 @@ def terms(space: Space, places: Either) -> Either:
 
 @functools.cache
 def children(dimension: int) -> np.ndarray:
-    """Lists the corners (2^dimension, corners, corners) of a simplex's parts, barycentric.
-
-    The parts have half its edges: one at each corner, and what is left inside, four tetrahedra in
-    an octahedron.
+    """The corners (2^dimension, corners, corners) of a simplex's parts, barycentric. The parts have
+    half its edges: one at each corner, and four tetrahedra in the octahedron inside.
     """
     unit = np.eye(dimension + 1)
     own = [[(unit[i] + unit[j]) / 2 for j in range(dimension + 1)] for i in range(dimension + 1)]
@@ -99,11 +95,9 @@ def children(dimension: int) -> np.ndarray:
 
 @functools.cache
 def halving(dimension: int, degree: int) -> np.ndarray:
-    """Computes the matrix (2^dimension n, n) from a factor's coefficients to its parts'.
-
-    A coefficient on a part is the blossom at the part's corners, each as often as its index says:
-    de Casteljau's algorithm. No entry is negative, each row adds up to 1, and all are multiples of
-    powers of 1/2.
+    """The matrix (2^dimension n, n) from a factor's coefficients to its parts'. A coefficient on a
+    part is the blossom at the part's corners, each as often as its index says: de Casteljau's
+    algorithm. No entry is negative, each row adds up to 1, and all are multiples of powers of 1/2.
     """
     matrix = np.ones((2**dimension, 1, 1))
     for high in range(1, degree + 1):
@@ -123,7 +117,7 @@ def halving(dimension: int, degree: int) -> np.ndarray:
 
 
 def halved(space: Space, coefficients: Either) -> Either:
-    """Computes coefficients on a cell's 2^d parts: (n, k) to (n, 2^d k), part after part."""
+    """Coefficients on a cell's 2^d parts: (n, k) to (n, 2^d k), part after part."""
     xp, k = namespace(coefficients), coefficients.shape[-1]
     values = coefficients.reshape(*(len(indices(*factor)) for factor in space), k)
     for axis, factor in enumerate(space):
@@ -142,10 +136,7 @@ def contracted(matrix: np.ndarray, values: Either, axis: int = 0) -> Either:
 
 
 def multiplied(first: Space, second: Space, a: list[Any], b: list[Any], product: Any) -> list[Any]:
-    """Multiplies polynomials given by scaled coefficients (n, k), one array a component.
-
-    `product` is bilinear: two lists of components to one list.
-    """
+    """Multiplies polynomials (n, k), one array a component, by a bilinear `product` of lists."""
     table, xp = rows_of_products(first, second), namespace(a[0])
 
     def add(sums, step):

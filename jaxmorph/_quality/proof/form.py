@@ -1,16 +1,12 @@
 """The Bernstein form of det J: tables, by type of cells, that turn nodes into coefficients.
 
-A cell is the image of a reference cell, a product of simplices. The columns of J are derivatives of
-that map, with Bernstein coefficients that are differences of control points. Coefficients of det J
-are mixed determinants of these differences, with positive weights.
-
-A pyramid is taken as the image of a cube whose top face shrinks to the apex: (r, s, t) to (r (1 -
-t), s (1 - t), t). There its functions are polynomials (Bergot, Cohen, Durufle, J. Sci. Comput. 42,
-2010). Two columns have the factor 1 - t, which is divided out: what is left is det J in the
-reference pyramid.
-
-Sources: Johnen, Remacle, Geuzaine, Geometrical validity of curvilinear finite elements, J. Comput.
-Phys. 233, 2013.
+A cell is the image of a product of simplices. The columns of J are derivatives of that map, with
+Bernstein coefficients that are differences of control points. Coefficients of det J are mixed
+determinants of these differences, with positive weights. A pyramid is taken as the image of a cube
+whose top face shrinks to the apex: (r, s, t) to (r (1 - t), s (1 - t), t). There its functions are
+polynomials (Bergot, Cohen, Durufle, J. Sci. Comput. 42, 2010). Two columns have the factor 1 - t,
+which is divided out: the rest is det J in the reference pyramid. Source: Johnen, Remacle, Geuzaine,
+Geometrical validity of curvilinear finite elements, J. Comput. Phys. 233, 2013.
 """
 
 import dataclasses
@@ -38,7 +34,6 @@ FACTORS = {
 """Dimensions of simplices whose product is the reference cell; a pyramid is a collapsed cube."""
 
 TIME = (1, 1)
-"""The factor of a straight motion: linear in time."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -73,7 +68,7 @@ class Form:
         return Form(self.shape, spaces, matrices, (TIME, *self.map_space), control, True)
 
     def columns(self, x: list[Either]) -> list[list[Either]]:
-        """Computes scaled coefficients of the columns of J: a list of components (nodes, k)."""
+        """Scaled coefficients of the columns of J: a list of components (nodes, k)."""
         matrices = [matrix.astype(x[0].dtype) for matrix in self.matrices]
         return [[bernstein.contracted(matrix, component) for component in x] for matrix in matrices]
 
@@ -90,9 +85,8 @@ class Form:
         return self.determinant(self.columns(x))
 
     def round_off(self, x: list[np.ndarray], columns: list[list[np.ndarray]]) -> Float[np.ndarray, " k"]:
-        """Bounds the round-off of all coefficients of det J, and of what `halved` makes of them.
-
-        A coefficient is a mean of determinants |a| |b| |c| at most. Each column has the error of a
+        """Bounds the round-off of all coefficients of det J, and of what `halved` makes of them. A
+        coefficient is a mean of determinants |a| |b| |c| at most. Each column has the error of a
         difference of nodes, in which the cell's reach counts, and each of the sums below has one
         ulp for each of its terms.
         """
@@ -108,13 +102,12 @@ class Form:
 
     @functools.cached_property
     def _growth(self) -> float:
-        """The largest row sum of the matrices that make coefficients of the columns."""
         pairs = zip(self.spaces, self.matrices, strict=True)
         rows = [np.abs(matrix).sum(axis=1) / bernstein.multinomials(space) for space, matrix in pairs]
         return float(max(row.max() for row in rows))
 
     def mean(self, coefficients: Either) -> Float[Either, " k"]:
-        """Computes det J's mean over the reference cell: the ratio of the cells' volumes."""
+        """det J's mean over the reference cell: the ratio of the cells' volumes."""
         shares = np.full(bernstein.count(self.space), 1 / bernstein.count(self.space))
         if self.shape == "pyramid":  # a layer at t has the share 3 (1 - t)^2
             below, ((_, q), n) = bernstein.count(self.space[:-1]), (self.space[-1], self.space[-1][1] + 1)
@@ -123,12 +116,11 @@ class Form:
         return bernstein.contracted(shares[None].astype(coefficients.dtype), coefficients)[0]
 
     def places(self, x: list[np.ndarray], at: Float[np.ndarray, "f k"]) -> Float[np.ndarray, "k d"]:
-        """Computes where the map of k cells takes a place among the factors of each."""
+        """Maps places among the factors of k cells to space."""
         weights = bernstein.terms(self.map_space, at) * bernstein.multinomials(self.map_space)[:, None]
         return np.stack([((self.control @ component) * weights).sum(axis=0) for component in x], axis=1)
 
     def values(self, columns: list[list[Either]], at: Float[Either, "f k"]) -> Float[Either, " k"]:
-        """Evaluates det J at a place among the factors of k cells each, from the columns there."""
         pairs = zip(self.spaces, columns, strict=True)
         weights = [(bernstein.terms(space, at), column) for space, column in pairs]
         return products.determinant([[(b * weight).sum(axis=0) for b in column] for weight, column in weights])
@@ -139,7 +131,6 @@ class Form:
         return np.where((self.shape == "pyramid") & is_last[:, None], np.minimum(at, 1 - 1e-6), at)
 
     def reference(self, places: Float[np.ndarray, "f k"]) -> Float[np.ndarray, "d k"]:
-        """Computes places in the reference cell, without the time."""
         places = places[1:] if self.has_time else places
         if self.shape != "pyramid":
             return places
@@ -148,7 +139,6 @@ class Form:
 
 @functools.cache
 def form_of(kind: str, has_time: bool = False) -> Form:
-    """Makes the form of a type of cells, by the name that `lagrange_types` has for it."""
     if has_time:
         return form_of(kind).moving()
     cell = lagrange_types()[kind]
@@ -167,7 +157,7 @@ def form_of(kind: str, has_time: bool = False) -> Form:
 
 
 def _control(cell: Lagrange, space: Space) -> np.ndarray:
-    """Finds the matrix (n, nodes) from nodes to the map's Bernstein coefficients."""
+    """The matrix (n, nodes) from nodes to the map's Bernstein coefficients."""
     places = cell.reference.T.copy()
     modes = np.eye(bernstein.count(space))
     if cell.shape == "pyramid":
@@ -183,7 +173,7 @@ def _control(cell: Lagrange, space: Space) -> np.ndarray:
 
 
 def _pyramid_modes(order: int) -> np.ndarray:
-    """Computes coefficients (n, modes) of a pyramid's r^i s^j (1 - t)^max(i, j) t^k on the cube."""
+    """Coefficients (n, modes) of a pyramid's r^i s^j (1 - t)^max(i, j) t^k on the cube."""
     line = ((1, order),)
 
     def power(i: int, j: int = 0) -> np.ndarray:  # t^i (1 - t)^j, times (t + 1 - t)^(order - i - j)
@@ -202,7 +192,6 @@ def _pyramid_modes(order: int) -> np.ndarray:
 
 
 def _derivative(space: Space, control: np.ndarray, factor: int, axis: int) -> tuple[Space, np.ndarray]:
-    """Computes the space of a derivative, and the matrix of its scaled coefficients."""
     (m, degree), zeros = space[factor], [(m, 0) for m, _ in space]
     lower = (*space[:factor], (m, degree - 1), *space[factor + 1 :])
     step = (*zeros[:factor], (m, 1), *zeros[factor + 1 :])
@@ -218,9 +207,6 @@ def _divided(space: Space, matrix: np.ndarray) -> tuple[Space, np.ndarray]:
 
 
 def nodes_of(ids: Any, *ends: Any) -> list[Any]:
-    """Gathers the nodes of cells (nodes, k) relative to the first one: components (nodes, k).
-
-    The nodes at several `ends` (n, d) of a motion follow each other.
-    """
+    """Components (nodes, k) relative to the first node; of the `ends` (n, d) of a motion, all."""
     xp, axes = namespace(ends[0]), range(ends[0].shape[1])
     return [xp.concatenate([end[:, axis][ids] - end[:, axis][ids[:1]] for end in ends]) for axis in axes]

@@ -141,7 +141,6 @@ class Proof(Report):
 
 
 def _short(share: Any) -> str:
-    """Writes a number from 0 to 1 without a leading zero."""
     return f"{share + 0.0:.2g}".removeprefix("0") or "0"
 
 
@@ -159,12 +158,9 @@ def proof(
     written in the Bernstein basis, whose least coefficient is a lower bound on it. Where that is
     negative and no corner is, the cell is cut into parts, whose bounds are closer. A bound includes
     round-off, so that `valid` is a proof for the coordinates as they are. The handedness of cells
-    is that of the undeformed mesh, as `quality` finds it.
-
-    It runs on the host, in double precision. `proven_margin` is traced.
-
-    Sources: Johnen, Remacle, Geuzaine, Geometrical validity of curvilinear finite elements, J.
-    Comput. Phys. 233, 2013.
+    is that of the undeformed mesh, as `quality` finds it. It runs on the host, in double precision;
+    `proven_margin` is traced. Source: Johnen, Remacle, Geuzaine, Geometrical validity of
+    curvilinear finite elements, J. Comput. Phys. 233, 2013.
 
     **Arguments:**
 
@@ -175,10 +171,8 @@ def proof(
     - `depth`: how often a cell is cut where its sign is open, default 4. Each cut halves all edges,
       and the time. A cell with few open parts is cut up to twice as often.
 
-    **Returns:** a `Proof`.
-
-    **Raises:** `ValueError` for a mesh without cells of its own dimension, for a shape of `points`
-    or `base` other than that of `mesh.points`, and for traced points.
+    **Raises:** `ValueError` for a mesh without cells of its own dimension, another shape of
+    `points` or `base`, and traced points.
     """
     whole("depth", depth, 0)
     states = {"points": mesh.points if points is None else points} | ({} if base is None else {"base": base})
@@ -253,8 +247,7 @@ def _bounded(
     }
 
 
-TRACED_ROOM = 1 << 22
-"""Coefficients that JAX computes together."""
+TRACED_ROOM = 1 << 22  # coefficients in a block of JAX
 
 
 @checked
@@ -269,7 +262,7 @@ def proven_margin(
     """Bounds det J of whole cells from below, over its undeformed mean: above 0 no cell folds.
 
     It is the least Bernstein coefficient, `Proof.margin` but for round-off. Traced: `jit`, `grad`
-    and `vmap` work over `points` and `base`. All cells are cut alike, since what is traced cannot
+    and `vmap` work over `points` and `base`. All cells are cut alike, since a traced program cannot
     depend on the sign.
 
     **Arguments:**
@@ -281,8 +274,8 @@ def proven_margin(
       sharpness at most, so above 0 it still is a proof. A hexahedron has 27 coefficients. Default
       None: the least coefficient itself.
 
-    **Returns:** one number for each cell (k,), one type of cells after another. Boundary elements
-    have infinity.
+    **Returns:** one number for each cell (k,), one type of cells after another; infinity for
+    boundary elements.
 
     **Raises:** `ValueError` as `proof` does, and for a `sharpness` that is not positive.
     """
@@ -303,10 +296,7 @@ def _room(xp: Any, form: Form, parts: int = 1) -> int:
 
 @by_place
 def _undeformed(cells: ByType, points: Float[Either, "n d"], signs: ByType) -> ByType:
-    """Computes the mean of det J over each undeformed cell, with the cell's proper sign.
-
-    Where that is zero, and of boundary elements, it is that sign.
-    """
+    """Mean det J of undeformed cells, with the proper sign; that sign where the mean is zero."""
     xp, sizes = namespace(points), {kind: sign.astype(points.dtype) for kind, sign in signs.items()}
     for kind, ids in cells.items():
         if DIMENSION[kind] == points.shape[1]:

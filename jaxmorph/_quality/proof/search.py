@@ -16,39 +16,25 @@ from . import bernstein
 from .bernstein import Space
 from .form import form_of
 
-ROOM = 1 << 16
-"""Coefficients that are computed together: they stay in the processor's cache."""
-
-DEPTH = 4
-"""Default of `proof`: parts of a sixteenth of a cell's edges where the sign is open."""
-
-FEW = 64
-"""Open parts of a cell up to which they are cut beyond the depth, at most twice as often."""
+ROOM = 1 << 16  # coefficients in a block: they stay in the processor's cache
+DEPTH = 4  # default of `proof`: parts of a sixteenth of a cell's edges where the sign is open
+FEW = 64  # open parts of a cell up to which they are cut beyond the depth, at most twice as often
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Bounds:
-    """Bounds (k,) of k polynomials' least values: `lower`, and the value `upper` at `at`.
+    """Bounds (k,) of k polynomials' least values: `lower`, and the value `upper` at `at`."""
 
-    - `at`: places (f, k) among the factors of the space.
-    - `lower`, `upper`: beyond round-off.
-    - `is_flat`: the least coefficient and the least value are zero to round-off: no subdivision
-      decides the sign.
-    """
-
-    lower: Float[np.ndarray, " k"]
-    upper: Float[np.ndarray, " k"]
-    at: Float[np.ndarray, "f k"]
-    is_flat: np.ndarray
+    lower: Float[np.ndarray, " k"]  # beyond round-off
+    upper: Float[np.ndarray, " k"]  # beyond round-off
+    at: Float[np.ndarray, "f k"]  # places among the factors of the space
+    is_flat: np.ndarray  # (k,) both are zero to round-off: no subdivision decides the sign
 
 
 def bounds(
     space: Space, coefficients: Float[np.ndarray, "n k"], round_off: Float[np.ndarray, " k"], depth: int
 ) -> Bounds:
-    """Bounds polynomials by coefficients, on parts of a 2^depth-th where the sign needs them.
-
-    Of a cell with few open parts these are cut further.
-    """
+    """Bounds polynomials, on parts of a 2^depth-th or less where the sign needs them."""
     k, d = coefficients.shape[1], sum(m for m, _ in space)
     search = _Search(space, depth, round_off, np.full(k, np.inf), np.full(k, np.inf), np.zeros((d, k)))
     search.look(coefficients, np.arange(k), np.zeros((0, k), dtype=int))
@@ -64,8 +50,6 @@ def blocks(rows: Int[np.ndarray, " p"], coefficients: int) -> Iterator[Int[np.nd
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Search:
-    """Knowledge of each cell: its parts' least coefficient, the least value, and its place."""
-
     space: Space
     depth: int
     round_off: np.ndarray
@@ -74,9 +58,8 @@ class _Search:
     at: np.ndarray
 
     def look(self, coefficients: Float[np.ndarray, "n p"], cell: np.ndarray, path: Int[np.ndarray, "l p"]) -> None:
-        """Looks at parts of cells, and cuts those of open sign; negative cells are done.
-
-        The `path` to a part has the number that it has among its parent's parts, level by level.
+        """Looks at parts of cells, and cuts those of open sign; negative cells are done. The `path`
+        to a part has the number that it has among its parent's parts, level by level.
         """
         least, level, slack = coefficients.min(axis=0), len(path), self.round_off[cell]
         lowest = self._compare(coefficients, cell, path)
@@ -94,7 +77,6 @@ class _Search:
             self.look(bernstein.halved(self.space, coefficients[:, some]), np.tile(cell[some], parts), below)
 
     def _compare(self, coefficients: np.ndarray, cell: np.ndarray, path: np.ndarray) -> Float[np.ndarray, " p"]:
-        """Compares values at corners with the least found; returns the least of each part."""
         values = coefficients[bernstein.corners(self.space)]
         corner, least = values.argmin(axis=0), values.min(axis=0)
         before = self.upper.copy()
@@ -105,7 +87,7 @@ class _Search:
 
 
 def _place(space: Space, path: Int[np.ndarray, "l p"], corner: Int[np.ndarray, " p"]) -> Float[np.ndarray, "f p"]:
-    """Computes the places of parts' corners, by barycentric coordinates from the parts outwards."""
+    """Places of parts' corners, by barycentric coordinates from the parts outwards."""
     corners = np.unravel_index(corner, [m + 1 for m, _ in space])
     paths, found = np.unravel_index(path, [2**m for m, _ in space]), []
     for (m, _), own, parts in zip(space, corners, paths, strict=True):
@@ -121,11 +103,10 @@ def has_least(kind: str, d: int) -> bool:
 
 
 def least_jacobian(kind: str, x: list[Float[Either, "nodes k"]]) -> Float[Either, " k"]:
-    """Computes the least det J of curved cells, in the handedness of their volume.
-
-    `x` are the components of the nodes, relative to the first one. Where det J is positive all
-    over, it is the least at a corner. Where it is not, the place is that of `proof`: a negative
-    value is found wherever the bounds say `invalid`.
+    """The least det J of curved cells, in the handedness of their volume. `x` are the components of
+    the nodes, relative to the first one. Where det J is positive all over, it is the least at a
+    corner. Elsewhere the place is that of `proof`: a negative value is found wherever the bounds
+    say `invalid`.
     """
     form, k = form_of(kind), x[0].shape[1]
     if namespace(x[0]) is np:
