@@ -28,7 +28,7 @@ SMALL = 10_000
 """Points, times steps, below which compile time dominates."""
 
 PATIENCE = 120.0
-"""Seconds that an attempt may have taken for others to be tried after it."""
+"""Seconds of an attempt after which no other is tried."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,7 +45,6 @@ class Attempt:
 
     @property
     def before(self) -> jm.Verdict:
-        """The verdict on the undeformed mesh. Raises `ValueError` for what cannot be judged."""
         return self.judging.result()
 
     @property
@@ -80,7 +79,6 @@ class Attempt:
 
 
 def deform(request: Deform, out: Output) -> int:
-    """Reads, moves, judges and writes a mesh; prints all. Returns the exit status."""
     with out.progress(f"reading {title(request.file)}"):
         mesh = mesh_of(request.file, request.zone)
     with quickly_compiled(len(mesh.points) * request.steps <= SMALL):
@@ -164,7 +162,7 @@ def _tell(
 def _wall_numbers(attempt: Attempt, points: np.ndarray) -> dict[str, tuple[float, float, str]]:
     """Measures the first grid line at the moving nodes: before and after by name, and the place.
 
-    There is nothing where no side of a cell lies there, or no line begins.
+    The result is empty where no side of a cell lies there, or no line begins.
     """
     try:
         wall = jm.wall_quality(attempt.patches.mesh, attempt.patches.nodes, points)
@@ -214,10 +212,7 @@ def check(request: Deform, mesh: Mesh) -> None:
 
 
 def say_motion(request: Deform, patches: Patches, plan: jm.Plan, u: np.ndarray, out: Output) -> None:
-    """Describes what moves, by how much, what stays, and the method.
-
-    `u` are the displacements of the moving nodes.
-    """
+    """Describes what moves, by how much, what stays, and the method."""
     mesh, way = patches.mesh, np.linalg.norm(u, axis=1)
     for names in dict.fromkeys(tuple(group.patches) for group in request.groups):
         nodes = mesh.patch(*names)
@@ -246,7 +241,7 @@ def write_job(request: Deform, moves: Motion, out: Output) -> None:
 
 
 def _advice(attempt: Attempt, out: Output) -> str:
-    """Writes which other flags cure a bad motion: the first of which an attempt succeeds."""
+    """Names other flags that cure a bad motion, those of the first attempt that succeeds."""
     request = attempt.request
     if any(gate.beyond for gate in attempt.before.gates):  # no way of moving the mesh cures it
         return ""

@@ -22,7 +22,6 @@ from ._requests import MOTIONS, Deform, MotionFlags, Table
 
 Points = Float[np.ndarray, "m d"]
 Parametrised = tuple[shapes.AbstractShape, Any]
-"""A shape with its parameters."""
 
 SIDES = ("upper", "lower")
 CHORD = ("nose", "tail", "up")
@@ -40,7 +39,6 @@ class Motion:
     boxes: tuple[tuple[Path, shapes.FreeForm | shapes.Hexahedron, tuple[str, str]], ...] = ()
 
     def path(self, surface: Points, steps: int) -> Float[np.ndarray, "k m d"]:
-        """Computes the total displacement at the end of each of `steps` equal steps."""
         return np.asarray(shapes.path(self.shape, surface, self.parameters, steps))
 
     def varied(self, changes: Mapping[str, Sequence[float]]) -> "Motion":
@@ -61,11 +59,9 @@ class Motion:
 def motion(request: Deform, mesh: Mesh, moving: Int[np.ndarray, " m"]) -> Motion:
     """Makes the requested motion of the nodes `moving`.
 
-    A patch moves as the groups that name it, one after the other. A node of several patches moves
-    as the first of them.
-
-    Raises `ValueError` if there is none, if it does not fit the mesh or the nodes, and where
-    patches of a node move it differently.
+    A patch moves as the groups that name it, one after the other; a node of several patches as the
+    first of them. Raises `ValueError` for no motion, one that does not fit the mesh or the nodes,
+    and patches that move a common node differently.
     """
     groups, chains, parameters, boxes = request.groups, {}, {}, []
     for group in groups:
@@ -166,8 +162,6 @@ def _key(group: MotionFlags, others: Mapping[str, Any]) -> str:
 
 
 class MovingPatch(NamedTuple):
-    """The patches of one motion, whose nodes are `nodes`, in a mesh."""
-
     group: MotionFlags
     mesh: Mesh
     nodes: np.ndarray
@@ -192,7 +186,6 @@ class MovingPatch(NamedTuple):
         return self.direction("axis") if self.dimension == 3 else None
 
     def vector(self, name: str) -> np.ndarray:
-        """Returns the d numbers of a flag, zeros without it. Raises `ValueError` for others."""
         values, d = getattr(self.group, name), self.dimension
         if values is None:
             return np.zeros(d)
@@ -211,10 +204,7 @@ class MovingPatch(NamedTuple):
         return vector / np.linalg.norm(vector)
 
     def length(self, option: str) -> float:
-        """Measures the line along which a surface is bent or twisted.
-
-        By default the line ends where the surface does.
-        """
+        """Measures the line of a bend or twist, by default to the end of the surface."""
         given = self.group.length
         ahead = (np.asarray(self.mesh.points)[self.nodes] - self.vector("about")) @ self.direction("along")
         length = float(ahead.max()) if given is None else given
@@ -254,7 +244,7 @@ TURNS: dict[str, tuple[Callable, tuple[str, ...]]] = {
     "bend": (shapes.bend, ("about", "along", "length", "axis")),
     "rotate": (shapes.rotate, ("about", "axis")),
 }
-"""Motions by an angle, and what else they are called with."""
+"""Motions by an angle, and their other arguments."""
 
 
 def _turned(name: str, patch: MovingPatch) -> Parametrised:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 PATIENCE = 2.0
-"""Seconds after which a stage of the work is announced."""
+"""Seconds after which a stage is announced."""
 
 
 class Stage:
@@ -46,11 +46,7 @@ class Stage:
 
 
 class Output:
-    """Output of one command.
-
-    Text goes to standard output as it comes. With `as_json`, facts are gathered and printed at the
-    end.
-    """
+    """Output of one command: text as it comes, or with `as_json` facts, printed at the end."""
 
     def __init__(self, command: str, *, as_json: bool = False, verbose: bool = False):
         self.name, self.as_json, self.verbose = f"jaxmorph {command}", as_json, verbose
@@ -83,7 +79,6 @@ class Output:
             print(text, flush=True)
 
     def complain(self, text: str, key: str = "problems") -> None:
-        """Prints a line on standard error, and adds it to the list of facts called `key`."""
         self.facts.setdefault(key, []).append(text)
         if not self.is_silent:
             print(f"{self.name}: {text}", file=sys.stderr)
@@ -112,7 +107,6 @@ class Output:
 
 
 def wrapped(text: str, indent: int = 9) -> str:
-    """Breaks a line at 80 columns; names stay whole."""
     return textwrap.fill(text, 80, subsequent_indent=" " * indent, break_long_words=False, break_on_hyphens=False)
 
 

@@ -21,7 +21,6 @@ from ._output import Output, wrapped
 from ._parser import flag_of
 
 PROVEN = "min_proven_margin"
-"""The limit that `--proven` sets."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -77,10 +76,7 @@ def in_double(
     u: Float[np.ndarray, "m d"],
     is_exact: bool,
 ) -> Float[np.ndarray, "n d"]:
-    """Converts moved points to double precision.
-
-    Nodes that do not move in single precision keep all their digits.
-    """
+    """Converts points to double precision; unmoved nodes keep all their digits."""
     moved = np.asarray(moved)
     if moved.dtype == np.float64:
         return moved
@@ -92,7 +88,7 @@ def in_double(
 
 @contextlib.contextmanager
 def writing(write: Callable[..., None], *arguments: Any) -> Iterator[Callable[[], None]]:
-    """Writes a file beside what comes next; it appears when the yielded function is called.
+    """Writes a file beside the block; it appears when the yielded function is called.
 
     With one core all is written then. A block that ends without that call leaves no file.
     """
@@ -115,7 +111,6 @@ def writing(write: Callable[..., None], *arguments: Any) -> Iterator[Callable[[]
 
 
 def faults(verdict: jm.Verdict) -> list[str]:
-    """Lists what is wrong, with limits by their flags."""
     return verdict.faults(lambda gate: "--proven" if gate.name == PROVEN else f"{flag_of(gate.name)} {gate.limit:g}")
 
 

@@ -21,7 +21,6 @@ from jaxmorph._kernels.compile import float64_mode as float64_mode
 
 
 def check_comm(comm: Any) -> None:
-    """Raises `ValueError` for anything that is no communicator of mpi4py."""
     if not hasattr(comm, "allgather"):
         raise ValueError(f"`comm` must be a communicator of mpi4py, MPI.COMM_WORLD for example, not {shown(comm)}.")
 
@@ -29,8 +28,7 @@ def check_comm(comm: Any) -> None:
 def faces_of(comm: Any, mesh: jm.Mesh | None, nodes: np.ndarray, is_shared: np.ndarray) -> dict[str, np.ndarray] | None:
     """Finds a piece's faces (k, corners) of the whole mesh's boundary by type; or None.
 
-    `nodes` (n,) are the whole mesh's ids of the piece's points, of which other pieces share some.
-    Processes raise together.
+    `nodes` (n,) are the whole mesh's ids of the piece's points. Processes raise together.
     """
     if len(set(comm.allgather(mesh is None))) > 1:
         raise ValueError("some processes give a Mesh and some points alone: give a Mesh in all, or points in all.")
@@ -97,10 +95,10 @@ def surface_of(
 ) -> tuple[np.ndarray, np.ndarray, int, int, int]:
     """Gathers the points that the surface's half needs, and their ids.
 
-    `boundary` is that of this piece, whose points have the `ids` (n,). The first m points move, the
-    next points up to `count` are fixed. Points from there to `total` are on parallel planes or on
-    the boundary's `faces`. The outermost points, whose id is -1, are the last. All processes get
-    equal results, and raise together.
+    `boundary` is that of this piece, whose points have the `ids` (n,). The first m points move,
+    those up to `count` are fixed, those up to `total` are on parallel planes or on the boundary's
+    `faces`. The outermost points, with id -1, are last. All processes get equal results, and raise
+    together.
     """
     x, planes = boundary.points, boundary.planes
     ends = np.unique([x.argmin(axis=0), x.argmax(axis=0)])

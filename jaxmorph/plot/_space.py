@@ -55,11 +55,9 @@ def surface(
     - `patch`: the patch to draw. Default: the whole outside.
     - `plotter`: pyvista's; a new one, off screen, by default.
 
-    **Returns:** the plotter, or a new one, off screen: `plotter.screenshot(path)` writes the
-    picture.
+    **Returns:** the plotter: `plotter.screenshot(path)` writes the picture.
 
-    **Raises:** `ValueError` as `mesh` does, for a mesh in 2-D, for a `patch` that is not known, and
-    where there is no face.
+    **Raises:** `ValueError` as `mesh` does, for a mesh in 2-D, an unknown `patch`, and no faces.
     """
     return _draw(outside(mesh, points, values, patch), limits, label, bar, plotter)
 
@@ -68,16 +66,8 @@ def surface(
 def before_after_3d(mesh: jm.Mesh, points: Float[Any, "n 3"], *, patch: str | None = None, plotter: Any = None) -> Any:
     """Draws a 3-D mesh's outside or patch: undeformed orange, deformed blue (paper, figure 7a).
 
-    Both are translucent, so that each is seen through the other. Faces that hardly move are grey,
-    and drawn once.
-
-    **Arguments:**
-
-    - `mesh`, `points`, `patch`, `plotter`: as `surface` takes them.
-
-    **Returns:** the plotter, or a new one, off screen.
-
-    **Raises:** `ValueError` as `surface` does.
+    Both are translucent; faces that hardly move are grey, and drawn once. Arguments, result and
+    errors are as of `surface`.
     """
     before, after = (outside(mesh, state, None, patch) for state in (None, points))
     new, plotter = plotter is None, new_plotter() if plotter is None else plotter
@@ -116,13 +106,10 @@ def cut(
     **Arguments:**
 
     - `plane`: a `Plane`. Where it meets a body the picture is of the body and some room round it,
-      else of all that is cut.
-    - `mesh`, `points`, `values`, `limits`, `label`, `bar`, `plotter`: as `surface` takes them. A
-      plotter that is given shows all.
+      else of all that is cut. A given plotter shows all.
+    - `mesh`, `points`, `values`, `limits`, `label`, `bar`, `plotter`: as `surface` takes them.
 
-    **Returns:** the plotter, or a new one, off screen.
-
-    **Raises:** `ValueError` as `surface` does.
+    **Returns:** the plotter. **Raises:** `ValueError` as `surface` does.
     """
     normal, origin = (np.asarray(vector, dtype=float) for vector in (plane.normal, plane.origin))
     viewer = normal * (-1 if np.dot(normal, VIEWER) < 0 else 1)
@@ -196,7 +183,6 @@ def _scaled(part: Any, limits: Limits | None) -> tuple[dict[str, Any], dict[str,
 
 
 def _add_faces(plotter: Any, faces: Any, show_edges: bool, **style: Any) -> None:
-    """Draws faces, with their edges; of pieces of curved faces the edges of the whole faces."""
     in_pieces = "whole" in faces.cell_data
     if show_edges and in_pieces:
         lines = {"color": DARK, "opacity": LINES["edge_opacity"], "line_width": LINES["line_width"]}
@@ -236,7 +222,6 @@ def viewer_of(part: Any, motion: np.ndarray | None = None) -> np.ndarray:
 
 
 def add_bar(plotter: Any, label: str, limits: tuple[float | int, float | int], beyond: dict[str, str]) -> None:
-    """Draws a colour bar with round numbers; `_add_axes` places it at the right."""
     title = label.replace("|", "\u2223")  # VTK begins a column at an ASCII bar
     bar = plotter.add_scalar_bar(f"{title}\n", vertical=True, fmt="%.6g", color=DARK, width=0.05, **beyond)
     bar.SetUnconstrainedFontSize(True)
@@ -266,7 +251,6 @@ def new_plotter() -> Any:
 
 
 def _add_axes(plotter: Any) -> None:
-    """Draws the directions of x, y and z, and, unless in perspective, a bar of a round length."""
     axes = plotter.add_axes(xlabel="x", ylabel="y", zlabel="z", color=DARK, line_width=3)
     captions = [getattr(axes, f"Get{name}AxisCaptionActor2D")() for name in "XYZ"]
     for caption in captions:
@@ -318,7 +302,6 @@ def _scale() -> Any:
 
 
 def _round_length(largest: float) -> float:
-    """Rounds down to 1, 2 or 5 times a power of ten."""
     power = 10 ** np.floor(np.log10(largest))
     return float(power * max(factor for factor in (1, 2, 5) if factor * power <= largest * (1 + 1e-9)))
 
@@ -331,7 +314,7 @@ def aim(plotter: Any, viewer: Sequence[float] | np.ndarray = VIEWER) -> None:
 
 
 def aim_again(plotter: Any) -> None:
-    """Makes room for what was added to a plotter, unless its camera is not where `aim` left it."""
+    """Makes room for what was added to a plotter, unless its camera has moved since `aim`."""
     view, viewer, _ = AIMED.get(plotter, (None, VIEWER, None))
     if view is not None and np.array_equal(view, view_of(plotter)):
         aim(plotter, viewer)
