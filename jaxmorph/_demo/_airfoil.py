@@ -61,7 +61,6 @@ class Outcome:
 
     @property
     def skewness(self) -> list[tuple[float, float]]:
-        """Mean and maximum at each angle."""
         return [(float(report.mean_skewness), float(report.max_skewness)) for report in self.reports]
 
     @property
@@ -184,7 +183,6 @@ once more: for the three steps again.
 
 
 def write(path: pathlib.Path, mesh: jm.Mesh, points: np.ndarray, values: dict[str, np.ndarray]) -> list[pathlib.Path]:
-    """Writes a mesh for SU2, and a mesh with displacements and `values` of cells to look at."""
     moved, picture = mesh.moved(points), path.with_suffix(".vtu")
     io.write(path, moved)
     io.write(picture, moved, point_data={"displacement": points - mesh.points}, cell_data=values)

@@ -102,7 +102,6 @@ def numbers_of_cells(cells: Mapping[str, Any]) -> dict[str, int]:
 
 
 def intact_source(mesh: Any) -> Any:
-    """Returns what a mesh came from; None if the mesh has other cells by now."""
     known = getattr(mesh.source, "cells", None)
     return mesh.source if known in (None, numbers_of_cells(mesh.cells)) else None
 

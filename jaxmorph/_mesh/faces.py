@@ -67,7 +67,6 @@ class Faces:
         return corners
 
     def nodes(self, first: int, last: int) -> np.ndarray:
-        """Returns the nodes of the faces from `first` up to `last`, with repetitions."""
         return self.labels[self.starts[first] : self.starts[last]]
 
     def of_cells(self) -> tuple[np.ndarray, np.ndarray]:

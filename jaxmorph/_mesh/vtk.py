@@ -183,7 +183,6 @@ def _polyhedral(grid: Any, points: np.ndarray, kinds: np.ndarray, solid: np.ndar
 
 
 def _sides(grid: Any, points: np.ndarray, solid: np.ndarray, kinds: np.ndarray) -> Faces:
-    """Lists the faces of polyhedra, outward; inner faces come twice."""
     first, face_of = _arrays_of(grid.GetPolyhedronFaceLocations())
     starts, ids = _arrays_of(grid.GetPolyhedronFaces())
     cells = np.flatnonzero(kinds[solid] == "polyhedron")

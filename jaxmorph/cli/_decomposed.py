@@ -27,8 +27,7 @@ STARTED = (*COUNTS, "MPI_LOCALNRANKS", "PMIX_RANK", "PMI_RANK")
 """Variables of the environment that mpiexec and srun set for their processes."""
 
 
-class _Bad(Exception):
-    """Ends the writing of a case whose cells are bad."""
+class _Bad(Exception): ...
 
 
 def deform_parts(request: Deform, out: Output) -> int:
@@ -87,7 +86,6 @@ def _say_warnings_of_all(out: Output, ranks: Ranks) -> None:
 
 
 def _ranks() -> Ranks:
-    """Returns the processes of mpiexec or srun; raises an error if they cannot meet."""
     if not any(name in os.environ for name in STARTED):
         return Alone()
     counts = [os.environ[name] for name in COUNTS if name in os.environ]

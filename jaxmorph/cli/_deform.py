@@ -52,7 +52,6 @@ class Attempt:
         return np.asarray(self.patches.mesh.points, dtype=float)
 
     def path(self, steps: int = 1) -> Float[np.ndarray, "k m d"]:
-        """Total displacements of the moving nodes at the end of each step."""
         return self.motion.path(self.base[self.patches.nodes], steps)
 
     def way(self, chunks: Chunks, steps: int, done: Callable[[float], None] = lambda share: None) -> Way:
@@ -212,7 +211,6 @@ def check(request: Deform, mesh: Mesh) -> None:
 
 
 def say_motion(request: Deform, patches: Patches, plan: jm.Plan, u: np.ndarray, out: Output) -> None:
-    """Describes what moves, by how much, what stays, and the method."""
     mesh, way = patches.mesh, np.linalg.norm(u, axis=1)
     for names in dict.fromkeys(tuple(group.patches) for group in request.groups):
         nodes = mesh.patch(*names)

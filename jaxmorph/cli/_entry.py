@@ -56,7 +56,6 @@ def answer(words: Sequence[str]) -> int:
 
 
 def _command(request: Request) -> Callable[[Request, Output], int]:
-    """Imports the command, and JAX with it, in double precision and with a cache."""
     begin_jax()
     is_part = isinstance(request, Deform) and request.decomposed
     module, name = ("_decomposed.deform_parts" if is_part else RUNS[type(request)]).split(".")

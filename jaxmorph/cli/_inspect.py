@@ -110,7 +110,7 @@ def demo(request: Demo, out: Output) -> int:
 
 
 def _ids(mesh: Mesh) -> dict[str, np.ndarray]:
-    """Collects the ids that define the cells, with the faces of polyhedra: cuts depend on points."""
+    """Collects the ids that define the cells, with faces of polyhedra: cuts depend on points."""
     if mesh.polyhedra is None:
         return {kind: np.asarray(corners) for kind, corners in mesh.cells.items()}
     faces = mesh.polyhedra.faces

@@ -112,7 +112,6 @@ def with_job(command: str, words: Sequence[str]) -> tuple[list[str], argparse.Na
 
 
 def read_job(path: Path) -> dict[str, Any]:
-    """Reads the values of a job by the fields of a request. Raises `ValueError` for others."""
     job = _known(path, "a job", read(str(path), path.read_bytes()), (*JOB, "set", "moving"))
     values = {name: key.from_toml(path, job[name]) for name, key in JOB.items() if name in job}
     moving, changes = job.get("moving", []), job.get("set", {})

@@ -22,7 +22,6 @@ Chunks = Iterator[tuple[Int[np.ndarray, " c"], jm.Plan]]
 
 
 def mesh_of(path: Path, zone: int | None = None) -> jm.Mesh:
-    """Reads a file's mesh, or an SU2 file's zone `zone`. Raises `ValueError` for an absent zone."""
     if zone is None:
         return io.read(path)
     meshes = io.read_zones(path)
@@ -95,7 +94,6 @@ class Patches:
 
     @contextlib.contextmanager
     def _explaining(self) -> Iterator[None]:
-        """Adds to an error the patches in no list that hold the nodes at fault."""
         try:
             yield
         except jm.MeshError as error:

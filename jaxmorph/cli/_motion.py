@@ -174,7 +174,6 @@ class MovingPatch(NamedTuple):
         return {name.replace("_", "-"): make(self) for name, make in PARTS.items() if is_given(self.group, name)}
 
     def argument(self, name: str, option: str) -> Any:
-        """Makes the axis (None in 2-D), the length, the direction or the centre of a motion."""
         if name == "length":
             return self.length(option)
         if name != "axis":

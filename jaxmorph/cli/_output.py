@@ -59,7 +59,6 @@ class Output:
 
     @contextlib.contextmanager
     def progress(self, name: str) -> Iterator[Stage]:
-        """Times a stage, and announces it where standard error is a terminal."""
         stage, over = Stage(name), threading.Event()
         clock = threading.Thread(target=stage.announce, args=(self.name, over), daemon=True)
         is_heard = sys.stderr is not None and sys.stderr.isatty()  # a service may have closed it
@@ -92,7 +91,6 @@ class Output:
         return time.monotonic() - self.began
 
     def end(self, status: int) -> int:
-        """Prints the timings or the JSON object that were asked for; returns the exit status."""
         if self.is_silent:
             return status
         if self.as_json:
@@ -111,7 +109,6 @@ def wrapped(text: str, indent: int = 9) -> str:
 
 
 def count(number: int, what: str) -> str:
-    """Writes a number with its noun: `1 step`, `2 steps`."""
     return f"{number} {what}" + ("" if number == 1 else "s")
 
 

@@ -128,7 +128,6 @@ class Parser(argparse.ArgumentParser):
             self.add(names, settings, section=section, everyday=facts["everyday"])
 
     def check_flags(self, words: Sequence[str]) -> None:
-        """Ends with status 2 for a flag that this command does not have."""
         for word in itertools.takewhile(lambda word: word != "--", words):
             name = word.partition("=")[0]
             if name.startswith("--") and name not in self.flags:
@@ -159,7 +158,6 @@ def flag_of(name: str) -> str:
 
 
 def meant(word: str, known: Iterable[str]) -> str:
-    """Writes `; did you mean ...?`, or nothing if no known word is similar."""
     near = similar(word, known)
     return f"; did you mean {near}?" if near else ""
 

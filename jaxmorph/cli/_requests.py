@@ -23,7 +23,6 @@ Table = dict[str, Any]
 
 
 def table(word: str) -> Path | Table:
-    """Reads the name of a TOML file, or its table as JSON."""
     try:
         return json.loads(word) if word.lstrip().startswith("{") else Path(word)
     except (json.JSONDecodeError, RecursionError) as error:

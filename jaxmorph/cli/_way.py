@@ -39,7 +39,6 @@ class Way:
 
     @functools.cached_property
     def stored(self) -> Float[np.ndarray, "n d"]:
-        """The last points as the file holds them, rounded where it is in single precision."""
         return io.as_written(self.path, self.mesh.moved(self.ends[-1]))
 
     def judge(
@@ -60,7 +59,6 @@ class Way:
 
 
 def followed(plan: jm.Plan, path: Any) -> Iterator[jax.Array]:
-    """Yields the points at the end of each step of a path of total displacements (k, m, d)."""
     if len(path) == 1:
         yield jm.deform(plan, path[0])
         return
@@ -115,7 +113,6 @@ def faults(verdict: jm.Verdict) -> list[str]:
 
 
 def is_kept(bad: list[str], allow_inverted: bool, output: Path, out: Output) -> bool:
-    """Tells what is wrong, and whether the output is to be written."""
     for sentence in bad:
         out.complain(sentence)
     if bad and not allow_inverted:

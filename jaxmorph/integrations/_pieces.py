@@ -122,7 +122,6 @@ def surface_of(
 
 
 def _union(shares: Sequence[Any]) -> tuple[np.ndarray, np.ndarray]:
-    """Joins ids and coordinates, ascending. Raises `ValueError` for an id of several places."""
     ids, points = (np.concatenate([share[k] for share in shares]) for k in range(2))
     unique, first, back = np.unique(ids, return_index=True, return_inverse=True)
     mismatched = np.flatnonzero((points != points[first][back]).any(axis=1))

@@ -15,7 +15,7 @@ FACT = re.compile(rb"^[ \t]*[A-Za-z_]+[ \t]*=.*$", re.MULTILINE)
 """A line `NAME= value`, as SU2's older restarts have behind their rows."""
 NAME = re.compile(rb"\"[^\"]*\"|[^\s,;]+")
 IDS = ("pointid", "point_id", "id", "node", "globalindex", "global_index")
-"""Names that headers give to the column of node ids, which is the first one otherwise."""
+"""Headers of the column of node ids, which is the first one otherwise."""
 MAGIC = 535532
 """The first number of a binary restart, in four bytes of either order."""
 HEADER = 5
@@ -29,7 +29,7 @@ def read_surface(path: str | os.PathLike[str], d: int) -> tuple[Int[np.ndarray, 
     """Reads ids and d numbers each, from lines `id, x, y[, z]`: SU2's surfaces, or CSV.
 
     Numbers stand between blanks, commas or semicolons; a header line and what follows `%` or `#`
-    are skipped. The numbers are positions or displacements, as the caller knows.
+    are skipped. The numbers are positions or displacements.
 
     **Arguments:**
 
@@ -38,8 +38,7 @@ def read_surface(path: str | os.PathLike[str], d: int) -> tuple[Int[np.ndarray, 
 
     **Returns:** node ids (m,) and numbers (m, d).
 
-    **Raises:** `ValueError`, with file and line, for other contents and for ids that come twice or
-    are no whole numbers.
+    **Raises:** `ValueError`, with file and line, for other contents and duplicate or broken ids.
     """
     return read_table(input_path(path), d)
 
@@ -49,8 +48,7 @@ def read_table(
 ) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, "m d"]]:
     """Reads node ids and d numbers for each.
 
-    Columns that a header calls as `wanted` are taken, whatever stands beside them; else all. A
-    binary restart must have these columns.
+    With `wanted`, reads the columns of these headers alone; a binary restart must have them.
     """
     text = path.read_bytes()
     if wanted and MAGIC in (int.from_bytes(text[:4], "little"), int.from_bytes(text[:4], "big")):
@@ -103,7 +101,6 @@ def read_named(
 
 
 def check_values(path: pathlib.Path, ids: np.ndarray, values: np.ndarray, d: int) -> None:
-    """Raises `ValueError` for values that are not finite or not of the shape (len(ids), d)."""
     if values.shape != (len(ids), d) or not np.isfinite(values).all():
         raise ValueError(f"{path}: finite values of shape ({len(ids)}, {d}) expected, found shape {values.shape}.")
 

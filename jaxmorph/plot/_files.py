@@ -361,7 +361,6 @@ def _close(drawn: Any) -> None:
 
 
 def _pixels(drawn: Any, view: Any) -> UInt8[np.ndarray, "h w 3"]:
-    """Renders, and closes what was drawn."""
     if isinstance(drawn, Axes):
         (xlim, ylim), size, dpi = view
         drawn.set(xlim=xlim, ylim=ylim)

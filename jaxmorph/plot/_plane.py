@@ -315,7 +315,6 @@ def draw_walls(ax: Axes, cells: Cells, colour: str) -> None:
 
 
 def given_or_new(ax: Axes | None, window: Window | None = None, *, bar: bool = False, above: float = 0.1) -> Axes:
-    """Makes axes of their window's shape, with `above` inches on top, unless some are given."""
     if ax is not None:
         return ax
     if window is None:
@@ -336,7 +335,6 @@ def round_numbers(low: float, high: float, count: int) -> list[float]:
 
 
 def legend_above(ax: Axes, handles: Sequence[Any] | None = None) -> None:
-    """Puts the legend above the axes, in as few rows as the figure's width has room for."""
     handles = ax.get_legend_handles_labels()[0] if handles is None else handles
     size, figure = plt.rcParams["font.size"], ax.figure
     room = figure.bbox.width * min(ax.get_position().width / UNLABELLED, 1) - size * figure.dpi / 72

@@ -174,7 +174,6 @@ def _draw(
 
 
 def _scaled(part: Any, limits: Limits | None) -> tuple[dict[str, Any], dict[str, str]]:
-    """Returns settings of faces coloured by their values, and the signs of values beyond."""
     values, sizes = part.cell_data["values"], part.compute_cell_sizes(length=False, volume=False).cell_data["Area"]
     colours, limits, *beyond = scale_of(values, sizes, limits)
     ends = {side: sign for side, sign, is_so in zip(("below", "above"), "<>", beyond, strict=True) if is_so}

@@ -37,7 +37,6 @@ class Grid:
 
     @staticmethod
     def read(comm: Any, path: str) -> "Grid":
-        """Reads a file or OpenFOAM case; several processes read their processor* folders."""
         if comm.size > 1 and any(comm.allgather(bool([*pathlib.Path(path).glob("processor*")]))):
             return Grid._decomposed(comm, path)
         return Grid.shared(comm, together(comm, lambda: None if comm.rank else _in_space(io.read(path), path)))

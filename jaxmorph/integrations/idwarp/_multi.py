@@ -174,7 +174,6 @@ class MultiUSMesh:
         return self._order
 
     def _parts(self) -> list[tuple[np.ndarray, USMesh]]:
-        """Returns each grid with the rows of its points among those of the surface."""
         if self._rows is None:
             raise ValueError("the surface is not known: call setSurfaceDefinition.")
         return list(zip(self._rows, self.meshes, strict=True))

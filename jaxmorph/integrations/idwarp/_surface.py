@@ -119,7 +119,6 @@ def _named(mesh: jm.Mesh, names: Sequence[str], option: str) -> list[str]:
 
 
 def _planes(mesh: jm.Mesh, options: Mapping[str, Any]) -> list[jm.Plane]:
-    """Makes the planes, each laid through the nodes within the tolerance of it."""
     planes, points = [], np.asarray(mesh.points, dtype=float)
     for origin, normal in options["symmetryPlanes"]:
         plane = jm.Plane(normal, origin)

@@ -206,7 +206,6 @@ def _counts(options: Options, degrees: list[str], d: int) -> list[int]:
 
 
 def _surface(shape: shapes.Hexahedron, mesh: Mesh, moving: Sequence[str]) -> dict:
-    """Finds the nodes of each marker in a box, and their coordinates there."""
     surface = {}
     for name in moving:
         nodes = mesh.patch(name)

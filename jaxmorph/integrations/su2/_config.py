@@ -151,7 +151,6 @@ def _without(names: Iterable[str], others: Collection[str]) -> tuple[str, ...]:
 
 
 def _sort(name: str) -> str:
-    """Returns what a variable moves, by its name `KIND[0]`."""
     return KINDS[name.partition("[")[0]].sort
 
 
@@ -173,7 +172,6 @@ def _present(
 
 
 def _warn_of_results(config: Config, listed: Sequence[Variable]) -> None:
-    """Warns of differences to SU2, and of a wall that moves suspiciously far."""
     options = config.options
     kinds = dict.fromkeys(variable.kind for variable in listed)
     for kind in filter(lambda kind: KINDS[kind].sort == "flow", kinds):

@@ -204,7 +204,6 @@ class Variable:
 
     @property
     def rows(self) -> tuple[int, ...]:
-        """Places of the variable's values among those of all variables."""
         return tuple(range(self.first, self.first + self.size))
 
     @property
@@ -311,7 +310,6 @@ def _check_sort(options: Options, kinds: list[str], start: str) -> None:
 
 
 def _fault(kind: str, numbers: tuple[float, ...]) -> str | None:
-    """Says which parameters of a kind make no sense, whatever the mesh is."""
     match kind, numbers:
         case "HICKS_HENNE" | "CST", (side, *_) if side not in (LOWER, UPPER, ONE):
             return f"{kind} has the side {side:g}; 0 is the lower one, 1 the upper one."

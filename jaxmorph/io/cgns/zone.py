@@ -33,10 +33,9 @@ class Ragged:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Block:
-    """Holds cells of one type by their corner ids (k, corners).
+    """Cells of one type by their corner ids (k, corners).
 
-    `cell` (k,) is the number of the polyhedral cell that each is, or is a piece of; None for cells
-    of other sections.
+    `cell` (k,) is the polyhedral cell that each is, or is a piece of; None for other sections.
     """
 
     kind: str
@@ -63,8 +62,7 @@ def polyhedra(
 def _faces(polygons: dict[int, Ragged], cells: list[Ragged]) -> Faces:
     """Joins all sections: the faces that cells have, with the cells on both sides.
 
-    It raises `ValueError` for cells with faces that are not there, or that more than two cells
-    have.
+    Raises `ValueError` for cells with missing faces, and for faces of more than two cells.
     """
     begins = np.concatenate([begin + np.arange(len(rows)) for begin, rows in sorted(polygons.items())])
     parts = [rows for _, rows in sorted(polygons.items())]
@@ -109,7 +107,6 @@ DIMENSION = {number: topology.DIMENSION.get(kind, 0) for number, kind in TYPES.i
 
 
 def children(group: Any, label: str) -> Iterator[tuple[str, Any]]:
-    """Yields the nodes of a CGNS label below another one, in the order of the file."""
     for name in group:
         child = group[name]
         if hasattr(child, "keys") and text(child.attrs.get("label", b"")) == label:
@@ -130,8 +127,6 @@ def word(group: Any) -> str:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Elements:
-    """Elements of one section and type: its name, their dimension, and their vertices by row."""
-
     section: str
     dimension: int
     vertices: Any
@@ -141,8 +136,8 @@ class Elements:
 class Content:
     """Cells and boundary elements of a zone by type, known outer faces, and all its elements.
 
-    `elements` stand by the number of their first one. `whole` has all polyhedral cells. `dimension`
-    is that of the base's cells.
+    `elements` stand by the number of their first one, `whole` has all polyhedral cells, and
+    `dimension` is that of the base's cells.
     """
 
     blocks: list[Block]
@@ -154,8 +149,6 @@ class Content:
 
 @dataclasses.dataclass(eq=False)
 class Condition:
-    """A boundary condition: its zone, its name and node in the file, and its patch."""
-
     zone: str
     name: str
     node: Any
@@ -169,10 +162,7 @@ class Condition:
 
 @dataclasses.dataclass(eq=False)
 class Zone:
-    """A zone: its node in the file, sizes of vertices (one if unstructured), first node's id.
-
-    What it holds is read into `content` and `conditions`.
-    """
+    """A zone: its node in the file, sizes of vertices (one if unstructured), first node's id."""
 
     path: pathlib.Path
     name: str
@@ -195,7 +185,7 @@ class Zone:
         return ValueError(f"{self.path}, zone {self.name}: {message}.")
 
     def coordinates(self) -> list[Coordinates]:
-        """Finds x, y[, z]. It raises `ValueError` for other coordinates, and for rind planes."""
+        """Finds x, y[, z]. Raises `ValueError` for other coordinates, and for rind planes."""
         grids = dict(children(self.group, "GridCoordinates_t"))
         if not grids:
             raise self.error("no GridCoordinates")
@@ -243,8 +233,6 @@ class Zone:
 
 
 class _Section:
-    """A section of elements: the number of the first one, how many there are, and their numbers."""
-
     def __init__(self, zone: Zone, name: str, node: Any):
         self.zone, self.name, self.node, self.kind = zone, name, node, int(data(node)[0])
         ends = data(node["ElementRange"]).astype(np.int64).ravel()
@@ -333,7 +321,6 @@ def _counted(values: np.ndarray) -> Ragged:
 
 
 def _cells_of(sides: list[np.ndarray]) -> list[Ragged]:
-    """Makes cells of pairs of cell and face, in the order of the cells' numbers."""
     if not sides:
         return []
     pairs = np.concatenate(sides)
