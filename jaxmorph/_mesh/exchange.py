@@ -158,10 +158,7 @@ def kind_of_block(kind: str, ids: np.ndarray) -> tuple[str, np.ndarray]:
 
 
 def block_of(kind: str, ids: Any) -> tuple[str, np.ndarray]:
-    """Names a cell type as meshio does, and orders its nodes as meshio's files need them.
-
-    Cells of order 3 and more are VTK's of any order, where it has them.
-    """
+    """Names a cell type as meshio does (VTK's from order 3 on), and orders its nodes so."""
     ids, shape = np.asarray(ids), SHAPES[kind]
     if kind == shape or kind in VTK_QUADRATIC or shape not in VTK_LAGRANGE:
         return kind, reordered(kind, ids, None, MESHIO)
@@ -260,10 +257,7 @@ def _physical(grid: Grid) -> Iterator[Patch]:
 
 
 def _marked(grid: Grid) -> tuple[str, dict[str, np.ndarray]]:
-    """Makes patches by the first array of `MARKERS`, on cells of lower dimension or points.
-
-    On points, 0 means inside. The name of the array comes first.
-    """
+    """Makes patches by the first array of `MARKERS`, and names it; on points 0 means inside."""
     for name in _markers(grid.cell_data):
         patches = gathered(
             (f"{name}_{int(number)}", corners[values == number].ravel())

@@ -16,10 +16,7 @@ ENOUGH = 0.05
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Polyhedra:
-    """Whole cells of a mesh with cut cells: all faces (2-D: edges), and the ids of cut cells.
-
-    `Mesh.cell_ids` has the whole cell of every cell or piece.
-    """
+    """Whole cells of a mesh: all faces (2-D: edges), ids of cut cells; see `Mesh.cell_ids`."""
 
     faces: Faces
     cut: np.ndarray

@@ -114,10 +114,7 @@ def dimension_of(grid: Any) -> int:
 
 
 def of_vtk(grid: Any) -> tuple[Grid, Whole | None]:
-    """Reads points, cells and arrays of an unstructured grid; polyhedra as in `Whole`.
-
-    Raises `ValueError` for cells that no mesh has, and for missing nodes.
-    """
+    """Reads points, cells and arrays of an unstructured grid; polyhedra as in `Whole`."""
     points, (_, ids) = coordinates(grid), _arrays_of(grid.GetCells())
     outside = ids[(ids < 0) | (ids >= len(points))]
     if len(outside):
@@ -160,10 +157,7 @@ def _canonical(kind: str, nodes: np.ndarray, numbers: np.ndarray) -> np.ndarray:
 
 
 def _polyhedral(grid: Any, points: np.ndarray, kinds: np.ndarray, solid: np.ndarray) -> tuple[list, Whole, np.ndarray]:
-    """Makes standard cells and tetrahedra of all solid cells of a grid with polyhedra.
-
-    Returns types, corners and the grid's cells, whole cells, and the nodes of outer faces.
-    """
+    """Makes types, corners and cells' numbers; whole cells; and nodes of outer faces."""
     curved = sorted({kind for kind in kinds[solid].tolist() if kind not in CORNERS and kind != "polyhedron"})
     if curved:
         raise ValueError(f"cells of type {', '.join(curved)} beside polyhedra are not supported; they would be lost.")
@@ -205,10 +199,7 @@ def _sides(grid: Any, points: np.ndarray, solid: np.ndarray, kinds: np.ndarray) 
 
 
 def _inward(points: np.ndarray, labels: np.ndarray, begins: np.ndarray, cell: np.ndarray) -> np.ndarray:
-    """Finds faces of polyhedra that point into their cell.
-
-    VTK asks for outward faces, but some programs write inward ones, or both.
-    """
+    """Finds faces that point into their cell: VTK asks for outward ones, but programs differ."""
     sizes = np.diff(begins, append=len(labels))
     which = np.repeat(np.arange(len(begins)), sizes)
     after = np.arange(1, len(labels) + 1)

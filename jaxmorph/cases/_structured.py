@@ -50,10 +50,7 @@ def hexahedra(ids: np.ndarray) -> np.ndarray:
 
 
 def geometric(cells: int, first: float, samples: int | None = None) -> np.ndarray:
-    """Divides [0, 1] into `cells` that grow by a constant factor from `first`, or are even.
-
-    With `samples` the growth is that of `cells`, sampled by so many cells.
-    """
+    """Divides [0, 1] with the growth of `cells` from `first` (or evenly), by `samples` cells."""
     samples = cells if samples is None else samples
     between("first_cell", first, 0)
     if first * cells >= 1:

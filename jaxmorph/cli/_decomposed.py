@@ -131,10 +131,7 @@ def _prepared(request: Deform, surface: jm.Mesh, out: Output) -> tuple[jm.Surfac
 
 @dataclasses.dataclass(frozen=True)
 class MovingParts:
-    """The shared state of all parts of a case: prepared surface, and the path of its nodes.
-
-    `largest` is the number of nodes of the largest part.
-    """
+    """The shared state of all parts: surface, path of its nodes, `largest` number of nodes."""
 
     half: jm.SurfaceHalf
     path: Float[np.ndarray, "k m d"]

@@ -33,10 +33,7 @@ PATIENCE = 120.0
 
 @dataclasses.dataclass(frozen=True)
 class Attempt:
-    """All that an attempt needs but the method and the steps.
-
-    `judging` judges the undeformed mesh in another thread.
-    """
+    """All that an attempt needs but method and steps; `judging` runs in another thread."""
 
     request: Deform
     patches: Patches
@@ -55,10 +52,7 @@ class Attempt:
         return self.motion.path(self.base[self.patches.nodes], steps)
 
     def way(self, chunks: Chunks, steps: int, done: Callable[[float], None] = lambda share: None) -> Way:
-        """Moves the points chunk by chunk, in double precision; `done` takes the finished share.
-
-        Steps before the last one are kept for `--proven` alone.
-        """
+        """Moves the points by chunks, in double precision; keeps all steps for `--proven`."""
         path, base, wall = self.path(steps), self.base, self.patches.nodes
         ends = {step: base.copy() for step in (range(steps) if self.request.gates.proven else [steps - 1])}
         is_moved, is_straight = np.zeros(len(base), dtype=bool), True
@@ -159,10 +153,7 @@ def _tell(
 
 
 def _wall_numbers(attempt: Attempt, points: np.ndarray) -> dict[str, tuple[float, float, str]]:
-    """Measures the first grid line at the moving nodes: before and after by name, and the place.
-
-    The result is empty where no side of a cell lies there, or no line begins.
-    """
+    """Measures the first grid line: before, after and place, by name; empty without a line."""
     try:
         wall = jm.wall_quality(attempt.patches.mesh, attempt.patches.nodes, points)
     except ValueError:

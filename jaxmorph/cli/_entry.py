@@ -102,10 +102,7 @@ def request_of(words: Sequence[str], parsers: Mapping[str, Parser] | None = None
 
 
 def parser(*, is_short: bool = False) -> tuple[Parser, dict[str, Parser]]:
-    """Builds the parser of the whole command line, and that of each command, by name.
-
-    `is_short` leaves rare flags out of the pages of help.
-    """
+    """Builds the parsers of the program and of each command; `is_short`: without rare flags."""
     top = Parser(prog="jaxmorph", description="Moves meshes with their surfaces, and judges them.", epilog=_help.MAIN)
     text = "show the versions of jaxmorph, JAX, NumPy, SciPy and Python"
     top.add(["--version"], {"action": Version, "nargs": 0, "help": text})

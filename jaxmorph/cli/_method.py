@@ -31,10 +31,7 @@ def mesh_of(path: Path, zone: int | None = None) -> jm.Mesh:
 
 
 def method_of(request: MethodFlags, wall: np.ndarray, fixed: np.ndarray) -> jm.AbstractMethod | None:
-    """Makes the requested method for moving (m, d) and fixed points (f, d); None for the default.
-
-    Raises `ValueError` for a number of sources that the method cannot take.
-    """
+    """Makes the method for moving (m, d) and fixed points (f, d); None for the default."""
     d = wall.shape[1]
     if request.sources is not None and request.sources <= d:
         raise ValueError(f"--sources must be {d + 1} or more in {d}-D, found {request.sources}.")

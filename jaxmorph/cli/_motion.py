@@ -29,10 +29,7 @@ CHORD = ("nose", "tail", "up")
 
 @dataclasses.dataclass(frozen=True)
 class Motion:
-    """Shape of the moving nodes, and its parameters by name of the patches, then of the flag.
-
-    `boxes` are the boxes with a file for their lattice, with the two names of their parameters.
-    """
+    """Shape and parameters, by name of the patches, then of the flag; `boxes` with lattices."""
 
     shape: shapes.Chain
     parameters: dict[str, dict[str, Any]]
@@ -84,10 +81,7 @@ def motion(request: Deform, mesh: Mesh, moving: Int[np.ndarray, " m"]) -> Motion
 
 @dataclasses.dataclass(frozen=True)
 class SharedSide:
-    """Moving nodes that the same groups name: the `groups` by number, all `nodes`, and its `own`.
-
-    A node of several sides is the first one's own.
-    """
+    """Moving nodes of the same groups: `groups` by number, `nodes`, and its `own` among them."""
 
     groups: tuple[int, ...]
     nodes: np.ndarray
@@ -289,10 +283,7 @@ def _on_sides(
     entries: tuple[tuple[int | None, ...], str],
     make: Callable,
 ) -> Parametrised:
-    """Makes a shape for each side of an airfoil from a table.
-
-    `entries` are the shape of a side's numbers, and the name of one more entry.
-    """
+    """Makes a shape for each side of an airfoil; `entries`: shape of its numbers, one more name."""
     shape, more = entries
     table = read(str(source), input_path(source).read_bytes()) if isinstance(source, Path) else source or {}
     foreign = set(table) - {*SIDES, more, *CHORD}

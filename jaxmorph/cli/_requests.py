@@ -144,10 +144,7 @@ class BoundaryFlags:
 
 @dataclasses.dataclass(frozen=True)
 class MethodFlags:
-    """The method by its name, its number of sources, and the precision.
-
-    With None the method has its own number of sources on the moving patches.
-    """
+    """The method's name, its number of sources (None: its own default), and the precision."""
 
     SECTION: ClassVar = "method"
 

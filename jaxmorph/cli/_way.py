@@ -123,10 +123,7 @@ def is_kept(bad: list[str], allow_inverted: bool, output: Path, out: Output) -> 
 def say_verdict(
     verdict: jm.Verdict, out: Output, *, is_straight: bool = True, steps: int = 1, more: Sequence[str] = ()
 ) -> None:
-    """Prints the quality before and after a motion, with `more` rows.
-
-    With the gate `--proven`, it says how many cells are proven, and for which instants.
-    """
+    """Prints the quality before and after a motion, `more` rows, and what `--proven` proves."""
     assert verdict.before is not None
     out.say(f"\n{verdict.table(more)}\n", before=verdict.before.facts, after=verdict.facts, gates=verdict.gate_facts)
     for gate in (gate for gate in verdict.gates if gate.name == PROVEN):

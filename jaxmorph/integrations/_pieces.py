@@ -26,10 +26,7 @@ def check_comm(comm: Any) -> None:
 
 
 def faces_of(comm: Any, mesh: jm.Mesh | None, nodes: np.ndarray, is_shared: np.ndarray) -> dict[str, np.ndarray] | None:
-    """Finds a piece's faces (k, corners) of the whole mesh's boundary by type; or None.
-
-    `nodes` (n,) are the whole mesh's ids of the piece's points. Processes raise together.
-    """
+    """Finds a piece's boundary faces (k, corners) by type, from whole ids (n,); or None."""
     if len(set(comm.allgather(mesh is None))) > 1:
         raise ValueError("some processes give a Mesh and some points alone: give a Mesh in all, or points in all.")
     if mesh is None:
@@ -56,10 +53,7 @@ def faces_of(comm: Any, mesh: jm.Mesh | None, nodes: np.ndarray, is_shared: np.n
 def _marked(
     comm: Any, cells: Mapping[str, Any], nodes: np.ndarray, is_shared: np.ndarray
 ) -> Iterator[tuple[str, np.ndarray, np.ndarray, np.ndarray]]:
-    """Yields cells or faces by type with two marks: first in this piece, also in others.
-
-    Other processes are asked only for cells or faces whose nodes are all shared.
-    """
+    """Yields cells or faces by type with two marks: first in this piece, also in others."""
     for kind in sorted(set().union(*comm.allgather(list(cells)))):
         corners = np.asarray(cells.get(kind, np.zeros((0, CORNERS[kind]), dtype=np.int64)))
         rows = np.flatnonzero(is_shared[corners].all(axis=1))
@@ -69,10 +63,7 @@ def _marked(
 
 
 def owned(comm: Any, keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Marks keys, ids (k,) or rows (k, c), that this process has first, and keys that others have.
-
-    Each id has a process that keeps its list, so that no process sees the nodes of all.
-    """
+    """Marks keys, ids (k,) or rows (k, c), that this process has first, or others have too."""
     # Keys go to their keeper, which finds the first of equal keys in the order of the processes.
     # Its answers go back in the order in which it was asked.
     keeper = (keys if keys.ndim == 1 else keys[:, 0]) % comm.size

@@ -84,11 +84,7 @@ class Reader:
         self.spans = [(0, 186)]
 
     def tree(self) -> Node:
-        """Reads the tree of an open file, not its arrays.
-
-        Raises `ValueError` for links, damaged tags, places beyond the file, cycles and overlapping
-        parts.
-        """
+        """Reads the tree of an open file, without arrays; refuses links, cycles and damage."""
         root, below = self._node(self.root)
         waiting, seen = [(root, "", below)], {self.root}
         while waiting:

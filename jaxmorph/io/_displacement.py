@@ -112,10 +112,7 @@ class Shape:
 
 
 def read_shape(path: pathlib.Path) -> Shape:
-    """Reads a surface: .stl (text, binary), .obj (faces, lines), .npz (points with either).
-
-    Raises `ValueError` for other endings and contents, and for simplices beyond the points.
-    """
+    """Reads a surface: .stl (text, binary), .obj (faces, lines), .npz (points with either)."""
     if path.suffix.lower() not in READERS:
         raise ValueError(f"{path}: a surface is read from {', '.join(READERS)}, found the ending {path.suffix!r}.")
     shape = READERS[path.suffix.lower()](path)

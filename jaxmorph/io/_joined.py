@@ -60,10 +60,7 @@ def open_faces(faces: list[np.ndarray], patches: list[np.ndarray], n: int) -> li
 
 
 def shared_nodes(points: np.ndarray, faces: list[np.ndarray]) -> np.ndarray:
-    """Finds each point's first duplicate among the nodes of `faces`; else its own id.
-
-    Duplicates are closer than a thousandth of the shortest edge of `faces` at them.
-    """
+    """Finds each point's first duplicate (see `TOLERANCE`) on `faces`; else its own id."""
     n = len(points)
     size = np.full(n, np.inf)
     for corners in faces:
@@ -89,11 +86,7 @@ def shared_nodes(points: np.ndarray, faces: list[np.ndarray]) -> np.ndarray:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Zones:
-    """All nodes of a file, zone after zone, cells and patches of their ids, and outer faces.
-
-    `names` are names of the patches that the faces become where no other zone meets them; without
-    names such a patch is `unnamed`.
-    """
+    """All nodes, zone after zone, cells and patches of their ids, outer faces and their names."""
 
     points: np.ndarray
     cells: list[tuple[str, np.ndarray]]
@@ -103,10 +96,7 @@ class Zones:
 
 
 def join(zones: Zones) -> tuple[Parts, Joined]:
-    """Joins zones to one mesh in the file's node order, 2-D if z is constant.
-
-    Raises `ValueError` for coordinates that are not finite.
-    """
+    """Joins zones to one mesh in the file's node order, 2-D if z is constant and finite."""
     points = zones.points
     bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
     if bad.size:

@@ -29,10 +29,7 @@ TYPES = {
 
 
 def read(path: pathlib.Path) -> Parts:
-    """Reads points, cells and patches: groups of elements of lower dimension, and of nodes.
-
-    A group of nodes with the name of one of elements, but other nodes, is `NAME_nodes`.
-    """
+    """Reads points, cells and patches: groups of lower dimension, and of nodes (`NAME_nodes`)."""
     with opened(path, what=WHAT) as file:
         name, step = _step(file)
         coordinates = list(_coordinates(file))

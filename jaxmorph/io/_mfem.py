@@ -206,10 +206,7 @@ def _first_of(values: np.ndarray, node: np.ndarray, count: int) -> np.ndarray:
 
 
 def read(path: pathlib.Path) -> Parts:
-    """Reads cells, nodes, and patches: the attributes of boundary elements.
-
-    The patch of attribute 3 is `boundary_3`; named sets of attributes are groups of patches.
-    """
+    """Reads cells, nodes, and patches: attributes of boundary elements, `boundary_3`, and sets."""
     text = path.read_bytes()
     parts = _sections(path, text)
     cells, sides = _elements(parts["elements"]), _elements(parts["boundary"])

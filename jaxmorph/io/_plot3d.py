@@ -24,10 +24,7 @@ WORDS = bytes.maketrans(b",Dd", b" ee")
 
 @dataclasses.dataclass(frozen=True)
 class Form:
-    """How numbers are written: bytes of a record's mark, the type of sizes, types of the others.
-
-    `types` are those of coordinates and IBLANK, None without it. Text is taken as bytes of doubles.
-    """
+    """Types of a record's mark, of sizes, of coordinates and IBLANK (or None); text is doubles."""
 
     mark: int
     head: np.dtype

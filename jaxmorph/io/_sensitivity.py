@@ -126,11 +126,7 @@ def is_foam_file(path: pathlib.Path) -> bool:
 
 
 def read_point_vectors(path: pathlib.Path, mesh: Mesh) -> Float[np.ndarray, "n d"]:
-    """Reads a `pointVectorField` for the nodes of a case's mesh; in 2-D both planes add up.
-
-    Raises `ValueError` for another class of field, another number of points, and a mesh from
-    elsewhere.
-    """
+    """Reads a `pointVectorField` for the nodes of a case's mesh; in 2-D both planes add up."""
     source = source_of(mesh, NAME)
     if source is None:
         raise ValueError(f"{path}: a file of OpenFOAM; it needs a mesh that was read from an OpenFOAM case.")

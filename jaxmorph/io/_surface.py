@@ -46,10 +46,7 @@ def read_surface(path: str | os.PathLike[str], d: int) -> tuple[Int[np.ndarray, 
 def read_table(
     path: pathlib.Path, d: int, wanted: tuple[str, ...] = ()
 ) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, "m d"]]:
-    """Reads node ids and d numbers for each.
-
-    With `wanted`, reads the columns of these headers alone; a binary restart must have them.
-    """
+    """Reads node ids and d numbers for each; with `wanted` those of columns with these headers."""
     text = path.read_bytes()
     if wanted and MAGIC in (int.from_bytes(text[:4], "little"), int.from_bytes(text[:4], "big")):
         return _restart(path, text, wanted[:d])
@@ -82,10 +79,7 @@ def read_table(
 def read_named(
     path: pathlib.Path, names: tuple[str, ...], ids: Int[np.ndarray, " m"] | None = None
 ) -> tuple[Int[np.ndarray, " m"], np.ndarray, str]:
-    """Reads node ids, the one array of an NPZ file that has one of `names`, and its name.
-
-    A file without the array `ids` has rows for `ids`, by default for 0, 1, 2, ...
-    """
+    """Reads node ids (default: `ids`, or 0, 1, 2, ...), the array of an NPZ file, and its name."""
     arrays = read_arrays(path)
     found = [name for name in names if name in arrays]
     if len(found) != 1:

@@ -141,10 +141,7 @@ def _in_2d(before: jm.Mesh, points: Float[np.ndarray, "n 2"], moving: np.ndarray
 
 
 def _in_plane(before: jm.Mesh, points: Float[np.ndarray, "n 3"]) -> tuple[jm.Mesh, np.ndarray, np.ndarray] | None:
-    """Returns one side of a 3-D mesh one cell wide, moving in its plane, as 2-D mesh; or None.
-
-    With it come the moved points in 2-D, and the ids of the nodes on this side.
-    """
+    """Returns a side of a 3-D mesh one cell wide: 2-D mesh, moved points, node ids; else None."""
     base = np.asarray(before.points)
     height, size = base - base.min(axis=0), np.ptp(base, axis=0)
     near = 1e-6 * size.max()

@@ -43,10 +43,7 @@ def outlines(section: Any) -> Any:
 
 
 def outside(mesh: jm.Mesh, points: Any, values: Any, patch: str | None) -> Any:
-    """Returns outer faces, or a patch's faces, for pyvista; `ValueError` where there are none.
-
-    Faces of polyhedra are whole. Curved faces are cut; `whole` is then the face of each piece.
-    """
+    """Returns outer faces, of all or a patch; `whole` is the face of a piece of a curved one."""
     on_patch = None if patch is None else mesh.patch(patch)
     if mesh.is_curved:
         faces = _curved_faces(mesh, points, values, on_patch)

@@ -243,10 +243,7 @@ class Cells:
         return np.arange(len(self.ids)) if window is None else self.inside(window)
 
     def edges(self, cells: Int[np.ndarray, " s"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Lists edges (e, m, 2) of cells, their counts, and the width (e,) of the narrowest cell.
-
-        Edges between two pieces of one polygon are left out.
-        """
+        """Lists edges (e, m, 2) of whole cells, their counts, and the narrowest widths (e,)."""
         ids = self.ids[cells]
         ends = np.sort(np.stack([ids, np.roll(ids, -1, axis=1)], axis=2), axis=2)
         keys = np.concatenate([ends, self.between[cells][:, :, None]], axis=2)

@@ -196,10 +196,7 @@ def _in_front(actor: Any) -> None:
 
 
 def viewer_of(part: Any, motion: np.ndarray | None = None) -> np.ndarray:
-    """Chooses the viewer's direction: not into a surface open at a side, as a half wing's root.
-
-    A motion (3,) should be seen too, across the view.
-    """
+    """Chooses the viewer's direction: not into an open surface, but across a motion (3,)."""
     only_rim = dict.fromkeys(("feature_edges", "manifold_edges", "non_manifold_edges"), False)
     viewer, rim = np.array(VIEWER), np.asarray(part.extract_feature_edges(**only_rim).points, dtype=float)
     if not len(rim):
@@ -344,10 +341,7 @@ def whole_view(
     viewer: Sequence[float] | np.ndarray,
     free: tuple[float, float, float, float],
 ) -> Float[np.ndarray, " 10"]:
-    """Places a camera without perspective: position, target, upwards, half the height that it sees.
-
-    All points are in a window of this width and height, within the margins.
-    """
+    """Places a camera without perspective: position, target, upwards, half the height in view."""
     axes, tall = np.stack(view_axes(viewer)), window[1] / window[0]
     seen, (left, right, below, above) = points @ axes.T, free
     low, high = seen.min(axis=0), seen.max(axis=0)

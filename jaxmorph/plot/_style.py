@@ -45,10 +45,7 @@ def finite(points: Any) -> np.ndarray:
 
 
 def cell_values(mesh: jm.Mesh, values: Any) -> np.ndarray:
-    """Returns a value for each of `mesh.cells`: pieces of a polyhedron have that of the whole.
-
-    Raises `ValueError` unless there is one value a cell, or a whole cell.
-    """
+    """Returns a value for each of `mesh.cells`, from one a cell, or one a whole polyhedron."""
     cells, known = len(mesh.cell_ids), f"{len(mesh.cell_ids)} cells"
     if mesh.polyhedra is not None and np.shape(values) != (cells,):
         faces = mesh.polyhedra.faces
@@ -62,10 +59,7 @@ def cell_values(mesh: jm.Mesh, values: Any) -> np.ndarray:
 
 
 def colour_scale(limits: Limits | None, colours: str = COLOURS) -> tuple[str, Limits | None]:
-    """Returns the colour map and its limits, ascending; reversed where the dark end is smaller.
-
-    Raises `ValueError` unless the limits are two finite numbers that differ.
-    """
+    """Returns the colour map and its limits, ascending; reversed where the dark end is smaller."""
     if limits is None:
         return colours, None
     if np.shape(limits) != (2,) or not np.isfinite(limits).all() or limits[0] == limits[1]:

@@ -29,11 +29,7 @@ OUTSIDE = 2.0
 
 
 class BoxPart(AbstractPart):
-    """Moves nodes in a box by its control points.
-
-    The control points go through the variables in the order of the file: a rotation turns the
-    positions after the variables before it.
-    """
+    """Moves nodes in a box by its control points, which the variables move in the file's order."""
 
     rows: tuple[int, ...] = eqx.field(static=True)
     variables: tuple[Variable, ...] = eqx.field(static=True)
@@ -158,10 +154,7 @@ TURNS = {"FFD_ROTATION": _rotation, "FFD_CONTROL_SURFACE": _control_surface, "FF
 
 
 def boxes_of(options: Options, mesh: Mesh, moving: Sequence[str], is_setting: bool) -> tuple[io.Box, ...]:
-    """Lists the mesh's boxes; if it has none, or with `is_setting`, boxes of `FFD_DEFINITION`.
-
-    Raises `ValueError` for nested boxes, and for numbers that do not fit.
-    """
+    """Lists the mesh's boxes; without any, or with `is_setting`, those of `FFD_DEFINITION`."""
     options.choice("FFD_COORD_SYSTEM", "CARTESIAN", "CARTESIAN")
     present = () if is_setting else io.boxes(mesh)
     if not present and "FFD_DEFINITION" in options:
@@ -238,10 +231,7 @@ def _of_spline(places: Float[np.ndarray, "k d"], shape: shapes.Hexahedron) -> Fl
 def box_parts(
     options: Options, listed: Sequence[Variable], mesh: Mesh, moving: Sequence[str], boxes: Sequence[io.Box]
 ) -> list[AbstractPart]:
-    """Makes a part for each box, of the variables that move its control points.
-
-    Raises `ValueError` for an unknown box or control point.
-    """
+    """Makes a part for each box, of the variables that move its control points."""
     _check_boxes(listed, boxes)
     nodes, parts = mesh.patch(*moving), []
     taken = np.zeros(len(nodes), bool)

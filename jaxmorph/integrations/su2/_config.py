@@ -212,11 +212,7 @@ def _shape(
 
 
 def _free_coordinates(mesh: Mesh, moving: Sequence[str], planes: Sequence[str]) -> Bool[np.ndarray, "m d"]:
-    """Marks coordinates of the moving nodes that may change.
-
-    A node of a patch of `planes` stays in the plane: its axis is that along which the patch is
-    thinnest, as in SU2.
-    """
+    """Marks coordinates that may change: on `planes` all but that across the patch."""
     nodes, points = mesh.patch(*moving) if moving else np.zeros(0, int), np.asarray(mesh.points, float)
     free = np.ones((len(nodes), points.shape[1]), bool)
     for name in planes:

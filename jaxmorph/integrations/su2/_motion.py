@@ -32,10 +32,7 @@ class AbstractPart(eqx.Module):
 
 
 class WallPart(AbstractPart):
-    """The displacement by all variables of one kind, by its function in `MOVES`.
-
-    `data` is what the function needs of the undeformed wall.
-    """
+    """The displacement by all variables of one kind; `data` is the wall's, for `MOVES`."""
 
     rows: tuple[int, ...] = eqx.field(static=True)
     move: Callable[..., Float[Array, "m d"]] = eqx.field(static=True)
@@ -74,10 +71,7 @@ class DesignVariables(shapes.AbstractShape):
 
 
 def wall_parts(options: Options, listed: Sequence[Variable], mesh: Mesh, moving: Sequence[str]) -> list[AbstractPart]:
-    """Makes a part of the variables of each kind that moves no boxes.
-
-    Raises `ValueError` for parameters that do not fit the mesh.
-    """
+    """Makes a part of the variables of each kind that moves no boxes."""
     parts: list[AbstractPart] = []
     for kind in dict.fromkeys(variable.kind for variable in listed if variable.kind in MOVES):
         members = [variable for variable in listed if variable.kind == kind]

@@ -83,10 +83,7 @@ SEPARATORS = re.compile(r"[\s()\[\]{}:,]+")
 
 
 class Options:
-    """Options of a config file by name: `NAME= value`.
-
-    A `%` begins a comment, a backslash at the end of a line continues it.
-    """
+    """Options of a config file, `NAME= value`; `%` begins a comment, a backslash continues."""
 
     def __init__(self, path: pathlib.Path, values: Mapping[str, str]):
         self.path, self.values = path, dict(values)

@@ -133,10 +133,7 @@ def _nodes_of(zone: Zone, condition: Condition) -> np.ndarray | None:
 
 
 def _nodes(zone: Zone, name: str, place: str, chosen: np.ndarray, is_range: bool) -> np.ndarray | None:
-    """Finds nodes of a range or list of points, faces or elements; None for a region of cells.
-
-    A range may run backwards. One that ends before the first node is empty.
-    """
+    """Finds nodes of points, faces or elements, also of ranges backwards; None for cells."""
     chosen = np.atleast_2d(chosen).astype(np.int64)
     first, last = chosen.reshape(2, -1) if is_range else (chosen, chosen)
     if not chosen.size or ((last < first) & (last < 1)).any():

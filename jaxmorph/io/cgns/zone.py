@@ -33,10 +33,7 @@ class Ragged:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Block:
-    """Cells of one type by their corner ids (k, corners).
-
-    `cell` (k,) is the polyhedral cell that each is, or is a piece of; None for other sections.
-    """
+    """Cells of one type by corner ids (k, corners), and their polyhedral cells (k,), or None."""
 
     kind: str
     corners: np.ndarray
@@ -60,10 +57,7 @@ def polyhedra(
 
 
 def _faces(polygons: dict[int, Ragged], cells: list[Ragged]) -> Faces:
-    """Joins all sections: the faces that cells have, with the cells on both sides.
-
-    Raises `ValueError` for cells with missing faces, and for faces of more than two cells.
-    """
+    """Joins all sections' faces, with the cells on both sides; refuses missing and surplus ones."""
     begins = np.concatenate([begin + np.arange(len(rows)) for begin, rows in sorted(polygons.items())])
     parts = [rows for _, rows in sorted(polygons.items())]
     labels = np.concatenate([rows.values for rows in parts])
@@ -247,10 +241,7 @@ class _Section:
             raise self.error(f"names vertices beyond 1 to {self.zone.count}")
 
     def ragged(self, least: int) -> Ragged:
-        """Cuts the numbers into faces or cells, of `least` numbers or more each.
-
-        Before version 4 of CGNS each row begins with its count, later offsets cut the numbers.
-        """
+        """Cuts the numbers by offsets, before version 4 by counts; `least` numbers a row."""
         count, what = (
             len(self.values),
             f"numbers are not {self.count} rows of a count, {least} or more, and so many numbers",

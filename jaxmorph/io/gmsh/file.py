@@ -163,10 +163,7 @@ def check(path: pathlib.Path, mesh: MeshLike) -> None:
 
 
 def write(path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arrays) -> None:
-    """Writes the mesh's own file with new coordinates; else a new binary file of version 2.2.
-
-    There a patch is a physical group, with the boundary faces between its nodes as elements.
-    """
+    """Writes the own file with new coordinates, or version 2.2, binary, with patches as groups."""
     source = source_of(mesh, NAME)
     with path.open("wb") as file:
         content = None if source is None else source.content

@@ -345,10 +345,7 @@ def _numbered(stream: Stream) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
 
 
 def _of_version_2(kind: str, corners: np.ndarray, table: np.ndarray) -> Elements:
-    """Finds groups of elements: `table` (k, 2) has tags of physical group (0: none) and entity.
-
-    In version 2 an element of two groups stands twice, with the second group: it is read once.
-    """
+    """Finds groups by tags of group (0: none) and entity; elements of two groups are read once."""
     physical, entity = np.abs(table[:, 0]), table[:, 1]
     tags = np.unique(physical[physical > 0]).tolist()
     groups: dict[int, np.ndarray | None] = {tag: np.flatnonzero(physical == tag) for tag in tags}

@@ -39,10 +39,7 @@ PLANES = ("empty", "wedge")
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _CaseContent:
-    """A case's file of points, its values, the folder of faces, and the planes of a 2-D case.
-
-    `shared` are the points (k,) of the file that other parts of a decomposed case have too.
-    """
+    """A case's file of points, its values, the folder of faces, planes in 2-D, shared points."""
 
     file: FoamFile
     points: np.ndarray
@@ -171,10 +168,7 @@ def check_new(path: pathlib.Path, case: pathlib.Path, remedy: str) -> None:
 
 
 def write(path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arrays) -> None:
-    """Writes `points` in a time folder, or a new case: `constant`, `system`, `0`, `0.orig`.
-
-    Warns of a decomposed case: its parts keep the old points.
-    """
+    """Writes `points` in a time folder, or a new case; warns of old points in its parts."""
     content, points = content_of(mesh), file_points(mesh)
     case = _case_of(content.topology)
     parts = [] if case is None else [part for part in case.glob("processor*") if part.is_dir()]

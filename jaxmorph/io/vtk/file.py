@@ -98,11 +98,7 @@ def _data(path: pathlib.Path) -> tuple[Any, Any]:
 
 
 def _joined(named: list[tuple[str, Any]]) -> Any:
-    """Joins pieces and blocks, without ghost cells.
-
-    Blocks of lower dimension, such as a boundary's, are patches if their points are points of the
-    mesh.
-    """
+    """Joins pieces and blocks without ghost cells; blocks of lower dimension become patches."""
     grids = [(name, vtk.unstructured(data)) for name, data in named]
     levels = [vtk.dimension_of(grid) for _, grid in grids]
     joined = vtk.vtk("vtkFiltersCore").vtkAppendFilter()

@@ -83,10 +83,7 @@ def checked(raw: bytes) -> tuple[bytes, Encoding]:
 
 @dataclasses.dataclass
 class _Sections:
-    """Goes through a file as VTK does: `at` is its place, `section` the line that began the last.
-
-    VTK crashes where it takes other bytes for an array than a file means.
-    """
+    """Goes through a file as VTK does, to its place `at`, before VTK crashes on it."""
 
     raw: bytes
     at: int

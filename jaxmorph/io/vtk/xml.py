@@ -1,7 +1,4 @@
-"""VTK's XML files, whose sizes are checked before VTK reads them.
-
-VTK asks for memory as the file's numbers say, and takes lists in text as far as they go.
-"""
+"""VTK's XML files; their sizes are checked, because VTK trusts them when it asks for memory."""
 
 import base64
 import binascii
