@@ -1,9 +1,4 @@
-"""MFEM's .mesh, versions 1.0 to 1.3, straight or of order 1 to 4 (mfem.org/mesh-formats).
-
-Nodes are the coordinates of a finite element space: H1, continuous, or L2_T1, whose cells have
-nodes of their own. From order 3 on MFEM's nodes are at Gauss-Lobatto places, the mesh's at equal
-steps: the coordinates of the file are computed anew where cells have changed.
-"""
+"""MFEM's .mesh, versions 1.0 to 1.3, straight or of order 1 to 4 (mfem.org/mesh-formats)."""
 
 import dataclasses
 import pathlib
@@ -109,7 +104,7 @@ def _inner(element: Elements, order: int) -> np.ndarray:
 
 
 def at_places(cells: dict[str, np.ndarray], points: np.ndarray, *, are_lobatto: bool) -> np.ndarray:
-    """Computes the nodes of cells at Gauss-Lobatto places from those at equal steps, or back."""
+    """Takes nodes at equal steps to MFEM's Gauss-Lobatto places (from order 3 on), or back."""
     moved = points.copy()
     for kind, ids in cells.items():
         matrix = np.linalg.inv(to_lobatto(kind)) if are_lobatto else to_lobatto(kind)

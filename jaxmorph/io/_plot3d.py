@@ -1,8 +1,4 @@
-"""PLOT3D grids: one or many blocks, 2-D or 3-D, text, Fortran records or binary, single or double.
-
-A file does not say which of these it is; the form whose sizes fit the file to the byte is taken.
-IBLANK stays in the file, and is ignored.
-"""
+"""PLOT3D grids: one or many blocks, text, records or binary; the form is the one that fits."""
 
 import dataclasses
 import math

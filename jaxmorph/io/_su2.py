@@ -1,8 +1,4 @@
-"""SU2's native mesh format, 2-D and 3-D (su2code.github.io/docs_v7/Mesh-File).
-
-A mesh from an SU2 file goes back into a copy of its text, with new coordinates and nothing else
-changed. A file of several zones is several meshes.
-"""
+"""SU2's native mesh format, 2-D and 3-D (su2code.github.io/docs_v7/Mesh-File)."""
 
 import collections
 import dataclasses

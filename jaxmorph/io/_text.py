@@ -1,7 +1,4 @@
-"""Numbers in large text files: read in bulk, rounded correctly, and replaced where they stand.
-
-`scan` finds the numbers (runs of non-blank bytes) of many lines at once with NumPy.
-"""
+"""Numbers in large text files: read in bulk, rounded correctly, and replaced where they stand."""
 
 import dataclasses
 import io

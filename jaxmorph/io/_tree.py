@@ -1,7 +1,7 @@
 """The tree of a CGNS, MED or Exodus file, in HDF5, in ADF or in classic netCDF.
 
-Classic netCDF is CDF-1, CDF-2 and CDF-5 of Unidata's "NetCDF Classic Format Specification". A
-header lists dimensions, attributes and variables with their places. All numbers are big-endian.
+Classic netCDF is CDF-1, CDF-2 and CDF-5 of Unidata's "NetCDF Classic Format Specification": a
+header of dimensions, attributes and variables with their places, and big-endian numbers.
 """
 
 import contextlib

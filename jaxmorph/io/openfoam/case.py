@@ -1,7 +1,4 @@
-"""OpenFOAM's cases: `constant/polyMesh`, ascii or binary, plain or compressed (doc.openfoam.com).
-
-Only `points` is written, into a time folder of the case or into a copy of the case.
-"""
+"""OpenFOAM's cases: `constant/polyMesh`, text or binary, plain or compressed (doc.openfoam.com)."""
 
 import contextlib
 import dataclasses

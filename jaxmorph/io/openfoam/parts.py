@@ -106,6 +106,7 @@ class Decomposed:
         return self.folder(k) / "constant" / self.region / "polyMesh"
 
     def folder(self, k: int) -> pathlib.Path:
+        """Returns the folder of part `k`. Raises `ValueError` for a part that is not there."""
         if isinstance(k, bool) or not isinstance(k, int | np.integer) or not 0 <= k < self.count:
             raise ValueError(f"{self.path}: `k` is {k!r}; parts have the numbers 0 to {self.count - 1}.")
         return self.path / f"processor{k}"
