@@ -52,7 +52,7 @@ class Attempt:
         return self.motion.path(self.base[self.patches.nodes], steps)
 
     def way(self, chunks: Chunks, steps: int, done: Callable[[float], None] = lambda share: None) -> Way:
-        """Moves the points by chunks, in double precision; keeps all steps for `--proven`."""
+        """Moves the points by chunks, in double precision; only `--proven` keeps all steps."""
         path, base, wall = self.path(steps), self.base, self.patches.nodes
         ends = {step: base.copy() for step in (range(steps) if self.request.gates.proven else [steps - 1])}
         is_moved, is_straight = np.zeros(len(base), dtype=bool), True
