@@ -96,7 +96,7 @@ class Zones:
 
 
 def join(zones: Zones) -> tuple[Parts, Joined]:
-    """Joins zones to one mesh in the file's node order, 2-D if z is constant and finite."""
+    """Joins zones to one mesh in the file's order, 2-D if z is constant; refuses NaN."""
     points = zones.points
     bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
     if bad.size:

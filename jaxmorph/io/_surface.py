@@ -79,7 +79,7 @@ def read_table(
 def read_named(
     path: pathlib.Path, names: tuple[str, ...], ids: Int[np.ndarray, " m"] | None = None
 ) -> tuple[Int[np.ndarray, " m"], np.ndarray, str]:
-    """Reads node ids (default: `ids`, or 0, 1, 2, ...), the array of an NPZ file, and its name."""
+    """Reads node ids (if absent `ids`, or 0, 1, 2, ...), an array of `names`, and its name."""
     arrays = read_arrays(path)
     found = [name for name in names if name in arrays]
     if len(found) != 1:
