@@ -6,10 +6,9 @@ import pathlib
 def run(output: pathlib.Path, *, points: int | None = None) -> int:
     """Shows the case: tables on the terminal, pictures and meshes in the folder `output`.
 
-    `points` asks for a smaller or larger mesh than the paper's. Returns 0, or 1 when a method has
-    inverted a cell. It needs float64: switch JAX's x64 mode on first.
-
-    Raises `ImportError` where an extra (`plot`, `io`) is missing.
+    `points` asks for another mesh size than the paper's. Returns 0, or 1 for an inverted cell.
+    Needs float64: switch JAX's x64 mode on first. Raises `ImportError` for a missing extra (`plot`,
+    `io`).
     """
     from . import _airfoil
 

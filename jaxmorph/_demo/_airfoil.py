@@ -32,10 +32,8 @@ STYLE: dict[Any, Any] = {"font.size": 13, "axes.titlesize": 15, "axes.labelsize"
 AIRFOIL: plot.Window = ((-0.35, 1.45), (-0.62, 0.48))
 TRAILING_EDGE: plot.Window = ((0.915, 1.035), (-0.2325, -0.1592))
 LARGEST = 0.5
-"""The skewness at the dark end of the scale."""
 
 REDUCED = ("#08306b", "#2171b5", "#6baed6", "#9ecae1")
-"""Fewest sources first."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -63,7 +61,6 @@ class Outcome:
 
     @property
     def skewness(self) -> list[tuple[float, float]]:
-        """Mean and maximum at each angle."""
         return [(float(report.mean_skewness), float(report.max_skewness)) for report in self.reports]
 
     @property
@@ -77,7 +74,6 @@ def say(what: str) -> None:
 
 
 def run(output: pathlib.Path, *, points: int | None = None) -> int:
-    """Runs the whole comparison; returns 1 when a cell was inverted."""
     mesh = cases.naca0015() if points is None else cases.naca0015(points=points)
     output.mkdir(parents=True, exist_ok=True)
     say("generating the mesh, judging it")
@@ -104,7 +100,6 @@ def run(output: pathlib.Path, *, points: int | None = None) -> int:
 
 
 def compare(mesh: jm.Mesh) -> list[Study]:
-    """Compares the paper's three methods; the third with four numbers of sources on the wall."""
     points = np.asarray(mesh.points)
     wall, far = points[mesh.patch("airfoil")], points[mesh.patch("farfield")]
     every = jm.RBF.classic()
@@ -188,7 +183,6 @@ once more: for the three steps again.
 
 
 def write(path: pathlib.Path, mesh: jm.Mesh, points: np.ndarray, values: dict[str, np.ndarray]) -> list[pathlib.Path]:
-    """Writes a mesh for SU2, and a mesh with displacements and `values` of cells to look at."""
     moved, picture = mesh.moved(points), path.with_suffix(".vtu")
     io.write(path, moved)
     io.write(picture, moved, point_data={"displacement": points - mesh.points}, cell_data=values)
@@ -196,7 +190,6 @@ def write(path: pathlib.Path, mesh: jm.Mesh, points: np.ndarray, values: dict[st
 
 
 def table(heads: Sequence[tuple[str, ...]], rows: Sequence[tuple[str, ...]]) -> str:
-    """Formats rows with a rule under the heads."""
     first, *others = [max(map(len, column)) for column in zip(*heads, *rows, strict=True)]
     lines = [
         "  ".join([name.ljust(first), *(cell.rjust(width) for cell, width in zip(cells, others, strict=True))]).rstrip()
@@ -207,7 +200,6 @@ def table(heads: Sequence[tuple[str, ...]], rows: Sequence[tuple[str, ...]]) -> 
 
 
 def figure5(path: pathlib.Path, mesh: jm.Mesh, outcomes: Sequence[Outcome]) -> None:
-    """Draws the deformed meshes of some methods side by side."""
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(13.33, 7.5), dpi=150, layout="constrained")
         axes = figure.subplots(2, len(outcomes), squeeze=False)
@@ -230,7 +222,6 @@ def figure5(path: pathlib.Path, mesh: jm.Mesh, outcomes: Sequence[Outcome]) -> N
 
 
 def figure6(path: pathlib.Path, start: jm.QualityReport, outcomes: Sequence[Outcome], angles: Sequence[float]) -> None:
-    """Draws mean and largest skewness against the angle."""
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(13.33, 5.6), dpi=150, layout="constrained")
         axes = figure.subplots(1, 2)
@@ -249,7 +240,6 @@ def figure6(path: pathlib.Path, start: jm.QualityReport, outcomes: Sequence[Outc
 
 
 def _styles(outcomes: Sequence[Outcome]) -> list[dict]:
-    """Chooses colours by family of methods; markers and dashes differ too."""
     styles, shades, markers = [], iter(REDUCED), iter("o^vD")
     for outcome in outcomes:
         method = outcome.study.method

@@ -28,7 +28,7 @@ PREFIX = "patch:"
 
 MARKERS = ("patch", "patch_id", "patchid", "marker", "boundary", "boundary_id", "cellentityids", "medit:ref")
 MARKERS += ("modelfaceid", "facet_tags", "name_to_read")
-"""Names in lower case of arrays whose numbers name patches."""
+"""Names, in lower case, of arrays whose numbers name patches."""
 
 BOUNDING = "gmsh:bounding_entities"
 """meshio's name of a set of cells that is no physical group."""
@@ -37,7 +37,7 @@ LAGRANGE = {
     **{"VTK_LAGRANGE_CURVE": "line", "VTK_LAGRANGE_TRIANGLE": "triangle", "VTK_LAGRANGE_QUADRILATERAL": "quad"},
     **{"VTK_LAGRANGE_TETRAHEDRON": "tetra", "VTK_LAGRANGE_HEXAHEDRON": "hexahedron", "VTK_LAGRANGE_WEDGE": "wedge"},
 }
-"""meshio's names of VTK's cells of any order, of which the number of nodes tells the order."""
+"""meshio's names of VTK's cells of any order; the number of nodes tells the order."""
 
 LEVELS = ("point", "curve", "surface", "volume")
 """gmsh's names of the dimensions."""
@@ -50,10 +50,10 @@ Arrays = Mapping[str, Any]
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Origin:
-    """The mesh of another library that a mesh came from, and numbers of the mesh's cells by type.
+    """The foreign mesh that a mesh came from, and numbers of the mesh's cells by type.
 
-    `polyhedra` and `cell_ids` are as in `Mesh`, `notes` sentences on what was left, or has another
-    name. It is compared by identity, as a static field of a pytree must be.
+    `polyhedra` and `cell_ids` are as in `Mesh`, `notes` sentences on what was left out or renamed.
+    Compared by identity, as a static field of a pytree must be.
     """
 
     content: Any
@@ -64,7 +64,7 @@ class Origin:
 
 
 class Patch(NamedTuple):
-    """A set of nodes called `name`, and what it is by itself, `nodes_10` for node set 10."""
+    """A set of nodes called `name`, and its own name, `nodes_10` for node set 10."""
 
     name: str
     own: str
@@ -72,9 +72,9 @@ class Patch(NamedTuple):
 
 
 def distinct(patches: Iterable[Patch]) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
-    """Gives each set of nodes a name, and says in sentences where two had one.
+    """Gives each set of nodes a name, and notes duplicate names, of which the first one stays.
 
-    The first one keeps it, others add what they are. Sets of the same name and nodes are one.
+    Other sets add their own name. Sets of the same name and nodes are one.
     """
     found: dict[str, np.ndarray] = {}
     notes = []
@@ -91,7 +91,6 @@ def distinct(patches: Iterable[Patch]) -> tuple[dict[str, np.ndarray], tuple[str
 
 
 def gathered(pairs: Iterable[tuple[Any, np.ndarray]]) -> dict[Any, np.ndarray]:
-    """Joins the arrays of each key, in the order in which keys first come."""
     parts: dict[Any, list[np.ndarray]] = {}
     for key, rows in pairs:
         parts.setdefault(key, []).append(rows)
@@ -103,7 +102,6 @@ def numbers_of_cells(cells: Mapping[str, Any]) -> dict[str, int]:
 
 
 def intact_source(mesh: Any) -> Any:
-    """Returns what a mesh came from; None if the mesh has other cells by now."""
     known = getattr(mesh.source, "cells", None)
     return mesh.source if known in (None, numbers_of_cells(mesh.cells)) else None
 
@@ -112,8 +110,8 @@ def intact_source(mesh: Any) -> Any:
 class Grid:
     """A mesh of another library: `blocks` of one cell type; `cell_data` has one array a block.
 
-    `outer` are the nodes of the outer faces, None where those of the cells tell them; `content` is
-    the library's own mesh.
+    `outer` are the nodes of the outer faces, None where the cells tell them; `content` is the
+    library's own mesh.
     """
 
     points: np.ndarray
@@ -135,7 +133,6 @@ class Grid:
 
 
 def of_meshio(mesh: Any) -> Grid:
-    """Reads points, cells and arrays of a meshio mesh. Raises `ValueError` for unknown types."""
     names = ("point_data", "cell_data", "cell_sets", "field_data")
     if not all(hasattr(mesh, name) for name in ("points", "cells", *names)):
         raise ValueError(f"`mesh` must be a meshio.Mesh, not {shown(mesh)}. Call Mesh.from_meshio(meshio.read(path)).")
@@ -152,7 +149,6 @@ def _of_size(shape: str, size: int) -> str:
 
 
 def kind_of_block(kind: str, ids: np.ndarray) -> tuple[str, np.ndarray]:
-    """Names the type of a meshio block as here, and orders its nodes canonically."""
     shape, order = LAGRANGE.get(kind), MESHIO
     if shape is not None and len(ids):
         kind, order = _of_size(shape, ids.shape[1]), VTK_ORDER
@@ -162,10 +158,7 @@ def kind_of_block(kind: str, ids: np.ndarray) -> tuple[str, np.ndarray]:
 
 
 def block_of(kind: str, ids: Any) -> tuple[str, np.ndarray]:
-    """Names a cell type as meshio does, and orders its nodes as meshio's files need them.
-
-    Cells of order 3 and more are VTK's of any order, where it has them.
-    """
+    """Names a cell type as meshio does (VTK's from order 3 on), and orders its nodes so."""
     ids, shape = np.asarray(ids), SHAPES[kind]
     if kind == shape or kind in VTK_QUADRATIC or shape not in VTK_LAGRANGE:
         return kind, reordered(kind, ids, None, MESHIO)
@@ -173,7 +166,6 @@ def block_of(kind: str, ids: Any) -> tuple[str, np.ndarray]:
 
 
 def imported(name: str, extra: str) -> Any:
-    """Imports an optional package. Raises `ImportError`, with the remedy, if it is missing."""
     try:
         return importlib.import_module(name)
     except ImportError as error:
@@ -222,7 +214,6 @@ def _cells(grid: Grid) -> dict[str, np.ndarray]:
 
 
 def _points(grid: Grid, cells: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Returns coordinates, without z if all z of a mesh of faces are equal; checks them and ids."""
     points = grid.points.astype(float)
     if DIMENSION[next(iter(cells))] == 2 and points.shape[1] == 3 and np.ptp(points[:, 2]) == 0:
         points = points[:, :2]
@@ -237,7 +228,6 @@ def _points(grid: Grid, cells: Mapping[str, np.ndarray]) -> np.ndarray:
 
 
 def _sets(grid: Grid) -> Iterator[Patch]:
-    """Yields arrays `patch:NAME`, sets of cells that are no regions, and sets of points."""
     for name, values in grid.point_data.items():
         if name.startswith(PREFIX) and np.ndim(values) == 1:
             yield Patch(urllib.parse.unquote(name.removeprefix(PREFIX)), "array", np.flatnonzero(values))
@@ -267,10 +257,7 @@ def _physical(grid: Grid) -> Iterator[Patch]:
 
 
 def _marked(grid: Grid) -> tuple[str, dict[str, np.ndarray]]:
-    """Makes patches by the first array of `MARKERS`, on cells of lower dimension or points.
-
-    On points, 0 means inside. The name of the array comes first.
-    """
+    """Makes patches by the first array of `MARKERS`, and names it; on points 0 means inside."""
     for name in _markers(grid.cell_data):
         patches = gathered(
             (f"{name}_{int(number)}", corners[values == number].ravel())
@@ -289,10 +276,7 @@ def _marked(grid: Grid) -> tuple[str, dict[str, np.ndarray]]:
 
 
 def _left(grid: Grid, taken: str) -> Iterator[str]:
-    """Yields sentences on sets of cells of full dimension, and on numbers that are no patches.
-
-    `taken` is the array that has become patches.
-    """
+    """Yields notes on sets of cells of full dimension, and on numbers that are no patches."""
     sets = [(name, grid.of_blocks(members, full=True)) for name, members in grid.cell_sets.items() if name != BOUNDING]
     yield from regions_note(name for name, blocks in sets if any(np.size(ids) for *_, ids in blocks if ids is not None))
     for what, name, parts in _arrays(grid):
@@ -314,7 +298,6 @@ def _arrays(grid: Grid) -> Iterator[tuple[str, str, list[Any]]]:
 
 
 def _numbers(parts: list[np.ndarray]) -> list[int]:
-    """Lists the numbers in arrays of integers; none for zeros, and for ids, once each."""
     if not parts or any(values.ndim != 1 or values.dtype.kind not in "iu" for values in parts):
         return []
     values = np.concatenate(parts)
@@ -333,14 +316,12 @@ def _markers(arrays: Arrays) -> list[str]:
 
 
 def _are_whole(values: Any) -> bool:
-    """Checks whether values are whole numbers (k,), as ints or floats, without NaN."""
     return np.ndim(values) == 1 and bool((values == np.floor(values)).all())
 
 
 def checked_parts(
     points: Any, cells: Mapping[str, Any] | None, patches: Mapping[str, Any] | None, source: Any = None
 ) -> Parts:
-    """Returns floats, cells by type in alphabetical order, and unique ids by patch."""
     points, ids, names = floats(points), {}, {}
     for kind, corners in sorted((cells or {}).items(), key=lambda item: canonical_type(item[0])):  # as JAX sorts keys
         canonical = canonical_type(kind)
@@ -384,7 +365,6 @@ def floats(points) -> Any:
 
 
 def ids_of(values) -> np.ndarray:
-    """Returns node ids as an array. Raises `ValueError` for numbers that are no integers."""
     ids = np.asarray(values)
     if ids.size == 0:
         return ids.astype(np.int64)

@@ -84,10 +84,7 @@ def _points(mesh: Parts, old: np.ndarray | None) -> np.ndarray:
 
 
 def _checked(mesh: Parts, point_data: Arrays | None, cell_data: Arrays | None) -> tuple[Arrays, Arrays]:
-    """Checks that arrays have a row for each point or cell, and adds patches as arrays of points.
-
-    Vectors of a 2-D mesh get a third component 0.
-    """
+    """Checks lengths, adds patches as point arrays, and a third component 0 to 2-D vectors."""
     cells = sum(map(len, mesh.cells.values()))
     both = []
     for arrays, rows, what in ((point_data, len(mesh.points), "points"), (cell_data, cells, "cells")):

@@ -1,8 +1,7 @@
 """Cells made of OpenFOAM's faces: tetrahedra, pyramids, wedges, hexahedra, in VTK's node order.
 
 OpenFOAM's files hold polygons and the two cells beside them. The type of a cell follows from the
-number of its faces and their corners. Its numbering follows from one face, the base, and from the
-edges that leave the base.
+counts of its faces and corners, its numbering from one face, the base, and the edges that leave it.
 """
 
 import dataclasses
@@ -14,7 +13,6 @@ from .._host.cells.adjacency import columns_of, sorted_columns, twins
 from .._host.cells.topology import FACES
 
 BLOCK = 1 << 13
-"""Cells that are examined together."""
 
 _SHAPES = {"tetra": (4, 4, 0), "pyramid": (5, 4, 1), "wedge": (5, 2, 3), "hexahedron": (6, 0, 6)}
 """Numbers of faces, of triangles and of quads by type."""
@@ -27,8 +25,7 @@ _LAST = {"tetra": 4, "pyramid": 5, "wedge": 6, "hexahedron": 8}
 class Faces:
     """Polygons, and the cells on their two sides.
 
-    - `labels`: node ids of all faces in a row.
-    - `starts`: where faces begin in `labels`, and the end.
+    - `labels`, `starts`: node ids of all faces in a row; where faces begin in them, and the end.
     - `owner`: the cell from which a face points outward.
     - `neighbour`: the cell on the other side, -1 for an outer face. Outer faces at the end may be
       missing.
@@ -51,10 +48,7 @@ class Faces:
         return np.append(self.neighbour, np.full(len(self.owner) - len(self.neighbour), -1, self.neighbour.dtype))
 
     def corners(self, faces: np.ndarray, size: int) -> np.ndarray:
-        """Gathers node ids (..., size) of faces with `size` corners, outward for the cell.
-
-        `~f` is face f as its neighbour sees it.
-        """
+        """Gathers ids (..., size) of faces of `size` corners; `~f` is f seen by its neighbour."""
         # A window of `size` labels is one element of a void type, at every place where a face may
         # begin. So one index gathers all corners of a face.
         start = self.starts[np.where(faces < 0, ~faces, faces)]
@@ -73,14 +67,10 @@ class Faces:
         return corners
 
     def nodes(self, first: int, last: int) -> np.ndarray:
-        """Returns the nodes of the faces from `first` up to `last`, with repetitions."""
         return self.labels[self.starts[first] : self.starts[last]]
 
     def of_cells(self) -> tuple[np.ndarray, np.ndarray]:
-        """Lists the faces of all cells, cell by cell, and where cells begin, with the end.
-
-        `~f` stands for face f if the cell is its neighbour.
-        """
+        """Lists faces cell by cell, `~f` for the neighbour; where cells begin, and the end."""
         # A sparse matrix sorts the sides of faces by cell: its columns are sides, its rows cells.
         # The conversion from columns to rows is a counting sort in linear time.
         inner = np.flatnonzero(self.neighbour >= 0).astype(np.int32)
@@ -94,10 +84,7 @@ class Faces:
 
 
 def following(values: np.ndarray, starts: np.ndarray) -> np.ndarray:
-    """Returns the next of the values (k, ...) of each row, its first behind its last.
-
-    `starts` are where rows begin, and the end.
-    """
+    """Returns the next of the values (k, ...) of each row, its first behind its last."""
     after = np.roll(values, -1, axis=0)
     after[starts[1:] - 1] = values[starts[:-1]]
     return after
@@ -137,8 +124,8 @@ def joined_faces(parts: list[Faces]) -> Faces:
 def standard_cells(faces: Faces) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
     """Finds tetrahedra, pyramids, wedges and hexahedra: corners (k, c) and cell ids (k,) by type.
 
-    The cell ids have an entry `polyhedron` for other cells. Numbers of faces, triangles and quads
-    select candidates; `_typed` numbers their corners and refuses cells with other connections.
+    The entry `polyhedron` lists other cells. Counts of faces, triangles and quads select
+    candidates; `_typed` numbers their corners and refuses cells with other connections.
     """
     ordered, starts = faces.of_cells()
     counts = np.diff(starts)

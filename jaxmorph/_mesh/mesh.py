@@ -29,10 +29,9 @@ class Mesh(Module):
 
     - `points`: coordinates (n, d) with d = 2 or 3, in the units of the file.
     - `cells`: corner ids (k, corners) by type, numbered as VTK numbers them. Types are `triangle`,
-      `quad`, `tetra`, `pyramid`, `wedge` and `hexahedron`; `tri`, `tet`, `prism` and `hex` are
-      other names. Cells of order 2 to 4 have the name and the number of nodes, `triangle6` or
-      `hexahedron64`; see below. Types are kept in alphabetical order, so that arrays per cell have
-      one order, also under `jit`. Default: none.
+      `quad`, `tetra`, `pyramid`, `wedge` and `hexahedron` (aliases `tri`, `tet`, `prism`, `hex`),
+      and of order 2 to 4 these with their number of nodes, `triangle6` or `hexahedron64`. Types are
+      kept in alphabetical order, also under `jit`. Default: none.
     - `patches`: node ids by name, without repetition. Default: none.
     - `source`: the file's content, for `jaxmorph.io.write`. Default: none.
 
@@ -40,8 +39,7 @@ class Mesh(Module):
     lists its corners first, then the inner nodes of its edges, of its faces, and of the cell.
     `jaxmorph.io.read` brings the nodes of all formats into this order.
 
-    **Raises:** `ValueError` for an unknown cell type, for corner or patch ids outside of `points`,
-    and for wrong shapes.
+    **Raises:** `ValueError` for an unknown cell type, ids outside of `points`, and wrong shapes.
     """
 
     points: Float[Array | np.ndarray, "n d"]
@@ -56,10 +54,10 @@ class Mesh(Module):
 
     @checked
     def patch(self, *names: str) -> np.ndarray:
-        """Lists the node ids of one patch or of several patches, ascending, without repetition.
+        """Lists the node ids of one or several patches, ascending, without repetition.
 
-        A name is the name of a patch, of a group, or a regular expression for whole names of
-        patches, `"motorBike.*"`.
+        A name is that of a patch or a group, or a regular expression for whole names of patches,
+        `"motorBike.*"`.
 
         **Raises:** `ValueError`, with all names of the mesh, for a name without a patch.
         """
@@ -74,7 +72,7 @@ class Mesh(Module):
 
     @property
     def groups(self) -> Mapping[str, tuple[str, ...]]:
-        """The groups of patches in the file, by name: an OpenFOAM case's `inGroups`."""
+        """Groups of patches in the file, by name: an OpenFOAM case's `inGroups`."""
         groups = getattr(self.source, "groups", {})
         within = {name: tuple(patch for patch in patches if patch in self.patches) for name, patches in groups.items()}
         return {name: patches for name, patches in within.items() if patches}
@@ -88,8 +86,8 @@ class Mesh(Module):
     def file_nodes(self) -> np.ndarray:
         """The node (N,) of this mesh for every node of its file, in the file's order.
 
-        Common nodes of the zones of a CGNS or PLOT3D file are one node of the mesh. In an OpenFOAM
-        case in 2-D, the two nodes in front and at the back are one node.
+        Zones of a CGNS or PLOT3D file share nodes of the mesh, and so do the two planes of an
+        OpenFOAM case in 2-D.
         """
         nodes = getattr(self.source, "file_nodes", None)
         return np.arange(len(self.points)) if nodes is None else nodes
@@ -122,8 +120,8 @@ class Mesh(Module):
     def between(self) -> np.ndarray | None:
         """Faces (k, corners), 2-D: edges, between this part of a mesh and others; or None.
 
-        Rows have -1 behind the last corner. These faces are no boundary: their nodes are inner
-        nodes. No measure compares the cells on their two sides.
+        Rows end in -1. These faces are no boundary: their nodes are inner nodes, and no measure
+        compares the cells on their two sides.
         """
         return getattr(self.source, "between", None)
 
@@ -175,12 +173,11 @@ class Mesh(Module):
         Patches are point sets, cell sets of lower dimension, gmsh's physical groups and point
         arrays `patch:NAME`. Without them, the whole numbers of an array `patch`, `marker`,
         `boundary` ..., on the boundary's cells or on points, name patches. Without such an array
-        the one patch is `boundary`. Point ids stay. `to_meshio` of the result knows the
+        the one patch is `boundary`. Point ids stay, and `to_meshio` of the result knows the
         `meshio.Mesh`.
 
-        **Raises:** `ValueError` for types of cells that are not supported (polyhedra, cells with
-        nodes between corners). Also for points that are not finite, and for a mesh without area or
-        volume.
+        **Raises:** `ValueError` for cell types that are not supported (polyhedra, nodes between
+        corners), points that are not finite, and a mesh without area or volume.
         """
         return Mesh(*exchange.parts(exchange.of_meshio(mesh)))
 
@@ -194,12 +191,10 @@ class Mesh(Module):
 
         **Arguments:**
 
-        - `point_data`: arrays to add, one row a point. Default: none.
-        - `cell_data`: arrays to add, one row a cell, in the order of `cells`. Other cells of the
-          `meshio.Mesh` get NaN. Default: none.
+        - `point_data`, `cell_data`: arrays to add, one row a point, or a cell in the order of
+          `cells`. Other cells of the `meshio.Mesh` get NaN. Default: none.
 
-        **Raises:** `ValueError` for arrays of a wrong length, `ImportError` where meshio is
-        missing.
+        **Raises:** `ValueError` for arrays of a wrong length, `ImportError` for a missing meshio.
         """
         return export.to_meshio(self._parts, point_data, cell_data)
 
@@ -223,15 +218,7 @@ class Mesh(Module):
     def to_pyvista(
         self, *, point_data: dict[str, ArrayLike] | None = None, cell_data: dict[str, ArrayLike] | None = None
     ) -> Any:
-        """Makes a `pyvista.UnstructuredGrid`, with patches and arrays as in `to_meshio`.
-
-        **Arguments:**
-
-        - `point_data`, `cell_data`: as `to_meshio` takes them.
-
-        **Raises:** `ValueError` for arrays of a wrong length, `ImportError` where PyVista is
-        missing.
-        """
+        """Makes a `pyvista.UnstructuredGrid`; patches, arguments and errors as of `to_meshio`."""
         return export.to_pyvista(self._parts, point_data, cell_data)
 
     @property
@@ -250,10 +237,7 @@ SHOWN = 12
 
 
 def patch_names(names: Sequence[str], patches: Collection[str], groups: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
-    """Lists patches of names: a patch, a group, or patches that match a whole regular expression.
-
-    **Raises:** `ValueError` for a name without a patch.
-    """
+    """Lists patches of names: a patch, a group, or the matches of a whole regular expression."""
     listed: list[str] = []
     for name in names:
         if name in patches:
@@ -297,7 +281,7 @@ def elevate(mesh: Mesh, order: int) -> Mesh:
     """Makes a mesh of order 2 to 4 of a linear one.
 
     The cells stay straight, with nodes on their edges, faces and inside. The nodes of the linear
-    mesh come first, as they were. New nodes of boundary faces belong to the patches that have all
+    mesh come first, in their order. New nodes of boundary faces belong to the patches that have all
     corners of the face. `curve` then puts the wall's nodes onto a curved surface.
 
     **Arguments:**
@@ -307,8 +291,7 @@ def elevate(mesh: Mesh, order: int) -> Mesh:
 
     **Returns:** a new `Mesh`, which belongs to no file.
 
-    **Raises:** `ValueError` for another order, for cells that are curved already, for a mesh
-    without cells and for polyhedra.
+    **Raises:** `ValueError` for another order, curved cells, no cells, and polyhedra.
     """
     if order not in ORDERS[1:]:
         raise ValueError(f"`order` is {order}; meshes of order 2, 3 and 4 can be made.")

@@ -11,15 +11,12 @@ SLIVER = 1e-3
 """Share of a cell's mean piece below which a piece is left out: its sign says nothing."""
 
 ENOUGH = 0.05
-"""Share of the mean piece at which no better apex is searched."""
+"""Share of the mean piece that ends the search for an apex."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Polyhedra:
-    """Whole cells of a mesh with cut cells: all faces (2-D: edges), and the ids of cut cells.
-
-    `Mesh.cell_ids` has the whole cell of every cell or piece of the mesh.
-    """
+    """Whole cells of a mesh: all faces (2-D: edges), ids of cut cells; see `Mesh.cell_ids`."""
 
     faces: Faces
     cut: np.ndarray
@@ -46,8 +43,8 @@ def cells_of_faces(
 ) -> tuple[list[tuple[str, np.ndarray, np.ndarray]], Polyhedra]:
     """Makes standard cells of cells by their faces, and tetrahedra between own nodes of all others.
 
-    It returns types, corners (k, corners) and cells (k,) of each, and whole cells. It raises
-    `ValueError` for cells that do not close, the first one by its number in `numbers`.
+    Returns types, corners (k, corners) and cells (k,) of each, and whole cells. Raises `ValueError`
+    for cells that do not close, the first one by its number in `numbers`.
     """
     ajar = open_cells(faces)
     if len(ajar):
@@ -65,8 +62,7 @@ def triangles(faces: Faces, chosen: np.ndarray, points: np.ndarray) -> tuple[np.
     """Cuts the faces `chosen` into triangles (t, 3), with each one's place in `chosen`.
 
     Triangles have the sense of their face. A face is a fan about the corner that makes its smallest
-    triangle largest; of equal corners, the first by place. So both cells of a face see equal
-    triangles, however it is listed.
+    triangle largest; of equal corners, the first by place. So both cells see equal triangles.
     """
     sizes = faces.sizes[chosen]
     parts, owners = [], []
@@ -104,8 +100,8 @@ def _least(x: np.ndarray, normal: np.ndarray) -> np.ndarray:
 def tetrahedra(faces: Faces, cells: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Cuts cells into tetrahedra (t, 4) between an apex node and triangles of faces away from it.
 
-    It also returns the cell of every tetrahedron. The apex is the first node whose smallest piece
-    is no sliver, or, if there is none, the node whose smallest piece is largest.
+    Also returns the cell of each. The apex is the first node whose smallest piece is no sliver, or
+    else the node whose smallest piece is largest.
     """
     ordered, starts = faces.of_cells()
     parts, owners = [np.zeros((0, 4), faces.labels.dtype)], [np.zeros(0, np.int64)]
@@ -120,7 +116,7 @@ def tetrahedra(faces: Faces, cells: np.ndarray, points: np.ndarray) -> tuple[np.
 
 
 def spread(first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Lists the whole numbers of many ranges in a row, and the ranges to which they belong."""
+    """Lists the whole numbers of many ranges in a row, and the range of each."""
     # A count through all ranges is shifted in each: by the range's first number, less the numbers
     # of the ranges before it.
     counts = last - first
@@ -187,7 +183,6 @@ class _Pieces:
         return np.where(mean > 0, least / np.where(mean > 0, mean, 1), -np.inf)
 
     def tetrahedra(self, apex: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Makes the pieces below `apex` without slivers: their corners (t, 4) and their cells."""
         volume, away = self.volumes(apex, np.arange(len(self.cell)))
         size = np.where(away, np.abs(volume), 0)
         mean = np.bincount(self.cell, size) / np.maximum(np.bincount(self.cell, away), 1)

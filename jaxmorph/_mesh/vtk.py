@@ -69,7 +69,6 @@ def coordinates(grid: Any) -> np.ndarray:
 
 
 def unstructured(data: Any) -> Any:
-    """Makes an unstructured grid of any data set, with its points and cells in their order."""
     if data.IsA("vtkUnstructuredGrid"):
         return data
     joined = vtk("vtkFiltersCore").vtkAppendFilter()
@@ -81,7 +80,7 @@ def unstructured(data: Any) -> Any:
 
 
 def kinds_of(grid: Any) -> np.ndarray:
-    """Names the type of each cell (k,), as a mesh that is read has it; VTK's name if it cannot."""
+    """Names the type of each cell (k,) as here, or as VTK does where it is unknown."""
     starts, _ = _arrays_of(grid.GetCells())
     sizes = np.diff(starts)
     base = int(sizes.max(initial=0)) + 1  # a type and a size make one number
@@ -115,11 +114,7 @@ def dimension_of(grid: Any) -> int:
 
 
 def of_vtk(grid: Any) -> tuple[Grid, Whole | None]:
-    """Reads points, cells and arrays of an unstructured grid.
-
-    Polyhedra become standard cells or are cut, as `Whole` has it. It raises `ValueError` for cells
-    that no mesh has, and for ids of nodes that are not there.
-    """
+    """Reads points, cells and arrays of an unstructured grid; polyhedra as in `Whole`."""
     points, (_, ids) = coordinates(grid), _arrays_of(grid.GetCells())
     outside = ids[(ids < 0) | (ids >= len(points))]
     if len(outside):
@@ -143,7 +138,6 @@ def of_vtk(grid: Any) -> tuple[Grid, Whole | None]:
 
 
 def _of_kind(grid: Any, kind: str, rows: np.ndarray) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
-    """Yields type, nodes and rows of the cells of one type, those of each size apart."""
     (starts, ids), numbers = _arrays_of(grid.GetCells()), numbers_of(grid)
     sizes = np.diff(starts)[rows]
     if kind in NODES and (sizes != NODES[kind]).any():
@@ -155,7 +149,6 @@ def _of_kind(grid: Any, kind: str, rows: np.ndarray) -> Iterator[tuple[str, np.n
 
 
 def _canonical(kind: str, nodes: np.ndarray, numbers: np.ndarray) -> np.ndarray:
-    """Orders nodes (k, nodes) canonically; pixels and voxels count their corners by rows."""
     nodes = np.asarray(nodes, np.int64)
     for number, (other, order) in AXIS_ALIGNED.items():
         if other == kind and (numbers == number).any():
@@ -164,10 +157,7 @@ def _canonical(kind: str, nodes: np.ndarray, numbers: np.ndarray) -> np.ndarray:
 
 
 def _polyhedral(grid: Any, points: np.ndarray, kinds: np.ndarray, solid: np.ndarray) -> tuple[list, Whole, np.ndarray]:
-    """Makes standard cells and tetrahedra of all solid cells of a grid with polyhedra.
-
-    It returns types, corners and the grid's cells, whole cells, and the nodes of outer faces.
-    """
+    """Makes types, corners and cells' numbers; whole cells; and nodes of outer faces."""
     curved = sorted({kind for kind in kinds[solid].tolist() if kind not in CORNERS and kind != "polyhedron"})
     if curved:
         raise ValueError(f"cells of type {', '.join(curved)} beside polyhedra are not supported; they would be lost.")
@@ -187,7 +177,6 @@ def _polyhedral(grid: Any, points: np.ndarray, kinds: np.ndarray, solid: np.ndar
 
 
 def _sides(grid: Any, points: np.ndarray, solid: np.ndarray, kinds: np.ndarray) -> Faces:
-    """Lists the faces of polyhedra, outward; inner faces come twice."""
     first, face_of = _arrays_of(grid.GetPolyhedronFaceLocations())
     starts, ids = _arrays_of(grid.GetPolyhedronFaces())
     cells = np.flatnonzero(kinds[solid] == "polyhedron")
@@ -210,10 +199,7 @@ def _sides(grid: Any, points: np.ndarray, solid: np.ndarray, kinds: np.ndarray) 
 
 
 def _inward(points: np.ndarray, labels: np.ndarray, begins: np.ndarray, cell: np.ndarray) -> np.ndarray:
-    """Finds faces of polyhedra that point into their cell.
-
-    VTK asks for outward faces, and some programs write inward ones, or faces of both senses.
-    """
+    """Finds faces that point into their cell: VTK asks for outward ones, but programs differ."""
     sizes = np.diff(begins, append=len(labels))
     which = np.repeat(np.arange(len(begins)), sizes)
     after = np.arange(1, len(labels) + 1)
@@ -244,7 +230,7 @@ def mesh_of(grid: Any) -> tuple[Parts, Whole | None]:
 
 
 def new_grid(cells: Mapping[str, Any], points: np.ndarray) -> Any:
-    """Makes an unstructured grid; raises `ValueError` for high-order pyramids, which VTK lacks."""
+    """Makes an unstructured grid; refuses high-order pyramids, which VTK lacks."""
     model, numpy = vtk("vtkCommonDataModel"), vtk("util.numpy_support")
     numbers, ids, ends = [np.zeros(0, np.uint8)], [np.zeros(0, np.int64)], [np.zeros(1, np.int64)]
     for kind, corners in cells.items():
@@ -274,7 +260,6 @@ def points_of(points: np.ndarray) -> Any:
 
 
 def add_arrays(attributes: Any, arrays: Arrays) -> None:
-    """Adds arrays to a grid's points or cells, in the place of others of the same name."""
     for name, values in arrays.items():
         kind = {"b": np.uint8, "f": np.float32 if values.dtype.itemsize <= 4 else np.float64}
         values = np.ascontiguousarray(values, kind.get(values.dtype.kind, values.dtype.newbyteorder("=")))

@@ -27,16 +27,14 @@ def naca0015(*, points: int = REFERENCE_POINTS) -> jm.Mesh:
     and `farfield` (566). The mean skewness (weighted by area) is 0.0710, the largest 0.1750, the
     paper's values. The first cell is 1e-5 chords, the trailing edge blunt.
 
-    The first 260 x 150 cells are layers round the airfoil, from the wall outwards. Those of columns
-    50 to 209 touch the wall in the first layer. The others are above and below the wake. The last
-    50 x 6 are behind the base.
+    The first 260 x 150 cells are layers round the airfoil, from the wall outwards. Columns 50 to
+    209 touch the wall, the others lie above and below the wake. The last 50 x 6 are behind the
+    base.
 
     **Arguments:**
 
-    - `points`: about how many points: 2,000 for a test, a million for a benchmark. Default 39,666,
-      at least 300.
-
-    **Returns:** a `Mesh`.
+    - `points`: about how many points, 300 or more: 2,000 for a test, a million for a benchmark.
+      Default 39,666.
 
     **Raises:** `ValueError` for fewer than 300 points.
     """
@@ -48,9 +46,9 @@ def naca4(code: str, *, points: int = REFERENCE_POINTS, first_cell: float = 1e-6
     """Makes a C-grid around a NACA 4-digit airfoil, in chords: `cases.naca4("4412")`.
 
     Thickness is laid off normal to the camber line, and the trailing edge is blunt, as published
-    (Jacobs, Ward and Pinkerton, NACA Report 460, 1933). Rays leave the wall as nearly along its
-    normal as lets them turn steadily from one trailing edge to the other, so that they never meet
-    before a concave wall. Cells, their order and patches as in `naca0015`.
+    (Jacobs, Ward and Pinkerton, NACA Report 460, 1933). Rays leave the wall nearly along its
+    normal, and turn steadily from one trailing edge to the other: they never meet before a concave
+    wall. Cells, their order and patches as in `naca0015`.
 
     **Arguments:**
 
@@ -61,12 +59,10 @@ def naca4(code: str, *, points: int = REFERENCE_POINTS, first_cell: float = 1e-6
     - `sharp`: True lets the thickness end at zero (its last coefficient is then 0.1036). Both sides
       meet in one node, and there is no base. Default False.
 
-    **Returns:** a `Mesh`.
-
-    **Raises:** `ValueError` for a code that is not of the family, fewer than 300 points, and a
-    first cell that does not fit. Also for sections that straight rays cannot leave without a cell
-    that is not convex. Such sections are below 4 % thickness with the camber far aft, or 24 % and
-    more with large camber in the first tenth (9901, 9124). No other is known.
+    **Raises:** `ValueError` for a code outside of the family, fewer than 300 points, and a first
+    cell that does not fit. Also for sections whose straight rays leave a cell that is not convex.
+    These are below 4 % thickness with the camber far aft, or from 24 % with large camber in the
+    first tenth (9901, 9124).
     """
     if not (isinstance(code, str) and len(code) == 4 and code.isascii() and code.isdigit()):
         raise ValueError(f"`code` is {code!r}; the NACA 4-digit family is written with four digits, such as '4412'.")
@@ -103,19 +99,16 @@ def wing(
     """Makes a swept and tapered wing of hexahedra between two planes.
 
     The C-grid of `naca4` is repeated at stations along y, from the root of chord 1 to the tip of
-    chord 0.7. The tip's leading edge lies half a chord behind. Nodes on the wall lie much closer
-    along the section than along the span: chains of nearest neighbours stay within one section.
-    Patches: `wing`, `farfield`, and the planes `root` (y = 0) and `tip` (y = span).
+    chord 0.7, whose leading edge lies half a chord behind. Wall nodes lie much closer along the
+    section than along the span: chains of nearest neighbours stay within one section. Patches:
+    `wing`, `farfield`, and the planes `root` (y = 0) and `tip` (y = span).
 
     **Arguments:**
 
-    - `code`: four digits of the section, as in `naca4`. Default "6409".
-    - `points`: about how many points each station has, 300 or more. Default 2000.
+    - `code`, `points`: the section and its points, as in `naca4`. Default "6409", 2000.
     - `stations`: sections along the span, 2 or more. Default 13.
-    - `span`: length of the wing, in chords of the root. Default 2.
-    - `first_cell`: height of the cells at the wall, in chords of the root. Default 1e-5.
-
-    **Returns:** a `Mesh`.
+    - `span`, `first_cell`: length of the wing and height of the cells at the wall, in chords of the
+      root. Default 2, 1e-5.
 
     **Raises:** `ValueError` for fewer than 2 stations, and as `naca4` does.
     """
@@ -145,14 +138,12 @@ def bricks(kind: str = "hexahedron", *, cells: int = 6, first_cell: float | None
 
     **Arguments:**
 
-    - `kind`: the type of the cells. It is `hexahedron`, `wedge` (2 a brick), `tetra` (6 a brick),
+    - `kind`: the type of the cells: `hexahedron`, `wedge` (2 a brick), `tetra` (6 a brick),
       `pyramid` (6 a brick, around a node in its middle) or `mixed`. A mixed mesh has hexahedra at
       the floor, a layer of pyramids above, and wedges.
     - `cells`: bricks along each edge, 3 or more. Default 6.
     - `first_cell`: height of the bricks at z = 0, from which the layers grow. Default None: all
-      layers are equal.
-
-    **Returns:** a `Mesh`.
+      equal.
 
     **Raises:** `ValueError` for another kind, fewer than 3 cells, and a first cell that is not
     between 0 and 1.
@@ -177,7 +168,6 @@ def bricks(kind: str = "hexahedron", *, cells: int = 6, first_cell: float | None
 
 
 def _divided(points: np.ndarray, layers: dict[str, np.ndarray]) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Divides bricks (k, 8) into cells of each type."""
     cells = {}
     for kind, corners in layers.items():
         if kind == "pyramid":
@@ -199,15 +189,12 @@ def bodies(
 
     **Arguments:**
 
-    - `boxes`: each body's sides, (x least, x largest, y least, y largest), by its name. They are
-      moved to the nearest grid line.
+    - `boxes`: each body's sides, (x least, x largest, y least, y largest), by its name. They move
+      to the nearest grid line.
     - `box`: sides of the box, as in `boxes`. Default: 16 wide and 8 high about the origin.
     - `spacing`: side of a cell, about; a whole number of them fills the box. Default 0.25.
 
-    **Returns:** a `Mesh`.
-
-    **Raises:** `ValueError` for sides in another order, and a body without a cell within or beside
-    it.
+    **Raises:** `ValueError` for sides in another order, and a body without a cell in or beside it.
     """
     left, right, bottom, top = finite_array("box", box, (4,)).tolist()
     if not (left < right and bottom < top and spacing > 0):
@@ -230,7 +217,6 @@ def bodies(
 
 
 def _on_lines(name: str, sides: np.ndarray, axes: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """Moves a body's sides to grid lines: in y, then in x."""
     places = []
     for axis, pair in zip(axes, (sides[2:], sides[:2]), strict=True):
         first, last = np.abs(axis[:, None] - pair).argmin(axis=0)

@@ -50,11 +50,7 @@ def hexahedra(ids: np.ndarray) -> np.ndarray:
 
 
 def geometric(cells: int, first: float, samples: int | None = None) -> np.ndarray:
-    """Divides [0, 1] into `cells` that grow by a constant factor from `first`.
-
-    It is even where `first` is 1 / cells or more. With `samples` the growth is that of `cells`, and
-    so many cells sample it.
-    """
+    """Divides [0, 1] with the growth of `cells` from `first` (or evenly), by `samples` cells."""
     samples = cells if samples is None else samples
     between("first_cell", first, 0)
     if first * cells >= 1:
@@ -85,8 +81,7 @@ def c_grid(section: Section, *, points: int = REFERENCE_POINTS, first_cell: floa
     trailing edge, both ends of the section at one place, the two wakes share their nodes.
 
     Raises `ValueError` for fewer than 300 points, a first cell that does not fit, and a section
-    whose upper end lies below its lower one. Also where the rays leave a cell that is not convex: a
-    nose of 1 % thickness at 9 % camber, or thickness and camber of which no airfoil is made.
+    whose upper end lies below its lower one. Also where the rays leave a cell that is not convex.
     """
     counts = _counts(points)
     largest = 0.9 * RAY_LENGTH / counts.normal
@@ -119,10 +114,7 @@ def _counts(points: int) -> Counts:
 
 
 def _wall(section: Section, counts: Counts) -> tuple[np.ndarray, np.ndarray]:
-    """Spaces nodes on the section (2 half + 1, 2), and computes their rays' angles in radians.
-
-    The lower trailing edge is first.
-    """
+    """Spaces nodes (2 half + 1, 2) from the lower trailing edge; rays' angles are in radians."""
     lower, upper = (_half(section, end, counts.half) for end in (-1.0, 1.0))
     t = np.concatenate([lower[::-1], upper[1:]])
     nodes = section(t)
@@ -146,9 +138,7 @@ def _half(section: Section, end: float, cells: int) -> np.ndarray:
 
 
 def _two_sided(samples: int, cells: int, first: float, last: float) -> np.ndarray:
-    """Divides [0, 1] with given relative spacings at both ends.
-
-    The spacings belong to `cells` cells; the result is sampled by `samples` cells.
+    """Divides [0, 1] with spacings of `cells` cells at both ends, sampled by `samples` cells.
 
     Vinokur, "On one-dimensional stretching functions for finite-difference calculations", J.
     Comput. Phys. 50 (1983).
@@ -161,10 +151,7 @@ def _two_sided(samples: int, cells: int, first: float, last: float) -> np.ndarra
 
 
 def _with_wake(wall: np.ndarray, counts: Counts) -> tuple[np.ndarray, np.ndarray]:
-    """Makes the innermost line of the C: lower wake, wall, upper wake.
-
-    The second array is each ray's weight of the wake distribution.
-    """
+    """Makes the innermost line, lower wake to upper wake, and rays' weights of the wake's law."""
     first = TRAILING_EDGE_SPACING / (FARFIELD_X - 1)
     along = geometric(REFERENCE.wake, first, counts.wake)[1:]
     rows = [np.column_stack([x + (FARFIELD_X - x) * along, np.full_like(along, y)]) for x, y in wall[[0, -1]]]

@@ -8,10 +8,10 @@ from collections.abc import Sequence
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs one command; by default with the arguments of the process.
 
-    Returns the exit status: 0; 1 when a cell is inverted or a quality gate fails; 2 for bad input,
-    after one line that describes the fault; 130 when interrupted. Calculations are in float64:
-    JAX's x64 mode is switched on. `SystemExit` (2) is raised for arguments that make no sense,
-    `SystemExit` (0) after a page of help.
+    Returns the exit status: 0; 1 for an inverted cell or a failed quality gate; 2 for bad input,
+    after one line that describes the fault; 130 when interrupted. Switches JAX's x64 mode on.
+    Raises `SystemExit` (2) for arguments that make no sense, and `SystemExit` (0) after a page of
+    help.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
     if arguments is None and isinstance(sys.stdout, io.TextIOWrapper):

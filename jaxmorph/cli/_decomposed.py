@@ -21,18 +21,16 @@ from ._requests import Deform
 from ._way import Way, faults, followed, in_double, is_kept, say_verdict
 
 COUNTS = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS")
-"""Variables that count the processes that mpiexec or srun started together."""
+"""Variables of the environment in which mpiexec or srun count their processes."""
 
 STARTED = (*COUNTS, "MPI_LOCALNRANKS", "PMIX_RANK", "PMI_RANK")
-"""Variables that mpiexec and srun leave in the environment of the processes that they start."""
+"""Variables of the environment that mpiexec and srun set for their processes."""
 
 
-class _Bad(Exception):
-    """Ends the writing of a case whose cells are bad."""
+class _Bad(Exception): ...
 
 
 def deform_parts(request: Deform, out: Output) -> int:
-    """Reads, moves, judges and writes part after part; prints all. Returns the exit status."""
     ranks = _ranks()
     out.is_silent = ranks.rank > 0
     case = together(ranks, lambda: _checked(request))
@@ -88,10 +86,6 @@ def _say_warnings_of_all(out: Output, ranks: Ranks) -> None:
 
 
 def _ranks() -> Ranks:
-    """Returns the processes that mpiexec or srun started together.
-
-    It raises `ImportError` and `ValueError` where they cannot meet.
-    """
     if not any(name in os.environ for name in STARTED):
         return Alone()
     counts = [os.environ[name] for name in COUNTS if name in os.environ]
@@ -137,10 +131,7 @@ def _prepared(request: Deform, surface: jm.Mesh, out: Output) -> tuple[jm.Surfac
 
 @dataclasses.dataclass(frozen=True)
 class MovingParts:
-    """The shared state of all parts of a case: prepared surface, and the path of its nodes.
-
-    `largest` is the number of nodes of the largest part.
-    """
+    """The shared state of all parts: surface, path of its nodes, `largest` number of nodes."""
 
     half: jm.SurfaceHalf
     path: Float[np.ndarray, "k m d"]
@@ -155,8 +146,8 @@ class MovingParts:
     def _way(self, mesh: jm.Mesh, ids: np.ndarray, name: str) -> Way:
         """Moves the points of a part, whose nodes are `ids` (k,) of the whole mesh.
 
-        Errors begin with `name`. The part is filled up with copies of a node to the size of the
-        largest part, so that all parts share compiled code.
+        Errors begin with `name`. Copies of a node fill the part up to the size of the largest part,
+        so that all parts share compiled code.
         """
         half, base = self.half, np.asarray(mesh.points)
         is_inner = ~np.isin(ids, half.surface_nodes)

@@ -28,15 +28,12 @@ SMALL = 10_000
 """Points, times steps, below which compile time dominates."""
 
 PATIENCE = 120.0
-"""Seconds that an attempt may have taken for others to be tried after it."""
+"""Seconds of an attempt after which no other is tried."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Attempt:
-    """All that an attempt needs but the method and the steps.
-
-    `judging` judges the undeformed mesh in another thread.
-    """
+    """All that an attempt needs but method and steps; `judging` runs in another thread."""
 
     request: Deform
     patches: Patches
@@ -45,7 +42,6 @@ class Attempt:
 
     @property
     def before(self) -> jm.Verdict:
-        """The verdict on the undeformed mesh. Raises `ValueError` for what cannot be judged."""
         return self.judging.result()
 
     @property
@@ -53,14 +49,10 @@ class Attempt:
         return np.asarray(self.patches.mesh.points, dtype=float)
 
     def path(self, steps: int = 1) -> Float[np.ndarray, "k m d"]:
-        """Total displacements of the moving nodes at the end of each step."""
         return self.motion.path(self.base[self.patches.nodes], steps)
 
     def way(self, chunks: Chunks, steps: int, done: Callable[[float], None] = lambda share: None) -> Way:
-        """Moves the points chunk by chunk, in double precision; `done` takes the finished share.
-
-        Steps before the last one are kept for `--proven` alone.
-        """
+        """Moves the points by chunks, in double precision; only `--proven` keeps all steps."""
         path, base, wall = self.path(steps), self.base, self.patches.nodes
         ends = {step: base.copy() for step in (range(steps) if self.request.gates.proven else [steps - 1])}
         is_moved, is_straight = np.zeros(len(base), dtype=bool), True
@@ -80,7 +72,6 @@ class Attempt:
 
 
 def deform(request: Deform, out: Output) -> int:
-    """Reads, moves, judges and writes a mesh; prints all. Returns the exit status."""
     with out.progress(f"reading {title(request.file)}"):
         mesh = mesh_of(request.file, request.zone)
     with quickly_compiled(len(mesh.points) * request.steps <= SMALL):
@@ -162,10 +153,7 @@ def _tell(
 
 
 def _wall_numbers(attempt: Attempt, points: np.ndarray) -> dict[str, tuple[float, float, str]]:
-    """Measures the first grid line at the moving nodes: before and after by name, and the place.
-
-    There is nothing where no side of a cell lies there, or no line begins.
-    """
+    """Measures the first grid line: before, after and place, by name; empty without a line."""
     try:
         wall = jm.wall_quality(attempt.patches.mesh, attempt.patches.nodes, points)
     except ValueError:
@@ -214,10 +202,6 @@ def check(request: Deform, mesh: Mesh) -> None:
 
 
 def say_motion(request: Deform, patches: Patches, plan: jm.Plan, u: np.ndarray, out: Output) -> None:
-    """Describes what moves, by how much, what stays, and the method.
-
-    `u` are the displacements of the moving nodes.
-    """
     mesh, way = patches.mesh, np.linalg.norm(u, axis=1)
     for names in dict.fromkeys(tuple(group.patches) for group in request.groups):
         nodes = mesh.patch(*names)
@@ -246,7 +230,7 @@ def write_job(request: Deform, moves: Motion, out: Output) -> None:
 
 
 def _advice(attempt: Attempt, out: Output) -> str:
-    """Writes which other flags cure a bad motion: the first of which an attempt succeeds."""
+    """Names other flags that cure a bad motion, those of the first attempt that succeeds."""
     request = attempt.request
     if any(gate.beyond for gate in attempt.before.gates):  # no way of moving the mesh cures it
         return ""

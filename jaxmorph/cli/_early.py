@@ -36,11 +36,10 @@ OWNERS = {
     "displacement_from": ("displacement",),
     "lattice": ("box",),
 }
-"""Flags of a motion without a sense of their own, and the flags that they belong to."""
+"""Flags that make sense only beside others, and these others."""
 
 
 def check(request: Request) -> None:
-    """Raises `ValueError` or `OSError` for a request that no mesh can fulfil."""
     OF_COMMAND[type(request)](request)
     _check_values(values_of(request))
     if isinstance(request, Deform | ModesRequest | SensitivityRequest | SU2):
@@ -183,7 +182,6 @@ OF_COMMAND: dict[Any, Callable[[Any], None]] = {
 
 
 def _check_input(path: Path) -> None:
-    """Raises `ValueError` for a mesh of an unknown ending, `OSError` for one that is not there."""
     if is_folder(input_path(path)) and not path.is_dir():
         raise ValueError(f"{path}: no OpenFOAM case, there is no folder constant/polyMesh in it.")
     path.stat()
@@ -220,4 +218,4 @@ CHECKS: tuple[tuple[str, Callable[[Any], Any], str], ...] = (
     ),
     ("picture", lambda path: path.parent.is_dir(), "{}: there is no such folder."),
 )
-"""Checks of single flags: the names of their fields, what is good, and what is said else."""
+"""Checks of single flags: the names of their fields, what is good, and the message."""

@@ -1,7 +1,4 @@
-"""From words to a command: parses, runs, and describes an error in one line.
-
-Nothing of JAX is imported before the words are understood.
-"""
+"""From words to a command; imports nothing of JAX before the words are understood."""
 
 import argparse
 import hashlib
@@ -21,11 +18,10 @@ from ._parser import Parser, made, meant, quoted
 from ._requests import COMMANDS, SU2, Deform, Demo, Info, ModesRequest, Quality, Request, SensitivityRequest, Speech
 
 LIMIT = 256 * 2**20
-"""Bytes in the cache at most; what was used longest ago goes first."""
+"""Bytes in the cache at most; the least recently used go first."""
 
 
 def answer(words: Sequence[str]) -> int:
-    """Runs one command and returns its exit status, as `main` does."""
     asked = "_ARGCOMPLETE" in os.environ  # by a shell: how do the words go on?
     top, parsers = parser(is_short="--help-all" not in words and not asked)
     if asked:
@@ -60,7 +56,6 @@ def answer(words: Sequence[str]) -> int:
 
 
 def _command(request: Request) -> Callable[[Request, Output], int]:
-    """Imports the command, and JAX with it, in double precision and with a cache."""
     begin_jax()
     is_part = isinstance(request, Deform) and request.decomposed
     module, name = ("_decomposed.deform_parts" if is_part else RUNS[type(request)]).split(".")
@@ -84,10 +79,7 @@ def one_line(message: object) -> str:
 
 
 def _checked(words: Sequence[str], top: Parser, parsers: Mapping[str, Parser]) -> str:
-    """Returns the command's name.
-
-    A flag of the program itself ends the process; unknown commands and flags with status 2.
-    """
+    """Returns the command's name; ends the process for the program's own and for unknown flags."""
     name = words[0]
     if name.startswith("-"):
         top.check_flags(words)
@@ -101,9 +93,8 @@ def _checked(words: Sequence[str], top: Parser, parsers: Mapping[str, Parser]) -
 def request_of(words: Sequence[str], parsers: Mapping[str, Parser] | None = None) -> Request:
     """Makes the request of the words and of the job that they name.
 
-    `parsers` are those of the commands; by default they have all flags.
-
-    Raises `ValueError` for a job that is none, `SystemExit` for words that make no sense.
+    `parsers` are those of the commands; by default they have all flags. Raises `ValueError` for a
+    bad job, `SystemExit` for words that make no sense.
     """
     name, command = words[0], (parsers or parser()[1])[words[0]]
     rest, values = with_job(name, words[1:])
@@ -111,10 +102,7 @@ def request_of(words: Sequence[str], parsers: Mapping[str, Parser] | None = None
 
 
 def parser(*, is_short: bool = False) -> tuple[Parser, dict[str, Parser]]:
-    """Builds the parser of the whole command line, and a dict with the parser of each command.
-
-    `is_short` leaves rare flags out of the pages of help.
-    """
+    """Builds the parsers of the program and of each command; `is_short`: without rare flags."""
     top = Parser(prog="jaxmorph", description="Moves meshes with their surfaces, and judges them.", epilog=_help.MAIN)
     text = "show the versions of jaxmorph, JAX, NumPy, SciPy and Python"
     top.add(["--version"], {"action": Version, "nargs": 0, "help": text})
@@ -185,7 +173,6 @@ def _is_private(folder: Path) -> bool:
 
 
 def _machine() -> str:
-    """Names the kind of processor, on which another kind's code may not run."""
     facts = [platform.machine()]
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()

@@ -11,8 +11,8 @@ EXAMPLES = "examples:\n"
 class Page:
     """Help of one command: summary, usage, and the text below its flags.
 
-    The short page says what `more` there is, and has the first `few` lines of the examples. Without
-    `more` there is only the long page.
+    The short page names what `more` there is, and has the first `few` lines of the examples.
+    Without `more` there is only the long page.
     """
 
     summary: str
@@ -235,4 +235,3 @@ examples:
   jaxmorph demo --output results""",
     ),
 }
-"""By the name of the command."""

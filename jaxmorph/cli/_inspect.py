@@ -16,7 +16,6 @@ from ._way import faults
 
 
 def quality(request: Quality, out: Output) -> int:
-    """Prints the quality of a mesh, or before and after a motion. Returns the exit status."""
     with out.progress("reading"):
         mesh = mesh_of(request.file, request.zone)
         moved = None if request.moved is None else mesh_of(request.moved, request.zone)
@@ -37,14 +36,12 @@ def quality(request: Quality, out: Output) -> int:
 
 
 def _proven(proof: jm.Proof, out: Output) -> list[str]:
-    """Notes the numbers of a proof, and lists what is wrong."""
     out.say(proof={name: getattr(proof, name) for name in ("valid", "invalid", "unknown", "min_margin", "depth")})
     verb = "folds" if proof.invalid == 1 else "fold"
     return [f"{proof.invalid} of {count(proof.count, 'cell')} {verb} inside."] if proof.invalid else []
 
 
 def info(request: Info, out: Output) -> int:
-    """Prints what a mesh file holds, zone by zone where it has several. Returns the exit status."""
     with out.progress("reading"):
         is_su2 = request.file.suffix.lower() == ".su2"
         meshes = io.read_zones(request.file) if is_su2 else (io.read(request.file),)
@@ -60,7 +57,7 @@ def info(request: Info, out: Output) -> int:
 
 
 ALWAYS = ("dimension", "points", "cells", "low", "high", "patches", "kinds")
-"""Facts that are given when they are empty, too."""
+"""Facts that are printed even when they are empty."""
 
 
 def _facts(mesh: Mesh) -> dict[str, Any]:
@@ -113,10 +110,7 @@ def demo(request: Demo, out: Output) -> int:
 
 
 def _ids(mesh: Mesh) -> dict[str, np.ndarray]:
-    """Collects the ids that define the cells of a mesh.
-
-    Where polyhedra are cut depends on the points, so their faces count.
-    """
+    """Collects the ids that define the cells, with faces of polyhedra: cuts depend on points."""
     if mesh.polyhedra is None:
         return {kind: np.asarray(corners) for kind, corners in mesh.cells.items()}
     faces = mesh.polyhedra.faces

@@ -35,7 +35,6 @@ class Key:
     is_path: bool
 
     def from_toml(self, job: Path, value: Any) -> Any:
-        """Makes the field's value. Raises `ValueError` for a value of another type."""
         if self.name == "mode":
             return _modes(job, value)
         values = _checked(job, self.name, value, self.kind, self.settings.get("nargs") == "+")
@@ -57,7 +56,6 @@ class Key:
         return value
 
     def in_toml(self, value: Any, folder: Path) -> str:
-        """Writes a value, with paths relative to a folder unless they are absolute."""
         if self.name == "mode":
             value = [(_relative(file, folder), amplitude) for file, amplitude in value]
         return f"{self.name} = {written(_relative(value, folder) if isinstance(value, Path) else value)}"
@@ -93,9 +91,8 @@ JOB, MOTION = dict(_keys(Deform)), dict(_keys(MotionFlags))
 def with_job(command: str, words: Sequence[str]) -> tuple[list[str], argparse.Namespace]:
     """Reads the job that the words name: returns the words with its files, and its other values.
 
-    For `sensitivity` there are no values, and the mesh of the job comes first.
-
-    Raises `ValueError` for a file that is no job.
+    For `sensitivity` there are no values, and the mesh of the job comes first. Raises `ValueError`
+    for a bad job.
     """
     if command not in ("deform", "sensitivity"):
         return list(words), argparse.Namespace()
@@ -115,7 +112,6 @@ def with_job(command: str, words: Sequence[str]) -> tuple[list[str], argparse.Na
 
 
 def read_job(path: Path) -> dict[str, Any]:
-    """Reads the values of a job by the fields of a request. Raises `ValueError` for others."""
     job = _known(path, "a job", read(str(path), path.read_bytes()), (*JOB, "set", "moving"))
     values = {name: key.from_toml(path, job[name]) for name, key in JOB.items() if name in job}
     moving, changes = job.get("moving", []), job.get("set", {})
@@ -160,10 +156,7 @@ def _known(path: Path, what: str, table: dict[str, Any], names: Sequence[str]) -
 
 
 def job_of(request: SensitivityRequest) -> Deform | None:
-    """Reads the job that the request names.
-
-    It raises `ValueError` for flags that make no sense with a job, or without one.
-    """
+    """Reads the job that the request names; `ValueError` for flags that contradict its presence."""
     if request.job is None:
         if request.set:
             raise ValueError("--set without --job: it names design variables of a job.")

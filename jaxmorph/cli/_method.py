@@ -19,11 +19,9 @@ from ._output import count
 from ._requests import Deform, MethodFlags, ModesRequest, SensitivityRequest
 
 Chunks = Iterator[tuple[Int[np.ndarray, " c"], jm.Plan]]
-"""Nodes and plans of a mesh in chunks, one after the other."""
 
 
 def mesh_of(path: Path, zone: int | None = None) -> jm.Mesh:
-    """Reads a file's mesh, or an SU2 file's zone `zone`. Raises `ValueError` for an absent zone."""
     if zone is None:
         return io.read(path)
     meshes = io.read_zones(path)
@@ -33,10 +31,7 @@ def mesh_of(path: Path, zone: int | None = None) -> jm.Mesh:
 
 
 def method_of(request: MethodFlags, wall: np.ndarray, fixed: np.ndarray) -> jm.AbstractMethod | None:
-    """Makes the requested method for moving (m, d) and fixed points (f, d); None for the default.
-
-    It raises `ValueError` for a number of sources that the method cannot take.
-    """
+    """Makes the method for moving (m, d) and fixed points (f, d); None for the default."""
     d = wall.shape[1]
     if request.sources is not None and request.sources <= d:
         raise ValueError(f"--sources must be {d + 1} or more in {d}-D, found {request.sources}.")
@@ -52,7 +47,6 @@ def method_of(request: MethodFlags, wall: np.ndarray, fixed: np.ndarray) -> jm.A
 
 
 def described(request: MethodFlags, plan: jm.Plan) -> tuple[str, int]:
-    """Describes the method of a plan in a sentence, and counts its sources on the wall."""
     is_carrying = request.method == "default" and isinstance(plan.method, jm.InverseDistance)
     listed = entry("turning" if is_carrying else request.method)
     sources = plan.n_moving * (listed.sources == "all")
@@ -80,15 +74,11 @@ class Patches:
 
     @property
     def fixed_nodes(self) -> Int[np.ndarray, " f"]:
-        """Ids of the nodes that stay, without those that move."""
         return np.setdiff1d(self.mesh.patch(*self.fixed), self.nodes)
 
     @functools.cached_property
     def boundary(self) -> jm.Boundary:
-        """The boundary in the precision of the calculation.
-
-        It raises `ValueError` for boundary faces of patches that no flag names.
-        """
+        """The boundary in working precision; `ValueError` for faces that no flag names."""
         mesh = self.mesh.moved(np.asarray(self.mesh.points).astype(self.request.dtype, copy=False))
         planes = [plane for planes in self.symmetry.values() for plane in planes]
         slides = {"symmetry": tuple(planes), "periodic": self.periodic, "sliding": self.sliding}
@@ -101,7 +91,6 @@ class Patches:
 
     @contextlib.contextmanager
     def _explaining(self) -> Iterator[None]:
-        """Adds to an error the patches in no list that hold the nodes at fault."""
         try:
             yield
         except jm.MeshError as error:
@@ -119,8 +108,8 @@ class Patches:
     def chunks(self, size: int | None = None) -> Chunks:
         """Cuts the mesh into chunks of `size` inner nodes; yields the nodes and plan of each chunk.
 
-        It raises `ValueError` for nodes at fault, with the patches that hold them; faults of the
-        boundary and of the method at once.
+        Raises `ValueError` for nodes at fault, with their patches; faults of the boundary and of
+        the method at once.
         """
         boundary, method = self.boundary, self.method
 
@@ -140,10 +129,8 @@ class Patches:
 def patches_of(request: Deform | ModesRequest | SensitivityRequest, mesh: jm.Mesh) -> Patches:
     """Looks up the patches that the names mean. A pattern never fixes a moving or sliding patch.
 
-    Symmetry patches and periodic pairs of the file are taken where no name says otherwise.
-
-    Raises `ValueError` for patches that are missing, empty, both moving and fixed, or not flat
-    where they slide.
+    Without names, symmetry patches and periodic pairs are those of the file. Raises `ValueError`
+    for patches that are missing, empty, both moving and fixed, or not flat where they slide.
     """
     flags = request.boundary
     _check_names(request, mesh)

@@ -34,7 +34,6 @@ class Case:
 
 
 def modes(request: ModesRequest, out: Output) -> int:
-    """Moves, judges and writes the mesh for each mode and amplitude. Returns the exit status."""
     with out.progress(f"reading {title(request.file)}"):
         mesh = io.read(request.file)
     cases, patches = _cases(request), patches_of(request, mesh)
@@ -72,10 +71,7 @@ def modes(request: ModesRequest, out: Output) -> int:
 
 
 def _cases(request: ModesRequest) -> list[Case]:
-    """Names a numbered file beside OUT for each case.
-
-    Times are amplitudes if the amplitudes increase.
-    """
+    """Names a numbered file beside OUT for each case. Amplitudes are times if they increase."""
     amplitudes, out = request.amplitude, request.output
     go_up = len(request.mode) == 1 and all(a < b for a, b in itertools.pairwise(amplitudes))
     suffix = ".vtu" if out.suffix == ".pvd" else out.suffix

@@ -22,7 +22,6 @@ from ._requests import MOTIONS, Deform, MotionFlags, Table
 
 Points = Float[np.ndarray, "m d"]
 Parametrised = tuple[shapes.AbstractShape, Any]
-"""A shape with its parameters."""
 
 SIDES = ("upper", "lower")
 CHORD = ("nose", "tail", "up")
@@ -30,17 +29,13 @@ CHORD = ("nose", "tail", "up")
 
 @dataclasses.dataclass(frozen=True)
 class Motion:
-    """Shape of the moving nodes, and its parameters by name of the patches, then of the flag.
-
-    `boxes` are the boxes with a file for their lattice, with the two names of their parameters.
-    """
+    """Shape and parameters, by name of the patches, then of the flag; `boxes` with lattices."""
 
     shape: shapes.Chain
     parameters: dict[str, dict[str, Any]]
     boxes: tuple[tuple[Path, shapes.FreeForm | shapes.Hexahedron, tuple[str, str]], ...] = ()
 
     def path(self, surface: Points, steps: int) -> Float[np.ndarray, "k m d"]:
-        """Computes the total displacement at the end of each of `steps` equal steps."""
         return np.asarray(shapes.path(self.shape, surface, self.parameters, steps))
 
     def varied(self, changes: Mapping[str, Sequence[float]]) -> "Motion":
@@ -61,11 +56,9 @@ class Motion:
 def motion(request: Deform, mesh: Mesh, moving: Int[np.ndarray, " m"]) -> Motion:
     """Makes the requested motion of the nodes `moving`.
 
-    A patch moves as the groups that name it, one after the other. A node of several patches moves
-    as the first of them.
-
-    Raises `ValueError` if there is none, if it does not fit the mesh or the nodes, and where
-    patches of a node move it differently.
+    A patch moves as the groups that name it, one after the other; a node of several patches as the
+    first of them. Raises `ValueError` for no motion, one that does not fit the mesh or the nodes,
+    and patches that move a common node differently.
     """
     groups, chains, parameters, boxes = request.groups, {}, {}, []
     for group in groups:
@@ -88,10 +81,7 @@ def motion(request: Deform, mesh: Mesh, moving: Int[np.ndarray, " m"]) -> Motion
 
 @dataclasses.dataclass(frozen=True)
 class SharedSide:
-    """Moving nodes that the same groups name: the `groups` by number, all `nodes`, and its `own`.
-
-    A node of several sides is the first one's own.
-    """
+    """Moving nodes of the same groups: `groups` by number, `nodes`, and its `own` among them."""
 
     groups: tuple[int, ...]
     nodes: np.ndarray
@@ -166,8 +156,6 @@ def _key(group: MotionFlags, others: Mapping[str, Any]) -> str:
 
 
 class MovingPatch(NamedTuple):
-    """The patches of one motion, whose nodes are `nodes`, in a mesh."""
-
     group: MotionFlags
     mesh: Mesh
     nodes: np.ndarray
@@ -180,7 +168,6 @@ class MovingPatch(NamedTuple):
         return {name.replace("_", "-"): make(self) for name, make in PARTS.items() if is_given(self.group, name)}
 
     def argument(self, name: str, option: str) -> Any:
-        """Makes the axis (None in 2-D), the length, the direction or the centre of a motion."""
         if name == "length":
             return self.length(option)
         if name != "axis":
@@ -192,7 +179,6 @@ class MovingPatch(NamedTuple):
         return self.direction("axis") if self.dimension == 3 else None
 
     def vector(self, name: str) -> np.ndarray:
-        """Returns the d numbers of a flag, zeros without it. Raises `ValueError` for others."""
         values, d = getattr(self.group, name), self.dimension
         if values is None:
             return np.zeros(d)
@@ -211,10 +197,7 @@ class MovingPatch(NamedTuple):
         return vector / np.linalg.norm(vector)
 
     def length(self, option: str) -> float:
-        """Measures the line along which a surface is bent or twisted.
-
-        By default the line ends where the surface does.
-        """
+        """Measures the line of a bend or twist, by default to the end of the surface."""
         given = self.group.length
         ahead = (np.asarray(self.mesh.points)[self.nodes] - self.vector("about")) @ self.direction("along")
         length = float(ahead.max()) if given is None else given
@@ -254,7 +237,7 @@ TURNS: dict[str, tuple[Callable, tuple[str, ...]]] = {
     "bend": (shapes.bend, ("about", "along", "length", "axis")),
     "rotate": (shapes.rotate, ("about", "axis")),
 }
-"""Motions by an angle, and what else they are called with."""
+"""Motions by an angle, and their other arguments."""
 
 
 def _turned(name: str, patch: MovingPatch) -> Parametrised:
@@ -300,10 +283,7 @@ def _on_sides(
     entries: tuple[tuple[int | None, ...], str],
     make: Callable,
 ) -> Parametrised:
-    """Makes a shape for each side of an airfoil from a table.
-
-    `entries` are the shape of a side's numbers, and the name of one more entry.
-    """
+    """Makes a shape for each side of an airfoil; `entries`: shape of its numbers, one more name."""
     shape, more = entries
     table = read(str(source), input_path(source).read_bytes()) if isinstance(source, Path) else source or {}
     foreign = set(table) - {*SIDES, more, *CHORD}

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 PATIENCE = 2.0
-"""Seconds after which a stage of the work is announced."""
+"""Seconds after which a stage is announced."""
 
 
 class Stage:
@@ -46,11 +46,7 @@ class Stage:
 
 
 class Output:
-    """Output of one command.
-
-    Text goes to standard output as it comes. With `as_json`, facts are gathered and printed at the
-    end.
-    """
+    """Output of one command: text as it comes, or with `as_json` facts, printed at the end."""
 
     def __init__(self, command: str, *, as_json: bool = False, verbose: bool = False):
         self.name, self.as_json, self.verbose = f"jaxmorph {command}", as_json, verbose
@@ -63,7 +59,6 @@ class Output:
 
     @contextlib.contextmanager
     def progress(self, name: str) -> Iterator[Stage]:
-        """Times a stage, and announces it where standard error is a terminal."""
         stage, over = Stage(name), threading.Event()
         clock = threading.Thread(target=stage.announce, args=(self.name, over), daemon=True)
         is_heard = sys.stderr is not None and sys.stderr.isatty()  # a service may have closed it
@@ -83,7 +78,6 @@ class Output:
             print(text, flush=True)
 
     def complain(self, text: str, key: str = "problems") -> None:
-        """Prints a line on standard error, and adds it to the list of facts called `key`."""
         self.facts.setdefault(key, []).append(text)
         if not self.is_silent:
             print(f"{self.name}: {text}", file=sys.stderr)
@@ -97,7 +91,6 @@ class Output:
         return time.monotonic() - self.began
 
     def end(self, status: int) -> int:
-        """Prints the timings or the JSON object that were asked for; returns the exit status."""
         if self.is_silent:
             return status
         if self.as_json:
@@ -112,12 +105,10 @@ class Output:
 
 
 def wrapped(text: str, indent: int = 9) -> str:
-    """Breaks a line at 80 columns; names stay whole."""
     return textwrap.fill(text, 80, subsequent_indent=" " * indent, break_long_words=False, break_on_hyphens=False)
 
 
 def count(number: int, what: str) -> str:
-    """Writes a number with its noun: `1 step`, `2 steps`."""
     return f"{number} {what}" + ("" if number == 1 else "s")
 
 

@@ -13,7 +13,6 @@ from jaxmorph._host.package.text import similar
 
 T = TypeVar("T")
 Angle = NewType("Angle", float)
-"""Degrees."""
 
 Fields = type[Any]
 """A dataclass whose fields are made by `flag`, `positional`, `switch`, `part` and `several`."""
@@ -38,7 +37,7 @@ def flag(
     - `names`: the flag's names. Default: the field's name.
     - `default`: its value where the flag is absent; `()` for a flag of several values.
     - `section`: the title above it on the page of help. Default: `SECTION` of its dataclass.
-    - `everyday`: True for a flag that the short page of help has, too.
+    - `everyday`: True for a flag of the short page of help.
     - `settings`: further settings of argparse.
     """
     settings = {"default": list(default) if default == () else default, "help": what, **settings}
@@ -51,7 +50,6 @@ def positional(what: str, metavar: str, **settings: Any) -> Any:
 
 
 def switch(what: str, *names: str, default: bool = False, **settings: Any) -> Any:
-    """Makes a field that a flag without a value turns from its default."""
     return flag(what, *names, default=default, action=f"store_{str(not default).lower()}", **settings)
 
 
@@ -60,7 +58,6 @@ def part(fields: Fields) -> Any:
 
 
 def several(fields: Fields) -> Any:
-    """Makes a field for any number of instances of a dataclass of flags."""
     return dataclasses.field(default=(), metadata={"several": fields})
 
 
@@ -131,7 +128,6 @@ class Parser(argparse.ArgumentParser):
             self.add(names, settings, section=section, everyday=facts["everyday"])
 
     def check_flags(self, words: Sequence[str]) -> None:
-        """Ends with status 2 for a flag that this command does not have."""
         for word in itertools.takewhile(lambda word: word != "--", words):
             name = word.partition("=")[0]
             if name.startswith("--") and name not in self.flags:
@@ -162,7 +158,6 @@ def flag_of(name: str) -> str:
 
 
 def meant(word: str, known: Iterable[str]) -> str:
-    """Writes `; did you mean ...?`, or nothing if no known word is similar."""
     near = similar(word, known)
     return f"; did you mean {near}?" if near else ""
 
@@ -186,7 +181,7 @@ def quoted(words: Sequence[str], short: Iterable[str]) -> list[str]:
 
 
 def unquoted(kind: Callable[[str], Any]) -> Callable[[str], Any]:
-    """Makes the type of a flag that takes the space away that `quoted` puts."""
+    """Makes the type of a flag without the space of `quoted`."""
 
     @functools.wraps(kind, updated=())
     def converted(word: str) -> Any:

@@ -23,7 +23,6 @@ Table = dict[str, Any]
 
 
 def table(word: str) -> Path | Table:
-    """Reads the name of a TOML file, or its table as JSON."""
     try:
         return json.loads(word) if word.lstrip().startswith("{") else Path(word)
     except (json.JSONDecodeError, RecursionError) as error:
@@ -64,10 +63,7 @@ def _patches(what: str, *names: str, **settings: Any) -> Any:
 
 
 class InGroup(argparse.Action):
-    """Sets a field of the last group.
-
-    `--moving` begins a group, but motion flags before the first `--moving` belong to it.
-    """
+    """Sets a field of the last group; motion flags before the first `--moving` belong to it."""
 
     def __call__(self, parser, namespace, values: Any, option_string=None):
         groups = namespace.groups = getattr(namespace, "groups", [])
@@ -148,10 +144,7 @@ class BoundaryFlags:
 
 @dataclasses.dataclass(frozen=True)
 class MethodFlags:
-    """The method by its name, its number of sources, and the precision.
-
-    With None the method has its own number of sources on the moving patches.
-    """
+    """The method's name, its number of sources (None: its own default), and the precision."""
 
     SECTION: ClassVar = "method"
 
@@ -172,8 +165,6 @@ class MethodFlags:
 
 @dataclasses.dataclass(frozen=True)
 class Gates:
-    """Limits of quality, by the names of their flags."""
-
     SECTION: ClassVar = "quality gates"
 
     max_aspect_ratio: float | None = flag("largest aspect ratio")
@@ -197,7 +188,6 @@ class Gates:
 
 
 LIMITS = tuple(field.name for field in dataclasses.fields(Gates) if field.type == float | None)
-"""Names of the gates that are numbers."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -322,4 +312,3 @@ COMMANDS: dict[str, Fields] = {
     fields.__name__.removesuffix("Request").lower(): fields
     for fields in (Deform, ModesRequest, SensitivityRequest, SU2, Quality, Info, Demo)
 }
-"""Requests by the name of their command."""

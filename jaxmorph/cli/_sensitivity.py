@@ -16,7 +16,6 @@ from ._requests import SensitivityRequest
 
 
 def sensitivity(request: SensitivityRequest, out: Output) -> int:
-    """Reads, pulls back, writes. Returns the exit status."""
     job = job_of(request)
     with out.progress(f"reading {title(request.file)}"):
         mesh = io.read(request.file)

@@ -20,7 +20,6 @@ from ._way import Way, faults, is_kept, say_verdict
 
 
 def run(request: SU2, out: Output) -> int:
-    """Reads the config file, and moves its mesh or projects sensitivities. Returns the status."""
     with out.progress(f"reading {title(request.file)}"):
         config = su2.read_config(request.file, definition=request.definition)
     mesh, factors = config.mesh, np.asarray(config.shape.scales)

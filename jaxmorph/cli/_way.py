@@ -21,7 +21,6 @@ from ._output import Output, wrapped
 from ._parser import flag_of
 
 PROVEN = "min_proven_margin"
-"""The limit that `--proven` sets."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -40,7 +39,6 @@ class Way:
 
     @functools.cached_property
     def stored(self) -> Float[np.ndarray, "n d"]:
-        """The last points as the file holds them, rounded where it is in single precision."""
         return io.as_written(self.path, self.mesh.moved(self.ends[-1]))
 
     def judge(
@@ -61,7 +59,6 @@ class Way:
 
 
 def followed(plan: jm.Plan, path: Any) -> Iterator[jax.Array]:
-    """Yields the points at the end of each step of a path of total displacements (k, m, d)."""
     if len(path) == 1:
         yield jm.deform(plan, path[0])
         return
@@ -77,10 +74,7 @@ def in_double(
     u: Float[np.ndarray, "m d"],
     is_exact: bool,
 ) -> Float[np.ndarray, "n d"]:
-    """Converts moved points to double precision.
-
-    Nodes that do not move in single precision keep all their digits.
-    """
+    """Converts points to double precision; unmoved nodes keep all their digits."""
     moved = np.asarray(moved)
     if moved.dtype == np.float64:
         return moved
@@ -92,7 +86,7 @@ def in_double(
 
 @contextlib.contextmanager
 def writing(write: Callable[..., None], *arguments: Any) -> Iterator[Callable[[], None]]:
-    """Writes a file beside what comes next; it appears when the yielded function is called.
+    """Writes a file beside the block; it appears when the yielded function is called.
 
     With one core all is written then. A block that ends without that call leaves no file.
     """
@@ -115,12 +109,10 @@ def writing(write: Callable[..., None], *arguments: Any) -> Iterator[Callable[[]
 
 
 def faults(verdict: jm.Verdict) -> list[str]:
-    """Lists what is wrong, with limits by their flags."""
     return verdict.faults(lambda gate: "--proven" if gate.name == PROVEN else f"{flag_of(gate.name)} {gate.limit:g}")
 
 
 def is_kept(bad: list[str], allow_inverted: bool, output: Path, out: Output) -> bool:
-    """Tells what is wrong, and whether the output is to be written."""
     for sentence in bad:
         out.complain(sentence)
     if bad and not allow_inverted:
@@ -131,10 +123,7 @@ def is_kept(bad: list[str], allow_inverted: bool, output: Path, out: Output) -> 
 def say_verdict(
     verdict: jm.Verdict, out: Output, *, is_straight: bool = True, steps: int = 1, more: Sequence[str] = ()
 ) -> None:
-    """Prints the quality before and after a motion, with `more` rows.
-
-    With the gate `--proven`, it says how many cells are proven, and for which instants.
-    """
+    """Prints the quality before and after a motion, `more` rows, and what `--proven` proves."""
     assert verdict.before is not None
     out.say(f"\n{verdict.table(more)}\n", before=verdict.before.facts, after=verdict.facts, gates=verdict.gate_facts)
     for gate in (gate for gate in verdict.gates if gate.name == PROVEN):

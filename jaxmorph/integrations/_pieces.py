@@ -21,17 +21,12 @@ from jaxmorph._kernels.compile import float64_mode as float64_mode
 
 
 def check_comm(comm: Any) -> None:
-    """Raises `ValueError` for anything that is no communicator of mpi4py."""
     if not hasattr(comm, "allgather"):
         raise ValueError(f"`comm` must be a communicator of mpi4py, MPI.COMM_WORLD for example, not {shown(comm)}.")
 
 
 def faces_of(comm: Any, mesh: jm.Mesh | None, nodes: np.ndarray, is_shared: np.ndarray) -> dict[str, np.ndarray] | None:
-    """Finds a piece's faces (k, corners) of the whole mesh's boundary by type; or None.
-
-    `nodes` (n,) are the whole mesh's ids of the piece's points, of which other pieces share some.
-    Processes raise together.
-    """
+    """Finds a piece's boundary faces (k, corners) by type, from whole ids (n,); or None."""
     if len(set(comm.allgather(mesh is None))) > 1:
         raise ValueError("some processes give a Mesh and some points alone: give a Mesh in all, or points in all.")
     if mesh is None:
@@ -58,10 +53,7 @@ def faces_of(comm: Any, mesh: jm.Mesh | None, nodes: np.ndarray, is_shared: np.n
 def _marked(
     comm: Any, cells: Mapping[str, Any], nodes: np.ndarray, is_shared: np.ndarray
 ) -> Iterator[tuple[str, np.ndarray, np.ndarray, np.ndarray]]:
-    """Yields cells or faces by type with two marks: first in this piece, also in others.
-
-    Other processes are asked only for cells or faces whose nodes are all shared.
-    """
+    """Yields cells or faces by type with two marks: first in this piece, also in others."""
     for kind in sorted(set().union(*comm.allgather(list(cells)))):
         corners = np.asarray(cells.get(kind, np.zeros((0, CORNERS[kind]), dtype=np.int64)))
         rows = np.flatnonzero(is_shared[corners].all(axis=1))
@@ -71,10 +63,7 @@ def _marked(
 
 
 def owned(comm: Any, keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Marks keys, ids (k,) or rows (k, c), that this process has first, and keys that others have.
-
-    Each id has a process that keeps its list, so that no process sees the nodes of all.
-    """
+    """Marks keys, ids (k,) or rows (k, c), that this process has first, or others have too."""
     # Keys go to their keeper, which finds the first of equal keys in the order of the processes.
     # Its answers go back in the order in which it was asked.
     keeper = (keys if keys.ndim == 1 else keys[:, 0]) % comm.size
@@ -97,10 +86,10 @@ def surface_of(
 ) -> tuple[np.ndarray, np.ndarray, int, int, int]:
     """Gathers the points that the surface's half needs, and their ids.
 
-    `boundary` is that of this piece, whose points have the `ids` (n,). The first m points move, the
-    next points up to `count` are fixed. Points from there to `total` are on parallel planes or on
-    the boundary's `faces`. The outermost points, whose id is -1, are the last. All processes get
-    equal results, and raise together.
+    `boundary` is that of this piece, whose points have the `ids` (n,). The first m points move,
+    those up to `count` are fixed, those up to `total` are on parallel planes or on the boundary's
+    `faces`. The outermost points, with id -1, are last. All processes get equal results, and raise
+    together.
     """
     x, planes = boundary.points, boundary.planes
     ends = np.unique([x.argmin(axis=0), x.argmax(axis=0)])
@@ -124,7 +113,6 @@ def surface_of(
 
 
 def _union(shares: Sequence[Any]) -> tuple[np.ndarray, np.ndarray]:
-    """Joins ids and coordinates, ascending. Raises `ValueError` for an id of several places."""
     ids, points = (np.concatenate([share[k] for share in shares]) for k in range(2))
     unique, first, back = np.unique(ids, return_index=True, return_inverse=True)
     mismatched = np.flatnonzero((points != points[first][back]).any(axis=1))

@@ -19,14 +19,13 @@ from .openmdao import MovedMesh, Traced, TracedComponent, Values, add_parameters
 
 SURFACE = MPhysVariables.Aerodynamics.Surface
 VOLUME = "aero_vol_coords"
-"""Name of the volume's coordinates (3 n,)."""
 
 
 class ShapeBuilder(Builder):
     """Builds MPhys's geometry of a shape: wall coordinates in, moved ones out, by design variables.
 
-    `get_mesh_coordinate_subsystem` is the component. Its input `x_aero0_geometry_input` takes the
-    coordinates (3 m,) of any solver, its output is `x_aero0_geometry_output`. One builder serves
+    `get_mesh_coordinate_subsystem` is the component. It takes the coordinates
+    `x_aero0_geometry_input` (3 m,) of any solver to `x_aero0_geometry_output`. One builder serves
     solvers with different walls.
 
     **Arguments:**
@@ -40,16 +39,15 @@ class ShapeBuilder(Builder):
         self.shape, self.parameters = shape, first_parameters(shape, parameters)
 
     def get_mesh_coordinate_subsystem(self, scenario_name=None) -> "Geometry":  # pyright: ignore[reportIncompatibleMethodOverride]  MPhys states no result
-        """Makes the component."""
         return Geometry(shape=self.shape, parameters=self.parameters)
 
 
 class VolumeBuilder(Builder):
     """Builds a mesh that follows its wall, in place of an aerodynamic solver or in one's builder.
 
-    The mesh subsystem has the wall's coordinates `x_aero0_mesh` (3 m,). The coupling subsystem
-    takes `x_aero` (3 m,) to the coordinates `aero_vol_coords` (3 n,) of all nodes. Rows of the wall
-    are `plan.moving`.
+    The mesh subsystem has the wall's coordinates `x_aero0_mesh` (3 m,), in the order of
+    `plan.moving`. The coupling subsystem takes `x_aero` (3 m,) to the coordinates `aero_vol_coords`
+    (3 n,) of all nodes.
 
     **Arguments:**
 
@@ -68,27 +66,22 @@ class VolumeBuilder(Builder):
         self.plan, self.mesh, self.raise_if_inverted = plan, mesh, raise_if_inverted
 
     def initialize(self, comm) -> None:
-        """Checks that the run has a single process."""
         if comm.size > 1:
             raise ValueError(f"a plan is whole on one process; there are {comm.size}.")
 
     def get_mesh_coordinate_subsystem(self, scenario_name=None) -> om.IndepVarComp:  # pyright: ignore[reportIncompatibleMethodOverride]  MPhys states no result
-        """Makes the component that has the wall's coordinates."""
         wall: Any = np.asarray(self.plan.moving_points, float).ravel()
         component = om.IndepVarComp()
         component.add_output(SURFACE.Mesh.COORDINATES, wall, distributed=True, units="m", tags=["mphys_coordinates"])
         return component
 
     def get_coupling_group_subsystem(self, scenario_name=None) -> "Volume":  # pyright: ignore[reportIncompatibleMethodOverride]  MPhys states no result
-        """Makes the component that moves the volume."""
         return Volume(plan=self.plan, mesh=self.mesh, raise_if_inverted=self.raise_if_inverted)
 
     def get_number_of_nodes(self) -> int:
-        """Counts the wall's nodes."""
         return self.plan.n_moving
 
     def get_ndof(self) -> int:
-        """Returns 3: displacements have three components."""
         return 3
 
 

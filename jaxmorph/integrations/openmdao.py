@@ -1,7 +1,4 @@
-"""OpenMDAO components: design variables to surface displacements, and these to volume points.
-
-A component computes a traced function; its derivatives are products without a matrix.
-"""
+"""OpenMDAO components: design variables to surface displacements, and these to volume points."""
 
 try:
     import openmdao.api as om
@@ -130,12 +127,12 @@ class MeshDeformation(MovedMesh):
     **Arguments:** (options)
 
     - `plan`: what `jaxmorph.prepare` returned.
-    - `mesh`: the plan's mesh, whose cells are judged. Default None: no cells are seen, which is
-      warned of.
-    - `raise_if_inverted`: whether inverted cells raise `openmdao.api.AnalysisError`, by which
-      optimisers shorten a step. Cells that are inverted in `mesh` do not count. Default True.
+    - `mesh`: the plan's mesh, whose cells are judged. Default None: no cells are seen, with a
+      warning.
+    - `raise_if_inverted`: whether cells that invert raise `openmdao.api.AnalysisError`, by which
+      optimisers shorten a step. Default True.
     - `flat`: True flattens both variables to (m d,) and (n d,). Default False.
-    - `units`: of both variables, such as "m". Default None: none.
+    - `units`: of both variables, such as "m". Default None.
 
         problem = om.Problem()
         problem.model.add_subsystem("mesh", MeshDeformation(plan=plan, mesh=mesh), promotes=["*"])
@@ -163,9 +160,8 @@ class ShapeDisplacement(TracedComponent):
     """Computes displacements or positions of a plan's moving nodes, from a shape's parameters.
 
     Each array of the parameters is an input by its name of `jaxmorph.shapes.names`, with colons for
-    dots: `twist`, `wing:box`. Parameters that are one array alone are called `parameters`. Inputs
-    begin with neutral parameters. The output `displacements` (m, d) is what `MeshDeformation`
-    takes.
+    dots: `twist`, `wing:box`. A single array is called `parameters`. Inputs begin with neutral
+    parameters. The output `displacements` (m, d) is what `MeshDeformation` takes.
 
         model.add_subsystem("shape", ShapeDisplacement(plan=plan, shape=wing), promotes=["*"])
         model.add_subsystem("mesh", MeshDeformation(plan=plan, mesh=mesh), promotes=["*"])
@@ -174,8 +170,7 @@ class ShapeDisplacement(TracedComponent):
 
     - `shape`: a shape of `jaxmorph.shapes`, or a function of positions and parameters.
     - `plan`: what `jaxmorph.prepare` returned.
-    - `parameters`: values at the start; only a plain function needs them. Default None:
-      `shape.neutral()`.
+    - `parameters`: initial values; a plain function needs them. Default None: `shape.neutral()`.
     - `positions`: True makes the output `positions` (m, d) of the moving nodes instead. Default
       False.
     - `flat`, `units`: of the output, as `MeshDeformation` has them.
@@ -196,7 +191,6 @@ class ShapeDisplacement(TracedComponent):
 
 
 def first_parameters(shape: Any, parameters: PyTree) -> PyTree:
-    """Returns the given parameters, or neutral ones for None."""
     if isinstance(shape, type) or not callable(shape):
         raise ValueError(f"`shape` must be a shape or a function of positions and parameters, not {shown(shape)}.")
     if parameters is None and not hasattr(shape, "neutral"):
@@ -206,7 +200,6 @@ def first_parameters(shape: Any, parameters: PyTree) -> PyTree:
 
 
 def add_parameters(component: Any, parameters: PyTree, **options: Any) -> dict[str, Float[np.ndarray, "..."]]:
-    """Adds an input for each array of parameters; returns the arrays by input name."""
     arrays = {name: np.asarray(leaf, float) for name, leaf in _inputs(parameters)}
     for name, values in arrays.items():
         component.add_input(name, val=values, **options)

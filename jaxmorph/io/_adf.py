@@ -61,7 +61,7 @@ class Node(dict[str, Any]):
 
 
 class Reader:
-    """Reads nodes, and remembers their `spans` of the file: no two may share a byte."""
+    """Reads nodes, and records their `spans` of the file: no two may share a byte."""
 
     def __init__(self, path: pathlib.Path, file: BinaryIO):
         self.path, self.file, self.size = path, file, file.seek(0, 2)
@@ -84,11 +84,7 @@ class Reader:
         self.spans = [(0, 186)]
 
     def tree(self) -> Node:
-        """Reads the tree of an open file, not its arrays.
-
-        It raises `ValueError` for links, damaged tags, places beyond the file, nodes in a circle,
-        and parts that overlap.
-        """
+        """Reads the tree of an open file, without arrays; refuses links, cycles and damage."""
         root, below = self._node(self.root)
         waiting, seen = [(root, "", below)], {self.root}
         while waiting:
@@ -121,7 +117,6 @@ class Reader:
         return int(digits, 16)
 
     def pointer(self, raw: bytes) -> int:
-        """Returns the place in the file that 12 bytes mean."""
         return self._integer(raw[:8]) * BLOCK + self._integer(raw[8:])
 
     def _tagged(self, raw: bytes, tags: dict[int, bytes]) -> None:
@@ -159,7 +154,6 @@ class Reader:
         return tuple(sizes[::-1])
 
     def _integer(self, raw: bytes) -> int:
-        """Reads digits of version A, the integer itself of version B."""
         return self.hexadecimal(raw) if self.is_old else int(np.frombuffer(raw, self.order + f"u{len(raw)}")[0])
 
     def _entries(self, number: int, raw: bytes) -> list[int]:
@@ -188,10 +182,7 @@ class Reader:
         return self.read(first, need)
 
     def _part(self, at: int, tags: tuple[bytes, bytes]) -> tuple[int, int]:
-        """Finds where the content of a part begins, and its number of bytes.
-
-        It stands between the part's tags, behind the place of the last one.
-        """
+        """Finds a part's content, behind the place of the last one, and its number of bytes."""
         raw = self.read(at, TAG + POINTER)
         first, stop = at + len(raw), self.pointer(raw[TAG:])
         self._tagged(raw, {0: tags[0]})

@@ -24,7 +24,7 @@ Points = Float[np.ndarray, "..."]
 Surface = Mapping[str, tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k d"]]]
 
 NEEDED, OPTIONAL = {"points", "moved"}, {"degree", "continuity"}
-"""Names in a table of a box, beside those that say where it lies."""
+"""Keys of a box's table, beside those of its place."""
 MOST = 10**6
 """Control points that a box may have."""
 HALF = 0.5
@@ -39,8 +39,8 @@ def read_box(
 
     The table has `low` and `high` (two corners of a box along the axes), or `corners` (eight, in
     2-D four, as `Hexahedron` takes them). It has `points` (numbers of control points), and a list
-    `moved`. Each of `moved` is a table of `at` (a control point's numbers, from 0) and `by` (its
-    displacement). `degree` and `continuity` are as in `FreeForm`.
+    `moved` of tables of `at` (a control point's numbers, from 0) and `by` (its displacement).
+    `degree` and `continuity` are as in `FreeForm`.
 
     **Arguments:**
 
@@ -49,8 +49,8 @@ def read_box(
 
     **Returns:** the box, and displacements (*counts, d).
 
-    **Raises:** `ValueError` for what is no such table, does not fit the dimensions, or moves a
-    control point that is held.
+    **Raises:** `ValueError` for a bad table, other dimensions, and a displacement of a control
+    point that is held.
     """
     is_table = isinstance(source, Mapping)
     where = "--box" if is_table else str(source)
@@ -108,8 +108,7 @@ def write_lattice(file: str | os.PathLike[str], points: Any) -> None:
     **Arguments:**
 
     - `file`: its name ends in `.vts`.
-    - `points`: (i, j, 2) or (i, j, k, 3), as `FreeForm.lattice` gives them, before or after a
-      motion.
+    - `points`: (i, j, 2) or (i, j, k, 3), as `FreeForm.lattice` gives them, or moved.
 
     **Raises:** `ValueError` for another shape or another ending, `ImportError` without vtk.
     """
@@ -141,8 +140,7 @@ class Box:
 
     - `name`: its tag.
     - `shape`: corners, numbers of control points and degrees; in the dimension of the mesh.
-    - `control`: positions (*counts, d) of the control points now. Those of `shape.lattice()` until
-      the box is deformed.
+    - `control`: positions (*counts, d) of the control points, at first those of `shape.lattice()`.
     - `surface`: by marker, ids (k,) of its nodes in the box and their coordinates (k, d) there,
       which a deformation leaves.
     - `level`, `parents`, `children`: of nested boxes; 0 and none for others.
@@ -167,7 +165,7 @@ def boxes(mesh: Mesh) -> tuple[Box, ...]:
 
     **Returns:** its boxes; none for other formats, and for files without boxes.
 
-    **Raises:** `ValueError` for a section that is cut short, with file and line.
+    **Raises:** `ValueError`, with file and line, for a section that is cut short.
     """
     source = source_of(mesh, NAME)
     if source is None or b"FFD_NBOX" not in source.content.text:
@@ -192,10 +190,8 @@ def with_boxes(mesh: Mesh, new: Sequence[Box]) -> Mesh:
     - `mesh`: a mesh that was read from an SU2 file.
     - `new`: its boxes, none to remove all.
 
-    **Returns:** a `Mesh` with the points, cells and patches of `mesh`.
-
-    **Raises:** `ValueError` for a mesh that did not come from an SU2 file, boxes of one name, and
-    other control points.
+    **Raises:** `ValueError` for a mesh from elsewhere, duplicate names of boxes, and other control
+    points.
     """
     source = source_of(mesh, NAME)
     if source is None:
@@ -228,7 +224,6 @@ def _keywords(source: Source) -> Sequence[Keyword]:
 
 
 def _extent(source: Source) -> tuple[int, int]:
-    """Finds where the text's section of boxes begins and ends; both are the zone's end if none."""
     keywords = _keywords(source)
     section = [keyword for keyword in keywords if keyword.name.startswith(("FFD_", "BSPLINE_ORDER_"))]
     if not section:

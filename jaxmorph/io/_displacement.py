@@ -34,10 +34,9 @@ def read_displacement(
 
     With `before` it goes from one surface to another of the same points in the same order (.stl,
     .obj, or .npz of `points` and `triangles`, in 2-D `lines`). Each node takes the displacement of
-    the place of `before` that is closest to it.
-
-    Without `before` it goes by node id. The file is a table `id, x, y[, z]` (SU2's `surface_*.dat`,
-    .csv), or .npz of `displacement` or `position` and `ids` (default: in the order of `moving`).
+    the closest place of `before`. Without `before` it goes by node id. The file is a table `id, x,
+    y[, z]` (SU2's `surface_*.dat`, .csv), or .npz of `displacement` or `position` and `ids`
+    (default: in the order of `moving`).
 
     **Arguments:**
 
@@ -49,8 +48,8 @@ def read_displacement(
 
     **Returns:** displacements (m, d) in the unit of the mesh.
 
-    **Raises:** `ValueError` for nodes that are missing or foreign, for surfaces of different
-    connectivity, and for nodes further off the surface `before` than 0.01 of its size.
+    **Raises:** `ValueError` for missing or foreign nodes, surfaces of different connectivity, and
+    nodes off the surface `before` by more than 0.01 of its size.
     """
     path, moving = input_path(path), np.asarray(moving)
     points = np.asarray(mesh.points)
@@ -83,7 +82,6 @@ def _check_ids(path: pathlib.Path, ids: np.ndarray, moving: np.ndarray) -> None:
 
 
 def _between(before: pathlib.Path, after: pathlib.Path, x: np.ndarray) -> np.ndarray:
-    """Interpolates the motion between two surfaces at the places closest to `x` (m, d)."""
     old, new = read_shape(before), read_shape(after)
     if old.points.shape != new.points.shape or not np.array_equal(old.simplices, new.simplices):
         sizes = " and ".join(f"{len(surface.points)} points, {len(surface.simplices)} faces" for surface in (old, new))
@@ -114,10 +112,7 @@ class Shape:
 
 
 def read_shape(path: pathlib.Path) -> Shape:
-    """Reads a surface: .stl (text, binary), .obj (faces, lines), .npz (points with either).
-
-    It raises `ValueError` for other endings and contents, and for simplices beyond the points.
-    """
+    """Reads a surface: .stl (text, binary), .obj (faces, lines), .npz (points with either)."""
     if path.suffix.lower() not in READERS:
         raise ValueError(f"{path}: a surface is read from {', '.join(READERS)}, found the ending {path.suffix!r}.")
     shape = READERS[path.suffix.lower()](path)

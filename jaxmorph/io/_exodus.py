@@ -35,17 +35,14 @@ TYPES |= {(name, 1): ("vertex", []) for name in ("SPH", "CIR", "POI", "NOD")}
 """Types of cells by first letters and node counts of Exodus's types, and corners of each side."""
 
 _SETS = (("ss", "num_side_sets", "elem_ss", "sides"), ("ns", "num_node_sets", "node_ns", "nodes"))
-"""Of side sets and node sets: their prefix, their number, the array of members, and our word."""
+"""Side sets and node sets: prefix, number, array of members, and the word of a patch."""
 _UNREAD = {"num_edge_sets": "edge sets", "num_face_sets": "face sets", "num_elem_sets": "element sets"}
 _UNREAD |= {"num_ed_blk": "blocks of edges", "num_fa_blk": "blocks of faces"}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Block:
-    """Elements of one type between `corners`, called `name`, and the corners of their sides.
-
-    Without a name it is called `own`.
-    """
+    """Elements of one type by `corners`, called `name` or `own`, and corners of their sides."""
 
     name: str
     own: str
@@ -57,8 +54,7 @@ class _Block:
 def read(path: pathlib.Path) -> Parts:
     """Reads points, cells and patches: side sets, node sets, blocks of lower dimension.
 
-    A set without a name is called by its kind and its number. Of several sets and blocks of one
-    name the first one has it, others add their kind and number.
+    An unnamed set is called by its kind and number; so is a duplicate name, but the first.
     """
     with opened(path, what=WHAT) as file:
         coordinates = list(_coordinates(file))
@@ -83,12 +79,10 @@ def read(path: pathlib.Path) -> Parts:
 
 
 def write(path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arrays) -> None:
-    """Writes a copy of the file that the mesh was read from."""
     write_points(path, mesh, NAME, _coordinates, WHAT)
 
 
 def _coordinates(file: Mapping[str, Any]) -> Iterator[Coordinates]:
-    """Finds the coordinates of each direction: arrays of their own, or the rows of one."""
     if "coord" in file:
         yield Coordinates(file["coord"], slice(None), slice(None))
         return
@@ -179,7 +173,6 @@ def _nodes(blocks: list[_Block], cells: np.ndarray, sides: np.ndarray) -> np.nda
 
 
 def _text(value: Any) -> str:
-    """Reads text from bytes, or from an array of characters that ends with zeros."""
     if isinstance(value, str):
         return value
     return decoded(np.asarray(value).tobytes().split(b"\0")[0]).strip()

@@ -18,10 +18,10 @@ from jaxmorph._mesh.exchange import Grid, Parts, Patch, checked_parts, intact_so
 from jaxmorph._mesh.polyhedra import Polyhedra
 
 SHARE = 0.1
-"""Share of the motion, or of an edge, that rounding may take without a word."""
+"""Share of the motion, or of an edge, that rounding may take without a warning."""
 
 EVERYTHING = ((slice(None), slice(None)),)
-"""The `singles` of a file that has single precision everywhere."""
+"""The `singles` of a file in single precision."""
 
 Arrays = Mapping[str, np.ndarray]
 
@@ -32,7 +32,7 @@ class Held:
 
     - `points` (N, k): the points of the file, as read.
     - `in_file`, `in_mesh`: take points (n, d) of the mesh to those of the file, and back.
-    - `singles`: rows and columns of `points` that the file has in single precision.
+    - `singles`: rows and columns of `points` in single precision.
     """
 
     points: np.ndarray
@@ -41,7 +41,6 @@ class Held:
     singles: Sequence[tuple[slice, Any]] = ()
 
     def stored(self, points: np.ndarray) -> np.ndarray:
-        """Computes the points (n, d) that reading the written file gives."""
         values = np.array(self.in_file(points), float)
         for place in self.singles:
             values[place] = values[place].astype(np.float32)
@@ -49,12 +48,10 @@ class Held:
 
     @functools.cached_property
     def base(self) -> np.ndarray:
-        """The mesh's points as read (n, d)."""
         return self.in_mesh(self.points)
 
 
 def warn_of_loss(path: pathlib.Path, cells: Mapping[str, Any], held: Held, points: np.ndarray) -> np.ndarray:
-    """Computes what the file holds of moved points (n, d); warns where rounding takes much."""
     stored = held.stored(points)
     if not held.singles:
         return stored
@@ -96,19 +93,18 @@ def _changed_edges(cells: Mapping[str, Any], base: np.ndarray, points: np.ndarra
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Source:
-    """The file that a mesh was read from, and the `content` that gives the file back as it was.
+    """The file that a mesh was read from, and the `content` that restores it.
 
-    It is compared by identity: a static field of a pytree may be as large as it likes.
+    Compared by identity: a static field of a pytree may be of any size.
 
     - `polyhedra`, `cell_ids`, `groups`, `between`, `file_nodes`: as in `Mesh`.
     - `periodic`, `symmetry`, `kinds`: periodic pairs of patches, patches in symmetry planes, and
-      the type of each patch, as the file names them.
+      the type of each patch.
     - `node_ids` (n,): numbers of the nodes in other files, None for 0, 1, 2, ...
-    - `in_file`: takes points (n, d) of the mesh to points (N, 3) of the file; None where a mesh has
-      the nodes of its file.
+    - `in_file`: takes points (n, d) of the mesh to points (N, 3) of the file; None for equal nodes.
     - `held`: how the file holds the points; None where it keeps all of their digits.
-    - `cells`: numbers of the file's cells by type, by which changed cells are seen; None: unknown.
-    - `notes`: sentences on what of the file is not in the mesh, or has another name there.
+    - `cells`: counts of the file's cells by type, which show changed cells; None: unknown.
+    - `notes`: sentences on what the mesh leaves out of the file, or renames.
     """
 
     path: pathlib.Path
@@ -134,8 +130,6 @@ class Source:
 
 @runtime_checkable
 class MeshLike(Protocol):
-    """Lists what a format needs of a mesh to write it: of a `Mesh`, or of its `Parts`."""
-
     @property
     def points(self) -> Any: ...
     @property
@@ -150,8 +144,8 @@ class MeshLike(Protocol):
 class Format:
     """A format: its name, its endings, and the module of this package that reads and writes it.
 
-    `magic` are the first bytes of its files, for an ending that another format has too. The module
-    is imported when it is needed, and with it the extra that it may stand on. It defines
+    `magic` are the first bytes of its files, for an ending that two formats share. The module, and
+    with it an extra, is imported at first use. It defines
 
     - `read(path) -> Parts`: `ValueError` names file, place and what was found;
     - `write(path, mesh, point_data, cell_data)`: writes a new file. `cell_data` follows the order
@@ -172,7 +166,6 @@ class Format:
 
 
 def source_of(mesh: MeshLike, format_name: str) -> Source | None:
-    """Returns the source of a mesh that was read from a file of that format and has its cells."""
     source = intact_source(mesh)
     is_of_format = isinstance(source, Source) and source.format == format_name and source.content is not None
     return source if is_of_format else None
@@ -181,8 +174,7 @@ def source_of(mesh: MeshLike, format_name: str) -> Source | None:
 def own_source(path: pathlib.Path, mesh: MeshLike, format_name: str) -> Source:
     """Returns the source of a mesh, for a format whose files are copies of the file that was read.
 
-    It raises `ValueError` for other meshes, and where the file has changed since, if the source's
-    content has its `stamp`.
+    Raises `ValueError` for other meshes, and for a file that has changed since, by its `stamp`.
     """
     source = source_of(mesh, format_name)
     if source is None:
@@ -207,7 +199,6 @@ def faults_of(path: pathlib.Path) -> Iterator[None]:
 
 
 def of_grid(path: pathlib.Path, grid: Grid, source: Source, patches: Iterable[Patch] = ()) -> Parts:
-    """Makes the mesh of a grid with more `patches`; errors name the file."""
     with faults_of(path):
         points, cells, found, origin = parts(grid, patches)
         notes = (*source.notes, *origin.notes)
@@ -215,7 +206,6 @@ def of_grid(path: pathlib.Path, grid: Grid, source: Source, patches: Iterable[Pa
 
 
 def stamp_of(path: pathlib.Path) -> tuple[int, int]:
-    """Returns marks by which a changed file is found: its size, and when it was last written."""
     status = path.stat()
     return status.st_size, status.st_mtime_ns
 
@@ -230,7 +220,7 @@ class FilePoints:
     """The points (N, k) of a file, of which a 2-D mesh has no z.
 
     - `node` (N,): the mesh's node for each of them; None where the mesh has the nodes of the file.
-    - `stamp`: marks by which a changed file is found, for a format of copies.
+    - `stamp`: for a format of copies, shows a changed file.
     """
 
     points: np.ndarray
@@ -243,7 +233,6 @@ class FilePoints:
 
     @property
     def _first(self) -> Any:
-        """The first copy of each node of the mesh among those of the file."""
         return slice(None) if self.node is None else np.unique(self.node, return_index=True)[1]
 
     def in_file(self, points: np.ndarray) -> np.ndarray:
@@ -266,8 +255,7 @@ def patch_faces(mesh: MeshLike) -> dict[str, dict[str, np.ndarray]]:
     """Finds the boundary faces of each patch, by type: all nodes of the face are in the patch.
 
     A face that several patches could have (the one edge of an inlet between two walls of one patch)
-    goes to the smallest of them. It raises `ValueError` for a patch with nodes that none of its
-    faces holds: faces cannot say it.
+    goes to the smallest. Raises `ValueError` for a patch with nodes that none of its faces holds.
     """
     patches = sorted(mesh.patches.items(), key=lambda item: len(item[1]))
     n = mesh.points.shape[0]

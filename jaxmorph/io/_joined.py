@@ -13,9 +13,9 @@ from ._format import FilePoints as Joined
 
 SIDES = ("imin", "imax", "jmin", "jmax", "kmin", "kmax")
 TOLERANCE = 1e-3
-"""Distance that two nodes of one place may be apart, as a share of the shortest edge at them."""
+"""Distance between duplicates of a node, as a share of the shortest edge at them."""
 COPIES = 12
-"""Nodes of one place that are looked for around each."""
+"""Duplicates of a node that are looked for."""
 
 
 def block_ids(shape: tuple[int, ...], first: int) -> np.ndarray:
@@ -60,11 +60,7 @@ def open_faces(faces: list[np.ndarray], patches: list[np.ndarray], n: int) -> li
 
 
 def shared_nodes(points: np.ndarray, faces: list[np.ndarray]) -> np.ndarray:
-    """Finds each point's first id at its place, among the nodes of `faces`; else its own.
-
-    Two nodes are at one place when they are closer than a thousandth of the shortest edge of
-    `faces` at them.
-    """
+    """Finds each point's first duplicate (see `TOLERANCE`) on `faces`; else its own id."""
     n = len(points)
     size = np.full(n, np.inf)
     for corners in faces:
@@ -90,11 +86,7 @@ def shared_nodes(points: np.ndarray, faces: list[np.ndarray]) -> np.ndarray:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Zones:
-    """All nodes of a file, zone after zone, cells and patches of their ids, and outer faces.
-
-    `names` are names of the patches that the faces become where no other zone meets them; without
-    names such a patch is `unnamed`.
-    """
+    """All nodes, zone after zone, cells and patches of their ids, outer faces and their names."""
 
     points: np.ndarray
     cells: list[tuple[str, np.ndarray]]
@@ -104,10 +96,7 @@ class Zones:
 
 
 def join(zones: Zones) -> tuple[Parts, Joined]:
-    """Joins zones to one mesh in the file's node order, 2-D if z is constant.
-
-    It raises `ValueError` for coordinates that are not finite.
-    """
+    """Joins zones to one mesh in the file's order, 2-D if z is constant; refuses NaN."""
     points = zones.points
     bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
     if bad.size:
@@ -124,9 +113,9 @@ def join(zones: Zones) -> tuple[Parts, Joined]:
 def _join_nodes(zones: Zones) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Finds the mesh node of each file node, and the mesh's patches.
 
-    Where no patch lies, nodes at one place are one. Faces that are then alone and in no patch are
-    the patch `unnamed`, or `boundary` where there is no other, unless they have a name. Where the
-    file has a patch `unnamed` they are `unnamed_faces`.
+    Where no patch lies, duplicates are one node. Faces that are then alone and in no patch have
+    their name, or are the patch `unnamed`; `boundary` without other patches, `unnamed_faces` where
+    the file has a patch `unnamed`.
     """
     covers = [nodes for parts in zones.patches.values() for nodes in parts]
     faces = open_faces(zones.faces, covers, len(zones.points))

@@ -29,10 +29,7 @@ TYPES = {
 
 
 def read(path: pathlib.Path) -> Parts:
-    """Reads points, cells and patches: groups of elements of lower dimension, and of nodes.
-
-    A group of nodes that is called as one of elements, and has other nodes, is `NAME_nodes`.
-    """
+    """Reads points, cells and patches: groups of lower dimension, and of nodes (`NAME_nodes`)."""
     with opened(path, what=WHAT) as file:
         name, step = _step(file)
         coordinates = list(_coordinates(file))
@@ -54,7 +51,6 @@ def read(path: pathlib.Path) -> Parts:
 
 
 def write(path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arrays) -> None:
-    """Writes a copy of the file that the mesh was read from."""
     write_points(path, mesh, NAME, _coordinates, WHAT)
 
 
@@ -72,7 +68,6 @@ def _families(group: Any, count: int) -> np.ndarray:
 def _of_elements(
     blocks: list[tuple[str, np.ndarray]], families: list[np.ndarray], groups: dict[str, list[int]]
 ) -> tuple[list[Patch], list[str]]:
-    """Makes patches of groups of lower dimension, and lists groups of full dimension."""
     patches, regions, levels = [], [], [DIMENSION.get(kind, 0) for kind, _ in blocks]
     for group, numbers in groups.items():
         chosen = [np.isin(family, numbers) for family in families]
@@ -88,7 +83,6 @@ def _of_elements(
 
 
 def _step(file: Any) -> tuple[str, Any]:
-    """Finds the one mesh of a file: its name, and the group of its one step of time."""
     meshes = dict(file["ENS_MAA"].items())
     if len(meshes) != 1:
         raise ValueError(f"{len(meshes)} meshes in the file, one is read")

@@ -1,9 +1,4 @@
-"""MFEM's .mesh, versions 1.0 to 1.3, straight or of order 1 to 4 (mfem.org/mesh-formats).
-
-Nodes are the coordinates of a finite element space: H1, continuous, or L2_T1, whose cells have
-nodes of their own. From order 3 on MFEM's nodes are at Gauss-Lobatto places, and the mesh has nodes
-at equal steps: the coordinates of the file are computed anew where cells have changed.
-"""
+"""MFEM's .mesh, versions 1.0 to 1.3, straight or of order 1 to 4 (mfem.org/mesh-formats)."""
 
 import dataclasses
 import pathlib
@@ -82,7 +77,7 @@ def numbered(
 
 
 def _in_file_order(elements: list[Elements], tables: list[np.ndarray]) -> np.ndarray:
-    """Joins the rows (k, m, ...) of elements of several types, as these take turns in the file."""
+    """Joins the rows (k, m, ...) of several types, as these take turns in the file."""
     places = np.concatenate(
         [np.repeat(each.rows, table.shape[1]) for each, table in zip(elements, tables, strict=True)]
     )
@@ -101,7 +96,6 @@ def _sides(cells: list[Elements], table: dict[str, tuple[tuple[int, ...], ...]])
 
 
 def _inner(element: Elements, order: int) -> np.ndarray:
-    """Returns the keys of the nodes inside of lines, faces or cells, not on their sides."""
     cell = of_order(element.kind, order)
     at = cell.lattice[cell.corners :]
     simplex = at[:, : SIMPLEX.get(cell.shape, 0)]
@@ -110,7 +104,7 @@ def _inner(element: Elements, order: int) -> np.ndarray:
 
 
 def at_places(cells: dict[str, np.ndarray], points: np.ndarray, *, are_lobatto: bool) -> np.ndarray:
-    """Computes the nodes of cells at Gauss-Lobatto places from those at equal steps, or back."""
+    """Takes nodes at equal steps to MFEM's Gauss-Lobatto places (from order 3 on), or back."""
     moved = points.copy()
     for kind, ids in cells.items():
         matrix = np.linalg.inv(to_lobatto(kind)) if are_lobatto else to_lobatto(kind)
@@ -119,7 +113,6 @@ def at_places(cells: dict[str, np.ndarray], points: np.ndarray, *, are_lobatto: 
 
 
 def to_lobatto(kind: str) -> np.ndarray:
-    """Returns the matrix from nodes at equal steps to nodes at Gauss-Lobatto places."""
     cell = lagrange_types()[kind]
     p, at, simplex = cell.order, cell.lattice, SIMPLEX.get(cell.shape, 0)
     inner = legendre.legroots(legendre.legder(np.eye(p + 1)[p]))
@@ -135,7 +128,7 @@ NAME = "MFEM"
 GEOMETRIES = ("point", "line", "triangle", "quad", "tetra", "hexahedron", "wedge", "pyramid")
 """Types by MFEM's numbers, whose corners are in VTK's order."""
 SAME = 1e-8
-"""Distance of two nodes of L2 that are one, as a share of the mesh's extent."""
+"""Distance of duplicates in L2, as a share of the mesh's extent."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -155,7 +148,6 @@ class _Space:
     skipped: int = 0
 
     def values(self, count: int) -> np.ndarray:
-        """Reads the coordinates (m, d) of the file."""
         numbers = self.section.rows(np.float64).values[self.skipped :]
         if self.d not in (2, 3) or len(numbers) != count * self.d:
             raise self.section.error(
@@ -203,17 +195,13 @@ class _Content:
 
 
 def _first_of(values: np.ndarray, node: np.ndarray, count: int) -> np.ndarray:
-    """Takes the first of the values (m, d) of each node: (count, d)."""
     first = np.empty((count, values.shape[1]))
     first[node[::-1]] = values[::-1]
     return first
 
 
 def read(path: pathlib.Path) -> Parts:
-    """Reads cells, nodes, and patches: the attributes of boundary elements.
-
-    The patch of attribute 3 is `boundary_3`; named sets of attributes are groups of patches.
-    """
+    """Reads cells, nodes, and patches: attributes of boundary elements, `boundary_3`, and sets."""
     text = path.read_bytes()
     parts = _sections(path, text)
     cells, sides = _elements(parts["elements"]), _elements(parts["boundary"])
@@ -254,7 +242,6 @@ def write(path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arr
 
 
 def _plain(text: bytes) -> bytes:
-    """Overwrites every line of comment by spaces: what remains stands where it stood."""
     return blanked(text, rb"(?m)^[ \t]*#[^\r\n]*")
 
 

@@ -1,8 +1,4 @@
-"""PLOT3D grids: one or many blocks, 2-D or 3-D, text, Fortran records or binary, single or double.
-
-A file does not say which of these it is; the form whose sizes fit the file to the byte is taken. It
-may have IBLANK, whose values are kept and not looked at. The file is written back in its form.
-"""
+"""PLOT3D grids: one or many blocks, text, records or binary; the form is the one that fits."""
 
 import dataclasses
 import math
@@ -24,11 +20,7 @@ WORDS = bytes.maketrans(b",Dd", b" ee")
 
 @dataclasses.dataclass(frozen=True)
 class Form:
-    """How numbers are written: bytes of a record's mark, the type of sizes, types of the others.
-
-    `types` are those of coordinates and IBLANK, None without it. The numbers of a text are taken as
-    bytes of doubles.
-    """
+    """Types of a record's mark, of sizes, of coordinates and IBLANK (or None); text is doubles."""
 
     mark: int
     head: np.dtype
@@ -81,10 +73,9 @@ class _Content:
 def read(path: pathlib.Path) -> Parts:
     """Reads all blocks; nodes where blocks meet are one.
 
-    Patches come from a file beside the grid, called as the grid with the ending `.patches`. It
-    holds lines `NAME BLOCK SIDE` (`imin` to `kmax`) or `NAME BLOCK I1 I2 J1 J2 [K1 K2]`, nodes
-    counted from 1. Without it each outer side of a block is a patch, as `block2_jmin`, or `jmin` in
-    a file of one block.
+    Patches come from a file beside the grid, with its name and the ending `.patches`. Its lines are
+    `NAME BLOCK SIDE` (`imin` to `kmax`) or `NAME BLOCK I1 I2 J1 J2 [K1 K2]`, nodes counted from 1.
+    Without it each outer side of a block is a patch, `block2_jmin`, or `jmin` for a single block.
     """
     data = path.read_bytes()
     is_text = len(data) > 0 and not data[:4096].translate(None, TEXT)
@@ -124,7 +115,6 @@ def _plain(text: bytes) -> bytes:
 
 
 def _numbers(path: pathlib.Path, data: bytes, is_text: bool) -> np.ndarray:
-    """Returns the bytes of a binary file, or of the doubles in a text."""
     if not is_text:
         return np.frombuffer(data, np.uint8)
     parts = []
@@ -216,7 +206,6 @@ def _patches(path: pathlib.Path, shapes: tuple[tuple[int, ...], ...]) -> dict[st
 
 
 def _patch(words: list[str], shapes: tuple[tuple[int, ...], ...]) -> np.ndarray:
-    """Returns the nodes that a line names; `ValueError` or `IndexError` where it cannot."""
     block = int(words[1]) - 1
     shape = shapes[block] if block >= 0 else ()
     ids = sum(map(math.prod, shapes[:block])) + np.arange(math.prod(shape)).reshape(shape, order="F")

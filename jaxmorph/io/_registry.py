@@ -1,4 +1,4 @@
-"""`read` and `write` choose among the formats; what a file says beside its mesh; moved meshes."""
+"""Reads and writes meshes: finds the format, and lists what a file holds beside its mesh."""
 
 import contextlib
 import dataclasses
@@ -36,11 +36,10 @@ FORMATS = (
 
 
 def format_of(path: pathlib.Path, source: object = None) -> Format:
-    """Finds the format of a file by its ending, of a folder OpenFOAM.
+    """Finds the format of a file by its ending; a folder is an OpenFOAM case.
 
-    Two formats may have an ending. Then the format of `source` decides, from which a mesh to be
-    written came, or the first bytes of a file to be read. It raises `ValueError`, with the endings
-    there are, for another one.
+    Where two formats share an ending, the format of `source` (of a mesh to be written) or the
+    file's first bytes decide. Raises `ValueError`, with the known endings, for another one.
     """
     if is_folder(path):  # it raises for unknown endings
         return next(candidate for candidate in FORMATS if candidate.is_folder)
@@ -55,7 +54,6 @@ def format_of(path: pathlib.Path, source: object = None) -> Format:
 
 
 def file_mesh(path: pathlib.Path) -> Parts:
-    """Reads and checks the mesh in a file or a case, as `jaxmorph.io.read` describes it."""
     mesh = format_of(path).codec().read(path)
     check_nodes(path, mesh)
     notes = (*mesh.source.notes, *_hidden_groups(mesh))
@@ -64,17 +62,13 @@ def file_mesh(path: pathlib.Path) -> Parts:
 
 
 def _hidden_groups(mesh: Parts) -> Iterator[str]:
-    """Yields a sentence on each group whose name is that of a patch, which goes before it."""
     for group, names in mesh.source.groups.items():
         if group in mesh.patches and set(names) != {group}:
             yield f"the group {group} ({', '.join(names)}) has the name of a patch: {group} is the patch alone."
 
 
 def check_nodes(path: pathlib.Path, mesh: Parts) -> None:
-    """Raises `ValueError` for two cells with equal nodes; warns of curved cells with a node twice.
-
-    Pieces of polyhedra may coincide.
-    """
+    """Refuses duplicate cells but pieces of polyhedra; warns of duplicate nodes in curved cells."""
     whole, first = mesh.source.polyhedra, 0
     for kind, corners in mesh.cells.items():
         corners, rows = np.asarray(corners), slice(None)
@@ -102,10 +96,10 @@ def check_nodes(path: pathlib.Path, mesh: Parts) -> None:
 def read(path: str | os.PathLike[str]) -> Mesh:
     """Reads the mesh in a file or an OpenFOAM case.
 
-    Files are SU2 (.su2), VTK (.vtu, .vtk, .vts, .vtp, .pvtu, .vtm), gmsh (.msh), CGNS (.cgns) and
-    MFEM (.mesh). Others are MED (.med), Exodus (.e, .exo, .ex2, .exoii, .g) and PLOT3D (.xyz, .p3d,
-    .p3dfmt, .x, .g). Of an OpenFOAM case `path` is its folder, or a time folder. VTK, CGNS, MED
-    and Exodus need the extra `io`.
+    Files are SU2 (.su2), VTK (.vtu, .vtk, .vts, .vtp, .pvtu, .vtm), gmsh (.msh), CGNS (.cgns), MFEM
+    (.mesh). Others are MED (.med), Exodus (.e, .exo, .ex2, .exoii, .g) and PLOT3D (.xyz, .p3d,
+    .p3dfmt, .x, .g). VTK, CGNS, MED and Exodus need the extra `io`. For an OpenFOAM case `path` is
+    its folder or a time folder.
 
     Coordinates are float64, in the units and the order of the file. A mesh of 2-D cells has two
     coordinates when all z of the file are equal. Patches are
@@ -114,22 +108,18 @@ def read(path: str | os.PathLike[str]) -> Mesh:
       OpenFOAM's patches, VTK's point arrays called `patch:NAME`;
     - MFEM's attributes of boundary elements, `boundary_3` for attribute 3; named sets are groups;
     - Exodus's side sets and node sets, and its blocks of lower dimension;
-    - the sides of PLOT3D's blocks, or patches that a file beside the grid names. It has the grid's
-      name, the ending `.patches`, and lines `NAME BLOCK SIDE` or `NAME BLOCK I1 I2 J1 J2 [K1 K2]`;
+    - the sides of PLOT3D's blocks, or patches from a file beside the grid, with its name and the
+      ending `.patches`. Its lines are `NAME BLOCK SIDE` or `NAME BLOCK I1 I2 J1 J2 [K1 K2]`;
     - the one patch `boundary` for a file that names none.
 
-    Where two have one name and other nodes, the second one's name has what it is at its end,
-    `wall_nodes_20`. `mesh.source.notes` says so, and what of the file is not in the mesh.
+    Of two patches with one name but different nodes, the second gets a suffix, `wall_nodes_20`.
+    `mesh.source.notes` lists these, and what the mesh leaves out of the file.
 
-    **Arguments:**
-
-    - `path`: the file, or the folder of a case.
-
-    **Returns:** a `Mesh` that remembers the file, so that `write` can give it back with other
+    **Returns:** a `Mesh` with its source, so that `write` can give the file back with other
     coordinates.
 
-    **Raises:** `ValueError` for a file that is not a good mesh, with file, line and what stands
-    there. `OSError` for a file that cannot be opened. `ImportError` when the extra is missing.
+    **Raises:** `ValueError`, with file and line, for a file that is not a good mesh; `OSError` for
+    a file that cannot be opened; `ImportError` for a missing extra.
     """
     return Mesh(*file_mesh(files.input_path(path)))
 
@@ -144,29 +134,27 @@ def write(
 ) -> None:
     """Writes a mesh in the format of the file's ending.
 
-    A mesh that was read and `moved` keeps everything but its coordinates in the format it came
-    from, byte for byte in SU2, gmsh, MFEM, OpenFOAM and PLOT3D files. Coordinates read back bit for
-    bit, rounded once where the file is in single precision, and to round-off in MFEM's files of
-    order 3 and 4; `as_written` has them. Between formats, and for generated meshes, points, cells
-    and patches are written. SU2 and gmsh express a patch by the boundary faces between its nodes.
-    CGNS, MFEM, MED, Exodus, PLOT3D and OpenFOAM take back only meshes that came from them.
+    A mesh that was read and `moved` keeps everything but its coordinates in its own format, byte
+    for byte in SU2, gmsh, MFEM, OpenFOAM and PLOT3D files. Coordinates read back bit for bit,
+    except for rounding to single precision (`as_written`), and round-off in MFEM's files of order 3
+    and 4. Other meshes, and other formats, get points, cells and patches. SU2 and gmsh express a
+    patch by the boundary faces between its nodes. CGNS, MFEM, MED, Exodus, PLOT3D and OpenFOAM take
+    back only meshes that came from them.
 
     A mesh from an OpenFOAM case goes into a time folder of the case (`case/0.5`: its
     `polyMesh/points`), or into a new folder. That is a copy of the case's `constant`, `system`, `0`
-    and `0.orig` with other points. Both planes of a 2-D case move alike.
-
-    The file appears when it is complete, under a temporary name until then.
+    and `0.orig` with other points. Both planes of a 2-D case move alike. The file has a temporary
+    name until it is complete.
 
     **Arguments:**
 
     - `path`: the file or folder to write; its folder must exist.
     - `mesh`: the mesh.
-    - `point_data`: arrays by name, one row a point, for formats that hold any. Default: none.
-    - `cell_data`: arrays by name, one row a cell, in the order of `mesh.cells`, one type after the
-      other. Default: none.
+    - `point_data`, `cell_data`: arrays by name, one row a point or a cell, in the order of
+      `mesh.cells`, type by type. Only for formats that hold arrays. Default: none.
 
     **Raises:** `ValueError` when `path` is the file that the mesh was read from, for arrays of a
-    wrong length, points that are not finite, and what the format cannot say.
+    wrong length, points that are not finite, and what the format cannot express.
     """
     chosen, path = _checked(path, mesh), pathlib.Path(path)
     arrays = dict(point_data or {}), dict(cell_data or {})
@@ -192,10 +180,9 @@ def as_written(path: str | os.PathLike[str], mesh: Mesh) -> Float[np.ndarray, "n
 
     **Arguments:**
 
-    - `path`: the file or folder to write, as for `write`.
-    - `mesh`: the mesh to write there.
+    - `path`, `mesh`: as `write` takes them.
 
-    **Returns:** points (n, d), those of `mesh` for a file that holds them as they are.
+    **Returns:** points (n, d), those of `mesh` for a file in double precision.
 
     **Raises:** `ValueError` for an unknown ending, and a folder that does not exist.
 
@@ -215,14 +202,12 @@ def check_output(path: str | os.PathLike[str], mesh: Mesh) -> bool:
 
     **Arguments:**
 
-    - `path`: the file or folder to write.
-    - `mesh`: the mesh to write there.
+    - `path`, `mesh`: as `write` takes them.
 
     **Returns:** True if the format holds arrays.
 
-    **Raises:** `ValueError` for an unknown ending, a folder that does not exist, the file that the
-    mesh was read from, and a mesh that the format cannot hold. `ImportError` when the extra is
-    missing.
+    **Raises:** `ValueError` as `write` does, for what is wrong whatever the points are.
+    `ImportError` when the extra is missing.
     """
     return _checked(path, mesh).holds_arrays
 
@@ -257,7 +242,7 @@ def periodic(mesh: Mesh) -> tuple[Periodic, ...]:
 def symmetry(mesh: Mesh) -> tuple[str, ...]:
     """Lists a file's symmetry patches: OpenFOAM's `symmetry` and `symmetryPlane`, axes of wedges.
 
-    In CGNS these are of the type `BCSymmetryPlane`, their own or their family's.
+    CGNS's are conditions or families of the type `BCSymmetryPlane`.
 
     **Arguments:**
 

@@ -25,7 +25,6 @@ from .openfoam.case import NAME
 from .openfoam.file import load
 
 NAMES = ("sensitivity_x", "sensitivity_y", "sensitivity_z")
-"""SU2's names of the columns, in lower case."""
 
 
 @checked
@@ -34,29 +33,28 @@ def read_sensitivity(
 ) -> Float[np.ndarray, "k d"]:
     """Reads dJ/d(points) for every node of the mesh: what `pullback` takes.
 
-    Or for every node of a wall, for `shapes.project`. The file is one of
+    With `moving` it may be for every node of a wall, for `shapes.project`. The file is one of
 
     - a table with a header that names `Sensitivity_x`, `Sensitivity_y`[, `Sensitivity_z`]: SU2's
       volume sensitivities and adjoint restarts, .csv or .dat, in text or binary;
     - a table of rows of node id and as many numbers as the mesh has dimensions, in any order;
     - .npz of `sensitivity` (n, d), with `ids` where its rows are not in the order of the nodes;
-    - for a mesh that was read from an OpenFOAM case, a field of vectors at its points,
-      `pointSensVec...` of `adjointOptimisationFoam`. It is zero off the walls, and must not be
-      divided by areas (`includeSurfaceArea true`). Of a 2-D case both planes' vectors are added.
+    - for a mesh from an OpenFOAM case, a field of vectors at its points, `pointSensVec...` of
+      `adjointOptimisationFoam`. It is zero off the walls, and must not be divided by areas
+      (`includeSurfaceArea true`). Vectors of both planes of a 2-D case are added.
 
     **Arguments:**
 
     - `path`: the file.
     - `mesh`: the mesh of whose nodes it speaks.
-    - `moving`: ids (m,) of the moving nodes. With them a file may have fewer nodes than the mesh,
-      if it has these: it is then the sensitivity of the surface itself, such as SU2's
-      `surface_sens.csv`.
+    - `moving`: ids (m,) of the moving nodes. A file of these and not all nodes is then the
+      sensitivity of the surface itself, such as SU2's `surface_sens.csv`.
 
     **Returns:** sensitivities (n, d), in the unit of J over the unit of the points; from a
     surface's file (m, d), for `moving` alone.
 
-    **Raises:** `ValueError` for nodes that are missing, foreign or there twice, and for values that
-    are not finite.
+    **Raises:** `ValueError` for missing, foreign or duplicate nodes, and values that are not
+    finite.
     """
     path = input_path(path)
     n, d = mesh.points.shape
@@ -91,11 +89,10 @@ def write_sensitivity(
     **Arguments:**
 
     - `path`: the file.
-    - `ids`: the nodes' ids, as `plan.moving`.
-    - `values`: a row for each of them, as `pullback` gives.
+    - `ids`, `values`: the nodes' ids, as `plan.moving`, and a row for each, as `pullback` gives.
 
-    **Raises:** `ValueError` for another ending, ids that are none, and values of another shape or
-    that are not finite.
+    **Raises:** `ValueError` for another ending, bad ids, and values of another shape or that are
+    not finite.
     """
     path, ids = check_sensitivity_output(path), rows_of("ids", ids, 2**62)
     values = finite_array("values", values, (len(ids), 2), (len(ids), 3)).astype(float)
@@ -129,11 +126,7 @@ def is_foam_file(path: pathlib.Path) -> bool:
 
 
 def read_point_vectors(path: pathlib.Path, mesh: Mesh) -> Float[np.ndarray, "n d"]:
-    """Reads a `pointVectorField` for the nodes of a case's mesh; in 2-D both planes add up.
-
-    It raises `ValueError` for other classes of fields, other numbers of points, and meshes from
-    elsewhere.
-    """
+    """Reads a `pointVectorField` for the nodes of a case's mesh; in 2-D both planes add up."""
     source = source_of(mesh, NAME)
     if source is None:
         raise ValueError(f"{path}: a file of OpenFOAM; it needs a mesh that was read from an OpenFOAM case.")
@@ -155,14 +148,13 @@ def write_gradient(path: str | os.PathLike[str], parameters: PyTree, gradient: P
     """Writes design variables by name, each with its value and its derivative.
 
     Names come from `shapes.names`. A table (.csv) has the columns `variable`, `value` and
-    `dJ_dvalue`; JSON has an object for each name, with `value` and `dJ_dvalue`. Numbers that are
-    not finite are `null` in JSON.
+    `dJ_dvalue`; JSON has an object for each name, with `value` and `dJ_dvalue`, `null` for what is
+    not finite.
 
     **Arguments:**
 
     - `path`: the file.
-    - `parameters`: what a shape takes.
-    - `gradient`: dJ/d(parameters), as `shapes.pullback` gives it.
+    - `parameters`, `gradient`: what a shape takes, and dJ/d(parameters) of `shapes.pullback`.
 
     **Raises:** `ValueError` for another ending, and for a gradient of another structure.
     """

@@ -1,8 +1,4 @@
-"""SU2's native mesh format, 2-D and 3-D (su2code.github.io/docs_v7/Mesh-File).
-
-A mesh that came from an SU2 file goes back into a copy of its text, with new coordinates and
-nothing else changed. A file of several zones is several meshes.
-"""
+"""SU2's native mesh format, 2-D and 3-D (su2code.github.io/docs_v7/Mesh-File)."""
 
 import collections
 import dataclasses
@@ -27,23 +23,17 @@ from ._text import Rows, Section, blank_comments, decoded, replaced
 NAME = "SU2"
 TYPES = {number: kind for kind, number in VTK.items()}
 SIZES = {1: 1} | {number: CORNERS[kind] for kind, number in VTK.items()}
-"""Corners of each of SU2's types of elements: VTK's numbers, corners in VTK's order.
-
-Type 1 is the single node of a SEND_RECEIVE marker.
-"""
+"""Corners of SU2's types of elements, VTK's numbers; 1 is a SEND_RECEIVE marker's node."""
 DIALECT = {"MARKERTAG": "MARKER_TAG", "MARKERELEMS": "MARKER_ELEMS"}
-"""Other spellings of keywords that files have."""
+"""Variants of keywords."""
 HALO = "SEND_RECEIVE"
 """The tag of all markers between the parts of a mesh in parts."""
 ROWS = 1 << 16
-"""Rows of a new file formatted together."""
 WANTED = "`meshes` must be zones that io.read_zones has read, and the file end in .su2; io.write writes other meshes."
 
 
 @dataclasses.dataclass(frozen=True)
 class Keyword:
-    """Holds a line `NAME= value`, and the lines up to the next keyword."""
-
     name: str
     value: str
     section: Section
@@ -67,7 +57,6 @@ class SU2Content:
     width: int
 
     def moved(self, points: np.ndarray) -> Iterator[bytes | memoryview]:
-        """Yields the text with other points (n, d), in pieces."""
         n, d = self.shape
         places = (self.width * np.arange(n)[:, None] + np.arange(d)).ravel()
         return replaced(self.text, slice(self.start, self.stop), points.ravel(), at=places, plain=blank_comments)
@@ -76,11 +65,9 @@ class SU2Content:
 def read(path: pathlib.Path) -> Parts:
     """Reads points in the order of the file; `patches` are the markers, joined by name.
 
-    With `NMARK= 0` the patch is `boundary`. Markers of one tag are one boundary to SU2, too.
-
-    Index columns after coordinates and corners are not looked at, as SU2 itself does not; all rows
-    have them or none. `MARKERTAG=` and `MARKERELEMS=` are read as `MARKER_TAG=` and
-    `MARKER_ELEMS=`.
+    With `NMARK= 0` the patch is `boundary`. Markers of one tag are one boundary to SU2, too. Index
+    columns after coordinates and corners are ignored, as by SU2 itself; all rows have them or none.
+    `MARKERTAG=` and `MARKERELEMS=` are read as `MARKER_TAG=` and `MARKER_ELEMS=`.
     """
     text = path.read_bytes()
     zones = by_zones(path, text)
@@ -113,7 +100,6 @@ def _with_head(head: list[Keyword], zone: list[Keyword]) -> list[Keyword]:
 
 
 def mesh_of(path: pathlib.Path, text: bytes, keywords: list[Keyword]) -> Parts:
-    """Reads the points, cells and markers of a zone, or of a file without zones."""
     dimension, rows = (_only(path, keywords, name) for name in ("NDIME", "NPOIN"))
     if (d := dimension.number()) not in (2, 3):
         raise dimension.section.error(f"NDIME= must be 2 or 3, found {d}.")
@@ -138,10 +124,7 @@ def _notes(keywords: list[Keyword]) -> Iterator[str]:
 
 
 def check(path: pathlib.Path, mesh: MeshLike) -> None:
-    """Raises `ValueError` for patches that a new file cannot have.
-
-    Boundary faces cannot express them, or their name is no tag of a marker.
-    """
+    """Refuses patches that boundary faces cannot express, or whose name is no tag of a marker."""
     if source_of(mesh, NAME) is not None:
         return
     curved = [kind for kind in mesh.cells if kind not in VTK]
@@ -192,7 +175,6 @@ def _only(path: pathlib.Path, keywords: list[Keyword], name: str) -> Keyword:
 
 
 def _points(keyword: Keyword, d: int) -> Iterator[np.ndarray]:
-    """Yields rows of coordinates and an index or two, some at a time."""
     n, width, count = keyword.number(least=1), 0, 0
     for block in keyword.section.blocks(np.float64):
         counts, row = block.counts, block.row
@@ -294,7 +276,6 @@ def _check_count(keyword: Keyword, stated: int, count: int, what: str) -> None:
 
 
 def _new_text(mesh: MeshLike) -> Iterator[bytes]:
-    """Yields a new file in pieces; patches become markers, of faces between their nodes."""
     points, markers = np.asarray(mesh.points), patch_faces(mesh)
     n, d = points.shape
     yield f"NDIME= {d}\nNELEM= {sum(map(len, mesh.cells.values()))}\n".encode()
@@ -323,8 +304,7 @@ def read_zones(path: str | os.PathLike[str]) -> tuple[Mesh, ...]:
     """Reads each zone of an SU2 file (`NZONE= 2`) as a mesh, in the order of `IZONE=`.
 
     Zones are moved alone or together: a wall that two zones have moves in both where each is given
-    its displacement. `write` writes the file with one zone moved, `write_zones` with several. All
-    else stays byte for byte.
+    its displacement. `write` writes the file with one zone moved, `write_zones` with several.
 
     **Arguments:**
 
@@ -332,8 +312,7 @@ def read_zones(path: str | os.PathLike[str]) -> tuple[Mesh, ...]:
 
     **Returns:** the meshes; one for a file without zones.
 
-    **Raises:** `ValueError` for what `read` refuses, and for other formats, whose zones `read`
-    joins to one mesh.
+    **Raises:** `ValueError` as `read`, and for other formats, whose zones `read` joins to one mesh.
     """
     path = input_path(path)
     if path.suffix.lower() != ".su2":
@@ -354,11 +333,10 @@ def write_zones(path: str | os.PathLike[str], meshes: Sequence[Mesh]) -> None:
     **Arguments:**
 
     - `path`: the file to write, .su2; its folder must exist.
-    - `meshes`: zones that `read_zones` has read from one file together, then moved. Those left out
-      stay as they are.
+    - `meshes`: zones from one call of `read_zones`, then moved. Those left out stay as they are.
 
-    **Raises:** `ValueError` for none, for meshes of several files, or of several readings, one zone
-    twice, and what `write` refuses.
+    **Raises:** `ValueError` for no meshes, meshes of several calls, a duplicate zone, and what
+    `write` refuses.
     """
     zones = [(_content(path, mesh), mesh) for mesh in meshes]
     if pathlib.Path(path).suffix.lower() != ".su2" or not zones:
@@ -378,7 +356,6 @@ def write_zones(path: str | os.PathLike[str], meshes: Sequence[Mesh]) -> None:
 
 
 def _content(path: str | os.PathLike[str], mesh: Mesh) -> SU2Content:
-    """Checks one of the zones to be written to a file; returns its text."""
     source = source_of(mesh, NAME)
     check_output(path, mesh)
     bad = np.flatnonzero(~np.isfinite(np.asarray(mesh.points)).all(axis=1))

@@ -15,7 +15,7 @@ FACT = re.compile(rb"^[ \t]*[A-Za-z_]+[ \t]*=.*$", re.MULTILINE)
 """A line `NAME= value`, as SU2's older restarts have behind their rows."""
 NAME = re.compile(rb"\"[^\"]*\"|[^\s,;]+")
 IDS = ("pointid", "point_id", "id", "node", "globalindex", "global_index")
-"""Names that headers give to the column of node ids, which is the first one otherwise."""
+"""Headers of the column of node ids, which is the first one otherwise."""
 MAGIC = 535532
 """The first number of a binary restart, in four bytes of either order."""
 HEADER = 5
@@ -29,7 +29,7 @@ def read_surface(path: str | os.PathLike[str], d: int) -> tuple[Int[np.ndarray, 
     """Reads ids and d numbers each, from lines `id, x, y[, z]`: SU2's surfaces, or CSV.
 
     Numbers stand between blanks, commas or semicolons; a header line and what follows `%` or `#`
-    are skipped. The numbers are positions or displacements, as the caller knows.
+    are skipped. The numbers are positions or displacements.
 
     **Arguments:**
 
@@ -38,8 +38,7 @@ def read_surface(path: str | os.PathLike[str], d: int) -> tuple[Int[np.ndarray, 
 
     **Returns:** node ids (m,) and numbers (m, d).
 
-    **Raises:** `ValueError`, with file and line, for other contents and for ids that come twice or
-    are no whole numbers.
+    **Raises:** `ValueError`, with file and line, for other contents and duplicate or broken ids.
     """
     return read_table(input_path(path), d)
 
@@ -47,11 +46,7 @@ def read_surface(path: str | os.PathLike[str], d: int) -> tuple[Int[np.ndarray, 
 def read_table(
     path: pathlib.Path, d: int, wanted: tuple[str, ...] = ()
 ) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, "m d"]]:
-    """Reads node ids and d numbers for each.
-
-    Columns that a header calls as `wanted` are taken, whatever stands beside them; else all. A
-    binary restart must have these columns.
-    """
+    """Reads node ids and d numbers for each; with `wanted` those of columns with these headers."""
     text = path.read_bytes()
     if wanted and MAGIC in (int.from_bytes(text[:4], "little"), int.from_bytes(text[:4], "big")):
         return _restart(path, text, wanted[:d])
@@ -84,10 +79,7 @@ def read_table(
 def read_named(
     path: pathlib.Path, names: tuple[str, ...], ids: Int[np.ndarray, " m"] | None = None
 ) -> tuple[Int[np.ndarray, " m"], np.ndarray, str]:
-    """Reads node ids, the one array of an NPZ file that has one of `names`, and its name.
-
-    A file without the array `ids` has rows for `ids`, by default for 0, 1, 2, ...
-    """
+    """Reads node ids (if absent `ids`, or 0, 1, 2, ...), an array of `names`, and its name."""
     arrays = read_arrays(path)
     found = [name for name in names if name in arrays]
     if len(found) != 1:
@@ -103,7 +95,6 @@ def read_named(
 
 
 def check_values(path: pathlib.Path, ids: np.ndarray, values: np.ndarray, d: int) -> None:
-    """Raises `ValueError` for values that are not finite or not of the shape (len(ids), d)."""
     if values.shape != (len(ids), d) or not np.isfinite(values).all():
         raise ValueError(f"{path}: finite values of shape ({len(ids)}, {d}) expected, found shape {values.shape}.")
 

@@ -1,8 +1,4 @@
-"""Numbers in large text files: read in bulk, rounded correctly, and replaced where they stand.
-
-Everything goes through `scan`, which finds the numbers (runs of non-blank bytes) of many lines at
-once with NumPy.
-"""
+"""Numbers in large text files: read in bulk, rounded correctly, and replaced where they stand."""
 
 import dataclasses
 import io
@@ -29,10 +25,7 @@ def decoded(raw: bytes) -> str:
 
 
 def parse(text: bytes, dtype: type) -> np.ndarray:
-    """Reads a text's numbers up to the first non-number (`numpy.fromstring` rounds correctly).
-
-    Numbers of type float may have Fortran's exponents, 1.5D-3.
-    """
+    """Reads a text's numbers up to the first non-number, also with Fortran's exponents, 1.5D-3."""
     if not text.strip():
         return np.zeros(0, dtype)
     if np.issubdtype(dtype, np.floating) and (b"D" in text or b"d" in text):
@@ -66,9 +59,9 @@ WIDEST = 64
 def spliced(text: bytes, starts: np.ndarray, ends: np.ndarray, lines: bytes) -> bytes:
     """Replaces what stands between `starts` and `ends` of a text by `lines`, without line ends.
 
-    Pieces of text and lines alternate. Each becomes a row of a table as wide as the widest of its
-    kind, and the rows are written one after the other without what is beyond their ends. A long
-    piece becomes several rows, and no line follows but the last of them.
+    Pieces of text and lines alternate. Each is a row of a table as wide as the widest of its kind,
+    and the rows are written in turn up to their ends. A long piece becomes several rows, and a line
+    follows only the last of them.
     """
     begins = np.append(0, ends[:-1])
     rows = 1 + (starts - begins) // WIDEST
@@ -126,7 +119,6 @@ class Section:
             yield from chunk.removesuffix(b"\n").split(b"\n")
 
     def blocks(self, dtype: type) -> Iterator["Rows"]:
-        """Yields all numbers of the section, some lines at a time."""
         row = 0
         for chunk in chunks(self.text, self.start, self.stop):
             counts, values = scan(chunk)[2], parse(chunk, dtype)
@@ -172,7 +164,6 @@ class Rows:
 
 
 def blank_comments(text: bytes) -> bytes:
-    """Overwrites every `%` comment by spaces: what remains stands where it stood."""
     return blanked(text, rb"%[^\r\n]*") if b"%" in text else text
 
 
@@ -211,8 +202,8 @@ def replaced(
     """Yields the text, in pieces, with `values` in place of the numbers in a part of it.
 
     `at` are the places of these numbers among all words of the part, ascending; None for all words.
-    `plain` turns what stands between numbers into blanks, byte for byte. A number that has not
-    changed keeps its digits; a changed one gets the shortest that read back bit for bit.
+    `plain` turns what stands between numbers into blanks, byte for byte. An unchanged number keeps
+    its digits; a changed one gets the shortest that read back bit for bit.
     """
     words, done = 0, 0
     yield memoryview(text)[: part.start]

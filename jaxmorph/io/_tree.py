@@ -1,7 +1,7 @@
 """The tree of a CGNS, MED or Exodus file, in HDF5, in ADF or in classic netCDF.
 
-Classic netCDF is CDF-1, CDF-2 and CDF-5 of Unidata's "NetCDF Classic Format Specification". A
-header lists dimensions, attributes and variables with their places. All numbers are big-endian.
+Classic netCDF is CDF-1, CDF-2 and CDF-5 of Unidata's "NetCDF Classic Format Specification": a
+header of dimensions, attributes and variables with their places, and big-endian numbers.
 """
 
 import contextlib
@@ -32,8 +32,8 @@ WHAT = "a CGNS file in HDF5 or ADF"
 def opened(path: pathlib.Path, writes: bool = False, what: str = WHAT) -> Iterator[Any]:
     """Yields the root of a file's tree as h5py has it: groups with `label`, arrays as " data".
 
-    `what` names the format in messages. A file to be read is refused with a `ValueError` where it
-    is another one, damaged, or has data elsewhere. Writing would go through to them.
+    `what` names the format in messages. Raises `ValueError` for another format, and for a file that
+    is damaged or has data elsewhere, which a copy would share.
     """
     with path.open("rb") as file:
         magic = file.read(_adf.TAG + len(_adf.MAGIC))
@@ -55,8 +55,6 @@ def opened(path: pathlib.Path, writes: bool = False, what: str = WHAT) -> Iterat
 
 
 def _refuse_foreign_data(path: pathlib.Path, file: Any) -> None:
-    """Raises `ValueError` for links to other files, external storage and virtual data sets."""
-
     def elsewhere(name: bytes) -> str | None:
         kind = file.id.links.get_info(name).type
         if kind == h5l.TYPE_EXTERNAL:
@@ -74,10 +72,7 @@ def _refuse_foreign_data(path: pathlib.Path, file: Any) -> None:
 
 
 class Coordinates(NamedTuple):
-    """An array of coordinates in a tree, of which `rows` and `columns` of a file's points it is.
-
-    It holds one column after the other.
-    """
+    """An array of coordinates in a tree, at `rows` and `columns` of a file's points, by columns."""
 
     array: Any
     rows: slice
@@ -117,8 +112,8 @@ def write_points(
 ) -> None:
     """Copies the file that a mesh was read from, and puts the mesh's points into the copy.
 
-    `coordinates` finds them in the root of the copy's tree. They are rounded by NumPy, since HDF5
-    has a rule of its own for ties. A file with data in another one is refused before it is copied.
+    `coordinates` finds them in the root of the copy's tree. NumPy rounds them, since HDF5 rounds
+    ties otherwise. A file with data in another one is refused before it is copied.
     """
     source = own_source(path, mesh, format_name)
     with opened(source.path, what=what):
@@ -171,7 +166,6 @@ class _Header:
         return range(count)
 
     def attributes(self) -> dict[str, bytes]:
-        """Reads a list of attributes; numbers are left out."""
         texts = {}
         for _ in self.entries(_ATTRIBUTES):
             name, kind = self.name(), np.dtype(_TYPES[self.number(4)])
@@ -183,8 +177,8 @@ class _Header:
     def tree(self) -> dict[str, _adf.Array]:
         """Reads the variables by name, without records of time.
 
-        A dimension without a variable of its name is an array of its length that has no numbers, as
-        in netCDF-4. It raises `ValueError` for what lies beyond the file, or in two variables.
+        A dimension without a variable of its name is an empty array of its length, as in netCDF-4.
+        Raises `ValueError` for what lies beyond the file, or in two variables.
         """
         self.number()  # of records
         dimensions = [(self.name(), self.number()) for _ in self.entries(_DIMENSIONS)]

@@ -1,8 +1,7 @@
 """Draws meshes: in 2-D with matplotlib, in 3-D with pyvista, off screen.
 
-Plots in 2-D take `ax`, matplotlib's axes (new ones where none are given), and return them. Plots in
-3-D take and return pyvista's plotter. `animate` makes a film of either, `page` an interactive page
-of a surface in 3-D.
+Plots take matplotlib's axes `ax` or pyvista's `plotter`, by default a new one, and return it.
+`animate` makes a film of either, `page` an interactive page of a surface in 3-D.
 """
 
 from ._curves import convergence as convergence

@@ -20,8 +20,8 @@ from ._style import BLUE, DARK, GREEN, GREY, ORANGE, RULE
 def histogram(reports: Mapping[str, jm.QualityReport], *, measure: str = "skewness", ax: Axes | None = None) -> Axes:
     """Draws histograms of a measure for reports by name: `{"before": ..., "after": ...}`.
 
-    Counts are on a logarithmic scale: the worst cells are few. Cells of the boundary do not count,
-    nor do infinite values.
+    Counts are on a logarithmic scale: the worst cells are few. Boundary cells and infinite values
+    do not count.
 
     **Arguments:**
 
@@ -29,9 +29,7 @@ def histogram(reports: Mapping[str, jm.QualityReport], *, measure: str = "skewne
     - `measure`: the name of one of the report's arrays. Default "skewness".
     - `ax`: matplotlib's axes; new ones by default.
 
-    **Returns:** the axes `ax`, or new ones.
-
-    **Raises:** `ValueError` for a measure that is not known, and where there is no report.
+    **Returns:** the axes. **Raises:** `ValueError` for an unknown measure, and no report.
     """
     if measure not in MEASURES:
         raise ValueError(f"no measure is called {measure!r}; there are {', '.join(MEASURES)}.")
@@ -58,11 +56,10 @@ def _of_cells(report: jm.QualityReport, measure: str) -> Float[np.ndarray, " k"]
 
 @checked
 def convergence(errors: Mapping[str, SurfaceErrors] | History, *, ax: Axes | None = None) -> Axes:
-    """Draws how an optimisation went on, or the error on the surface against the number of sources.
+    """Draws an optimisation's progress, or the error on the surface by the number of sources.
 
     Of a `History` the objective over its first value is drawn against the iterations, with its
     constraints and measures. Errors belong to families of reductions, by name: `{"k-d tree": ...}`.
-
     The largest error is a line, the mean is dashed, both on logarithmic scales.
 
     **Arguments:**
@@ -70,9 +67,7 @@ def convergence(errors: Mapping[str, SurfaceErrors] | History, *, ax: Axes | Non
     - `errors`: a `shapes.History`; or what `surface_errors` returned, by the names for the legend.
     - `ax`: matplotlib's axes; new ones by default.
 
-    **Returns:** the axes `ax`, or new ones.
-
-    **Raises:** `ValueError` where there is nothing to draw.
+    **Returns:** the axes. **Raises:** `ValueError` where there is nothing to draw.
     """
     if isinstance(errors, History):
         return _iterations(errors, ax)

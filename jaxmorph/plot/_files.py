@@ -66,10 +66,10 @@ BARE = {"grid_visible": False, "menu_visibility": False, "camera_auto_fit": Fals
 LINES = {"indices_type": "segment", "shader": "simple", "color": int(DARK[1:], 16)}
 
 HALF_VIEW = np.tan(np.deg2rad(15))
-"""Half of what the camera of a page sees across the smaller side, over its distance."""
+"""Half of what a page's camera sees across the smaller side, over its distance."""
 
 SEEN = 1.15
-"""Width that the camera of a page sees, over the largest side of the scene."""
+"""Width that a page's camera sees, over the largest side of the scene."""
 
 Reports = tuple[jm.QualityReport, jm.QualityReport]
 
@@ -90,10 +90,9 @@ def picture(
     **Arguments:**
 
     - `path`: a .png; in 3-D also .html, a page to turn and deform the surface.
-    - `before`: the undeformed mesh.
-    - `points`: positions (n, d) of its nodes afterwards.
+    - `before`, `points`: the undeformed mesh, and positions (n, d) of its nodes afterwards.
     - `moving`: ids of the moving nodes.
-    - `reports`: the quality before and after; found by default. Only a picture in 2-D needs them.
+    - `reports`: the quality before and after, for a picture in 2-D. Default: computed.
 
     **Raises:** `ValueError` for another ending.
     """
@@ -142,10 +141,7 @@ def _in_2d(before: jm.Mesh, points: Float[np.ndarray, "n 2"], moving: np.ndarray
 
 
 def _in_plane(before: jm.Mesh, points: Float[np.ndarray, "n 3"]) -> tuple[jm.Mesh, np.ndarray, np.ndarray] | None:
-    """Returns one side of a 3-D mesh one cell wide, moving in its plane, as 2-D mesh; or None.
-
-    With it come the moved points in 2-D, and the ids of the nodes on this side.
-    """
+    """Returns a side of a 3-D mesh one cell wide: 2-D mesh, moved points, node ids; else None."""
     base = np.asarray(before.points)
     height, size = base - base.min(axis=0), np.ptp(base, axis=0)
     near = 1e-6 * size.max()
@@ -179,25 +175,22 @@ def page(
 ) -> pathlib.Path:
     """Makes an interactive page (.html) of a 3-D mesh's outside or patch, with a slider.
 
-    Any browser with WebGL opens it from disk, without a network: all it needs is in the one file,
-    1.2 MB more than the surface takes. The mouse turns, moves and zooms. Between the two ends of
-    the slider nodes go in straight lines.
+    Any browser with WebGL opens it from disk, without a network. The file is 1.2 MB larger than the
+    surface. Between the two ends of the slider nodes go in straight lines.
 
     **Arguments:**
 
     - `path`: the file to write, ending in .html.
-    - `mesh`: the undeformed mesh.
-    - `points`: deformed positions (n, 3) of its nodes.
+    - `mesh`, `points`: the undeformed mesh, and deformed positions (n, 3) of its nodes.
     - `values`: one for each cell, which colours it wherever the slider stands. Default: the length
       of each node's displacement, in the mesh's units.
-    - `limits`: the values at the light and at the dark end of the colours, as in `mesh`.
-    - `label`: names the values.
+    - `limits`, `label`: as in `mesh`.
     - `patch`: the patch to show. Default: the whole outside.
 
     **Returns:** the path of the file, which is there whole or not at all.
 
-    **Raises:** `ValueError` as `surface` does, and for another ending or a folder that is not
-    there. `ImportError` where k3d is missing.
+    **Raises:** `ValueError` as `surface` does, for another ending and a missing folder;
+    `ImportError` for a missing k3d.
     """
     path = output_path(path, ".html", ".htm")
     try:
@@ -232,7 +225,6 @@ def page(
 
 
 def _shade(lengths: np.ndarray, values: Any, limits: Limits | None) -> tuple[str, Limits, dict[str, Any]]:
-    """Returns the colour map, its limits, and k3d's settings: for values of cells, or lengths."""
     if values is None:
         colours, limits = colour_scale(limits, DISPLACEMENT)
         low, high = limits or (0.0, float(lengths.max()) or 1.0)
@@ -255,7 +247,6 @@ def _with_words(code: str, words: dict[str, Any]) -> str:
 
 
 def _camera(shown: Float[np.ndarray, "k 3"], viewer: np.ndarray) -> list[float]:
-    """Returns position, target, upwards of a camera that sees both ends of the motion."""
     axes = np.stack(view_axes(viewer))
     seen = shown.astype(float) @ axes.T
     low, high = seen.min(axis=0), seen.max(axis=0)
@@ -272,8 +263,7 @@ def swing(points: Float[Any, "n d"], extreme: Float[Any, "n d"], *, frames: int 
 
     **Arguments:**
 
-    - `points`: undeformed points (n, d).
-    - `extreme`: points (n, d) at the largest displacement, as `deform` returns them.
+    - `points`, `extreme`: points (n, d), undeformed and at the largest displacement.
     - `frames`: meshes in a period, 2 or more. Default 24.
 
     **Returns:** points (frames, n, d), for `animate`.
@@ -298,22 +288,21 @@ def animate(
     """Makes a film (.gif) of a mesh that moves, one picture for each frame; it repeats for ever.
 
     An example is `animate("mode.gif", lambda points: plot.surface(mesh, points, patch="wing"),
-    plot.swing(mesh.points, extreme))`. All frames are seen as the first frame is, with room for the
-    other frames unless `draw` is given a window or places the camera. The size is that of the first
-    figure or of the first plotter's window.
+    plot.swing(mesh.points, extreme))`. All frames have the view of the first, with room for the
+    others unless `draw` is given a window or places the camera. The size is that of the first
+    figure or window.
 
     **Arguments:**
 
     - `path`: the file to write, ending in .gif.
-    - `draw`: makes the picture of points (n, d), and returns its axes or its plotter, as all
-      pictures here do.
+    - `draw`: makes the picture of points (n, d), and returns its axes or plotter.
     - `frames`: points (n, d) at successive times, as `swing` or `march` give them; 2 or more.
     - `rate`: frames a second. Default 12.
 
     **Returns:** the path of the file, which is there whole or not at all.
 
-    **Raises:** `ValueError` for another ending, a folder that is not there, and a rate that is not
-    positive. Also for fewer than 2 frames, or frames of different shapes.
+    **Raises:** `ValueError` for another ending, a missing folder, a rate that is not positive,
+    fewer than 2 frames, and frames of different shapes.
     """
     path = output_path(path, ".gif")
     frames = [np.asarray(points) for points in frames]
@@ -354,7 +343,6 @@ def _ends(axes: Axes) -> np.ndarray:
 
 
 def _farthest(draw: Callable, frames: list[np.ndarray]) -> Iterator[Any]:
-    """Draws the frames whose nodes are the farthest from those of the first, and closes each."""
     away = np.stack([points - frames[0] for points in frames])
     for k in sorted({*away.max(axis=1).argmax(axis=0).tolist(), *away.min(axis=1).argmin(axis=0).tolist()} - {0}):
         drawn = draw(frames[k])
@@ -370,7 +358,6 @@ def _close(drawn: Any) -> None:
 
 
 def _pixels(drawn: Any, view: Any) -> UInt8[np.ndarray, "h w 3"]:
-    """Renders, and closes what was drawn."""
     if isinstance(drawn, Axes):
         (xlim, ylim), size, dpi = view
         drawn.set(xlim=xlim, ylim=ylim)

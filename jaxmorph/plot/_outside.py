@@ -32,7 +32,6 @@ def lines_of(points: Any, ids: np.ndarray) -> Any:
 
 
 def outlines(section: Any) -> Any:
-    """Lists a section's edges, without those between two pieces of a cell."""
     cells = section.cast_to_unstructured_grid().GetCells()
     labels, starts = (pyvista().convert_array(part()) for part in (cells.GetConnectivityArray, cells.GetOffsetsArray))
     after = np.roll(labels, -1)
@@ -44,11 +43,7 @@ def outlines(section: Any) -> Any:
 
 
 def outside(mesh: jm.Mesh, points: Any, values: Any, patch: str | None) -> Any:
-    """Returns outer faces, or a patch's faces, for pyvista.
-
-    Faces of polyhedra are whole. Faces of curved cells are cut into pieces; `whole` is then the
-    face of each piece. `ValueError` where there are none.
-    """
+    """Returns outer faces, of all or a patch; `whole` is the face of a piece of a curved one."""
     on_patch = None if patch is None else mesh.patch(patch)
     if mesh.is_curved:
         faces = _curved_faces(mesh, points, values, on_patch)
@@ -104,7 +99,7 @@ def grid_of(mesh: jm.Mesh, points: Any, values: Any) -> Any:
 
 
 def _curved_faces(mesh: jm.Mesh, points: Any, values: Any, on_patch: np.ndarray | None) -> Any:
-    """Returns outer faces of curved cells in pieces, all or the faces with all nodes on a patch."""
+    """Returns outer faces of curved cells in pieces, all or those with all nodes on a patch."""
     x, cells = _places(mesh, points), solid(mesh.cells, 3)
     found = owned_sides({kind: np.asarray(ids) for kind, ids in cells.items()}, len(x), on_patch)
     owner = np.concatenate([owner for _, owner in found.values()])
@@ -136,10 +131,7 @@ def near_plane(mesh: jm.Mesh, points: Any, values: Any, normal: np.ndarray, orig
 
 
 def _refined(cells: Mapping[str, Int[np.ndarray, "_k _s"]], points: Float[np.ndarray, "n 3"]) -> Any:
-    """Cuts curved cells into linear pieces for pyvista; `whole` is the cell of each piece.
-
-    Neighbours share the points of their common sides, as their corners say.
-    """
+    """Cuts curved cells into linear pieces, which share points; `whole` is the cell of each."""
     types = [(lagrange_types()[kind], len(ids)) for kind, ids in cells.items()]
     order, dimension = max(cell.order for cell, _ in types), max(cell.dimension for cell, _ in types)
     count = sum(number * cell.order**cell.dimension for cell, number in types)

@@ -50,7 +50,7 @@ THINNEST, THICKEST, WALL = 0.01, 0.5, 1.4
 """Line widths in points: of cells a sixth of the cell, so that layers stay light; of walls."""
 
 NARROW = 0.8
-"""Cells narrower than this, in typographic points, show their colour and no line."""
+"""Width in points below which cells show their colour and no line."""
 
 LABEL = 0.3
 """Inches of an axis for a number at least: numbers of a small window have many digits."""
@@ -64,7 +64,7 @@ STEPS = 1, 2, 2.5, 5, 10
 FOUR_CORNERS = {"line": [0, 1, 1, 0], "triangle": [0, 1, 2, 2], "quad": [0, 1, 2, 3]}
 
 ROOM = 0.4
-"""Margin of a picture around the bodies, relative to their extent, unless a window is given."""
+"""Margin around the bodies, relative to their extent, unless a window is given."""
 
 
 @checked
@@ -88,8 +88,8 @@ def mesh(
 
     - `mesh`: a mesh in 2-D.
     - `points`: positions (n, 2) of its nodes; the mesh's own by default.
-    - `values`: one for each cell, as `quality` gives. Where the file has polyhedra or polygons, one
-      for each whole cell will do, as `face_quality` gives. Without values only the lines are drawn.
+    - `values`: one for each cell, as `quality` gives, or for each whole polygon, as `face_quality`
+      gives. Default: only the lines are drawn.
     - `limits`: the values at the light and at the dark end of the colours; (1, 0) for a measure
       that is small where cells are bad. Default: the limits of all values in the window, without
       outliers on 1 % of the area, for which the bar has an arrow.
@@ -102,8 +102,8 @@ def mesh(
 
     **Returns:** the axes.
 
-    **Raises:** `ValueError` for a mesh in 3-D, for points of another shape than the mesh's, for
-    another number of values than of cells, and for a `label` without values.
+    **Raises:** `ValueError` for a mesh in 3-D, points of another shape, a number of values that is
+    not that of the cells, and a `label` without values.
     """
     cells = Cells.of(mesh, points)
     if values is None and label is not None:
@@ -133,13 +133,7 @@ def before_after(
 ) -> Axes:
     """Draws the deformed 2-D mesh in blue over the undeformed bodies in light orange.
 
-    **Arguments:**
-
-    - `mesh`, `points`, `window`, `ax`: as `plot.mesh` takes them.
-
-    **Returns:** the axes.
-
-    **Raises:** `ValueError` for a mesh in 3-D, and for points of another shape than the mesh's.
+    Arguments, result and errors are as of `plot.mesh`.
     """
     before, after = Cells.of(mesh, None), Cells.of(mesh, points)
     old, new = before.drawn(window), after.drawn(window)
@@ -172,13 +166,11 @@ def graph(
 
     - `plan`: a plan in 2-D, with any method.
     - `u`: displacements (m, 2) of the moving nodes. Default None: the undeformed graph.
-    - `window`: ((left, right), (bottom, top)); the moving nodes and some room by default.
-      `whole(plan.points)` shows all.
-    - `interior`: True shows the nodes of the volume too, where the plan's method puts them. Default
-      False.
+    - `window`: as in `plot.mesh`; the moving nodes and some room by default.
+    - `interior`: True shows the nodes of the volume too, where the plan's method puts them.
     - `ax`: matplotlib's axes; new ones by default.
 
-    **Returns:** the axes `ax`, or new ones.
+    **Returns:** the axes.
 
     **Raises:** `ValueError` for a plan in 3-D, and when the shape of `u` is not (m, 2).
     """
@@ -206,10 +198,10 @@ def graph(
 class Cells:
     """A 2-D mesh's cells as they are drawn: four sides, some of no length in triangles and lines.
 
-    - `sides` (k, 4, m, 2): places along each side, both ends among them: two of a straight one.
+    - `sides` (k, 4, m, 2): places along each side with both ends, m = 2 for straight ones.
     - `ids` (k, 4): corners, repeated in triangles and lines.
     - `between` (k, 4): the node next to the first corner of a curved side; -1 for a straight one.
-    - `whole` (k,): the cell of the file that each one is, or is a piece of.
+    - `whole` (k,): the file's cell of each cell or piece.
     """
 
     sides: Float[np.ndarray, "k 4 m 2"]
@@ -247,14 +239,11 @@ class Cells:
         return seen_in(self.outlines, window)
 
     def drawn(self, window: Window | None) -> Int[np.ndarray, " s"]:
-        """Lists the cells in a given window; else all, for films and readers who move the view."""
+        """Lists the cells in a given window; else all, for films and views that move."""
         return np.arange(len(self.ids)) if window is None else self.inside(window)
 
     def edges(self, cells: Int[np.ndarray, " s"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Lists edges (e, m, 2) of cells, their counts, and the width (e,) of the narrowest cell.
-
-        Edges between two pieces of one polygon are left out.
-        """
+        """Lists edges (e, m, 2) of whole cells, their counts, and the narrowest widths (e,)."""
         ids = self.ids[cells]
         ends = np.sort(np.stack([ids, np.roll(ids, -1, axis=1)], axis=2), axis=2)
         keys = np.concatenate([ends, self.between[cells][:, :, None]], axis=2)
@@ -323,7 +312,6 @@ def draw_walls(ax: Axes, cells: Cells, colour: str) -> None:
 
 
 def given_or_new(ax: Axes | None, window: Window | None = None, *, bar: bool = False, above: float = 0.1) -> Axes:
-    """Makes axes of their window's shape, with `above` inches on top, unless some are given."""
     if ax is not None:
         return ax
     if window is None:
@@ -339,13 +327,11 @@ def given_or_new(ax: Axes | None, window: Window | None = None, *, bar: bool = F
 
 
 def round_numbers(low: float, high: float, count: int) -> list[float]:
-    """Lists up to about `count` round numbers from `low` to `high`."""
     values = np.asarray(MaxNLocator(count, steps=STEPS).tick_values(low, high))
     return values[(low <= values) & (values <= high)].tolist()
 
 
 def legend_above(ax: Axes, handles: Sequence[Any] | None = None) -> None:
-    """Puts the legend above the axes, in as few rows as the figure's width has room for."""
     handles = ax.get_legend_handles_labels()[0] if handles is None else handles
     size, figure = plt.rcParams["font.size"], ax.figure
     room = figure.bbox.width * min(ax.get_position().width / UNLABELLED, 1) - size * figure.dpi / 72
@@ -392,7 +378,6 @@ def whole(points: Float[Any, "n 2"]) -> Window:
 
 
 def _bodies(mesh: jm.Mesh, *states: Any) -> Window:
-    """Finds the window round a mesh's bodies in all `states`; all of it without bodies."""
     base = np.asarray(mesh.points)
     states = tuple(base if points is None else np.asarray(points) for points in states)
     everything, nodes = np.concatenate(states), bodies(base, mesh.patches)

@@ -17,7 +17,7 @@ from ._space import add_legend, aim, aim_again, new_plotter
 from ._style import BLUE, GREEN, GREY, ORANGE
 
 FEW = 30
-"""Sources up to which they are drawn as large dots: more of them would cover each other."""
+"""Sources up to which they are drawn as large dots, without covering each other."""
 
 
 @checked
@@ -34,19 +34,17 @@ def sources(
 
     **Arguments:**
 
-    - `surface`: a plan, whose own sources and boxes are shown; or points (m, 2).
-    - `reduction`: chooses the sources among points; not for a plan, which has its own.
-    - `fixed`: True shows the sources and boxes of a plan's fixed nodes too. They may be far away.
-      Default False.
-    - `search_points`: True marks the places in each box at which a source was looked for. Default
-      False.
+    - `surface`: a plan, with its own sources and boxes; or points (m, 2).
+    - `reduction`: chooses the sources among points; not for a plan.
+    - `fixed`: True shows the sources and boxes of a plan's fixed nodes too, which may be far away.
+    - `search_points`: True marks the places in each box around which a source was looked for.
     - `window`: ((left, right), (bottom, top)); all that is drawn by default.
     - `ax`: matplotlib's axes; new ones by default.
 
     **Returns:** the axes.
 
-    **Raises:** `ValueError` for points in 3-D, for a plan whose method has no radial basis
-    functions, for points without a `reduction` and for a plan with one.
+    **Raises:** `ValueError` for points in 3-D, a plan without radial basis functions, points
+    without a `reduction` and a plan with one.
     """
     picture = _picture(surface, reduction, fixed, dimension=2)
     drawn = np.concatenate([picture.nodes, picture.boxes.reshape(-1, 2)])
@@ -82,12 +80,10 @@ def sources_3d(
     **Arguments:**
 
     - `surface`, `reduction`, `fixed`, `search_points`: as `sources` takes them, in 3-D.
-    - `plotter`: pyvista's; a new one by default. A plotter from `plot.surface` shows the sources on
-      the body.
+    - `plotter`: pyvista's; a new one by default. One from `plot.surface` shows the sources on the
+      body.
 
-    **Returns:** the plotter, or a new one, off screen.
-
-    **Raises:** `ValueError` as `sources` does, for points in 2-D.
+    **Returns:** the plotter. **Raises:** `ValueError` as `sources` does, for points in 2-D.
     """
     picture = _picture(surface, reduction, fixed, dimension=3)
     new, plotter = plotter is None, new_plotter() if plotter is None else plotter
@@ -175,8 +171,8 @@ def _wires(boxes: Float[np.ndarray, "l 2 3"]) -> Any:
 class SurfaceErrors:
     """Misses of reduced radial functions on a moving surface, by reduction: `surface_errors`.
 
-    `sources` counts moving and fixed sources. `largest` and `mean` are the distances of moving
-    nodes from where they should be, relative to the largest displacement.
+    `sources` counts moving and fixed sources. `largest` and `mean` are the misses of moving nodes,
+    relative to the largest displacement.
     """
 
     sources: Int[np.ndarray, " r"]
@@ -195,13 +191,10 @@ def surface_errors(plan: jm.Plan, u: Float[Any, "m d"], reductions: Sequence[jm.
 
     - `plan`: a plan with radial basis functions.
     - `u`: displacements (m, d) of the moving nodes, in the mesh's unit.
-    - `reductions`: reductions of the moving nodes, such as `[jm.KDTree(leaves) for leaves in (1, 4,
-      16, 64)]`.
+    - `reductions`: of the moving nodes: `[jm.KDTree(leaves) for leaves in (1, 4, 16, 64)]`.
 
-    **Returns:** a `SurfaceErrors`.
-
-    **Raises:** `ValueError` for a plan without radial basis functions, for a `u` that is not (m, d)
-    or is zero, and for no `reductions`. Also what `prepare` raises for one of them.
+    **Raises:** `ValueError` for a plan without radial basis functions, a `u` that is not (m, d) or
+    is zero, no `reductions`, and what `prepare` refuses of one of them.
     """
     rbf = radial_basis_functions(plan)
     points, m = np.asarray(plan.points), plan.n_moving

@@ -55,11 +55,9 @@ def surface(
     - `patch`: the patch to draw. Default: the whole outside.
     - `plotter`: pyvista's; a new one, off screen, by default.
 
-    **Returns:** the plotter, or a new one, off screen: `plotter.screenshot(path)` writes the
-    picture.
+    **Returns:** the plotter: `plotter.screenshot(path)` writes the picture.
 
-    **Raises:** `ValueError` as `mesh` does, for a mesh in 2-D, for a `patch` that is not known, and
-    where there is no face.
+    **Raises:** `ValueError` as `mesh` does, for a mesh in 2-D, an unknown `patch`, and no faces.
     """
     return _draw(outside(mesh, points, values, patch), limits, label, bar, plotter)
 
@@ -68,16 +66,8 @@ def surface(
 def before_after_3d(mesh: jm.Mesh, points: Float[Any, "n 3"], *, patch: str | None = None, plotter: Any = None) -> Any:
     """Draws a 3-D mesh's outside or patch: undeformed orange, deformed blue (paper, figure 7a).
 
-    Both are translucent, so that each is seen through the other. Faces that hardly move are grey,
-    and drawn once.
-
-    **Arguments:**
-
-    - `mesh`, `points`, `patch`, `plotter`: as `surface` takes them.
-
-    **Returns:** the plotter, or a new one, off screen.
-
-    **Raises:** `ValueError` as `surface` does.
+    Both are translucent; faces that hardly move are grey, and drawn once. Arguments, result and
+    errors are as of `surface`.
     """
     before, after = (outside(mesh, state, None, patch) for state in (None, points))
     new, plotter = plotter is None, new_plotter() if plotter is None else plotter
@@ -116,13 +106,10 @@ def cut(
     **Arguments:**
 
     - `plane`: a `Plane`. Where it meets a body the picture is of the body and some room round it,
-      else of all that is cut.
-    - `mesh`, `points`, `values`, `limits`, `label`, `bar`, `plotter`: as `surface` takes them. A
-      plotter that is given shows all.
+      else of all that is cut. A given plotter shows all.
+    - `mesh`, `points`, `values`, `limits`, `label`, `bar`, `plotter`: as `surface` takes them.
 
-    **Returns:** the plotter, or a new one, off screen.
-
-    **Raises:** `ValueError` as `surface` does.
+    **Returns:** the plotter. **Raises:** `ValueError` as `surface` does.
     """
     normal, origin = (np.asarray(vector, dtype=float) for vector in (plane.normal, plane.origin))
     viewer = normal * (-1 if np.dot(normal, VIEWER) < 0 else 1)
@@ -187,7 +174,6 @@ def _draw(
 
 
 def _scaled(part: Any, limits: Limits | None) -> tuple[dict[str, Any], dict[str, str]]:
-    """Returns settings of faces coloured by their values, and the signs of values beyond."""
     values, sizes = part.cell_data["values"], part.compute_cell_sizes(length=False, volume=False).cell_data["Area"]
     colours, limits, *beyond = scale_of(values, sizes, limits)
     ends = {side: sign for side, sign, is_so in zip(("below", "above"), "<>", beyond, strict=True) if is_so}
@@ -196,7 +182,6 @@ def _scaled(part: Any, limits: Limits | None) -> tuple[dict[str, Any], dict[str,
 
 
 def _add_faces(plotter: Any, faces: Any, show_edges: bool, **style: Any) -> None:
-    """Draws faces, with their edges; of pieces of curved faces the edges of the whole faces."""
     in_pieces = "whole" in faces.cell_data
     if show_edges and in_pieces:
         lines = {"color": DARK, "opacity": LINES["edge_opacity"], "line_width": LINES["line_width"]}
@@ -211,10 +196,7 @@ def _in_front(actor: Any) -> None:
 
 
 def viewer_of(part: Any, motion: np.ndarray | None = None) -> np.ndarray:
-    """Chooses the viewer's direction: not into a surface open at a side, as a half wing's root.
-
-    A motion (3,) should be seen too, across the view.
-    """
+    """Chooses the viewer's direction: not into an open surface, but across a motion (3,)."""
     only_rim = dict.fromkeys(("feature_edges", "manifold_edges", "non_manifold_edges"), False)
     viewer, rim = np.array(VIEWER), np.asarray(part.extract_feature_edges(**only_rim).points, dtype=float)
     if not len(rim):
@@ -236,7 +218,6 @@ def viewer_of(part: Any, motion: np.ndarray | None = None) -> np.ndarray:
 
 
 def add_bar(plotter: Any, label: str, limits: tuple[float | int, float | int], beyond: dict[str, str]) -> None:
-    """Draws a colour bar with round numbers; `_add_axes` places it at the right."""
     title = label.replace("|", "\u2223")  # VTK begins a column at an ASCII bar
     bar = plotter.add_scalar_bar(f"{title}\n", vertical=True, fmt="%.6g", color=DARK, width=0.05, **beyond)
     bar.SetUnconstrainedFontSize(True)
@@ -266,7 +247,6 @@ def new_plotter() -> Any:
 
 
 def _add_axes(plotter: Any) -> None:
-    """Draws the directions of x, y and z, and, unless in perspective, a bar of a round length."""
     axes = plotter.add_axes(xlabel="x", ylabel="y", zlabel="z", color=DARK, line_width=3)
     captions = [getattr(axes, f"Get{name}AxisCaptionActor2D")() for name in "XYZ"]
     for caption in captions:
@@ -318,7 +298,6 @@ def _scale() -> Any:
 
 
 def _round_length(largest: float) -> float:
-    """Rounds down to 1, 2 or 5 times a power of ten."""
     power = 10 ** np.floor(np.log10(largest))
     return float(power * max(factor for factor in (1, 2, 5) if factor * power <= largest * (1 + 1e-9)))
 
@@ -331,7 +310,7 @@ def aim(plotter: Any, viewer: Sequence[float] | np.ndarray = VIEWER) -> None:
 
 
 def aim_again(plotter: Any) -> None:
-    """Makes room for what was added to a plotter, unless its camera is not where `aim` left it."""
+    """Makes room for what was added to a plotter, unless its camera has moved since `aim`."""
     view, viewer, _ = AIMED.get(plotter, (None, VIEWER, None))
     if view is not None and np.array_equal(view, view_of(plotter)):
         aim(plotter, viewer)
@@ -362,10 +341,7 @@ def whole_view(
     viewer: Sequence[float] | np.ndarray,
     free: tuple[float, float, float, float],
 ) -> Float[np.ndarray, " 10"]:
-    """Places a camera without perspective: position, target, upwards, half the height that it sees.
-
-    All points are in a window of this width and height, within the margins.
-    """
+    """Places a camera without perspective: position, target, upwards, half the height in view."""
     axes, tall = np.stack(view_axes(viewer)), window[1] / window[0]
     seen, (left, right, below, above) = points @ axes.T, free
     low, high = seen.min(axis=0), seen.max(axis=0)

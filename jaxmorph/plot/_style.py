@@ -15,7 +15,7 @@ DARK, GREY, BLUE, ORANGE, GREEN = "#1b1b1b", "#9a9a9a", "#0072b2", "#d55e00", "#
 """Colours of Okabe and Ito, told apart by colour-blind readers."""
 
 LIGHT, BODY, RULE = "#f7cfae", "#c4cad3", "#dddddd"
-"""A light orange for what was, the fill of what is not mesh, the lines of a diagram."""
+"""Undeformed bodies, what is not mesh, and the lines of a diagram."""
 
 COLOURS = "YlOrBr"
 """For qualities: light where a cell is good, so that its outline is seen; by lightness."""
@@ -30,15 +30,14 @@ OUTLIERS, FAR = 0.01, 0.3
 """Share of values that may lie beyond the colours, and the stretch from which they do."""
 
 STILL = 0.01
-"""Share of the largest displacement below which a node counts as still in a picture."""
+"""Share of the largest displacement below which a node counts as still."""
 
 
 SEGMENTS = 4
-"""Pieces of a curved edge in a picture, for each order of its polynomial."""
+"""Pieces of a curved edge, for each order of its polynomial."""
 
 
 def finite(points: Any) -> np.ndarray:
-    """Returns points as an array; raises `ValueError` for points that are not finite."""
     array = np.asarray(points, dtype=float)
     if not np.isfinite(array).all():
         raise ValueError(f"{(~np.isfinite(array)).sum()} of {array.size} numbers of `points` are not finite.")
@@ -46,10 +45,7 @@ def finite(points: Any) -> np.ndarray:
 
 
 def cell_values(mesh: jm.Mesh, values: Any) -> np.ndarray:
-    """Returns a value for each of `mesh.cells`: pieces of a polyhedron have that of the whole.
-
-    Raises `ValueError` for another number of values than of cells, and of whole cells.
-    """
+    """Returns a value for each of `mesh.cells`, from one a cell, or one a whole polyhedron."""
     cells, known = len(mesh.cell_ids), f"{len(mesh.cell_ids)} cells"
     if mesh.polyhedra is not None and np.shape(values) != (cells,):
         faces = mesh.polyhedra.faces
@@ -63,10 +59,7 @@ def cell_values(mesh: jm.Mesh, values: Any) -> np.ndarray:
 
 
 def colour_scale(limits: Limits | None, colours: str = COLOURS) -> tuple[str, Limits | None]:
-    """Returns the colour map and its limits, ascending; reversed where the dark end is smaller.
-
-    Raises `ValueError` unless the limits are two finite numbers that differ.
-    """
+    """Returns the colour map and its limits, ascending; reversed where the dark end is smaller."""
     if limits is None:
         return colours, None
     if np.shape(limits) != (2,) or not np.isfinite(limits).all() or limits[0] == limits[1]:

@@ -1,4 +1,4 @@
-"""A grid file in MPI processes: each one's nodes, the file's and a solver's order, arrays."""
+"""A grid file in MPI processes: nodes of each, and arrays in the order of file or solver."""
 
 import dataclasses
 import pathlib
@@ -37,14 +37,12 @@ class Grid:
 
     @staticmethod
     def read(comm: Any, path: str) -> "Grid":
-        """Reads a file or OpenFOAM case; several processes read their processor* folders."""
         if comm.size > 1 and any(comm.allgather(bool([*pathlib.Path(path).glob("processor*")]))):
             return Grid._decomposed(comm, path)
         return Grid.shared(comm, together(comm, lambda: None if comm.rank else _in_space(io.read(path), path)))
 
     @staticmethod
     def shared(comm: Any, mesh: jm.Mesh | None) -> "Grid":
-        """Shares out the nodes of a mesh that the first process has."""
         shares = None
         if mesh is not None:
             parts = (np.unique(part, return_inverse=True) for part in np.array_split(mesh.file_nodes, comm.size))
@@ -177,7 +175,6 @@ def faces(points: Any, conn: Any, sizes: Any) -> tuple[np.ndarray, np.ndarray, n
 
 
 def whole_numbers(name: str, values: Any) -> np.ndarray:
-    """Returns whole numbers, which may come as floats, in one row."""
     array = reals(name, np.ravel(values), (None,))
     if not (array == np.floor(array)).all():
         raise ValueError(f"`{name}` must be whole numbers.")

@@ -36,11 +36,9 @@ OPTIONS: dict[str, tuple[tuple[type, ...], Any]] = {
 }
 """IDWarp's options: the types that each takes beside None, and its default."""
 WEIGHTS = ("aExp", "bExp", "alpha")
-"""Options of IDWarp's own method alone."""
 WITHOUT = ("LdefFact", "errTol", "evalMode", "zeroCornerRotations", "cornerAngle", "restartFile", "bucketSize")
-"""Options that nothing here corresponds to."""
+"""Options without a counterpart here."""
 FILE = ("gridFile", "fileType")
-"""Options that say what is read."""
 KINDS = {kind.lower(): kind for kind in ("CGNS", "OpenFOAM", "PLOT3D")}
 
 
@@ -90,7 +88,7 @@ SHAPES = {
     "symmetrySurfaces": (_are_names, "names of patches"),
     "symmetryPlanes": (_are_planes, "a point and a normal for each: [[[0, 0, 0], [0, 1, 0]]]"),
 }
-"""What lists among the options hold."""
+"""Types of the entries of list options."""
 
 
 def warn_of(options: Mapping[str, Any]) -> None:
@@ -104,7 +102,6 @@ def warn_of(options: Mapping[str, Any]) -> None:
 
 
 def method(options: Mapping[str, Any], is_loose: bool) -> jm.AbstractMethod | None:
-    """Makes the method, or None for `prepare`'s default, which is not for a mesh that is free."""
     turns = options["useRotations"]
     if turns is None and not is_loose:
         return None
@@ -130,14 +127,14 @@ class USMesh:
     - `options`: IDWarp's options by name, in any case. `useRotations` chooses IDWarp's method,
       `InverseDistance(rotations=...)`, with `aExp`, `bExp` and `alpha`. Without it the method is
       `prepare`'s default, or IDWarp's where patches are overset and none is fixed. `symmTol` is the
-      distance within which nodes lie on `symmetryPlanes`; without planes the file tells symmetry.
+      tolerance of nodes on `symmetryPlanes`; without planes the file tells symmetry.
     - `comm`: the communicator. Default: that of all processes.
     - `debug`: changes nothing.
 
     **Warns:** of options without a counterpart.
 
-    **Raises:** `ValueError`, in every process, for an option that IDWarp does not have, for values
-    of another type, for a mesh in 2-D, and for what `jaxmorph.io.read` refuses.
+    **Raises:** `ValueError`, in every process, for an unknown option, values of another type, a
+    mesh in 2-D, and what `jaxmorph.io.read` refuses.
     """
 
     def __init__(self, options: Mapping[str, Any] | None = None, comm: Any = None, debug: bool = False):
@@ -178,12 +175,12 @@ class USMesh:
         **Arguments:**
 
         - `pts`: coordinates (k, 3), none where this process has no part of the surface.
-        - `conn`: the corners of all faces in one list, counted from 0 in `pts`.
-        - `faceSizes`: how many of them each face has.
+        - `conn`, `faceSizes`: the corners of all faces in one list, counted from 0 in `pts`, and
+          how many each face has.
         - `cgnsBlockID`: changes nothing.
 
-        **Raises:** `ValueError`, in every process, for other shapes, and for a surface on which no
-        patch of the mesh lies.
+        **Raises:** `ValueError`, in every process, for other shapes, and for a surface without a
+        patch of the mesh.
         """
         points, corners, sizes = together(self.comm, lambda: faces(pts, conn, faceSizes))
         self._define(points, corners, sizes, is_own=False)
@@ -254,11 +251,9 @@ class USMesh:
     ) -> float:
         """Compares `warpDeriv` with central differences, and prints a line for each coordinate.
 
-        `dXv` and `solverVec` are as `warpDeriv` takes them, `dXv` random by default. Coordinates
-        from `dofStart` to before `dofEnd` count over the points of all processes. The step `h` has
-        the mesh's unit.
-
-        **Returns:** the largest difference, relative to the largest derivative.
+        `dXv`, random by default, and `solverVec` are as `warpDeriv` takes them. Coordinates from
+        `dofStart` to before `dofEnd` count over the points of all processes. The step `h` has the
+        mesh's unit. Returns the largest difference, relative to the largest derivative.
         """
         surface, count = self._defined(), 3 * len(self._grid.rows)
         if dXv is None:
@@ -278,7 +273,7 @@ class USMesh:
     def writeGrid(self, fileName: str | None = None) -> None:
         """Writes the moved mesh: a file in `gridFile`'s format, or an OpenFOAM case or time.
 
-        It raises `ValueError` without a name: what was read is never overwritten.
+        Raises `ValueError` without a name: the input is never overwritten.
         """
         if fileName is None:
             raise ValueError("`fileName` is missing: name a new file or folder; what the mesh was read from is kept.")
@@ -291,7 +286,7 @@ class USMesh:
     def setOption(self, name: str, value: Any) -> None:
         """Sets an option, which holds for the surface that is defined next.
 
-        It raises `ValueError` for options of a grid, and of a surface that is there.
+        Raises `ValueError` for options of a grid, and of a defined surface.
         """
         name = name_of(name)
         if name in FILE or (name not in WITHOUT and self._surface is not None):

@@ -21,8 +21,8 @@ class MultiUSMesh:
     """Moves overlapping grids in one CGNS file, called as `idwarp.MultiUSMesh`, without cgns_utils.
 
     A grid is the zones `wing.00000`, `wing.00001`, ... of one name before the last dot. Each grid
-    that `optionsDict` names is a `USMesh`, and moves with the part of the surface that lies in its
-    zones. The others stay.
+    of `optionsDict` is a `USMesh`, and moves with the part of the surface in its zones. The others
+    stay.
 
     **Arguments:**
 
@@ -83,8 +83,8 @@ class MultiUSMesh:
     ) -> None:
         """Defines the surface as `USMesh` does; IDWarp's `distTol` changes nothing here.
 
-        - `cgnsBlockIDs`: the zone of each face, counted from 0. Faces of grids that stay do not
-          move.
+        `cgnsBlockIDs` is the zone of each face, counted from 0. Faces of grids that stay do not
+        move.
         """
         points, corners, sizes = together(self.comm, lambda: faces(pts, conn, faceSizes))
         zones = together(self.comm, lambda: self._zones_of_faces(cgnsBlockIDs, sizes.shape))
@@ -174,7 +174,6 @@ class MultiUSMesh:
         return self._order
 
     def _parts(self) -> list[tuple[np.ndarray, USMesh]]:
-        """Returns each grid with the rows of its points among those of the surface."""
         if self._rows is None:
             raise ValueError("the surface is not known: call setSurfaceDefinition.")
         return list(zip(self._rows, self.meshes, strict=True))
@@ -208,7 +207,6 @@ def _read(path: str, options: Any) -> tuple[jm.Mesh, tuple[list[str], np.ndarray
 
 
 def _part(mesh: jm.Mesh, is_own: np.ndarray) -> jm.Mesh:
-    """Cuts out of a mesh what lies in some nodes of its file."""
     nodes, listed = np.unique(mesh.file_nodes[is_own], return_inverse=True)
     inside = {kind: ids[np.isin(ids, nodes).all(axis=1)] for kind, ids in mesh.cells.items()}
     inside |= {name: ids[np.isin(ids, nodes)] for name, ids in mesh.patches.items()}

@@ -18,15 +18,15 @@ from .. import mpi
 from .._pieces import closest, fans, float64_mode, spacing
 
 WORDS = {"overset": "overset", "wall": "wall", r"(?<![a-z])(bc)?sym": "symmetry"}
-"""What a patch is, by a word in its kind in the file, or in its name."""
+"""What a patch is, by a word in its kind or its name."""
 PART = 0.5
-"""Share of a patch's nodes that lie on the surface, from which the patch belongs to it."""
+"""Share of a patch's nodes on the surface, from which the patch belongs to it."""
 SAME = 1e-12
-"""Distance of two points that are one, as a share of the surface's extent."""
+"""Distance of duplicate points, as a share of the surface's extent."""
 AT = 1e-6
-"""Distance of a wall node that is a surface point, as a share of the points' spacing."""
+"""Distance of a wall node from its surface point, as a share of the points' spacing."""
 NEAR = 0.1
-"""Distance of a node that belongs to a face, as a share of its longest edge: facets cut corners."""
+"""Distance of a node from its face, as a share of its longest edge: facets cut corners."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -47,9 +47,9 @@ class Definition:
         """Computes sparse weights (k, s) by which the surface's points move nodes `x`.
 
         A node at a place of the surface moves with the mean of its points. Another node moves as
-        the closest point of the faces does, or as the three nearest places where there are no
-        faces. Rows sum to one. Also returned: each node's distance (k,) from the surface, and the
-        distance (k,) beyond which it is not on it.
+        the closest point of the faces, or as the three nearest places without faces. Rows sum to
+        one. Also returned: each node's distance (k,) from the surface, and the largest distance
+        (k,) of a node on it.
         """
         place, at = self._places()
         tree = KDTree(place)
@@ -111,7 +111,6 @@ def _kind_of(mesh: jm.Mesh, name: str) -> str:
 
 
 def _named(mesh: jm.Mesh, names: Sequence[str], option: str) -> list[str]:
-    """Finds patches by names in whatever case, as IDWarp does."""
     wanted = {name.lower() for name in names}
     missing = sorted(wanted - {name.lower() for name in mesh.patches})
     if missing:
@@ -120,7 +119,6 @@ def _named(mesh: jm.Mesh, names: Sequence[str], option: str) -> list[str]:
 
 
 def _planes(mesh: jm.Mesh, options: Mapping[str, Any]) -> list[jm.Plane]:
-    """Makes the planes, each laid through the nodes that are within the tolerance of it."""
     planes, points = [], np.asarray(mesh.points, dtype=float)
     for origin, normal in options["symmetryPlanes"]:
         plane = jm.Plane(normal, origin)
@@ -137,9 +135,9 @@ def boundary_of(
 ) -> tuple[jm.Boundary, csr_array]:
     """Finds the mesh's boundary, and the surface's weights (m, s) of the moving nodes.
 
-    `is_own` says that the surface is the nodes of the wall patches. Otherwise it is that of a
-    solver: of patches with half of their nodes on its faces, walls first, these nodes move. All
-    patches but symmetry, periodic and overset are fixed.
+    With `is_own` the surface is the nodes of the wall patches. Otherwise it is a solver's: nodes
+    move in patches with half of their nodes on its faces, walls first. All other patches but
+    symmetry, periodic and overset ones are fixed.
     """
     kinds, points = patches_by_kind(mesh, options), np.asarray(mesh.points, dtype=float)
     walls, periodic = kinds["wall"], io.periodic(mesh)

@@ -1,7 +1,4 @@
-"""SU2's config files: the shape that moves a wall, its design variables and its patches.
-
-The first use of a name imports its module: the command line checks a config file without JAX.
-"""
+"""SU2's config files as shapes; modules load at first use, for checks of a file without JAX."""
 
 import importlib
 import typing

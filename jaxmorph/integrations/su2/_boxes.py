@@ -25,15 +25,11 @@ HALVINGS = 60
 MOST = 10**6
 """Control points that a box may have."""
 OUTSIDE = 2.0
-"""Coordinate of a node that a box does not move."""
+"""Coordinate of a node outside of a box."""
 
 
 class BoxPart(AbstractPart):
-    """Moves nodes in a box by its control points.
-
-    The control points go through the variables in the order of the file, so that a rotation turns
-    what the variables before it moved.
-    """
+    """Moves nodes in a box by its control points, which the variables move in the file's order."""
 
     rows: tuple[int, ...] = eqx.field(static=True)
     variables: tuple[Variable, ...] = eqx.field(static=True)
@@ -71,8 +67,8 @@ class BoxPart(AbstractPart):
 def _control_point(variable: Variable, index: tuple[int, ...], part: BoxPart, factors: np.ndarray) -> None:
     """Moves control points, of which -1 names all of a direction.
 
-    SU2 moves none where a plane of a number that is named stays. Of a direction of all it leaves
-    planes out in 3-D alone, and only where the other two numbers are named.
+    SU2 moves none where a plane of a given number stays. Of a direction of all it leaves planes out
+    in 3-D alone, and only where the other two numbers are given.
     """
     d = len(index)
     if part.is_fixed(*index):
@@ -119,11 +115,11 @@ ADDS = {
     "FFD_GULL": _gull,
     "FFD_NACELLE": _nacelle,
 }
-"""What kinds whose values multiply displacements of control points add to these."""
+"""Displacements of control points per unit of the value, by kind."""
 
 
 def _rotation(part: BoxPart, variable: Variable, value, control) -> Float[Array, "..."]:
-    """Turns the control points about an axis by degrees, which the numbers have by its two ends."""
+    """Turns the control points about an axis by degrees; the numbers have its two ends."""
     d, ends = control.shape[-1], np.array(variable.numbers)
     axis, about, points = ends[3:] - ends[:3], ends[:d], control.reshape(-1, d)
     angle = jnp.deg2rad(value)
@@ -154,14 +150,11 @@ def _twist(part: BoxPart, variable: Variable, value, control) -> Float[Array, ".
 
 
 TURNS = {"FFD_ROTATION": _rotation, "FFD_CONTROL_SURFACE": _control_surface, "FFD_TWIST": _twist}
-"""How the other kinds move control points, which depends on where these are."""
+"""The other kinds, whose motions depend on where the control points are."""
 
 
 def boxes_of(options: Options, mesh: Mesh, moving: Sequence[str], is_setting: bool) -> tuple[io.Box, ...]:
-    """Lists the mesh's boxes; if it has none, or with `is_setting`, boxes of `FFD_DEFINITION`.
-
-    Raises `ValueError` for nested boxes, and for numbers that do not fit.
-    """
+    """Lists the mesh's boxes; without any, or with `is_setting`, those of `FFD_DEFINITION`."""
     options.choice("FFD_COORD_SYSTEM", "CARTESIAN", "CARTESIAN")
     present = () if is_setting else io.boxes(mesh)
     if not present and "FFD_DEFINITION" in options:
@@ -206,7 +199,6 @@ def _counts(options: Options, degrees: list[str], d: int) -> list[int]:
 
 
 def _surface(shape: shapes.Hexahedron, mesh: Mesh, moving: Sequence[str]) -> dict:
-    """Finds the nodes of each marker that lie in a box, and their coordinates there."""
     surface = {}
     for name in moving:
         nodes = mesh.patch(name)
@@ -219,8 +211,8 @@ def _surface(shape: shapes.Hexahedron, mesh: Mesh, moving: Sequence[str]) -> dic
 def _of_spline(places: Float[np.ndarray, "k d"], shape: shapes.Hexahedron) -> Float[np.ndarray, "k d"]:
     """Finds coordinates at which the splines of the lattice at rest give the places in the box.
 
-    The lattice is equal along each edge, so the places are a function of one coordinate along each.
-    Splines of the highest degree, and of the lowest, are the places themselves.
+    The lattice is equal along each edge, so each direction stands alone. Splines of the highest
+    degree, and of the lowest, are the places themselves.
     """
     found = places.copy()
     for axis, (count, p) in enumerate(zip(shape.counts, shape.box.degrees, strict=True)):
@@ -239,10 +231,7 @@ def _of_spline(places: Float[np.ndarray, "k d"], shape: shapes.Hexahedron) -> Fl
 def box_parts(
     options: Options, listed: Sequence[Variable], mesh: Mesh, moving: Sequence[str], boxes: Sequence[io.Box]
 ) -> list[AbstractPart]:
-    """Makes the parts of the variables that move control points, one for each box that they name.
-
-    Raises `ValueError` for a box or control points that are not there.
-    """
+    """Makes a part for each box, of the variables that move its control points."""
     _check_boxes(listed, boxes)
     nodes, parts = mesh.patch(*moving), []
     taken = np.zeros(len(nodes), bool)
@@ -275,7 +264,6 @@ def _check_boxes(listed: Sequence[Variable], boxes: Sequence[io.Box]) -> None:
 
 
 def _check(variable: Variable, box: io.Box) -> None:
-    """Raises `ValueError` for kinds of the other dimension, and for unknown control points."""
     kind, counts, index = variable.kind, box.shape.counts, variable.numbers[: KINDS[variable.kind].indices]
     if not index:
         return check_axis(kind, variable.numbers, len(counts))

@@ -20,7 +20,7 @@ from ._motion import AbstractPart, DesignVariables, wall_parts
 from ._options import KINDS, Options, Variable, checked_variables, read_options
 
 LARGE = 0.5
-"""Motion of a wall over its own length that is taken for a mistake."""
+"""Motion of a wall over its own length that counts as a mistake."""
 
 RIGID = {"TRANSLATION", "ROTATION", "SCALE"}
 """Kinds that may move a wall far."""
@@ -30,7 +30,7 @@ RIGID = {"TRANSLATION", "ROTATION", "SCALE"}
 class Config:
     """A config file and its mesh: the shape that moves the wall, and the patches.
 
-    - `mesh`: the mesh of `MESH_FILENAME`; `output` is the file of `MESH_OUT_FILENAME`.
+    - `mesh`, `output`: the mesh of `MESH_FILENAME`, and the file of `MESH_OUT_FILENAME`.
     - `shape`, `parameters`: moves the nodes `mesh.patch(*moving)` by values (n,); at
       `shape.neutral()` nothing moves.
     - `moving`, `symmetry`, `fixed`: names of patches, `DV_MARKER`, `MARKER_SYM`, and all others but
@@ -38,7 +38,7 @@ class Config:
     - `steps`: of `DEFORM_NONLINEAR_ITER`.
     - `boxes`: free-form boxes of the mesh, or of `FFD_DEFINITION` where `DV_KIND` is `FFD_SETTING`
       or the mesh has none.
-    - `names`: of the design variables, as `shapes.names` has them for other shapes.
+    - `names`: of the design variables.
     - `options`: the options as text, by name.
     """
 
@@ -55,7 +55,6 @@ class Config:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the design variables."""
         return self.shape.names
 
     @property
@@ -113,12 +112,10 @@ def read_config(path: str | os.PathLike[str], *, definition: bool = False) -> Co
     - `definition`: True takes the design variables of `DEFINITION_DV`, with its scales, at the
       values of `DV_VALUE_NEW` (else all at rest). Default: the variables of `DV_KIND`.
 
-    **Returns:** a `Config`.
+    **Raises:** `ValueError` for unsupported kinds, words and numbers, each with its option.
 
-    **Raises:** `ValueError` for kinds, words and numbers that are not taken, each with its option.
-
-    **Warns:** of options that SU2 would honour, markers that the mesh lacks, surplus numbers of
-    `DV_PARAM`, and of a wall that moves by more than half of its length.
+    **Warns:** of ignored options that SU2 would honour, markers that the mesh lacks, surplus
+    numbers of `DV_PARAM`, and a wall that moves by more than half of its length.
     """
     options = read_options(pathlib.Path(path))
     listed, markers = checked_variables(options, definition)
@@ -154,14 +151,12 @@ def _without(names: Iterable[str], others: Collection[str]) -> tuple[str, ...]:
 
 
 def _sort(name: str) -> str:
-    """Returns what a variable moves, by its name `KIND[0]`."""
     return KINDS[name.partition("[")[0]].sort
 
 
 def _present(
     options: Options, mesh: Mesh, name: str, markers: Sequence[str], is_needed: bool = False
 ) -> tuple[str, ...]:
-    """Lists the patches of the markers that the mesh has, and warns of the others."""
     present, absent = [], []
     for marker in markers:
         try:
@@ -177,7 +172,6 @@ def _present(
 
 
 def _warn_of_results(config: Config, listed: Sequence[Variable]) -> None:
-    """Warns of what SU2 would do otherwise, and of a wall that moves suspiciously far."""
     options = config.options
     kinds = dict.fromkeys(variable.kind for variable in listed)
     for kind in filter(lambda kind: KINDS[kind].sort == "flow", kinds):
@@ -218,11 +212,7 @@ def _shape(
 
 
 def _free_coordinates(mesh: Mesh, moving: Sequence[str], planes: Sequence[str]) -> Bool[np.ndarray, "m d"]:
-    """Marks coordinates of the moving nodes that may change.
-
-    A node of a patch of `planes` stays in the plane, whose axis is that along which the patch is
-    thinnest, as SU2 has it.
-    """
+    """Marks coordinates that may change: on `planes` all but that across the patch."""
     nodes, points = mesh.patch(*moving) if moving else np.zeros(0, int), np.asarray(mesh.points, float)
     free = np.ones((len(nodes), points.shape[1]), bool)
     for name in planes:

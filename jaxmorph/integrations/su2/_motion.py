@@ -15,7 +15,6 @@ from jaxmorph import Mesh, io, shapes
 from ._options import LOWER, Options, Variable
 
 Numbers = Sequence[tuple[float, ...]] | Float[np.ndarray, "k p"]
-"""The parameters of each variable."""
 TAIL = 0.99
 """The place along the chord behind which `HICKS_HENNE_CAMBER` moves nothing."""
 EPS = 1e-16
@@ -33,10 +32,7 @@ class AbstractPart(eqx.Module):
 
 
 class WallPart(AbstractPart):
-    """The displacement by all variables of one kind, by its function in `MOVES`.
-
-    `data` is what the function knows of the undeformed wall.
-    """
+    """The displacement by all variables of one kind; `data` is the wall's, for `MOVES`."""
 
     rows: tuple[int, ...] = eqx.field(static=True)
     move: Callable[..., Float[Array, "m d"]] = eqx.field(static=True)
@@ -51,8 +47,8 @@ class DesignVariables(shapes.AbstractShape):
     """A config file's shape: moves the nodes of `DV_MARKER` by the design variables' values.
 
     The parameters (n,) are the values in the order of the file; a control point without a direction
-    has a value for each coordinate. `names` are the variables' names, as messages have them. Nodes
-    in symmetry planes stay in them: their coordinates that are not `free` stay.
+    has a value for each coordinate. `names` are the variables' names in messages. Coordinates of
+    nodes that are not `free` stay: nodes do not leave symmetry planes.
     """
 
     names: tuple[str, ...] = eqx.field(static=True)
@@ -75,10 +71,7 @@ class DesignVariables(shapes.AbstractShape):
 
 
 def wall_parts(options: Options, listed: Sequence[Variable], mesh: Mesh, moving: Sequence[str]) -> list[AbstractPart]:
-    """Makes a part of the variables of each kind that moves no boxes.
-
-    Raises `ValueError` for parameters that do not fit the mesh.
-    """
+    """Makes a part of the variables of each kind that moves no boxes."""
     parts: list[AbstractPart] = []
     for kind in dict.fromkeys(variable.kind for variable in listed if variable.kind in MOVES):
         members = [variable for variable in listed if variable.kind == kind]
@@ -91,7 +84,6 @@ def wall_parts(options: Options, listed: Sequence[Variable], mesh: Mesh, moving:
 
 
 def _check(kind: str, numbers: Numbers, d: int) -> None:
-    """Raises `ValueError` for vectors and axes that do not suit the dimension of the mesh."""
     if kind == "HICKS_HENNE_CAMBER" and d != 2:
         raise ValueError(f"{kind} in 3-D: SU2 has it for airfoils in 2-D.")
     for own in numbers:
@@ -139,7 +131,7 @@ def _translation_of_length(x, values, numbers: Numbers, data):
 
 
 def _rotation(x, values, numbers: Numbers, data):
-    """Turns about an axis by degrees, which the numbers have by its two ends."""
+    """Turns about an axis by degrees; the numbers have its two ends."""
     d, ends = x.shape[1], np.array(numbers)
     axes = ends[:, 3:] - ends[:, :3] if d == 3 else [None] * len(ends)
     turns = zip(values, ends[:, :d], axes, strict=True)

@@ -19,7 +19,7 @@ class Kind(NamedTuple):
     """A kind of design variable.
 
     - `number`: its number in `DEFINITION_DV`.
-    - `parameters`: how many it has, the tag of a box among them; None for a kind that is not taken.
+    - `parameters`: how many it has, with the tag of a box; None for an unsupported kind.
     - `sort`: what it moves, a `wall`, a `box`, or the whole `mesh`. A `constant` kind moves the
       wall whatever its value is, `flow` and `nothing` move none.
     - `indices`: how many of the parameters are numbers of control points.
@@ -76,17 +76,14 @@ LEFT_OUT = {
     **{"MARKER_PERIODIC": (), "MARKER_DEFORM_MESH_SYM_PLANE": (), "CONFIG_LIST": ()},
     **{"MESH_FORMAT": ("SU2", "CGNS"), "DV_SENSITIVITY_FORMAT": ("SU2_NATIVE",), "SMOOTH_GRADIENT": ("NO",)},
 }
-"""Options that SU2_DEF or SU2_DOT honour and this package does not, with SU2's defaults."""
+"""Options of SU2_DEF or SU2_DOT that this package ignores, with SU2's defaults."""
 
 SEPARATORS = re.compile(r"[\s()\[\]{}:,]+")
 """Separators between the words of a value; a semicolon ends a group of them."""
 
 
 class Options:
-    """Options of a config file by name: `NAME= value`.
-
-    A `%` begins a comment, a backslash at the end of a line continues it.
-    """
+    """Options of a config file, `NAME= value`; `%` begins a comment, a backslash continues."""
 
     def __init__(self, path: pathlib.Path, values: Mapping[str, str]):
         self.path, self.values = path, dict(values)
@@ -132,11 +129,10 @@ class Options:
 
     @property
     def relaxation(self) -> float:
-        """The factor of the values, as SU2 has it."""
         return self.number("OPT_RELAX_FACTOR")
 
     def left_out(self) -> list[str]:
-        """Lists the options of `LEFT_OUT` that are set to something else than SU2's default."""
+        """Lists the options of `LEFT_OUT` with another value than SU2's default."""
         given = [(name, self.text(name)) for name in LEFT_OUT if name in self]
         return [f"{name}= {text}" for name, text in given if _plain(text) not in map(_plain, LEFT_OUT[name])]
 
@@ -172,10 +168,7 @@ def split(text: str) -> list[str]:
 
 
 def read_options(path: pathlib.Path) -> Options:
-    """Reads a config file.
-
-    Raises `ValueError` for a line that is no option, and for an option that comes twice.
-    """
+    """Reads a config file. Raises `ValueError` for a line that is no option, and for duplicates."""
     values: dict[str, str] = {}
     text = input_path(path).read_text(encoding="utf-8", errors="replace").removeprefix("\ufeff")
     lines = iter(enumerate(text.splitlines(), start=1))
@@ -208,12 +201,10 @@ class Variable:
 
     @property
     def rows(self) -> tuple[int, ...]:
-        """Places of the variable's values among those of all variables."""
         return tuple(range(self.first, self.first + self.size))
 
     @property
     def sort(self) -> str:
-        """What the variable moves, as `Kind` has it."""
         return KINDS[self.kind].sort
 
     @property
@@ -226,13 +217,7 @@ class Variable:
 def checked_options(path: str | os.PathLike[str], *, definition: bool = False) -> Options:
     """Reads the options of a config file, and checks what needs no mesh.
 
-    **Arguments:**
-
-    - `path`, `definition`: as for `read_config`.
-
-    **Returns:** the options, with `mesh_file` and `output`.
-
-    **Raises:** `ValueError` for kinds, words and numbers that are not taken, each with its option.
+    `path`, `definition` and the errors are as of `read_config`.
     """
     options = read_options(pathlib.Path(path))
     checked_variables(options, definition)
@@ -240,10 +225,10 @@ def checked_options(path: str | os.PathLike[str], *, definition: bool = False) -
 
 
 def checked_variables(options: Options, definition: bool) -> tuple[list[Variable], list[str]]:
-    """Lists the design variables, and the markers that they move, and reads every number.
+    """Lists the design variables and their markers, and reads every number.
 
-    `definition` takes the variables of `DEFINITION_DV`. Raises `ValueError` for kinds that are not
-    taken or that SU2 does not combine, and for wrong parameters.
+    `definition` takes the variables of `DEFINITION_DV`. Raises `ValueError` for unsupported kinds
+    or combinations, and for wrong parameters.
     """
     listed, markers = _definition(options) if definition else _listed(options)
     _check_alone(options, listed)
@@ -322,7 +307,6 @@ def _check_sort(options: Options, kinds: list[str], start: str) -> None:
 
 
 def _fault(kind: str, numbers: tuple[float, ...]) -> str | None:
-    """Says which parameters of a kind make no sense, whatever the mesh is."""
     match kind, numbers:
         case "HICKS_HENNE" | "CST", (side, *_) if side not in (LOWER, UPPER, ONE):
             return f"{kind} has the side {side:g}; 0 is the lower one, 1 the upper one."

@@ -28,10 +28,10 @@ EXTENSIONS = {
     **{f"FORCE_{axis}": f"cf{axis.lower()}" for axis in "XYZ"},
     **{"EQUIVALENT_AREA": "ea", "NEARFIELD_PRESSURE": "nfp", "FIGURE_OF_MERIT": "merit"},
 }
-"""Words that SU2 puts between an adjoint file's name and its ending, by the objective."""
+"""SU2's suffixes of an adjoint file's name, by the objective."""
 
 NORMAL = ("surface_sensitivity", "sensitivity")
-"""Columns of the derivative by a motion into the body, of the continuous adjoint solver."""
+"""Columns of the continuous adjoint's derivative by a motion into the body."""
 ANGLE = 4
 """Place of the derivative by the angle of attack among the eight numbers behind a restart."""
 
@@ -63,9 +63,9 @@ def read_sensitivity(config: Config, path: str | os.PathLike[str] | None = None)
     **Arguments:**
 
     - `config`: what `read_config` returned.
-    - `path`: the file. Default: the first one that is there of `SOLUTION_ADJ_FILENAME`,
+    - `path`: the file. Default: the first existing one of `SOLUTION_ADJ_FILENAME`,
       `VOLUME_SENS_FILENAME` and `SURFACE_SENS_FILENAME`, or `SURFACE_ADJ_FILENAME` of a continuous
-      adjoint. Endings, and what SU2 adds for the objective (`_cd`), may be missing in the name.
+      adjoint. Endings, and SU2's suffix of the objective (`_cd`), may be missing in the name.
 
     **Raises:** `ValueError` for no file, and as `io.read_sensitivity` does.
     """
@@ -78,7 +78,6 @@ def read_sensitivity(config: Config, path: str | os.PathLike[str] | None = None)
 
 
 def _file(options: Options, is_normal: bool) -> pathlib.Path:
-    """Finds the file of sensitivities that the config file names."""
     objective = options.text("OBJECTIVE_FUNCTION", "DRAG")
     kind = "combo" if "," in objective else EXTENSIONS.get(objective.strip("() "), "*")
     defaults = {"SURFACE_ADJ_FILENAME": "surface_adjoint"} if is_normal else FILES
@@ -155,7 +154,7 @@ def write_gradient(path: str | os.PathLike[str], gradient: Float[np.ndarray, " n
     - `gradient`: (n,), in the order of the design variables.
     - `objective`: its name, as `OBJECTIVE_FUNCTION` has it.
 
-    **Raises:** `ValueError` for values that are not finite, and a folder that is not there.
+    **Raises:** `ValueError` for values that are not finite, and a missing folder.
     """
     values = finite_array("gradient", gradient, (None,))
     lines = [f"{objective} gradient ", *map(repr, values.astype(float).tolist()), ""]

@@ -18,10 +18,7 @@ ONE_TO_ONE = "GridConnectivity1to1_t"
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Connection:
-    """A periodic interface: nodes of its zone and of its donor, a rotation's centre and angles.
-
-    Centre and angles are zero for a translation.
-    """
+    """A periodic interface: nodes of zone and donor, centre and angles, zero if translated."""
 
     zone: str
     name: str
@@ -32,7 +29,6 @@ class Connection:
 
 
 def connections(zone: Zone, zones: Mapping[str, Zone]) -> Iterator[Connection]:
-    """Yields the periodic interfaces of a zone whose nodes are named on both sides."""
     for name, interface, turns in _interfaces(zone, ONE_TO_ONE, "GridConnectivity_t"):
         parts, donor = dict(interface.items()), zones.get(word(interface).rpartition("/")[2])
         what = [kind for kind in ("PointRange", "PointList") if {kind, f"{kind}Donor"} <= parts.keys()]
@@ -78,10 +74,10 @@ def left_interfaces(zone: Zone, found: Iterable[Connection]) -> Iterator[str]:
 
 
 def read_conditions(zones: list[Zone]) -> list[str]:
-    """Reads each zone's boundary conditions; returns sentences on those of one name.
+    """Reads each zone's boundary conditions; returns notes on those of one name.
 
     Conditions of one family are one patch, and so are those of one name and type without a family.
-    Another type, or a name that a family has too, makes a patch of its own, called by the zone too.
+    One of another type, or with the name of a family, is a patch of its own, named by the zone too.
     """
     for zone in zones:
         for _, zone_bc in children(zone.group, "ZoneBC_t"):
@@ -111,8 +107,8 @@ def read_conditions(zones: list[Zone]) -> list[str]:
 def patches(zone: Zone) -> Iterator[tuple[str, np.ndarray | None]]:
     """Yields the patch and the nodes of each boundary condition; None for a condition on cells.
 
-    gmsh writes these for volumes. Conditions where the zone goes on in another zone are left out. A
-    zone without any condition or interface has its sections of faces as patches, as SU2 reads them.
+    gmsh writes these for volumes. Conditions inside of the mesh are left out. A zone without any
+    condition or interface has its sections of faces as patches, as SU2 reads them.
     """
     joined = {nodes.tobytes() for nodes in _joints(zone)}
     for condition in zone.conditions:
@@ -137,10 +133,7 @@ def _nodes_of(zone: Zone, condition: Condition) -> np.ndarray | None:
 
 
 def _nodes(zone: Zone, name: str, place: str, chosen: np.ndarray, is_range: bool) -> np.ndarray | None:
-    """Finds nodes of a range or list of points, faces or elements; None for a region of cells.
-
-    A range may run backwards. One that ends before the first node is empty.
-    """
+    """Finds nodes of points, faces or elements, also of ranges backwards; None for cells."""
     chosen = np.atleast_2d(chosen).astype(np.int64)
     first, last = chosen.reshape(2, -1) if is_range else (chosen, chosen)
     if not chosen.size or ((last < first) & (last < 1)).any():
@@ -221,10 +214,7 @@ def _of_families(file: Any, label: str) -> dict[str, list[str]]:
 
 
 def groups_of(file: Any, conditions: list[Condition], known: Iterable[str]) -> dict[str, tuple[str, ...]]:
-    """Lists patches by the families that their family is part of, and by additional families.
-
-    gmsh names physical groups so. Names of patches are no groups.
-    """
+    """Lists patches by the families of their family, and by additional families, as in gmsh."""
     above = _of_families(file, "FamilyName_t")
     groups: dict[str, dict[str, None]] = {}
     for condition in conditions:

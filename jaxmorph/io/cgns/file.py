@@ -35,8 +35,8 @@ LEVEL = {TYPES[number]: dimension for number, dimension in DIMENSION.items()}
 def read(path: pathlib.Path) -> Parts:
     """Reads all zones of one base; nodes where two zones meet are one.
 
-    `patches` are the boundary conditions, by family, and the sides of periodic interfaces. Outer
-    faces without either are the patch `unnamed`, `boundary` in a file without any.
+    `patches` are the boundary conditions, by family, and the sides of periodic interfaces. Other
+    outer faces are the patch `unnamed`, `boundary` in a file without any.
     """
     with opened(path) as file:
         zones, dimension = open_zones(path, file)
@@ -62,8 +62,6 @@ def read(path: pathlib.Path) -> Parts:
 
 
 def write(path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arrays) -> None:
-    """Writes a copy of the file that the mesh was read from."""
-
     def coordinates(file: Any) -> Iterator[Coordinates]:
         for zone in open_zones(path, file)[0]:
             yield from zone.coordinates()
@@ -98,7 +96,6 @@ def _bases(file: Any) -> Iterator[tuple[str, Any, int]]:
 
 
 def _read_cells(zones: list[Zone], dimension: int, points: np.ndarray) -> Iterator[str]:
-    """Reads the cells of each zone; yields a sentence on coordinates that are not read."""
     contents = [zone.cells(points[zone.rows]) for zone in zones]
     levels = [LEVEL[block.kind] for content in contents for block in content.blocks if len(block.corners)]
     if max(levels, default=0) == 2 < dimension:  # a surface alone in a base of volumes
@@ -116,7 +113,6 @@ def _read_cells(zones: list[Zone], dimension: int, points: np.ndarray) -> Iterat
 def _patches(
     zones: list[Zone],
 ) -> tuple[dict[str, list[np.ndarray]], list[np.ndarray], list[str]]:
-    """Lists nodes by patch, outer faces, and names of conditions on cells."""
     of_patch, faces, regions = {}, [], []
     for zone in zones:
         for name, nodes in patches(zone):
@@ -135,7 +131,6 @@ def _other_bases(file: Any, dimension: int) -> Iterator[str]:
 
 
 def _left(zones: list[Zone], found: list[Connection], patches: dict[str, list[np.ndarray]]) -> Iterator[str]:
-    """Yields sentences on sections beyond all conditions, and on interfaces that are not read."""
     inside = np.zeros(zones[-1].rows.stop, bool)
     for nodes in patches.values():
         inside[np.concatenate(nodes)] = True
@@ -153,7 +148,6 @@ def _left(zones: list[Zone], found: list[Connection], patches: dict[str, list[np
 
 
 def _pairs(found: list[Connection], patches: dict[str, list[np.ndarray]]) -> list[tuple[str, str, Connection]]:
-    """Adds the sides of periodic interfaces to the patches, and lists their names in pairs."""
     names: list[str] = []
     for interface in found:
         is_taken = interface.name in patches or sum(interface.name == other.name for other in found) > 1

@@ -33,11 +33,7 @@ class Ragged:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Block:
-    """Holds cells of one type by their corner ids (k, corners).
-
-    `cell` (k,) is the number of the polyhedral cell that each is, or is a piece of; None for cells
-    of other sections.
-    """
+    """Cells of one type by corner ids (k, corners), and their polyhedral cells (k,), or None."""
 
     kind: str
     corners: np.ndarray
@@ -61,11 +57,7 @@ def polyhedra(
 
 
 def _faces(polygons: dict[int, Ragged], cells: list[Ragged]) -> Faces:
-    """Joins all sections: the faces that cells have, with the cells on both sides.
-
-    It raises `ValueError` for cells with faces that are not there, or that more than two cells
-    have.
-    """
+    """Joins all sections' faces, with the cells on both sides; refuses missing and surplus ones."""
     begins = np.concatenate([begin + np.arange(len(rows)) for begin, rows in sorted(polygons.items())])
     parts = [rows for _, rows in sorted(polygons.items())]
     labels = np.concatenate([rows.values for rows in parts])
@@ -109,7 +101,6 @@ DIMENSION = {number: topology.DIMENSION.get(kind, 0) for number, kind in TYPES.i
 
 
 def children(group: Any, label: str) -> Iterator[tuple[str, Any]]:
-    """Yields the nodes of a CGNS label below another one, in the order of the file."""
     for name in group:
         child = group[name]
         if hasattr(child, "keys") and text(child.attrs.get("label", b"")) == label:
@@ -130,8 +121,6 @@ def word(group: Any) -> str:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Elements:
-    """Elements of one section and type: its name, their dimension, and their vertices by row."""
-
     section: str
     dimension: int
     vertices: Any
@@ -141,8 +130,8 @@ class Elements:
 class Content:
     """Cells and boundary elements of a zone by type, known outer faces, and all its elements.
 
-    `elements` stand by the number of their first one. `whole` has all polyhedral cells. `dimension`
-    is that of the base's cells.
+    `elements` stand by the number of their first one, `whole` has all polyhedral cells, and
+    `dimension` is that of the base's cells.
     """
 
     blocks: list[Block]
@@ -154,8 +143,6 @@ class Content:
 
 @dataclasses.dataclass(eq=False)
 class Condition:
-    """A boundary condition: its zone, its name and node in the file, and its patch."""
-
     zone: str
     name: str
     node: Any
@@ -169,10 +156,7 @@ class Condition:
 
 @dataclasses.dataclass(eq=False)
 class Zone:
-    """A zone: its node in the file, sizes of vertices (one if unstructured), first node's id.
-
-    What it holds is read into `content` and `conditions`.
-    """
+    """A zone: its node in the file, sizes of vertices (one if unstructured), first node's id."""
 
     path: pathlib.Path
     name: str
@@ -195,7 +179,7 @@ class Zone:
         return ValueError(f"{self.path}, zone {self.name}: {message}.")
 
     def coordinates(self) -> list[Coordinates]:
-        """Finds x, y[, z]. It raises `ValueError` for other coordinates, and for rind planes."""
+        """Finds x, y[, z]. Raises `ValueError` for other coordinates, and for rind planes."""
         grids = dict(children(self.group, "GridCoordinates_t"))
         if not grids:
             raise self.error("no GridCoordinates")
@@ -243,8 +227,6 @@ class Zone:
 
 
 class _Section:
-    """A section of elements: the number of the first one, how many there are, and their numbers."""
-
     def __init__(self, zone: Zone, name: str, node: Any):
         self.zone, self.name, self.node, self.kind = zone, name, node, int(data(node)[0])
         ends = data(node["ElementRange"]).astype(np.int64).ravel()
@@ -259,10 +241,7 @@ class _Section:
             raise self.error(f"names vertices beyond 1 to {self.zone.count}")
 
     def ragged(self, least: int) -> Ragged:
-        """Cuts the numbers into faces or cells, of `least` numbers or more each.
-
-        Before version 4 of CGNS each row begins with its count, later offsets cut the numbers.
-        """
+        """Cuts the numbers by offsets, before version 4 by counts; `least` numbers a row."""
         count, what = (
             len(self.values),
             f"numbers are not {self.count} rows of a count, {least} or more, and so many numbers",
@@ -333,7 +312,6 @@ def _counted(values: np.ndarray) -> Ragged:
 
 
 def _cells_of(sides: list[np.ndarray]) -> list[Ragged]:
-    """Makes cells of pairs of cell and face, in the order of the cells' numbers."""
     if not sides:
         return []
     pairs = np.concatenate(sides)

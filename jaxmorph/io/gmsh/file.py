@@ -86,8 +86,8 @@ class _Found:
 def read(path: pathlib.Path) -> Parts:
     """Reads points, cells and patches: the physical groups of lower dimension than the mesh.
 
-    A group without a name is `physical_` and its tag. Of several groups of one name the first of
-    the highest dimension has it, others add their dimension and tag.
+    A group without a name is `physical_` and its tag. Of duplicate names the first of the highest
+    dimension stays, others add their dimension and tag.
     """
     found = _read(path)
     content = found.content
@@ -119,11 +119,7 @@ def _read(path: pathlib.Path) -> _Found:
 
 
 def _numbered(cells: list[Elements], tags: np.ndarray) -> list[Elements]:
-    """Replaces the tags of nodes by their places among the nodes.
-
-    A table from tags to places is fast, and too long where tags are far apart: there they are
-    looked up in their order.
-    """
+    """Replaces the tags of nodes by their places: by a table, by a search if tags are sparse."""
     # Either way a tag that is none gives some place, so the tag at the place is compared.
     least, most = int(tags.min()), int(tags.max())
     is_dense = most - least <= SPARSE * len(tags)
@@ -156,10 +152,7 @@ def _groups(cells: list[Elements], names: Names) -> dict[tuple[int, int], Patch]
 
 
 def check(path: pathlib.Path, mesh: MeshLike) -> None:
-    """Raises `ValueError` for patches that a new file cannot have.
-
-    Boundary faces cannot express them, or their name ends before its end.
-    """
+    """Refuses patches that boundary faces cannot express, or whose name ends before its end."""
     if source_of(mesh, NAME) is not None:
         return
     for name in mesh.patches:
@@ -170,11 +163,7 @@ def check(path: pathlib.Path, mesh: MeshLike) -> None:
 
 
 def write(path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arrays) -> None:
-    """Writes the mesh's own file with new coordinates; else a new binary file of version 2.2.
-
-    In a new file a patch becomes a physical group, with the boundary faces between its nodes as
-    elements.
-    """
+    """Writes the own file with new coordinates, or version 2.2, binary, with patches as groups."""
     source = source_of(mesh, NAME)
     with path.open("wb") as file:
         content = None if source is None else source.content

@@ -19,7 +19,7 @@ WHOLE = 2.0**53
 _NAME = re.compile(rb'\s*(?:(\d+)\s+)?(\d+)\s+(?:"(.*)"|(\S+))\s*')
 _COMMENTS = rb"(?:[ \t]*\$Comments[ \t\r]*\n(?s:.*?)^[ \t]*\$EndComments[ \t\r]*(?:\n|\Z))*"
 VERSIONS = ((2.0, 2, 3), (4.0, 4, 4.1), (4.1, 4.1, 4.2))
-"""Versions that are read, and the numbers in files that are one: from, and up to."""
+"""Versions that are read, and the ranges of their numbers in files."""
 ORDERS = {b"\x01\0\0\0": "<", b"\0\0\0\x01": ">"}
 """Byte orders, and the number 1 in four bytes."""
 
@@ -42,7 +42,6 @@ class Form:
 
     @property
     def types(self) -> dict[str, np.dtype]:
-        """Types of binary numbers: `i` an int, `n` a size, `d` a double."""
         return {key: np.dtype(self.order + kind) for key, kind in (("i", "i4"), ("n", f"u{self.size}"), ("d", "f8"))}
 
 
@@ -62,7 +61,6 @@ def form_of(path: pathlib.Path, data: bytes) -> Form:
 
 
 def _format(path: pathlib.Path, words: bytes, one: bytes) -> Form:
-    """Reads the numbers behind `$MeshFormat`, and of a binary file the 1 that tells its order."""
     try:
         version, binary, size = (kind(word) for kind, word in zip((float, int, int), words.split(), strict=False))
     except ValueError as error:
@@ -77,7 +75,6 @@ def _format(path: pathlib.Path, words: bytes, one: bytes) -> Form:
 
 
 def sections(path: pathlib.Path, data: bytes, form: Form) -> Iterator[tuple[str, Section]]:
-    """Yields the name of each section and its content; `ValueError` for one without an end."""
     at = data.index(b"$MeshFormat" if form.version > 1 else b"$NOD")
     while (at := data.find(b"$", at)) >= 0:
         start = data.find(b"\n", at) + 1
@@ -112,18 +109,15 @@ class Stream:
             self.types = dict.fromkeys(form.types, np.dtype(dtype))
 
     def width(self, kinds: str) -> int:
-        """Returns the bytes of numbers of these kinds."""
         return sum(self.types[kind].itemsize for kind in kinds)
 
     def skip(self, count: int, width: int) -> int:
-        """Goes over so many things, each `width` bytes wide; returns where the first one begins."""
         if count < 0 or count * width > self.stop - self.at:
             raise ValueError(f"the section ends before the {count} entries that it announces")
         self.at += count * width
         return self.at - count * width
 
     def take(self, kind: str, count: int) -> np.ndarray:
-        """Reads so many numbers; ints and sizes become int64."""
         values = self.column(kind, self.skip(count, self.width(kind)), count)
         return values.astype(float) if kind == "d" else whole(values)
 
@@ -136,7 +130,6 @@ class Stream:
         return int(self.take(kind, 1)[0])
 
     def announced(self) -> int:
-        """Reads the number on a section's first line of version 2, text in a binary file too."""
         if self.rows is not None:
             return self.one("n")
         end = self.section.text.index(b"\n", self.at, self.stop) + 1
@@ -171,15 +164,12 @@ TYPES |= {
 """Types of cells by gmsh's numbers."""
 CORNERS_OF = NODES | {"vertex": 1}
 RUN = 1 << 16
-"""Rows of varying width that are looked at together."""
 
 Groups = dict[tuple[int, int], list[int]]
 """Tags of the physical groups of an entity, by its dimension and tag."""
 
 
 class Nodes(NamedTuple):
-    """Tags (n,) of nodes, and places (n,) of their x in a stream."""
-
     tags: np.ndarray
     places: np.ndarray
 
@@ -231,7 +221,7 @@ def nodes(stream: Stream, *, is_parametric: bool) -> Nodes:
 
 
 def _entity(stream: Stream) -> tuple[int, int, int]:
-    """Reads an entity's dimension and tag, in version 4.0 tag and dimension, and a number."""
+    """Reads an entity's dimension and tag (in version 4.0 swapped), and a number."""
     first, second, third = stream.take("i", 3).tolist()
     return (first, second, third) if stream.version > 4 else (second, first, third)
 
@@ -257,10 +247,7 @@ def _records(stream: Stream, count: int, kinds: str) -> Nodes:
 
 
 def _with_parameters(stream: Stream, total: int) -> Nodes:
-    """Reads rows of tag, coordinates, entity (dimension, tag), and parameters (curve 1, surface 2).
-
-    Rows of one width are read together.
-    """
+    """Reads rows of tag, coordinates, entity (dimension, tag), parameters (curve 1, surface 2)."""
     found = [Nodes(np.zeros(0, np.int64), np.zeros(0, np.int64))]
     while total > 0:
         stream.at = stream.skip(1, stream.width("idddii"))
@@ -341,10 +328,7 @@ def _lines(stream: Stream, rows: Rows) -> Iterator[tuple[str, np.ndarray, np.nda
 
 
 def _numbered(stream: Stream) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
-    """Yields types, corners (k, c) and two tags (k, 2): of version 2, binary.
-
-    It has blocks of a type, a number of elements and one of tags.
-    """
+    """Yields types, corners (k, c) and two tags (k, 2) of the blocks of version 2, binary."""
     left = stream.announced()
     while left > 0:
         number, count, tags = stream.take("i", 3).tolist()
@@ -361,10 +345,7 @@ def _numbered(stream: Stream) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
 
 
 def _of_version_2(kind: str, corners: np.ndarray, table: np.ndarray) -> Elements:
-    """Finds groups of elements: `table` (k, 2) has tags of physical group (0: none) and entity.
-
-    In version 2 an element of two groups stands twice, with the second group: it is read once.
-    """
+    """Finds groups by tags of group (0: none) and entity; elements of two groups are read once."""
     physical, entity = np.abs(table[:, 0]), table[:, 1]
     tags = np.unique(physical[physical > 0]).tolist()
     groups: dict[int, np.ndarray | None] = {tag: np.flatnonzero(physical == tag) for tag in tags}

@@ -1,8 +1,4 @@
-"""OpenFOAM's cases: `constant/polyMesh`, ascii or binary, plain or compressed (doc.openfoam.com).
-
-Only `points` is written: into a time folder of the case, or into a copy of the case. The case
-itself stays as it is.
-"""
+"""OpenFOAM's cases: `constant/polyMesh`, text or binary, plain or compressed (doc.openfoam.com)."""
 
 import contextlib
 import dataclasses
@@ -33,7 +29,6 @@ from .topology import faces_of, patch_nodes, sides_of_parts
 
 NAME = "OpenFOAM"
 COPIED = ("constant", "system", "0", "0.orig")
-"""Parts of a case that a new one gets."""
 SYMMETRY = ("symmetry", "symmetryPlane")
 PLANES = ("empty", "wedge")
 """Types of patches in front of and behind the one layer of cells of a case in two dimensions."""
@@ -41,10 +36,7 @@ PLANES = ("empty", "wedge")
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _CaseContent:
-    """A case's file of points, its values, the folder of faces, and the planes of a 2-D case.
-
-    `shared` are the points (k,) of the file that other parts of a decomposed case have too.
-    """
+    """A case's file of points, its values, the folder of faces, planes in 2-D, shared points."""
 
     file: FoamFile
     points: np.ndarray
@@ -60,7 +52,7 @@ class _CaseContent:
         return values if self.plane is None else self.plane.fitted(values).in_plane(values)
 
     def held(self) -> Held | None:
-        """Tells how the file holds the points; None: all digits, in planes that are not tilted."""
+        """How the file holds the points; None: all digits, in planes that are not tilted."""
         is_single = self.file.is_binary and self.file.dtype("scalar").itemsize == 4
         if not is_single and (self.plane is None or self.plane.kind == "empty"):
             return None
@@ -73,7 +65,7 @@ class _CaseContent:
 
     @property
     def region(self) -> pathlib.Path:
-        """The folder of the region that the mesh is of, in `constant` or a time; else "."."""
+        """The folder of the mesh's region, in `constant` or a time; else "."."""
         case, here = _case_of(self.topology), self.topology.resolve()
         return pathlib.Path(*(() if case is None else here.relative_to(case).parts[1:-1]))
 
@@ -81,14 +73,14 @@ class _CaseContent:
 def read(path: pathlib.Path) -> Parts:
     """Reads the mesh of a case, a time folder, or a folder polyMesh; nodes in file order.
 
-    `patches` come from `boundary`, `groups` from their `inGroups`. Cells with more or other faces
-    than the standard types are cut into tetrahedra between their own nodes. Of a case with `empty`
-    patches the plane in front is the mesh, in two coordinates. So it is with `wedge` patches, at
-    places along the axis and distances from it; nodes on the axis are the patch `axis`.
+    `patches` come from `boundary`, `groups` from their `inGroups`. Cells of other shapes than the
+    standard types are cut into tetrahedra between their own nodes. With `empty` patches the plane
+    in front is the mesh, in two coordinates. So it is with `wedge` patches, in coordinates along
+    the axis and away from it; nodes on the axis are the patch `axis`.
 
-    Of a decomposed case `path` may be a folder `processor3`. Faces to other processors are no
-    boundary, `processorXtoY` is no patch. Faces of a cyclic patch whose partners are on another
-    processor stay in their cyclic patch.
+    In a folder `processor3` of a decomposed case, faces to other processors are no boundary, and
+    `processorXtoY` is no patch. Faces of a cyclic patch whose partners are on another processor
+    stay in their cyclic patch.
     """
     here, folder = _folders(path)
     boundary = patches(load(folder, "boundary"))
@@ -120,7 +112,6 @@ def read(path: pathlib.Path) -> Parts:
 
 
 def _planes(path: pathlib.Path, boundary: list[Patch]) -> list[Patch]:
-    """Lists the patches before and behind one layer of cells; none if these have no faces."""
     planes = [patch for patch in boundary if patch.type in PLANES]
     kinds = [patch.type for patch in planes if patch.count]
     if "wedge" in kinds and kinds != ["wedge"] * 2:
@@ -150,7 +141,6 @@ def _groups(boundary: list[Patch]) -> dict[str, tuple[str, ...]]:
 
 
 def check(path: pathlib.Path, mesh: MeshLike) -> None:
-    """Raises `ValueError` for what `write` cannot do, before any work."""
     source = source_of(mesh, NAME)
     if source is None:
         raise ValueError(f"{path}: only a mesh that was read from an OpenFOAM case can be written to one.")
@@ -175,10 +165,7 @@ def check_new(path: pathlib.Path, case: pathlib.Path, remedy: str) -> None:
 
 
 def write(path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arrays) -> None:
-    """Writes `points` in a time folder, or a new case: `constant`, `system`, `0`, `0.orig`.
-
-    It warns where the case is decomposed: its parts keep the old points.
-    """
+    """Writes `points` in a time folder, or a new case; warns of old points in its parts."""
     content, points = content_of(mesh), file_points(mesh)
     case = _case_of(content.topology)
     parts = [] if case is None else [part for part in case.glob("processor*") if part.is_dir()]
@@ -312,7 +299,6 @@ def _in_plane(faces: Faces, points: np.ndarray, nodes: dict[str, np.ndarray], pl
 
 
 def _folders(path: pathlib.Path) -> tuple[pathlib.Path, pathlib.Path]:
-    """Finds the folder of the points, and that of the faces, which is often the case's."""
     places = [path / "constant" / "polyMesh", path / "polyMesh"]
     here = path if path.name == "polyMesh" else next((place for place in places if place.is_dir()), None)
     if here is None:
@@ -336,7 +322,6 @@ def _notes(topology: pathlib.Path, planes: list[Patch]) -> Iterator[str]:
 
 
 def _size(topology: pathlib.Path, name: str) -> int:
-    """Reads the length of the list in a file from its first lines; 0 without the file."""
     for path, opening in ((topology / name, open), (topology / f"{name}.gz", gzip.open)):
         with contextlib.suppress(OSError, EOFError, zlib.error), opening(path, "rb") as file:
             found = re.search(rb"^\s*(\d{1,18})\s*(\(|$)", file.read(1 << 13).rpartition(b"FoamFile")[2], re.MULTILINE)
@@ -345,12 +330,10 @@ def _size(topology: pathlib.Path, name: str) -> int:
 
 
 def regions(folder: pathlib.Path) -> list[str]:
-    """Lists the regions whose meshes are in `constant` or in a folder of a time."""
     return sorted(mesh.parent.name for mesh in folder.glob("*/polyMesh") if mesh.is_dir())
 
 
 def _hint(path: pathlib.Path) -> str:
-    """Says where the meshes are in a folder without one: in those of regions, or of processors."""
     here = path if _is_time(path) else path / "constant"
     found, divided = regions(here), list(path.glob("processor*/constant/polyMesh"))
     in_parts = sorted({region for part in path.glob("processor*/constant") for region in regions(part)})
@@ -368,7 +351,6 @@ def _hint(path: pathlib.Path) -> str:
 
 
 def _case_of(topology: pathlib.Path) -> pathlib.Path | None:
-    """Finds the folder that holds `constant`, or the time folder, that a polyMesh is in."""
     above = topology.resolve().parents
     cases = [folder.parent for folder in above if folder.name == "constant"]
     return cases[0] if cases else next((folder.parent for folder in above if _is_time(folder)), None)

@@ -18,13 +18,12 @@ _COUNT = re.compile(rb"(\d*)\s*([({]?)")
 _COMMENT = re.compile(r"//[^\n]*|/\*.*?(?:\*/|\Z)", re.DOTALL)
 _WORD = re.compile(r'"[^"\n]*"|[(){};]|[^\s(){};"]+|"')
 UNIFORM = 2 * 10**8
-"""Bytes that a list of equal elements may take, besides ten times its file's size."""
+"""Bytes of an unpacked list of equal elements, besides ten times its file's size."""
 UNPACKED = 100
-"""Bytes that one byte of a packed file may become, besides `UNIFORM`."""
+"""Unpacked bytes per byte of a packed file, besides `UNIFORM`."""
 DIGITS = 19
-"""Digits that a number of elements may have."""
+"""Digits of a number of elements."""
 PARENTHESES = bytes.maketrans(b"()", b"  ")
-"""Makes the text of a list one of numbers between blanks."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,10 +50,7 @@ class FoamFile:
         return self.header.get("format", "ascii") == "binary"
 
     def dtype(self, what: str) -> np.dtype:
-        """Returns the type of a binary `label` or `scalar`, by the header's `arch`.
-
-        Without it they are 32 and 64 bits, little-endian.
-        """
+        """Type of a binary `label` or `scalar`: by `arch`, else little-endian, 32 and 64 bits."""
         arch = self.header.get("arch", "")
         match = re.search(rf"{what}=(\d{{1,9}})", arch)
         width = int(match[1]) if match else {"label": 32, "scalar": 64}[what]
@@ -175,7 +171,6 @@ def _narrow(labels: np.ndarray) -> np.ndarray:
 
 
 def load(folder: pathlib.Path, name: str) -> FoamFile:
-    """Opens the file of that name in a folder, plain or with the ending .gz."""
     path = folder / name
     if not path.is_file() and path.with_name(f"{name}.gz").is_file():
         path = path.with_name(f"{name}.gz")
@@ -205,8 +200,8 @@ class Patch:
     """An entry of `boundary`: `count` faces from `start` on.
 
     `groups` has it in its `inGroups`, and `neighbour` is its `neighbourPatch`. `refers` is the
-    cyclic patch of which a `processorCyclic` one holds faces. Both are "" for a patch without.
-    `part` is the processor on the other side, or -1.
+    cyclic patch of a `processorCyclic` one. Both are "" for others. `part` is the processor on the
+    other side, or -1.
     """
 
     name: str
@@ -224,7 +219,6 @@ class Patch:
 
     @property
     def faces(self) -> np.ndarray:
-        """Ids (count,) of the patch's faces."""
         return np.arange(self.start, self.end)
 
     @property
@@ -251,7 +245,6 @@ def patches(file: FoamFile) -> list[Patch]:
 
 
 def _listed(file: FoamFile, words: list[str], at: int) -> tuple[list[Patch], int]:
-    """Reads entries up to the end of their list, whose place it also returns."""
     found = []
     while at < len(words) and words[at] != ")":
         _refuse_directives(file, words[at : at + 1])
@@ -283,15 +276,11 @@ def _end_of_body(words: list[str], start: int) -> int | None:
 
 
 def _words(data: bytes) -> list[str]:
-    """Splits a text into words, quoted texts and marks, without its comments."""
     return _WORD.findall(_COMMENT.sub(" ", data.decode(errors="replace")))
 
 
 def _entries(body: list[str]) -> dict[str, list[str]]:
-    """Lists the words of each entry `key word word;` by its key.
-
-    Those of a dictionary in it are among its words.
-    """
+    """Lists the words of each entry `key word word;`, with those of its dictionary, by its key."""
     entries: dict[str, list[str]] = {}
     key, depth = None, 0
     for word in body:

@@ -31,7 +31,7 @@ COLLATED = re.compile(r"s\d*(_\d+-\d+)?")
 """The end of the names of folders that hold several parts, after `processor`."""
 
 AGREE = 1e-5
-"""Distance between a shared point's places, relative to coordinates: single precision."""
+"""Distance between copies of a shared point, relative to coordinates: single precision."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -41,12 +41,10 @@ class Side:
     All ids are the whole mesh's.
 
     - `nodes` (k,), `points` (k, d): ids, ascending, and coordinates of the nodes on boundary faces.
-    - `faces`: boundary faces (f, corners) by type. Faces to other parts are not among them.
-    - `patches`: the nodes of each patch by name.
-    - `groups`: the groups of patches by name.
-    - `pairs`: pairs of cyclic patches.
-    - `symmetry`: patches in symmetry planes.
-    - `kinds`: what patches are, by name.
+    - `faces`: boundary faces (f, corners) by type, without those to other parts.
+    - `patches`, `groups`, `kinds`: by name, the nodes of patches, groups of patches, types of
+      patches.
+    - `pairs`, `symmetry`: pairs of cyclic patches, and patches in symmetry planes.
     """
 
     nodes: np.ndarray
@@ -79,8 +77,8 @@ class Decomposed:
     - `path`: the folder of the case, which has folders `processor0` to `processorN`. Of a case of
       several regions `case/constant/REGION`.
 
-    **Raises:** `ValueError` where these are missing, or are not all there, and for a case of
-    several regions without the name of one.
+    **Raises:** `ValueError` for missing folders, and for a case of several regions without the name
+    of one.
     """
 
     @checked
@@ -196,13 +194,12 @@ class Decomposed:
         """Writes a new case part by part; it appears when complete, and not at all on failure.
 
         It has the `constant`, `system`, `0` and `0.orig` of the case and of each part, with other
-        points. The undivided mesh in `constant/polyMesh` would have the old points: it is left out.
+        points, but not the undivided mesh in `constant/polyMesh`, whose points would be old.
 
         **Arguments:**
 
         - `path`: the new folder.
-        - `ranks`: the communicator of an MPI run whose processes write together. Default: one
-          process.
+        - `ranks`: the communicator of processes that write together. Default: one process.
         """
         ranks, target = Alone() if ranks is None else ranks, pathlib.Path(path)
         with contextlib.ExitStack() as stack:
@@ -236,7 +233,6 @@ class Decomposed:
 
 
 def _said(sides: Sequence[Side], members: Mapping[str, np.ndarray]) -> dict[str, Any]:
-    """Joins what parts say of patches, whose `members` are the nodes of all parts."""
     pairs = {frozenset(pair): pair for side in sides for pair in reversed(side.pairs)}
     named = [Periodic(*pair) for pair in pairs.values() if all(len(members[name]) for name in pair)]
     symmetry = dict.fromkeys(itertools.chain.from_iterable(side.symmetry for side in sides))
@@ -281,8 +277,8 @@ class Writer:
         A point that parts share gets the coordinates of the first one that has it. The processes of
         an MPI run call it together, as often as each other: with None where one has no part left.
 
-        **Raises:** `ValueError` where cyclic patches do not match any more, for a mesh that is not
-        part `k`, or does not fit to the other parts.
+        **Raises:** `ValueError` where cyclic patches no longer match, and for a mesh that is not
+        part `k` or does not fit the other parts.
         """
 
         def shared() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -330,8 +326,8 @@ def global_nodes(mesh: Mesh) -> Int[np.ndarray, " n"]:
 
     **Returns:** ids (n,) for `half.attach(mesh.points, ids)`.
 
-    **Raises:** `ValueError` for other meshes, and where `pointProcAddressing` is missing or is of
-    another mesh.
+    **Raises:** `ValueError` for other meshes, and a `pointProcAddressing` that is missing or does
+    not fit.
     """
     if isinstance(mesh.source, Source) and mesh.source.content is None and mesh.source.node_ids is not None:
         return np.asarray(mesh.source.node_ids)  # the surface of a case, which nothing can be written from

@@ -13,11 +13,11 @@ from jaxmorph._mesh.polyhedra import Polyhedra, spread, triangles
 from .file import Patch, load, patches
 
 FLAT = 1e-6
-"""Distance that a node may be off its plane, as a share of the mesh's extent."""
+"""Distance of a node off its plane, as a share of the mesh's extent."""
 APART = 1e-3
-"""Distance that the places of two partners may be apart, as a share of the mesh's extent."""
+"""Distance between two partners, as a share of the mesh's extent."""
 ROUNDING = 1e-12
-"""Distance of a node off its axis, relative to the mesh's extent: it is written on the axis."""
+"""Distance of a node off its axis, relative to the mesh's extent, that is written as zero."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -28,7 +28,7 @@ class Front:
     - `front`, `back` (n,): the case's ids of node i of the mesh, and of its partner; equal on an
       axis. Ids in front ascend, so nodes keep the order of the file.
     - `axes` (2, 2, 3): unit vectors of the mesh's coordinates in front and behind, from `origin`.
-      Of wedges they lead along the axis and away from it.
+      Those of wedges lead along the axis and away from it.
     """
 
     kind: str
@@ -48,7 +48,6 @@ class Front:
         return nodes
 
     def ids(self, nodes: np.ndarray) -> np.ndarray:
-        """Returns the 2-D mesh's ids of the `nodes` in the front, in their order."""
         at = np.minimum(np.searchsorted(self.front, nodes), len(self.front) - 1)
         return at[self.front[at] == nodes]
 
@@ -57,7 +56,6 @@ class Front:
         return self.ids(faces).reshape(-1, 2)
 
     def fitted(self, points: np.ndarray) -> "Front":
-        """Finds axis and planes of wedges in other points (N, 3), as reading them does."""
         if self.kind == "empty":
             return self
         axes, origin = _frame((self.front, np.unique(self.back)), points)
@@ -94,7 +92,6 @@ class Front:
 
 
 def sector(faces: Faces, points: np.ndarray, patches: Sequence[np.ndarray]) -> Front:
-    """Finds the planes of two wedge patches by their nodes."""
     first, second = map(np.unique, patches)
     if len(np.union1d(first, second)) < len(points):
         raise ValueError("patches of type wedge, but there are nodes off both: there is more than one layer of cells.")
@@ -187,8 +184,8 @@ def plane_cells(
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray], Polyhedra | None]:
     """Makes triangles and quads of the front in cell order; larger faces become triangles.
 
-    `chosen` are the faces of both planes. It also gives the ids of their cells by type, and the
-    whole cells where some are cut. It raises `ValueError` where the front has not one face a cell.
+    `chosen` are the faces of both planes. Also returns the ids of their cells by type, and the
+    whole cells where some are cut. Raises `ValueError` where the front has not one face a cell.
     """
     is_front = np.zeros(len(points), bool)
     is_front[plane.front] = True
@@ -236,10 +233,7 @@ MATCH = 1e-4
 
 
 def cyclic_pairs(boundary: list[Patch]) -> list[tuple[Patch, Patch]]:
-    """Lists the pairs of cyclic patches of a case.
-
-    Those whose faces need not match (cyclicAMI, cyclicACMI) are none.
-    """
+    """Lists the pairs of cyclic patches, without cyclicAMI and cyclicACMI: these need not match."""
     by_name = {patch.name: patch for patch in boundary}
     pairs = [(patch, by_name[patch.neighbour]) for patch in by_name.values() if patch.neighbour in by_name]
     return [(a, b) for a, b in pairs if "cyclic" == a.type == b.type and a.start < b.start and a.count == b.count > 0]

@@ -12,7 +12,6 @@ from .file import Patch, load
 
 
 def faces_of(folder: pathlib.Path, boundary: list[Patch], n: int) -> Faces:
-    """Reads the faces between `n` points; `ValueError` where they are not those of closed cells."""
     labels, starts = load(folder, "faces").faces()
     owner, neighbour = (load(folder, name).numbers("label").ravel() for name in ("owner", "neighbour"))
     if len(owner) != len(starts) - 1 or len(neighbour) > len(owner) or not len(owner):

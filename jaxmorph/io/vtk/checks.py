@@ -12,7 +12,6 @@ from .._text import parse
 
 
 def numbers(text: bytes, kind: str) -> np.ndarray:
-    """Reads a text's numbers. Raises `ValueError` for numbers that the type cannot hold."""
     dtype = np.dtype(kind)
     if b"d" in text or b"D" in text:
         raise ValueError("an exponent of Fortran's, which VTK does not know")
@@ -30,7 +29,6 @@ def numbers(text: bytes, kind: str) -> np.ndarray:
 
 
 def check_streams(numbers: np.ndarray, begins: np.ndarray, ends: np.ndarray) -> None:
-    """Raises `ValueError` where numbers are not faces of polyhedra: counts, and nodes."""
     # All polyhedra are gone through together: round k looks at face k of each that has as many.
     if (begins >= ends).any():
         raise ValueError("a polyhedron without faces")
@@ -59,7 +57,7 @@ def check_ends(ends: np.ndarray, count: int, name: str) -> None:
 
 @contextlib.contextmanager
 def errors_told() -> Iterator[None]:
-    """Raises `ValueError` for the first error that VTK tells, which else goes to the terminal."""
+    """Raises `ValueError` for VTK's first error, which VTK would print on the terminal."""
     core = vtk.vtk("vtkCommonCore")
     told, window = core.vtkStringOutputWindow(), core.vtkOutputWindow.GetInstance()
     verbosity = core.vtkLogger.GetCurrentVerbosityCutoff()

@@ -26,8 +26,6 @@ FILES_OF_FILES = (".pvtu", ".vtm")
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Content:
-    """A data set of VTK as it was read, and how its file says it."""
-
     data: Any
     encoding: Any
 
@@ -37,10 +35,6 @@ class Content:
 
 
 def read(path: pathlib.Path) -> Parts:
-    """Reads points, cells and patches, as `Mesh.from_pyvista` finds them in the same grid.
-
-    Patches are point arrays `patch:NAME`, as `write` leaves them, or come from numbers.
-    """
     with faults_of(path):
         content = _read(path)
         mesh, whole = vtk.mesh_of(vtk.unstructured(content.data))
@@ -52,10 +46,6 @@ def read(path: pathlib.Path) -> Parts:
 
 
 def check(path: pathlib.Path, mesh: MeshLike) -> None:
-    """Raises `ValueError` for cells that VTK does not have, and for files that cannot hold them.
-
-    All other meshes fit, with patches as flags of points.
-    """
     suffix = path.suffix.lower()
     content = _content(mesh)
     if suffix in FILES_OF_FILES:
@@ -71,10 +61,7 @@ def check(path: pathlib.Path, mesh: MeshLike) -> None:
 
 
 def write(path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arrays) -> None:
-    """Writes what was read with other points, or a new grid in double precision.
-
-    The file is encoded as the one that was read, where that was of the same kind.
-    """
+    """Writes the read data with other points, or a new grid in double precision."""
     content = _content(mesh)
     parts = Parts(mesh.points, mesh.cells, mesh.patches, mesh.source)
     data = to_vtk(parts, content and content.data, point_data, cell_data)
@@ -91,7 +78,6 @@ def _content(mesh: MeshLike) -> Content | None:
 
 
 def _read(path: pathlib.Path) -> Content:
-    """Reads the data set of a file, or those of the files that it names."""
     if path.suffix.lower() in FILES_OF_FILES:
         named = xml.named_files(path)
         parts = [_data(file) for _, file in named]
@@ -103,7 +89,6 @@ def _read(path: pathlib.Path) -> Content:
 
 
 def _data(path: pathlib.Path) -> tuple[Any, Any]:
-    """Reads one file by VTK, after a look at the sizes that it announces."""
     kind: Any = legacy if path.suffix.lower() == ".vtk" else xml
     with errors_told():
         raw, encoding = kind.checked(path.read_bytes())
@@ -113,11 +98,7 @@ def _data(path: pathlib.Path) -> tuple[Any, Any]:
 
 
 def _joined(named: list[tuple[str, Any]]) -> Any:
-    """Joins pieces and blocks, without ghost cells.
-
-    Of blocks of lower dimension, as those of a boundary, whose points are points of the mesh, the
-    points are patches.
-    """
+    """Joins pieces and blocks without ghost cells; blocks of lower dimension become patches."""
     grids = [(name, vtk.unstructured(data)) for name, data in named]
     levels = [vtk.dimension_of(grid) for _, grid in grids]
     joined = vtk.vtk("vtkFiltersCore").vtkAppendFilter()

@@ -50,8 +50,6 @@ LATTICE = 10**6
 
 @dataclasses.dataclass(frozen=True)
 class Encoding:
-    """How a file says a data set: its title, its version, in text or not."""
-
     kind: str = "UnstructuredGrid"
     title: str = "written by jaxmorph"
     version: str = "4.2"
@@ -59,10 +57,7 @@ class Encoding:
 
 
 def checked(raw: bytes) -> tuple[bytes, Encoding]:
-    """Raises `ValueError` for sizes that do not fit to the file.
-
-    Returns the file in a form that VTK reads, and its encoding.
-    """
+    """Refuses sizes that do not fit the file; returns the file for VTK, and its encoding."""
     head = HEAD.match(raw)
     if head is None:
         raise ValueError("not a .vtk file; `# vtk DataFile Version` and three lines more are expected first.")
@@ -88,10 +83,7 @@ def checked(raw: bytes) -> tuple[bytes, Encoding]:
 
 @dataclasses.dataclass
 class _Sections:
-    """Goes through a file as VTK does: `at` is its place, `section` the line that began the last.
-
-    VTK crashes where it takes other bytes for an array than a file means.
-    """
+    """Goes through a file as VTK does, to its place `at`, before VTK crashes on it."""
 
     raw: bytes
     at: int
@@ -110,7 +102,6 @@ class _Sections:
         return b"".join(part for pair in zip(kept, texts, strict=True) for part in pair)
 
     def words(self) -> list[str]:
-        """Returns the words of the next line with any; none at the end."""
         while self.at < len(self.raw):
             begin, line = self.at, self._line()
             for name in MESHIO.findall(line):
@@ -135,8 +126,7 @@ class _Sections:
         else:
             self._attribute(key, words)
 
-    def _nothing(self, *_: str) -> None:
-        """A line that is all of its section."""
+    def _nothing(self, *_: str) -> None: ...
 
     def _numbers(self, count: str, name: str) -> None:
         self.after(int(count), name)
@@ -170,7 +160,7 @@ class _Sections:
             self.after(self.rows * COLUMNS[key], words[1])
 
     def _notes(self, *_: str) -> None:
-        """Goes over notes on an array, of which VTK is to read only the names of components."""
+        """Skips notes on an array, of which VTK is to read only the names of components."""
         begin, words = self.at, [b""]
         while words and words[0] != b"INFORMATION":
             begin = self.at
@@ -202,7 +192,7 @@ class _Sections:
             self.after(columns * rows, words[3])
 
     def _cells(self, *sizes: str) -> None:
-        """Goes over cells: the number of nodes stands before them up to 5.0, then in offsets."""
+        """Skips cells: the number of nodes stands before them up to 5.0, then in offsets."""
         count, size = map(int, sizes[:2])
         if self.is_old:
             self.nodes = self.after(size, "int")
@@ -221,7 +211,6 @@ class _Sections:
         return self.after(count, words[1])
 
     def _types(self, count: str, *_: str) -> None:
-        """Raises `ValueError` where cells that are polyhedra do not list their faces."""
         kinds = self.after(int(count), "int")
         rows = np.flatnonzero(kinds == vtk.POLYHEDRON)
         if len(rows) and len(kinds) != len(self.ends) - 1:
@@ -264,10 +253,7 @@ class _Sections:
         self.at = rest.end()
 
     def _strings(self, count: int) -> None:
-        """Goes over strings: a line each in a text, length and bytes in a binary file.
-
-        The length has 1 to 8 bytes, as its first two bits tell.
-        """
+        """Skips strings: lines, or bytes behind a length (1 to 8 bytes, by its first bits)."""
         for _ in range(count):
             if self.at >= len(self.raw):
                 raise ValueError(f"fewer than {count} strings")
@@ -280,7 +266,6 @@ class _Sections:
 
 
 def _ends(nodes: np.ndarray) -> np.ndarray:
-    """Finds where cells begin that count their nodes, and where the last one ends."""
     # Cells of one size are gone through together: numbers of nodes stand at equal steps.
     place, block, begins = 0, 1, [np.zeros(0, np.int64)]
     while place < len(nodes):
@@ -304,7 +289,7 @@ def reader(_: pathlib.Path, raw: bytes, encoding: Encoding) -> Any:
 
 
 def written(data: Any, encoding: Encoding) -> bytes:
-    """Makes the file. VTK itself tells no error where a device is full, so it writes to memory."""
+    """Makes the file in memory, since VTK raises no error on a full device."""
     kind = data.GetClassName().removeprefix("vtk")
     writer = getattr(vtk.vtk("vtkIOLegacy"), f"vtk{kind}Writer")()
     writer.SetInputData(data)

@@ -1,7 +1,4 @@
-"""VTK's XML files, whose sizes are checked before VTK reads them.
-
-VTK asks for memory as the file's numbers say, and takes lists in text as far as they go.
-"""
+"""VTK's XML files; their sizes are checked, because VTK trusts them when it asks for memory."""
 
 import base64
 import binascii
@@ -47,7 +44,7 @@ SECTIONS = ("Cells", "Verts", "Lines", "Strips", "Polys")
 
 @dataclasses.dataclass(frozen=True)
 class Encoding:
-    """How a file says a data set: ascii, binary or appended, in base64 or not, packed by what."""
+    """The encoding of a data set: ascii, binary or appended, base64 or raw, and its compressor."""
 
     kind: str = "UnstructuredGrid"
     mode: str = "binary"
@@ -59,8 +56,6 @@ class Encoding:
 
 @dataclasses.dataclass(frozen=True)
 class _File:
-    """The elements of a file, and the bytes that are appended to them."""
-
     root: ElementTree.Element
     appended: bytes | memoryview
     encoding: Encoding
@@ -77,7 +72,6 @@ class _File:
         return np.frombuffer(unpacked, self.dtype(kind))
 
     def count(self, array: ElementTree.Element) -> int:
-        """Counts an array's numbers, without unpacking them."""
         if array.get("format", "ascii") == "ascii":
             return len(self.values(array))
         size = sum(size for size, _ in self.blocks(array))
@@ -87,7 +81,6 @@ class _File:
         return count
 
     def blocks(self, array: ElementTree.Element) -> list[tuple[int, bytes | memoryview]]:
-        """Finds the blocks of an array's bytes, and the size of each when it is unpacked."""
         head, data, start, is_text = self.dtype(self.encoding.header), self.appended, 0, True
         if array.get("format") == "binary":
             data = "".join((array.text or "").split()).encode()
@@ -124,7 +117,6 @@ class _File:
 
 
 def _taken(data: bytes | memoryview, at: int, count: int, is_text: bool) -> tuple[bytes | memoryview, int]:
-    """Takes bytes, as they are or in base64, and finds where the next ones begin."""
     end = at + (4 * -(-count // 3) if is_text else count)
     piece = data[at:end] if at >= 0 else b""
     piece = base64.b64decode(piece, validate=True) if is_text else piece
@@ -134,10 +126,7 @@ def _taken(data: bytes | memoryview, at: int, count: int, is_text: bool) -> tupl
 
 
 def checked(raw: bytes) -> tuple[bytes, Encoding]:
-    """Raises `ValueError` for arrays that have not the size that the file says.
-
-    Returns the file, and its encoding.
-    """
+    """Refuses arrays of another size than the file states; returns the file, and its encoding."""
     file = _opened(raw)
     if file.encoding.kind not in KINDS:
         raise ValueError(f"{file.encoding.kind!r} in it is no mesh; read are {', '.join(KINDS)}.")
@@ -171,10 +160,7 @@ def _check(file: _File, array: ElementTree.Element, rows: int, name: str) -> Non
 
 
 def _check_cells(file: _File, section: ElementTree.Element) -> None:
-    """Raises `ValueError` where lists of nodes and faces do not end as their arrays do.
-
-    VTK takes memory as the ends say, and crashes.
-    """
+    """Refuses lists of nodes and faces whose ends are wrong: VTK trusts them, and crashes."""
     arrays = {array.get("Name", ""): array for array in section.iterfind("DataArray")}
     if len(arrays) != len(section.findall("DataArray")):
         raise ValueError(f"two arrays of one name in {section.tag}.")
@@ -206,7 +192,7 @@ def reader(path: pathlib.Path, _: bytes, encoding: Encoding) -> Any:
 
 
 def written(data: Any, encoding: Encoding) -> bytes:
-    """Makes the file. VTK itself tells no error where a device is full, so it writes to memory."""
+    """Makes the file in memory, since VTK raises no error on a full device."""
     kind = data.GetClassName().removeprefix("vtk")
     writer = getattr(vtk("vtkIOXML"), f"vtkXML{kind}Writer")()
     writer.SetInputData(data)
