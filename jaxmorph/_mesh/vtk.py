@@ -1,6 +1,6 @@
 """VTK's unstructured grids as a `Grid`, and a `Mesh` as one of VTK's grids."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -127,9 +127,7 @@ def of_vtk(grid: Any) -> tuple[Grid, Whole | None]:
     kinds = kinds_of(grid)
     solid = solid_cells(kinds)
     top = dict.fromkeys(kinds[solid].tolist())
-    unknown = [kind for kind in top if kind not in (*NODES, "polyhedron") and _dimension(kind) > 1]
-    if unknown:
-        raise ValueError(f"cells of type {', '.join(unknown)} are not supported; they would be lost.")
+    _refuse(kind for kind in top if kind not in (*NODES, "polyhedron") and _dimension(kind) > 1)
     blocks, whole, outer = [], None, None
     if "polyhedron" in top:
         blocks, whole, outer = _polyhedral(grid, points.astype(float), kinds, solid)
@@ -140,6 +138,12 @@ def of_vtk(grid: Any) -> tuple[Grid, Whole | None]:
     cell_data = {name: [values[rows] for *_, rows in blocks] for name, values in data.items()}
     read = [(kind, corners) for kind, corners, _ in blocks]
     return Grid(points, read, data_of(grid.GetPointData()), cell_data, outer=outer), whole
+
+
+def _refuse(kinds: Iterable[str], where: str = "") -> None:
+    names = ", ".join(kinds)
+    if names:
+        raise ValueError(f"cells of type {names}{where} are not supported; they would be lost.")
 
 
 def _of_kind(grid: Any, kind: str, rows: np.ndarray) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
@@ -169,8 +173,7 @@ def _polyhedral(grid: Any, points: np.ndarray, kinds: np.ndarray, solid: np.ndar
     It returns types, corners and the grid's cells, whole cells, and the nodes of outer faces.
     """
     curved = sorted({kind for kind in kinds[solid].tolist() if kind not in CORNERS and kind != "polyhedron"})
-    if curved:
-        raise ValueError(f"cells of type {', '.join(curved)} beside polyhedra are not supported; they would be lost.")
+    _refuse(curved, " beside polyhedra")
     (starts, ids), numbers = _arrays_of(grid.GetCells()), numbers_of(grid)
     sides = [_sides(grid, points, solid, kinds)]
     for kind in dict.fromkeys(kinds[solid][kinds[solid] != "polyhedron"].tolist()):

@@ -121,6 +121,11 @@ def count(number: int, what: str) -> str:
     return f"{number} {what}" + ("" if number == 1 else "s")
 
 
+def some(ids: Any) -> str:
+    """Lists up to five ids."""
+    return ", ".join(map(str, ids[:5])) + (", ..." if len(ids) > 5 else "")
+
+
 def coordinates(x: Any) -> str:
     return "(" + ", ".join(f"{number:.3g}" for number in x.tolist()) + ")"
 

@@ -7,12 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from jaxmorph._host.cells.topology import DIMENSION
 from jaxmorph._mesh.exchange import Grid, Parts, Patch, regions_note
 
-from ._format import Arrays, MeshLike
+from ._format import MeshLike
 from ._text import decoded
-from ._tree import Coordinates, of_tree, opened, points_of, singles_of, write_points
+from ._tree import Coordinates, of_tree, opened, points_of, write_points
 
 NAME = "Exodus"
 WHAT = "an Exodus file"
@@ -67,22 +66,16 @@ def read(path: pathlib.Path) -> Parts:
         blocks = list(_blocks(path, file, d))
         _check_count(file, "num_elem", sum(len(block.corners) for block in blocks))
         grid = Grid(points, [(block.kind, block.corners) for block in blocks], {}, {})
-        levels = [DIMENSION.get(block.kind, 0) for block in blocks]
-        solid = [level == max(levels) for level in levels]
-        patches = [
-            Patch(block.name, block.own, block.corners)
-            for block, is_solid in zip(blocks, solid, strict=True)
-            if not is_solid
-        ]
+        patches = [Patch(block.name, block.own, block.corners) for *_, block in grid.of_blocks(blocks)]
         patches += [*_sets(file, _SETS[0], blocks), *_sets(file, _SETS[1], blocks)]
         for name, _, nodes in patches:
             if len(nodes) and not 0 <= nodes.min() <= nodes.max() < len(points):
                 raise ValueError(f"{name} has nodes {nodes.min() + 1} to {nodes.max() + 1} of {len(points)}")
-        notes = list(_notes(file, [block for block, is_solid in zip(blocks, solid, strict=True) if is_solid]))
-        return of_tree(path, NAME, grid, singles_of(coordinates), patches, notes)
+        notes = _notes(file, [block for *_, block in grid.of_blocks(blocks, full=True)])
+        return of_tree(path, NAME, coordinates, grid, patches, notes)
 
 
-def write(path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arrays) -> None:
+def write(path: pathlib.Path, mesh: MeshLike) -> None:
     """Writes a copy of the file that the mesh was read from."""
     write_points(path, mesh, NAME, _coordinates, WHAT)
 

@@ -181,7 +181,7 @@ def write(
         )
     as_written(path, mesh)
     with contextlib.nullcontext(path) if chosen.is_folder else complete(path) as target:
-        chosen.codec().write(target, mesh, *arrays)
+        chosen.codec().write(target, mesh, *arrays[: 2 * chosen.holds_arrays])
 
 
 @checked

@@ -10,7 +10,7 @@ from jaxmorph._host.cells.orders import GMSH, reordered
 from jaxmorph._host.cells.topology import DIMENSION
 from jaxmorph._mesh.exchange import LEVELS, Grid, Parts, Patch, gathered, regions_note
 
-from .._format import Arrays, FilePoints, MeshLike, Source, faults_of, of_grid, patch_faces, source_of
+from .._format import FilePoints, MeshLike, Source, faults_of, of_grid, patch_faces, source_of
 from .._text import Section, replaced
 from .sections import (
     TYPES,
@@ -100,7 +100,7 @@ def read(path: pathlib.Path) -> Parts:
     top = max(DIMENSION.get(kind, 0) for kind, _ in blocks)
     notes = tuple(regions_note(patch.name for (level, _), patch in groups if level == top))
     notes += (f"sections {', '.join(found.others)} are not read, and stay in the file.",) * bool(found.others)
-    source = Source(path, NAME, content, in_file=content.in_file, notes=notes)
+    source = Source(path, NAME, content, notes=notes, **content.known)
     patches = [patch for (level, _), patch in groups if level < top]
     return of_grid(path, Grid(content.points, blocks, {}, {}), source, patches)
 
@@ -169,7 +169,7 @@ def check(path: pathlib.Path, mesh: MeshLike) -> None:
     patch_faces(mesh)
 
 
-def write(path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arrays) -> None:
+def write(path: pathlib.Path, mesh: MeshLike) -> None:
     """Writes the mesh's own file with new coordinates; else a new binary file of version 2.2.
 
     In a new file a patch becomes a physical group, with the boundary faces between its nodes as

@@ -3,6 +3,7 @@
 import dataclasses
 import pathlib
 import urllib.parse
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -45,10 +46,9 @@ def read(path: pathlib.Path) -> Parts:
         content = _read(path)
         mesh, whole = vtk.mesh_of(vtk.unstructured(content.data))
     places = vtk.coordinates(content.data)
-    points = FilePoints(np.asarray(places, float))
-    held = points.held(EVERYTHING if places.dtype == np.float32 else ())
-    known = {"in_file": points.in_file, "held": held, "notes": mesh.source.notes}
-    return mesh._replace(source=Source(path, NAME, content, *(whole or (None, None)), **known))
+    points = FilePoints(np.asarray(places, float), singles=EVERYTHING if places.dtype == np.float32 else ())
+    source = Source(path, NAME, content, *(whole or (None, None)), notes=mesh.source.notes, **points.known)
+    return mesh._replace(source=source)
 
 
 def check(path: pathlib.Path, mesh: MeshLike) -> None:
@@ -82,7 +82,17 @@ def write(path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arr
     kind: Any = legacy if suffix == ".vtk" else xml
     encoding = content.encoding if content and isinstance(content.encoding, kind.Encoding) else kind.Encoding()
     with errors_told():
-        path.write_bytes(kind.written(vtk.unstructured(data) if suffix == ".vtu" else data, encoding))
+        path.write_bytes(text_of(kind.writer, vtk.unstructured(data) if suffix == ".vtu" else data, encoding))
+
+
+def text_of(make: Callable[..., Any], data: Any, encoding: Any) -> bytes:
+    """Makes the file. VTK itself tells no error where a device is full, so it writes to memory."""
+    writer = make(data, encoding)
+    writer.SetInputData(data)
+    writer.WriteToOutputStringOn()
+    writer.Write()
+    text = (writer.GetOutputStdString if hasattr(writer, "GetOutputStdString") else writer.GetOutputString)()
+    return text.encode() if isinstance(text, str) else text
 
 
 def _content(mesh: MeshLike) -> Content | None:
