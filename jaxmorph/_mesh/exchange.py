@@ -114,6 +114,7 @@ class Grid:
 
     `outer` are the nodes of the outer faces, None where those of the cells tell them; `content` is
     the library's own mesh. `own` are its words for the members of sets of cells and of points.
+    `whole` are its polyhedra, and the whole cell of each cell, where some are cut.
     """
 
     points: np.ndarray
@@ -126,6 +127,7 @@ class Grid:
     content: Any = None
     outer: np.ndarray | None = None
     own: tuple[str, str] = ("cells", "points")
+    whole: tuple[Any, Any] = (None, None)
 
     def of_blocks(self, values: Iterable[Any], *, full: bool = False) -> Iterator[tuple[int, np.ndarray, Any]]:
         """Yields dimension, corners and value of blocks below the highest dimension, or of it."""
@@ -210,7 +212,7 @@ def parts(grid: Grid, more: Iterable[Patch] = ()) -> Parts:
         patches = {"boundary": np.concatenate([corners.ravel() for corners in outer.values()])}
         faces = sum(len(corners) for kind, corners in grid.blocks if kind not in cells)
         notes += (f"{faces} faces, edges or points of the file have no names, and are no patches.",) * bool(faces)
-    origin = Origin(grid.content, numbers_of_cells(cells), notes=(*notes, *_left(grid, taken)))
+    origin = Origin(grid.content, numbers_of_cells(cells), *grid.whole, (*notes, *_left(grid, taken)))
     return Parts(np.ascontiguousarray(points), cells, patches, origin)
 
 

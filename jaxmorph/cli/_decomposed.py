@@ -64,7 +64,7 @@ def deform_parts(request: Deform, out: Output) -> int:
             raise _Bad
         is_written = True
     if is_written:
-        out.say(f"wrote {request.output} ({out.seconds:.1f} s)", output=str(request.output))
+        out.wrote(request.output)
     return 1 if bad else 0
 
 

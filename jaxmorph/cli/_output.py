@@ -96,6 +96,9 @@ class Output:
     def seconds(self) -> float:
         return time.monotonic() - self.began
 
+    def wrote(self, path: Path) -> None:
+        self.say(f"wrote {path} ({self.seconds:.1f} s)", output=str(path))
+
     def end(self, status: int) -> int:
         """Prints the timings or the JSON object that were asked for; returns the exit status."""
         if self.is_silent:

@@ -148,6 +148,10 @@ def source_of(mesh: MeshLike, format_name: str) -> Source | None:
     return source if is_of_format else None
 
 
+def content_of(mesh: MeshLike, format_name: str) -> Any:
+    return getattr(source_of(mesh, format_name), "content", None)
+
+
 def own_source(path: pathlib.Path, mesh: MeshLike, format_name: str) -> Source:
     """Returns the source of a mesh, for a format whose files are copies of the file that was read.
 

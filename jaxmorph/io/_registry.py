@@ -174,11 +174,6 @@ def write(
         raise ValueError(
             f"{path}: {chosen.name} files hold no arrays; write .vtu to keep {', '.join([*arrays[0], *arrays[1]])}."
         )
-    finite = np.asarray(np.isfinite(np.asarray(mesh.points)).all(axis=1))
-    if not finite.all():
-        raise ValueError(
-            f"{path}: {(~finite).sum()} of {len(finite)} points are not finite, first node {np.argmin(finite)}."
-        )
     as_written(path, mesh)
     with contextlib.nullcontext(path) if chosen.is_folder else complete(path) as target:
         chosen.codec().write(target, mesh, *arrays[: 2 * chosen.holds_arrays])
@@ -237,6 +232,11 @@ def _checked(name: str | os.PathLike[str], mesh: Mesh) -> Format:
         codec.check(path, mesh)
     else:
         own_source(path, mesh, chosen.name)
+    finite = np.asarray(np.isfinite(np.asarray(mesh.points)).all(axis=1))
+    if not finite.all():
+        raise ValueError(
+            f"{path}: {(~finite).sum()} of {len(finite)} points are not finite, first node {np.argmin(finite)}."
+        )
     return chosen
 
 

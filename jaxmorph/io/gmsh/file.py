@@ -10,7 +10,7 @@ from jaxmorph._host.cells.orders import GMSH, reordered
 from jaxmorph._host.cells.topology import DIMENSION
 from jaxmorph._mesh.exchange import LEVELS, Grid, Parts, Patch, gathered, regions_note
 
-from .._format import FilePoints, MeshLike, Source, faults_of, of_grid, patch_faces, source_of
+from .._format import FilePoints, MeshLike, Source, content_of, faults_of, of_grid, patch_faces
 from .._text import Section, replaced
 from .sections import (
     TYPES,
@@ -160,7 +160,7 @@ def check(path: pathlib.Path, mesh: MeshLike) -> None:
 
     Boundary faces cannot express them, or their name ends before its end.
     """
-    if source_of(mesh, NAME) is not None:
+    if content_of(mesh, NAME) is not None:
         return
     for name in mesh.patches:
         if any(mark in name for mark in '"\r\n') or not name:
@@ -175,9 +175,8 @@ def write(path: pathlib.Path, mesh: MeshLike) -> None:
     In a new file a patch becomes a physical group, with the boundary faces between its nodes as
     elements.
     """
-    source = source_of(mesh, NAME)
+    content = content_of(mesh, NAME)
     with path.open("wb") as file:
-        content = None if source is None else source.content
         file.writelines(_new(mesh) if content is None else content.moved(content.in_file(np.asarray(mesh.points))))
 
 

@@ -194,9 +194,9 @@ def plane_cells(
     front = chosen[np.logical_and.reduceat(is_front[faces.labels], faces.starts[:-1])[chosen]]
     front = front[np.argsort(faces.owner[front], kind="stable")]
     owner, sizes = faces.owner[front], faces.sizes[front]
-    if not np.array_equal(owner, np.arange(faces.owner.max() + 1)):
+    if not np.array_equal(owner, np.arange(faces.count)):
         raise ValueError(
-            f"patches of type {plane.kind} have {len(front)} faces in front of {faces.owner.max() + 1} cells, not one each: "
+            f"patches of type {plane.kind} have {len(front)} faces in front of {faces.count} cells, not one each: "
             "the mesh is not one layer of cells between them. Give these patches another type, such as patch."
         )
     corners = {"triangle": faces.corners(front[sizes == 3], 3), "quad": faces.corners(front[sizes == 4], 4)}

@@ -12,7 +12,7 @@ from jaxmorph._mesh import vtk
 from jaxmorph._mesh.exchange import PREFIX, Parts
 from jaxmorph._mesh.export import to_vtk
 
-from .._format import EVERYTHING, Arrays, FilePoints, MeshLike, Source, faults_of, source_of
+from .._format import EVERYTHING, Arrays, FilePoints, MeshLike, Source, content_of, faults_of
 from . import legacy, xml
 from .checks import errors_told
 
@@ -44,10 +44,11 @@ def read(path: pathlib.Path) -> Parts:
     """
     with faults_of(path):
         content = _read(path)
-        mesh, whole = vtk.mesh_of(vtk.unstructured(content.data))
+        mesh = vtk.mesh_of(vtk.unstructured(content.data))
     places = vtk.coordinates(content.data)
     points = FilePoints(np.asarray(places, float), singles=EVERYTHING if places.dtype == np.float32 else ())
-    source = Source(path, NAME, content, *(whole or (None, None)), notes=mesh.source.notes, **points.known)
+    origin = mesh.source
+    source = Source(path, NAME, content, origin.polyhedra, origin.cell_ids, notes=origin.notes, **points.known)
     return mesh._replace(source=source)
 
 
@@ -57,7 +58,7 @@ def check(path: pathlib.Path, mesh: MeshLike) -> None:
     All other meshes fit, with patches as flags of points.
     """
     suffix = path.suffix.lower()
-    content = _content(mesh)
+    content = content_of(mesh, NAME)
     if suffix in FILES_OF_FILES:
         raise ValueError(f"{path}: {suffix} files name other files, and are not written; write .vtu, which holds all.")
     try:
@@ -75,7 +76,7 @@ def write(path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arr
 
     The file is encoded as the one that was read, where that was of the same kind.
     """
-    content = _content(mesh)
+    content = content_of(mesh, NAME)
     parts = Parts(mesh.points, mesh.cells, mesh.patches, mesh.source)
     data = to_vtk(parts, content and content.data, point_data, cell_data)
     suffix = path.suffix.lower()
@@ -93,11 +94,6 @@ def text_of(make: Callable[..., Any], data: Any, encoding: Any) -> bytes:
     writer.Write()
     text = (writer.GetOutputStdString if hasattr(writer, "GetOutputStdString") else writer.GetOutputString)()
     return text.encode() if isinstance(text, str) else text
-
-
-def _content(mesh: MeshLike) -> Content | None:
-    source = source_of(mesh, NAME)
-    return None if source is None else source.content
 
 
 def _read(path: pathlib.Path) -> Content:
