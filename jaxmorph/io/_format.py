@@ -14,6 +14,7 @@ from jaxmorph._boundary.periodic import Periodic
 from jaxmorph._host.cells.pieces import boundary_sides
 from jaxmorph._host.cells.topology import EDGES, SHAPES
 from jaxmorph._host.package.errors import place_of, warn
+from jaxmorph._host.package.text import MESHES
 from jaxmorph._mesh.exchange import Grid, Parts, Patch, checked_parts, intact_source, parts
 from jaxmorph._mesh.polyhedra import Polyhedra
 
@@ -117,7 +118,7 @@ MeshLike = Mesh | Parts
 
 @dataclasses.dataclass(frozen=True)
 class Format:
-    """A format: its name, its endings, and the module of this package that reads and writes it.
+    """A format: its name, and the module of this package that reads and writes it.
 
     `magic` are the first bytes of its files, for an ending that another format has too. The module
     is imported when it is needed, and with it the extra that it may stand on. It defines
@@ -131,11 +132,14 @@ class Format:
     """
 
     name: str
-    suffixes: tuple[str, ...]
     module: str
     holds_arrays: bool = False
     is_folder: bool = False
     magic: tuple[bytes, ...] = ()
+
+    @property
+    def suffixes(self) -> tuple[str, ...]:
+        return MESHES[self.name]
 
     def codec(self) -> Any:
         return importlib.import_module(f"{__package__}.{self.module}")

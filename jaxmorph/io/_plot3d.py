@@ -220,7 +220,7 @@ def _patch(words: list[str], shapes: tuple[tuple[int, ...], ...]) -> np.ndarray:
     """Returns the nodes that a line names; `ValueError` or `IndexError` where it cannot."""
     block = int(words[1]) - 1
     shape = shapes[block] if block >= 0 else ()
-    ids = sum(map(math.prod, shapes[:block])) + np.arange(math.prod(shape)).reshape(shape, order="F")
+    ids = block_ids(shape, sum(map(math.prod, shapes[:block]))).reshape(shape)
     if len(words) == 3:
         axis, end = divmod(SIDES.index(words[2].lower()), 2)
         return ids.take(-end, axis=axis).ravel()

@@ -17,21 +17,21 @@ from jaxmorph._host.package import files
 from jaxmorph._host.package.arguments import checked
 from jaxmorph._host.package.errors import place_of, warn
 from jaxmorph._host.package.files import complete, output_path
-from jaxmorph._host.package.text import MESHES, is_folder
+from jaxmorph._host.package.text import is_folder
 from jaxmorph._mesh.exchange import Parts, numbers_of_cells
 
 from ._format import Format, Source, own_source, source_of, warn_of_loss
 
 FORMATS = (
-    Format("SU2", MESHES["SU2"], "_su2"),
-    Format("VTK", MESHES["VTK"], "vtk.file", holds_arrays=True),
-    Format("gmsh", MESHES["gmsh"], "gmsh.file"),
-    Format("CGNS", MESHES["CGNS"], "cgns.file"),
-    Format("MFEM", MESHES["MFEM"], "_mfem"),
-    Format("MED", MESHES["MED"], "_med"),
-    Format("Exodus", MESHES["Exodus"], "_exodus", magic=(b"CDF", b"\x89HDF")),
-    Format("PLOT3D", MESHES["PLOT3D"], "_plot3d"),
-    Format("OpenFOAM", MESHES["OpenFOAM"], "openfoam.case", is_folder=True),
+    Format("SU2", "_su2"),
+    Format("VTK", "vtk.file", holds_arrays=True),
+    Format("gmsh", "gmsh.file"),
+    Format("CGNS", "cgns.file"),
+    Format("MFEM", "_mfem"),
+    Format("MED", "_med"),
+    Format("Exodus", "_exodus", magic=(b"CDF", b"\x89HDF")),
+    Format("PLOT3D", "_plot3d"),
+    Format("OpenFOAM", "openfoam.case", is_folder=True),
 )
 
 
@@ -250,7 +250,7 @@ def periodic(mesh: Mesh) -> tuple[Periodic, ...]:
 
     **Returns:** pairs for `prepare(..., periodic=)`; none for other formats.
     """
-    return mesh.source.periodic if isinstance(mesh.source, Source) else ()
+    return getattr(mesh.source, "periodic", ())
 
 
 @checked
@@ -265,7 +265,7 @@ def symmetry(mesh: Mesh) -> tuple[str, ...]:
 
     **Returns:** names for `prepare(..., symmetry=)`; none for other formats.
     """
-    return mesh.source.symmetry if isinstance(mesh.source, Source) else ()
+    return getattr(mesh.source, "symmetry", ())
 
 
 @checked

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from .._joined import block_ids
 from .zone import Condition, Ragged, Zone, children, data, word
 
 NORMAL = {"IFaceCenter": 0, "JFaceCenter": 1, "KFaceCenter": 2}
@@ -179,7 +180,7 @@ def _of_block(zone: Zone, name: str, place: str, chosen: np.ndarray, is_range: b
         step[np.arange(len(step)) != normal] = 1
     if len(low) != len(zone.shape) or (low < 0).any() or (high + step >= zone.shape).any():
         raise zone.error(f"boundary condition {name} goes beyond {' x '.join(map(str, zone.shape))} vertices")
-    ids = zone.first + np.arange(zone.count).reshape(zone.shape, order="F")
+    ids = block_ids(zone.shape, zone.first).reshape(zone.shape)
     if is_range:
         return ids[tuple(slice(a, b + 1) for a, b in zip(low, high + step, strict=True))].ravel()
     corners = np.stack(np.meshgrid(*(np.arange(size + 1) for size in step), indexing="ij"), axis=-1)
