@@ -245,8 +245,11 @@ def _sets(grid: Grid) -> Iterator[Patch]:
         if name.startswith(PREFIX) and np.ndim(values) == 1:
             yield Patch(urllib.parse.unquote(name.removeprefix(PREFIX)), "array", np.flatnonzero(values))
     for name, members in grid.cell_sets.items():
-        blocks = [(corners, inside) for _, corners, inside in grid.of_blocks(members) if _has_some(inside)]
-        nodes = [corners[np.asarray(inside, dtype=np.int64)].ravel() for corners, inside in blocks]
+        nodes = [
+            corners[np.asarray(inside, dtype=np.int64)].ravel()
+            for _, corners, inside in grid.of_blocks(members)
+            if _has_some(inside)
+        ]
         if nodes and name != BOUNDING:
             yield Patch(name, grid.own[0], np.concatenate(nodes))
     for name, members in grid.point_sets.items():

@@ -120,12 +120,14 @@ def of_vtk(grid: Any) -> Grid:
     kinds = kinds_of(grid)
     solid = solid_cells(kinds)
     top = dict.fromkeys(kinds[solid].tolist())
-    _refuse(kind for kind in top if kind not in (*NODES, "polyhedron") and _dimension(kind) > 1)
-    blocks, whole, outer = [], (None, None), None
+    unknown = sorted(top.keys() - {*NODES, "polyhedron"})
+    _refuse(kind for kind in unknown if _dimension(kind) > 1)
+    blocks, whole, outer, done = [], (None, None), None, {}
     if "polyhedron" in top:
         blocks, whole, outer = _polyhedral(grid, points.astype(float), kinds, solid)
+        done = top
     for kind in dict.fromkeys(kinds.tolist()):
-        if "polyhedron" not in top or kind not in top:
+        if kind not in done:
             blocks += _of_kind(grid, kind, np.flatnonzero(kinds == kind))
     data = data_of(grid.GetCellData())
     cell_data = {name: [values[rows] for *_, rows in blocks] for name, values in data.items()}

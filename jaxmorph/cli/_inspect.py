@@ -96,7 +96,7 @@ def _lines(name: str, mesh: Mesh, facts: dict[str, Any]) -> Iterator[str]:
     rest = {
         "groups": [f"  {group}: {', '.join(names)}" for group, names in facts["groups"].items()],
         "boxes": list(map(_line_of_box, io.boxes(mesh))),
-        "notes": [f"  {note}" for note in facts["notes"]],
+        "notes": list(map("  {}".format, facts["notes"])),
     }
     for what, lines in rest.items():
         yield from (what, *(wrapped(line, 4) for line in lines)) if lines else ()

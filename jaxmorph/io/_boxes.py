@@ -251,9 +251,11 @@ def _box(keywords: Sequence[Keyword], n: int, d: int) -> Box:
     name, at = table["FFD_TAG"].value.replace(" ", ""), table["FFD_TAG"].section
 
     def number(word: str, default: int | None = None) -> int:
-        if word not in table and default is None:
+        if word in table:
+            return table[word].number()
+        if default is None:
             raise at.error(f"box {name} has no {word}=; SU2 writes it by DV_KIND= FFD_SETTING.")
-        return table[word].number() if word in table else int(default or 0)
+        return default
 
     degrees = np.array([number(f"FFD_DEGREE_{axis}") for axis in "IJK"[:d]])
     orders = np.array([number(f"BSPLINE_ORDER_{axis}", 0) for axis in "IJK"[:d]])

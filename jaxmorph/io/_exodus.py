@@ -132,9 +132,9 @@ def _named(file: Mapping[str, Any], what: tuple[str, str, str], number: str) -> 
     The status of an empty one, if given, is 0.
     """
     (prefix, array, word), count = what, file[number].shape[0] if number in file else 0
-    numbers = file[f"{prefix}_prop1"][()] if f"{prefix}_prop1" in file else np.arange(1, count + 1)
-    names = [_text(row) for row in file[f"{prefix}_names"][()]] if f"{prefix}_names" in file else [""] * count
-    status = file[f"{prefix}_status"][()] if f"{prefix}_status" in file else np.zeros(count)
+    numbers = _values(file, f"{prefix}_prop1", np.arange(1, count + 1))
+    names = list(map(_text, _values(file, f"{prefix}_names", [""] * count)))
+    status = _values(file, f"{prefix}_status", np.zeros(count))
     if not len(numbers) == len(names) == len(status) == count:
         raise ValueError(f"{len(numbers)} numbers and {len(names)} names of {word}, {count} expected")
     for at, (name, own) in enumerate(zip(names, numbers.tolist(), strict=True), start=1):
@@ -142,6 +142,10 @@ def _named(file: Mapping[str, Any], what: tuple[str, str, str], number: str) -> 
         if values is None and status[at - 1]:
             raise ValueError(f"there is no {array}{at}")
         yield at, name or f"{word}_{own}", f"{word}_{own}", values
+
+
+def _values(file: Mapping[str, Any], name: str, default: Any) -> Any:
+    return file[name][()] if name in file else default
 
 
 def _nodes(blocks: list[_Block], cells: np.ndarray, sides: np.ndarray) -> np.ndarray:

@@ -84,9 +84,9 @@ class Source:
     - `node_ids` (n,): numbers of the nodes in other files, None for 0, 1, 2, ...
     - `in_file`: takes points (n, d) of the mesh to points (N, 3) of the file; None where a mesh has
       the nodes of its file.
-    - `held`: the content, where the file does not keep all digits of the points: `in_file` and
-      `in_mesh` take points to the file's and back, and of the file's `points` the rows and columns
-      `singles` are in single precision. Else None.
+    - `held`: the content, where the file does not keep all digits of the points, else None. Its
+      `in_file` and `in_mesh` take points to the file's and back. Of its `points`, those of the
+      file, rows and columns `singles` are in single precision.
     - `cells`: numbers of the file's cells by type, by which changed cells are seen; None: unknown.
     - `notes`: sentences on what of the file is not in the mesh, or has another name there.
     """

@@ -224,10 +224,7 @@ def read(path: pathlib.Path) -> Parts:
     space = _space_of(parts)
     space.check(cells, sides, parts)
     nodes, of_sides, total = numbered(cells, sides, space.order, space.vertices)
-    node = np.arange(total)
-    if space.is_torn:  # cell by cell, the first reference coordinate fastest
-        tables = [ids[:, np.lexsort(lagrange_types()[name].lattice.T)] for name, ids in nodes.items()]
-        node = _in_file_order(cells, tables)
+    node = _nodes_in_file(space, cells, nodes, total)
     values = space.values(len(node))
     lobatto = _first_of(values, node, total)
     distance = np.abs(values - lobatto[node]).max()
@@ -244,6 +241,13 @@ def read(path: pathlib.Path) -> Parts:
         known |= {"held": content if curved else None}
         source = Source(path, NAME, content, cell_ids=None if (np.diff(ids) == 1).all() else ids, **known)
         return checked_parts(points.copy(), nodes, patches, source)
+
+
+def _nodes_in_file(space: _Space, cells: list[Elements], nodes: dict[str, np.ndarray], total: int) -> np.ndarray:
+    """Lists nodes as the file does: by number, or cell by cell, the first coordinate fastest."""
+    if not space.is_torn:
+        return np.arange(total)
+    return _in_file_order(cells, [ids[:, np.lexsort(lagrange_types()[name].lattice.T)] for name, ids in nodes.items()])
 
 
 def write(path: pathlib.Path, mesh: MeshLike) -> None:

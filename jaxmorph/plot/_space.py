@@ -132,9 +132,7 @@ def cut(
     # through nodes, up to round-off, the plane would cut cells on both sides of it by turns
     origin = origin + 1e-9 * grid.length * normal
     body = np.asarray(grid.points)[bodies(np.asarray(mesh.points), mesh.patches)]
-    away = (body - origin) @ normal
-    is_met = plotter is None and len(body) and away.min() <= 0 <= away.max()
-    near = body[np.abs(away) <= np.quantile(np.abs(away), 0.1)] if is_met else None
+    near = _met(body, normal, origin) if plotter is None else None
     section, walls = (
         _cropped(part.slice(normal=normal.tolist(), origin=origin.tolist()), near, view_axes(viewer)[1:])
         for part in (grid, outside(mesh, points, None, None))
@@ -146,6 +144,14 @@ def cut(
     if plotter is None:
         aim(drawn, viewer)
     return drawn
+
+
+def _met(body: np.ndarray, normal: np.ndarray, origin: np.ndarray) -> np.ndarray | None:
+    """Finds the points of a body near a plane; None where the plane does not meet it."""
+    away = (body - origin) @ normal
+    if not len(body) or not away.min() <= 0 <= away.max():
+        return None
+    return body[np.abs(away) <= np.quantile(np.abs(away), 0.1)]
 
 
 def _cropped(section: Any, body: np.ndarray | None, axes: Sequence[np.ndarray]) -> Any:

@@ -3,7 +3,7 @@
 import collections
 import contextlib
 import dataclasses
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -49,17 +49,15 @@ def connections(zones: list[Zone]) -> Iterator[Connection]:
 
 def _chosen(zone: Zone, name: str, interface: Any, end: str = "") -> np.ndarray | None:
     """Finds the nodes of one side of an interface; None if they are not named on both sides."""
-    what = [kind for kind in ("PointRange", "PointList") if {kind, f"{kind}Donor"} <= {*interface}]
-    if not what:
-        return None
-    return _nodes(zone, name, _place(interface), data(interface[what[0] + end]), what[0] == "PointRange")
+    what = next((kind for kind in ("PointRange", "PointList") if {kind, f"{kind}Donor"} <= {*interface}), None)
+    return None if what is None else _picked(zone, name, interface, what + end, _place(interface))
 
 
 def _joints(zone: Zone) -> Iterator[np.ndarray]:
     for name, interface, turns in _interfaces(zone, ONE_TO_ONE):
         if not turns and "PointRange" in interface:
             with contextlib.suppress(ValueError):  # a wrong range of an interface does no harm
-                nodes = _nodes(zone, name, "Vertex", data(interface["PointRange"]), True)
+                nodes = _picked(zone, name, interface, "PointRange", "Vertex")
                 yield np.zeros(0, np.int64) if nodes is None else np.unique(nodes)
 
 
@@ -144,30 +142,34 @@ def _nodes_of(zone: Zone, condition: Condition) -> np.ndarray | None:
     place = "FaceCenter" if what.startswith("Element") else _place(parts)
     if "InwardNormalIndex" in parts and place in ("FaceCenter", "CellCenter"):
         place = list(NORMAL)[int(np.argmax(np.abs(data(parts["InwardNormalIndex"]))))]
-    return _nodes(zone, condition.name, place, data(parts[what]), what.endswith("Range"))
+    return _picked(zone, condition.name, parts, what, place)
 
 
-def _nodes(zone: Zone, name: str, place: str, chosen: np.ndarray, is_range: bool) -> np.ndarray | None:
+def _picked(zone: Zone, name: str, parts: Any, what: str, place: str) -> np.ndarray | None:
     """Finds nodes of a range or list of points, faces or elements; None for a region of cells.
 
     A range may run backwards. One that ends before the first node is empty.
     """
-    chosen = np.atleast_2d(chosen).astype(np.int64)
+    chosen, is_range = np.atleast_2d(data(parts[what])).astype(np.int64), "Range" in what
     first, last = chosen.reshape(2, -1) if is_range else (chosen, chosen)
     if not chosen.size or ((last < first) & (last < 1)).any():
         return np.zeros(0, np.int64)
     if zone.is_structured:
         return _of_block(zone, name, place, chosen, is_range)
-    if place != "Vertex":
+    _check_numbers(zone, name, place, chosen)
+    numbers = np.arange(chosen.min(), chosen.max() + 1) if is_range else chosen.ravel()
+    return numbers - 1 + zone.first if place == "Vertex" else _of_elements(zone, name, numbers)
+
+
+def _check_numbers(zone: Zone, name: str, place: str, chosen: np.ndarray) -> None:
+    if place == "Vertex":
+        wrong = f"vertices beyond 1 to {zone.count}" if chosen.min() < 1 or chosen.max() > zone.count else ""
+    else:
         sections = zone.content.elements.items()
         most = max((begin + len(section.vertices) for begin, section in sections), default=1) - 1
         wrong = f"elements beyond the last one, {most}" if chosen.max() > most else ""
-    else:
-        wrong = f"vertices beyond 1 to {zone.count}" if chosen.min() < 1 or chosen.max() > zone.count else ""
     if wrong:
         raise zone.error(f"boundary condition {name} names {wrong}")
-    numbers = np.arange(chosen.min(), chosen.max() + 1) if is_range else chosen.ravel()
-    return numbers - 1 + zone.first if place == "Vertex" else _of_elements(zone, name, numbers)
 
 
 def _of_block(zone: Zone, name: str, place: str, chosen: np.ndarray, is_range: bool) -> np.ndarray | None:
@@ -216,6 +218,14 @@ def _of_elements(zone: Zone, name: str, numbers: np.ndarray) -> np.ndarray | Non
         missing = len(numbers) - count
         raise zone.error(f"boundary condition {name}: {missing} of its {len(numbers)} elements are not there")
     return None if solid == count else np.concatenate(nodes)
+
+
+def said(file: Any, zones: list[Zone], known: Collection[str]) -> dict[str, Any]:
+    """Lists what the file says of the patches `known`: their types and groups, and symmetry."""
+    conditions = [condition for zone in zones for condition in zone.conditions if condition.patch in known]
+    kinds = kinds_of(file, conditions)
+    symmetry = tuple(patch for patch, kind in kinds.items() if kind == SYMMETRY)
+    return {"kinds": kinds, "groups": groups_of(file, conditions, known), "symmetry": symmetry}
 
 
 def kinds_of(file: Any, conditions: list[Condition]) -> dict[str, str]:

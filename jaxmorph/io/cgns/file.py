@@ -16,16 +16,7 @@ from jaxmorph._mesh.polyhedra import Polyhedra
 from .._format import MeshLike, Source, faults_of, stamp_of
 from .._joined import join
 from .._tree import Coordinates, opened, points_of, singles_of, write_points
-from .conditions import (
-    SYMMETRY,
-    Connection,
-    connections,
-    groups_of,
-    kinds_of,
-    left_interfaces,
-    patches,
-    read_conditions,
-)
+from .conditions import Connection, connections, left_interfaces, patches, read_conditions, said
 from .zone import DIMENSION, TYPES, Zone, children, data, word
 
 NAME = "CGNS"
@@ -49,14 +40,12 @@ def read(path: pathlib.Path) -> Parts:
         found = list(connections(zones))
         notes += [*regions_note(regions), *_left(zones, found, of_patch)]
         pairs = _pairs(found, of_patch)
-        conditions = [condition for zone in zones for condition in zone.conditions if condition.patch in of_patch]
-        kinds, groups = kinds_of(file, conditions), groups_of(file, conditions, of_patch)
+        known = said(file, zones, of_patch)
     with faults_of(path):
         mesh, joined = join(points, [block[:2] for zone in zones for block in zone.content.blocks], of_patch, faces)
         content = dataclasses.replace(joined, stamp=stamp_of(path), singles=singles)
-        known = {"kinds": kinds, "groups": groups, "notes": tuple(notes), **content.known}
+        known |= {"notes": tuple(notes), **content.known}
         known |= {"periodic": tuple(_periodic(*pair, joined.is_flat) for pair in pairs)}
-        known |= {"symmetry": tuple(patch for patch, kind in kinds.items() if kind == SYMMETRY)}
         return mesh._replace(source=Source(path, NAME, content, *_whole(zones, joined.node), **known))
 
 
@@ -182,9 +171,7 @@ def _periodic(first: str, second: str, interface: Connection, is_flat: bool) -> 
 
 def _whole(zones: list[Zone], node: np.ndarray | None) -> tuple[Polyhedra, np.ndarray] | tuple[None, None]:
     """Joins all zones' cells where some are cut; with each cell's number, types as in the mesh."""
-    polyhedral = [zone.content.whole for zone in zones if zone.content.whole is not None]
-    cut = [whole.cut for whole in polyhedral if len(whole.cut)]
-    if not cut:
+    if not any(len(getattr(zone.content.whole, "cut", ())) for zone in zones):
         return None, None
     parts, cut, ids, first = [], [], [], 0
     for zone in zones:

@@ -268,7 +268,7 @@ def _rows(piece: ElementTree.Element) -> dict[str, dict[str, int]]:
 
 def _opened(raw: bytes) -> _File:
     at, end = raw.find(b"<AppendedData"), raw.rfind(b"</AppendedData>")
-    tag = re.compile(rb"[^>]*>\s*_").match(raw, at) if at >= 0 else None
+    tag = re.compile(rb"<AppendedData[^>]*>\s*_").match(raw, max(at, 0))
     if at >= 0 and (tag is None or end < tag.end()):
         raise ValueError("no AppendedData that begin with '_' and end: a damaged file, or one cut short.")
     try:
