@@ -285,7 +285,7 @@ def _marked(grid: Grid) -> tuple[str, dict[str, np.ndarray]]:
 
 
 def _by_number(grid: Grid, parts: Iterable[np.ndarray]) -> Iterator[tuple[int, int, np.ndarray]]:
-    """Yields dimension, number and nodes of cells of lower dimension, by arrays of whole numbers."""
+    """Yields dimension, number and nodes of cells of lower dimension, by whole numbers."""
     for level, corners, values in grid.of_blocks(parts):
         for number in np.unique(values).tolist() if _are_whole(values) else ():
             yield level, int(number), corners[np.asarray(values) == number].ravel()
