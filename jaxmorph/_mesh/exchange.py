@@ -110,8 +110,9 @@ def intact_source(mesh: Any) -> Any:
 class Grid:
     """A mesh of another library: `blocks` of one cell type; `cell_data` has one array a block.
 
-    `outer` are the nodes of the outer faces, None where the cells tell them; `content` is the
-    library's own mesh.
+    `outer` are the nodes of the outer faces, None where those of the cells tell them; `content` is
+    the library's own mesh. `own` are its words for the members of sets of cells and of points.
+    `whole` are its polyhedra, and the whole cell of each cell, where some are cut.
     """
 
     points: np.ndarray
@@ -123,6 +124,8 @@ class Grid:
     point_sets: Arrays = dataclasses.field(default_factory=dict)
     content: Any = None
     outer: np.ndarray | None = None
+    own: tuple[str, str] = ("cells", "points")
+    whole: tuple[Any, Any] = (None, None)
 
     def of_blocks(self, values: Iterable[Any], *, full: bool = False) -> Iterator[tuple[int, np.ndarray, Any]]:
         """Yields dimension, corners and value of blocks below the highest dimension, or of it."""
@@ -201,7 +204,7 @@ def parts(grid: Grid, more: Iterable[Patch] = ()) -> Parts:
         patches = {"boundary": np.concatenate([corners.ravel() for corners in outer.values()])}
         faces = sum(len(corners) for kind, corners in grid.blocks if kind not in cells)
         notes += (f"{faces} faces, edges or points of the file have no names, and are no patches.",) * bool(faces)
-    origin = Origin(grid.content, numbers_of_cells(cells), notes=(*notes, *_left(grid, taken)))
+    origin = Origin(grid.content, numbers_of_cells(cells), *grid.whole, (*notes, *_left(grid, taken)))
     return Parts(np.ascontiguousarray(points), cells, patches, origin)
 
 
@@ -235,23 +238,19 @@ def _sets(grid: Grid) -> Iterator[Patch]:
         nodes = [
             corners[np.asarray(inside, dtype=np.int64)].ravel()
             for _, corners, inside in grid.of_blocks(members)
-            if inside is not None and np.size(inside) and name != BOUNDING
+            if _has_some(inside)
         ]
-        if nodes:
-            yield Patch(name, "cells", np.concatenate(nodes))
+        if nodes and name != BOUNDING:
+            yield Patch(name, grid.own[0], np.concatenate(nodes))
     for name, members in grid.point_sets.items():
-        yield Patch(name, "points", np.asarray(members, dtype=np.int64))
+        yield Patch(name, grid.own[1], np.asarray(members, dtype=np.int64))
 
 
 def _physical(grid: Grid) -> Iterator[Patch]:
     """Yields gmsh's physical groups; an unnamed group is `physical_` and its tag."""
     names = {tuple(np.asarray(info).tolist()): name for name, info in grid.field_data.items() if np.size(info) == 2}
-    nodes = gathered(
-        ((int(tag), level), corners[np.asarray(tags) == tag].ravel())
-        for level, corners, tags in grid.of_blocks(grid.cell_data.get("gmsh:physical", []))
-        for tag in np.unique(tags).tolist()
-        if tag > 0
-    )
+    found = _by_number(grid, grid.cell_data.get("gmsh:physical", []))
+    nodes = gathered(((tag, level), nodes) for level, tag, nodes in found if tag > 0)
     for (tag, level), members in nodes.items():
         yield Patch(names.get((tag, level), f"physical_{tag}"), f"{LEVELS[level]}_{tag}", members)
 
@@ -260,10 +259,7 @@ def _marked(grid: Grid) -> tuple[str, dict[str, np.ndarray]]:
     """Makes patches by the first array of `MARKERS`, and names it; on points 0 means inside."""
     for name in _markers(grid.cell_data):
         patches = gathered(
-            (f"{name}_{int(number)}", corners[values == number].ravel())
-            for level, corners, values in grid.of_blocks(grid.cell_data[name])
-            if level and _are_whole(values)
-            for number in np.unique(values).tolist()
+            (f"{name}_{number}", nodes) for level, number, nodes in _by_number(grid, grid.cell_data[name]) if level
         )
         if patches:
             return name, patches
@@ -275,17 +271,31 @@ def _marked(grid: Grid) -> tuple[str, dict[str, np.ndarray]]:
     return "", {}
 
 
+def _by_number(grid: Grid, parts: Iterable[np.ndarray]) -> Iterator[tuple[int, int, np.ndarray]]:
+    """Yields dimension, number and nodes of cells of lower dimension, by whole numbers."""
+    for level, corners, values in grid.of_blocks(parts):
+        for number in np.unique(values).tolist() if _are_whole(values) else ():
+            yield level, int(number), corners[np.asarray(values) == number].ravel()
+
+
 def _left(grid: Grid, taken: str) -> Iterator[str]:
-    """Yields notes on sets of cells of full dimension, and on numbers that are no patches."""
-    sets = [(name, grid.of_blocks(members, full=True)) for name, members in grid.cell_sets.items() if name != BOUNDING]
-    yield from regions_note(name for name, blocks in sets if any(np.size(ids) for *_, ids in blocks if ids is not None))
+    """Yields sentences on sets of cells of full dimension, and on numbers that are no patches.
+
+    `taken` is the array that has become patches.
+    """
+    solid = {name: [part for *_, part in grid.of_blocks(parts, full=True)] for name, parts in grid.cell_sets.items()}
+    yield from regions_note(name for name, parts in solid.items() if name != BOUNDING and any(map(_has_some, parts)))
     for what, name, parts in _arrays(grid):
-        numbers = _numbers([np.asarray(values) for values in parts])
+        numbers = _numbers(list(map(np.asarray, parts)))
         if not numbers or name in (taken, "gmsh:physical", "gmsh:geometrical") or name.startswith(PREFIX):
             continue
         listed = ", ".join(map(str, numbers[:SHOWN])) + " ..." * (len(numbers) > SHOWN)
         way = " They are where it is called patch and nothing else names patches." * (what != "cells")
         yield f"the array {name} numbers {what} ({listed}): these are no patches.{way}"
+
+
+def _has_some(members: Any) -> bool:
+    return members is not None and np.size(members) > 0
 
 
 def _arrays(grid: Grid) -> Iterator[tuple[str, str, list[Any]]]:
@@ -342,8 +352,8 @@ def _check_parts(points: Any, cells: Mapping[str, Any], patches: Mapping[str, An
         if corners.ndim != 2 or corners.shape[1] != NODES[kind]:
             raise ValueError(f"cells of type {kind!r} have shape {corners.shape}; expected (k, {NODES[kind]}).")
     for name, ids in {**cells, **patches}.items():
-        low, high = ids.min(initial=0), ids.max(initial=0)
-        if low < 0 or (high >= n and ids.size):
+        low, high = ids.min(initial=0), ids.max(initial=-1)
+        if low < 0 or high >= n:
             bad = high if high >= n else low
             raise ValueError(f"{name!r} names node {bad}, but the mesh has {n} points (0 to {n - 1}).")
 

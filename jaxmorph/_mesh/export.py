@@ -96,7 +96,7 @@ def _checked(mesh: Parts, point_data: Arrays | None, cell_data: Arrays | None) -
                 )
             if values.dtype.kind not in "biuf":
                 raise ValueError(f"array {name!r} holds {values.dtype}; files hold real numbers.")
-            if values.ndim == 2 and values.shape[1] == 2:
+            if values.shape[1:] == (2,):
                 both[-1][name] = np.column_stack([values, np.zeros(rows, values.dtype)])
     for name, nodes in mesh.patches.items():
         inside = np.zeros(len(mesh.points), np.uint8)

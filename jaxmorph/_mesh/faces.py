@@ -40,6 +40,17 @@ class Faces:
     def sizes(self) -> np.ndarray:
         return np.diff(self.starts)
 
+    @property
+    def count(self) -> int:
+        """How many cells there are: one more than the last one's number."""
+        return int(max(self.owner.max(initial=-1), self.neighbour.max(initial=-1))) + 1
+
+    def renumbered(self, first: int) -> "Faces":
+        """Counts the cells from `first` on."""
+        return Faces(
+            self.labels, self.starts, self.owner + first, np.where(self.neighbour < 0, -1, self.neighbour + first)
+        )
+
     def after(self, values: np.ndarray) -> np.ndarray:
         """Returns at each corner the value (k, ...) of the next corner of its face."""
         return following(values, self.starts)
@@ -157,7 +168,7 @@ def open_cells(faces: Faces) -> np.ndarray:
         starts = starts - starts[0]
         of_face[at : at + BLOCK] = np.bitwise_xor.reduceat((here - following(here, starts)) ** 2, starts[:-1])
     inner = np.flatnonzero(faces.neighbour >= 0)
-    left = np.zeros(int(max(faces.owner.max(), faces.neighbour.max(initial=-1))) + 1, np.uint64)
+    left = np.zeros(faces.count, np.uint64)
     np.bitwise_xor.at(left, faces.owner, of_face)
     np.bitwise_xor.at(left, faces.neighbour[inner], of_face[inner])
     return np.flatnonzero(left)

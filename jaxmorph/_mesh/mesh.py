@@ -210,9 +210,7 @@ class Mesh(Module):
                     f"`grid` must be a single grid of PyVista, not {shown(grid)}; one of several blocks has `combine`."
                 )
             grid = grid.cast_to_unstructured_grid()
-        parts, whole = vtk.mesh_of(grid)
-        numbers, notes = exchange.numbers_of_cells(parts.cells), parts.source.notes
-        return Mesh(*parts[:3], exchange.Origin(grid, numbers, *(whole or (None, None)), notes))
+        return Mesh(*vtk.mesh_of(grid))
 
     @checked
     def to_pyvista(

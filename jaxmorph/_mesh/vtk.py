@@ -1,7 +1,7 @@
 """VTK's unstructured grids as a `Grid`, and a `Mesh` as one of VTK's grids."""
 
-from collections.abc import Iterator, Mapping
-from typing import Any, NamedTuple
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from .._host.cells.orders import VTK_ORDER, reordered
 from .._host.cells.topology import CORNERS, DIMENSION, NODES, SHAPES, VTK, VTK_LAGRANGE, VTK_QUADRATIC
 from .exchange import Arrays, Grid, Parts, checked_parts, imported, parts
 from .faces import Faces, faces_of_cells, joined_faces
-from .polyhedra import Polyhedra, cells_of_faces, spread
+from .polyhedra import cells_of_faces, spread
 
 POLYHEDRON = 42
 
@@ -25,13 +25,6 @@ OTHERS = {
 _KINDS = {number: kind for kind, number in (VTK | VTK_QUADRATIC).items()}
 _KINDS |= {number: kind for number, (kind, _) in (AXIS_ALIGNED | OTHERS).items()}
 _SHAPES = {number: shape for shape, number in VTK_LAGRANGE.items()}
-
-
-class Whole(NamedTuple):
-    """Whole cells of a grid with polyhedra: see `Mesh.polyhedra`, `Mesh.cell_ids`."""
-
-    polyhedra: Polyhedra | None
-    cell_ids: np.ndarray
 
 
 def vtk(name: str) -> Any:
@@ -113,8 +106,12 @@ def dimension_of(grid: Any) -> int:
     return max(map(_dimension, set(kinds_of(grid).tolist())), default=0)
 
 
-def of_vtk(grid: Any) -> tuple[Grid, Whole | None]:
-    """Reads points, cells and arrays of an unstructured grid; polyhedra as in `Whole`."""
+def of_vtk(grid: Any) -> Grid:
+    """Reads points, cells and arrays of an unstructured grid.
+
+    Polyhedra become standard cells or are cut. It raises `ValueError` for cells
+    that no mesh has, and for ids of nodes that are not there.
+    """
     points, (_, ids) = coordinates(grid), _arrays_of(grid.GetCells())
     outside = ids[(ids < 0) | (ids >= len(points))]
     if len(outside):
@@ -122,19 +119,26 @@ def of_vtk(grid: Any) -> tuple[Grid, Whole | None]:
     kinds = kinds_of(grid)
     solid = solid_cells(kinds)
     top = dict.fromkeys(kinds[solid].tolist())
-    unknown = [kind for kind in top if kind not in (*NODES, "polyhedron") and _dimension(kind) > 1]
-    if unknown:
-        raise ValueError(f"cells of type {', '.join(unknown)} are not supported; they would be lost.")
-    blocks, whole, outer = [], None, None
+    unknown = sorted(top.keys() - {*NODES, "polyhedron"})
+    _refuse(kind for kind in unknown if _dimension(kind) > 1)
+    blocks, whole, outer, done = [], (None, None), None, {}
     if "polyhedron" in top:
         blocks, whole, outer = _polyhedral(grid, points.astype(float), kinds, solid)
+        done = top
     for kind in dict.fromkeys(kinds.tolist()):
-        if whole is None or kind not in top:
+        if kind not in done:
             blocks += _of_kind(grid, kind, np.flatnonzero(kinds == kind))
     data = data_of(grid.GetCellData())
     cell_data = {name: [values[rows] for *_, rows in blocks] for name, values in data.items()}
     read = [(kind, corners) for kind, corners, _ in blocks]
-    return Grid(points, read, data_of(grid.GetPointData()), cell_data, outer=outer), whole
+    known: dict[str, Any] = {"content": grid, "outer": outer, "whole": whole}
+    return Grid(points, read, data_of(grid.GetPointData()), cell_data, **known)
+
+
+def _refuse(kinds: Iterable[str], where: str = "") -> None:
+    names = ", ".join(kinds)
+    if names:
+        raise ValueError(f"cells of type {names}{where} are not supported; they would be lost.")
 
 
 def _of_kind(grid: Any, kind: str, rows: np.ndarray) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
@@ -156,11 +160,13 @@ def _canonical(kind: str, nodes: np.ndarray, numbers: np.ndarray) -> np.ndarray:
     return reordered(kind, nodes, VTK_ORDER, None) if kind in NODES else nodes
 
 
-def _polyhedral(grid: Any, points: np.ndarray, kinds: np.ndarray, solid: np.ndarray) -> tuple[list, Whole, np.ndarray]:
-    """Makes types, corners and cells' numbers; whole cells; and nodes of outer faces."""
+def _polyhedral(grid: Any, points: np.ndarray, kinds: np.ndarray, solid: np.ndarray) -> tuple[list, tuple, np.ndarray]:
+    """Makes standard cells and tetrahedra of all solid cells of a grid with polyhedra.
+
+    It returns types, corners and the grid's cells, whole cells, and the nodes of outer faces.
+    """
     curved = sorted({kind for kind in kinds[solid].tolist() if kind not in CORNERS and kind != "polyhedron"})
-    if curved:
-        raise ValueError(f"cells of type {', '.join(curved)} beside polyhedra are not supported; they would be lost.")
+    _refuse(curved, " beside polyhedra")
     (starts, ids), numbers = _arrays_of(grid.GetCells()), numbers_of(grid)
     sides = [_sides(grid, points, solid, kinds)]
     for kind in dict.fromkeys(kinds[solid][kinds[solid] != "polyhedron"].tolist()):
@@ -173,7 +179,7 @@ def _polyhedral(grid: Any, points: np.ndarray, kinds: np.ndarray, solid: np.ndar
     rows = np.flatnonzero(faces.neighbour < 0)
     outer = np.unique(faces.labels[spread(faces.starts[rows], faces.starts[rows + 1])[0]])
     of_grid = [(kind, corners, solid[cell]) for kind, corners, cell in blocks]
-    return of_grid, Whole(whole if len(whole.cut) else None, cells), outer
+    return of_grid, (whole if len(whole.cut) else None, cells), outer
 
 
 def _sides(grid: Any, points: np.ndarray, solid: np.ndarray, kinds: np.ndarray) -> Faces:
@@ -224,9 +230,8 @@ def _inward(points: np.ndarray, labels: np.ndarray, begins: np.ndarray, cell: np
     return np.where(is_mixed[cell], volume < 0, 2 * (most < 0).sum() > len(most))
 
 
-def mesh_of(grid: Any) -> tuple[Parts, Whole | None]:
-    read, whole = of_vtk(grid)
-    return checked_parts(*parts(read)), whole
+def mesh_of(grid: Any) -> Parts:
+    return checked_parts(*parts(of_vtk(grid)))
 
 
 def new_grid(cells: Mapping[str, Any], points: np.ndarray) -> Any:

@@ -3,7 +3,8 @@
 import contextlib
 import dataclasses
 import os
-from typing import Any
+from collections.abc import Iterable
+from typing import Any, TypeVar
 
 import numpy as np
 from jaxtyping import Float
@@ -19,6 +20,8 @@ from ._motion import motion
 from ._output import Output, Stage, title
 from ._requests import Deform
 from ._way import Way, faults, followed, in_double, is_kept, say_verdict
+
+T = TypeVar("T")
 
 COUNTS = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS")
 """Variables of the environment in which mpiexec or srun count their processes."""
@@ -44,8 +47,7 @@ def deform_parts(request: Deform, out: Output) -> int:
     def prepared() -> tuple[jm.SurfaceHalf, np.ndarray] | None:
         if not gathered:
             return None
-        by_part = {k: side for share in gathered for k, side in share.items()}
-        return _prepared(request, case.surface([by_part[k] for k in range(len(case))]), out)
+        return _prepared(request, case.surface(_by_part(gathered)), out)
 
     half, path = ranks.bcast(together(ranks, prepared))  # pyright: ignore[reportGeneralTypeIssues]
     parts, bad, is_written = MovingParts(half, path, largest, request), [], False
@@ -60,7 +62,7 @@ def deform_parts(request: Deform, out: Output) -> int:
             raise _Bad
         is_written = True
     if is_written:
-        out.say(f"wrote {request.output} ({out.seconds:.1f} s)", output=str(request.output))
+        out.wrote(request.output)
     return 1 if bad else 0
 
 
@@ -73,8 +75,13 @@ def _moved(parts: "MovingParts", case: io.Decomposed, ranks: Ranks, writer: Any,
             verdicts[k] = moved[1]
         writer.add(k, None if moved is None else moved[0])
         stage.done(min(1.0, (first + ranks.size) / len(case)))
-    by_part = {k: verdict for share in ranks.allgather(verdicts) for k, verdict in share.items()}
-    return jm.Verdict.together([by_part[k] for k in sorted(by_part)])
+    return jm.Verdict.together(_by_part(ranks.allgather(verdicts)))
+
+
+def _by_part(shares: Iterable[dict[int, T]]) -> list[T]:
+    """Joins what the processes have of their parts, in the order of the parts."""
+    joined = {k: entry for share in shares for k, entry in share.items()}
+    return [joined[k] for k in sorted(joined)]
 
 
 def _say_warnings_of_all(out: Output, ranks: Ranks) -> None:
@@ -88,8 +95,8 @@ def _say_warnings_of_all(out: Output, ranks: Ranks) -> None:
 def _ranks() -> Ranks:
     if not any(name in os.environ for name in STARTED):
         return Alone()
-    counts = [os.environ[name] for name in COUNTS if name in os.environ]
-    size = int(counts[0]) if counts and counts[0].isdecimal() else None
+    count = next((os.environ[name] for name in COUNTS if name in os.environ), "")
+    size = int(count) if count.isdecimal() else None
     if size == 1:
         return Alone()
     try:

@@ -113,7 +113,7 @@ def _written(attempt: Attempt, way: Way, nodes: np.ndarray, plan: jm.Plan, out: 
             return 1
         with out.progress(f"writing {request.output.name}"):
             finish()
-    out.say(f"wrote {request.output} ({out.seconds:.1f} s)", output=str(request.output))
+    out.wrote(request.output)
     return 1 if bad else 0
 
 

@@ -41,9 +41,7 @@ def answer(words: Sequence[str]) -> int:
             run = _command(request)
             out.verbose = getattr(request, "speech", Speech()).verbose
             return out.end(run(request, out))
-        except OSError as error:
-            out.complain(one_line(f"{error.filename}: {error.strerror}" if error.filename else error))
-        except (ValueError, ImportError) as error:
+        except (OSError, ValueError, ImportError) as error:
             out.complain(one_line(error))
         except (MemoryError, RuntimeError) as error:  # JaxRuntimeError is a RuntimeError
             if not isinstance(error, MemoryError) and "RESOURCE_EXHAUSTED" not in str(error):
@@ -75,6 +73,8 @@ RUNS: dict[Any, str] = {
 
 
 def one_line(message: object) -> str:
+    if isinstance(message, OSError) and message.filename:
+        message = f"{message.filename}: {message.strerror}"
     return " ".join(str(message).split())
 
 

@@ -10,7 +10,7 @@ from jaxmorph import Mesh, _demo, io
 from jaxmorph._boundary.boundary import of_no_cell
 
 from ._method import mesh_of
-from ._output import Output, count, title, wrapped
+from ._output import Output, count, some, title, wrapped
 from ._requests import Demo, Info, Quality
 from ._way import faults
 
@@ -85,8 +85,7 @@ def _lines(name: str, mesh: Mesh, facts: dict[str, Any]) -> Iterator[str]:
         yield f"{axis:<9}{least:.6g} to {most:.6g}"
     loose = facts["of_no_cell"]
     if loose:
-        first = ", ".join(map(str, loose[:5])) + (", ..." if len(loose) > 5 else "")
-        yield f"no cell  {count(len(loose), 'node')}, at rest: {first}"
+        yield f"no cell  {count(len(loose), 'node')}, at rest: {some(loose)}"
     yield "patches" if facts["patches"] else "patches  none"
     width = max(map(len, facts["patches"]), default=0)
     for patch, number in facts["patches"].items():
@@ -94,7 +93,7 @@ def _lines(name: str, mesh: Mesh, facts: dict[str, Any]) -> Iterator[str]:
     rest = {
         "groups": [f"  {group}: {', '.join(names)}" for group, names in facts["groups"].items()],
         "boxes": list(map(_line_of_box, io.boxes(mesh))),
-        "notes": [f"  {note}" for note in facts["notes"]],
+        "notes": list(map("  {}".format, facts["notes"])),
     }
     for what, lines in rest.items():
         yield from (what, *(wrapped(line, 4) for line in lines)) if lines else ()

@@ -17,6 +17,7 @@ from jaxmorph._host.package.files import input_path
 from jaxmorph._host.package.text import read
 
 from ._early import is_given, lattice_files
+from ._output import some
 from ._parser import flag_of
 from ._requests import MOTIONS, Deform, MotionFlags, Table
 
@@ -139,11 +140,10 @@ def _check_agreement(
         wrong = rows[worst_first(off, 1e-9 * np.abs(u).max() + 1e-13 * np.abs(points).max())]
         if len(wrong):
             first = next(owner for owner in sides if nodes[wrong[0]] in owner.own)
-            told = ", ".join(map(str, nodes[wrong[:5]])) + (", ..." if len(wrong) > 5 else "")
             raise ValueError(
                 f"{first.flags(groups)} and {side.flags(groups)} move {len(wrong)} common nodes differently, by up to "
-                f"{off.max():.3g}: nodes {told}, the first near ({place_of(points[wrong[0]])}). Name both patches after "
-                "one --moving, or take the common nodes out of one of the patches."
+                f"{off.max():.3g}: nodes {some(nodes[wrong])}, the first near ({place_of(points[wrong[0]])}). Name both "
+                "patches after one --moving, or take the common nodes out of one of the patches."
             )
 
 

@@ -90,6 +90,9 @@ class Output:
     def seconds(self) -> float:
         return time.monotonic() - self.began
 
+    def wrote(self, path: Path) -> None:
+        self.say(f"wrote {path} ({self.seconds:.1f} s)", output=str(path))
+
     def end(self, status: int) -> int:
         if self.is_silent:
             return status
@@ -110,6 +113,11 @@ def wrapped(text: str, indent: int = 9) -> str:
 
 def count(number: int, what: str) -> str:
     return f"{number} {what}" + ("" if number == 1 else "s")
+
+
+def some(ids: Any) -> str:
+    """Lists up to five ids."""
+    return ", ".join(map(str, ids[:5])) + (", ..." if len(ids) > 5 else "")
 
 
 def coordinates(x: Any) -> str:

@@ -77,7 +77,7 @@ def settings_of(field: dataclasses.Field) -> dict[str, Any]:
 
 
 def is_switch(settings: dict[str, Any]) -> bool:
-    return str(settings.get("action")).startswith("store_")
+    return settings.get("nargs") == 0 or str(settings.get("action")).startswith(("store_", "help"))
 
 
 def values_of(request: Any) -> Iterator[tuple[str, Any]]:
@@ -110,7 +110,7 @@ class Parser(argparse.ArgumentParser):
     def add(self, names: Sequence[str], settings: dict[str, Any], *, section: str = "", everyday: bool = True):
         self.flags += [name for name in names if name.startswith("--")]
         self.short += [name for name in names if re.match("-[^-]", name)]
-        if settings.get("nargs") != 0 and settings.get("action") != "help" and not is_switch(settings):
+        if not is_switch(settings):
             settings = settings | {"type": unquoted(settings.get("type", str))}
         if self.is_short and not everyday:
             settings = settings | {"help": argparse.SUPPRESS}

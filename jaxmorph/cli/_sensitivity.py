@@ -45,7 +45,7 @@ def sensitivity(request: SensitivityRequest, out: Output) -> int:
                 plans = plan if job.steps == 1 else jm.march(plan, moves.path(wall, job.steps))[0]
                 gradient = shapes.pullback(moves.shape, plans, moves.parameters, given)
             _write_variables(request, moves, gradient, out)
-    out.say(f"wrote {request.output} ({out.seconds:.1f} s)", output=str(request.output))
+    out.wrote(request.output)
     return 0
 
 

@@ -83,7 +83,7 @@ def _deform(request: SU2, config: su2.Config, out: Output) -> int:
         out.say(f"boxes    {', '.join(box.name for box in config.boxes)}", boxes=[box.name for box in config.boxes])
     with out.progress(f"writing {output.name}"):
         io.write(output, moved)
-    out.say(f"wrote {output} ({out.seconds:.1f} s)", output=str(output))
+    out.wrote(output)
     return 1 if bad else 0
 
 
@@ -116,7 +116,8 @@ def _project(request: SU2, config: su2.Config, out: Output) -> int:
         out.say(f"{gradient[k]:>16.6g}  {config.names[k]}")
     out.say(gradient=dict(zip(config.names, gradient.tolist(), strict=True)))
     su2.write_gradient(output, gradient, config.options.text("OBJECTIVE_FUNCTION", "DRAG").split(",")[0].strip("() "))
-    out.say(f"\nwrote {output} ({out.seconds:.1f} s)", output=str(output))
+    out.say("")
+    out.wrote(output)
     return 0
 
 

@@ -14,11 +14,14 @@ from jaxmorph._host.package.arguments import checked, finite_array
 from jaxmorph._host.package.files import complete, input_path, output_path
 from jaxmorph._host.package.text import LATTICES, read
 from jaxmorph._mesh import vtk
+from jaxmorph._mesh.exchange import gathered
 from jaxmorph.shapes import FreeForm, Hexahedron
 
 from ._format import Source, faults_of, source_of
 from ._su2 import NAME, Keyword, by_zones
-from ._text import Section, decoded
+from ._text import Section, decoded, parse
+from .vtk import xml
+from .vtk.file import text_of
 
 Points = Float[np.ndarray, "..."]
 Surface = Mapping[str, tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k d"]]]
@@ -77,12 +80,7 @@ def _box_of(table: dict[str, Any], d: int) -> FreeForm | Hexahedron:
     if not needed <= set(table) <= needed | OPTIONAL or not isinstance(table["moved"], list):
         listed = ", ".join(table) or "nothing"
         raise ValueError(f"low and high or corners, points and a list moved expected, found {listed}.")
-    counts = _numbers("points", table["points"], d)
-    if not (counts >= 2).all() or (counts != np.floor(counts)).any():
-        raise ValueError("points must be 2 or more whole numbers of control points.")
-    if counts.prod() > MOST:
-        raise ValueError(f"points = {table['points']} are {counts.prod():.3g} control points; {MOST} at most.")
-    options, counts = {name: table[name] for name in OPTIONAL if name in table}, counts.astype(int).tolist()
+    counts, options = _counts(table["points"], d), {name: table[name] for name in OPTIONAL & set(table)}
     if any(type(value) is not int for value in options.values()):
         raise ValueError(f"degree and continuity are whole numbers, found {options}.")
     if "corners" in table:
@@ -92,6 +90,15 @@ def _box_of(table: dict[str, Any], d: int) -> FreeForm | Hexahedron:
     if not (low < high).all():
         raise ValueError("low must be below high.")
     return FreeForm(low, np.diag(high - low), counts, **options)
+
+
+def _counts(given: Any, d: int) -> list[int]:
+    counts = _numbers("points", given, d)
+    if not (counts >= 2).all() or (counts != np.floor(counts)).any():
+        raise ValueError("points must be 2 or more whole numbers of control points.")
+    if counts.prod() > MOST:
+        raise ValueError(f"points = {given} are {counts.prod():.3g} control points; {MOST} at most.")
+    return counts.astype(int).tolist()
 
 
 def _numbers(name: str, values: Any, d: int) -> Float[np.ndarray, " d"]:
@@ -116,14 +123,11 @@ def write_lattice(file: str | os.PathLike[str], points: Any) -> None:
     d = points.shape[-1]
     full = np.zeros((*points.shape[:-1], *(1,) * (3 - d), 3))
     full[..., :d] = points.reshape(*full.shape[:-1], d)
-    grid, writer = vtk.vtk("vtkCommonDataModel").vtkStructuredGrid(), vtk.vtk("vtkIOXML").vtkXMLStructuredGridWriter()
+    grid = vtk.vtk("vtkCommonDataModel").vtkStructuredGrid()
     grid.SetDimensions(full.shape[:-1])
     grid.SetPoints(vtk.points_of(full.reshape(-1, 3, order="F")))
-    writer.SetInputData(grid)
-    writer.WriteToOutputStringOn()  # VTK itself raises no error where the device is full
-    writer.Write()
     with complete(path) as partial:
-        partial.write_bytes(writer.GetOutputString().encode())
+        partial.write_bytes(text_of(xml.writer, grid, xml.Encoding(mode="appended")))
 
 
 @checked
@@ -196,16 +200,10 @@ def with_boxes(mesh: Mesh, new: Sequence[Box]) -> Mesh:
     source = source_of(mesh, NAME)
     if source is None:
         raise ValueError("the mesh was not read from an SU2 file: other formats hold no free-form boxes.")
-    names, d = [box.name for box in new], mesh.points.shape[1]
-    for box in new:
-        if np.shape(box.control) != (*box.shape.counts, d):
-            expected = (*box.shape.counts, d)
-            raise ValueError(f"box {box.name}: `control` has shape {np.shape(box.control)}; expected {expected}.")
-    if len(set(names)) < len(names):
-        raise ValueError(f"{len(names) - len(set(names))} of {len(names)} boxes have the name of another one.")
+    _check_new(new, mesh.points.shape[1])
     content, (start, stop) = source.content, _extent(source)
     end = b"\r\n" if b"\r\n" in content.text[:1000] else b"\n"
-    written = b"".join(line.encode() + end for line in _lines(new, d)) if new else b""
+    written = b"".join(line.encode() + end for line in _lines(new)) if new else b""
     before = content.text[:start]
     if written and before and not before.endswith(b"\n"):
         before += end
@@ -213,6 +211,16 @@ def with_boxes(mesh: Mesh, new: Sequence[Box]) -> Mesh:
     text = before + written + content.text[stop:]
     changed = dataclasses.replace(content, text=text, start=content.start + shift, stop=content.stop + shift)
     return Mesh(mesh.points, mesh.cells, mesh.patches, dataclasses.replace(source, content=changed))
+
+
+def _check_new(new: Sequence[Box], d: int) -> None:
+    for box in new:
+        expected = (*box.shape.counts, d)
+        if np.shape(box.control) != expected:
+            raise ValueError(f"box {box.name}: `control` has shape {np.shape(box.control)}; expected {expected}.")
+    again = len(new) - len({box.name for box in new})
+    if again:
+        raise ValueError(f"{again} of {len(new)} boxes have the name of another one.")
 
 
 def _keywords(source: Source) -> Sequence[Keyword]:
@@ -238,27 +246,30 @@ def _box(keywords: Sequence[Keyword], n: int, d: int) -> Box:
     name, at = table["FFD_TAG"].value.replace(" ", ""), table["FFD_TAG"].section
 
     def number(word: str, default: int | None = None) -> int:
-        if word not in table and default is None:
+        if word in table:
+            return table[word].number()
+        if default is None:
             raise at.error(f"box {name} has no {word}=; SU2 writes it by DV_KIND= FFD_SETTING.")
-        return table[word].number() if word in table else int(default or 0)
+        return default
 
     degrees = np.array([number(f"FFD_DEGREE_{axis}") for axis in "IJK"[:d]])
     orders = np.array([number(f"BSPLINE_ORDER_{axis}", 0) for axis in "IJK"[:d]])
+    is_spline = ((orders > 1) & (orders <= degrees + 1)).all()
     corners = _rows(table, "FFD_CORNER_POINTS", at, d)
     if len(corners) != 2**d:
         raise at.error(f"box {name} has {len(corners)} corners; {2**d} expected in {d}-D.")
-    is_spline = ((orders > 1) & (orders <= degrees + 1)).all()
     try:
         shape = Hexahedron(corners, (degrees + 1).tolist(), degree=(orders - 1).tolist() if is_spline else None)
     except ValueError as error:
         raise at.error(f"box {name}: {error}") from error
     control = _control(_rows(table, "FFD_CONTROL_POINTS", at, 6), shape, at)
-    surface = _surface(table["FFD_SURFACE_POINTS"], n, d) if "FFD_SURFACE_POINTS" in table else {}
-    relatives = (
-        tuple(decoded(line.strip()) for line in _content(table[word]) if line.strip()) if word in table else ()
-        for word in ("FFD_PARENTS", "FFD_CHILDREN")
-    )
+    surface = _surface(table.get("FFD_SURFACE_POINTS"), n, d)
+    relatives = (_names(table.get(word)) for word in ("FFD_PARENTS", "FFD_CHILDREN"))
     return Box(name, shape, control, surface, number("FFD_LEVEL", 0), *relatives)
+
+
+def _names(keyword: Keyword | None) -> tuple[str, ...]:
+    return () if keyword is None else tuple(decoded(line.strip()) for line in _content(keyword) if line.strip())
 
 
 def _content(keyword: Keyword) -> list[bytes]:
@@ -289,24 +300,21 @@ def _control(rows: Float[np.ndarray, "k 6"], shape: Hexahedron, at: Section) -> 
     return control if d == 3 else control.mean(axis=2)[..., :2]
 
 
-def _surface(keyword: Keyword, n: int, d: int) -> Surface:
-    lists: dict[str, list[list[float]]] = {}
+def _surface(keyword: Keyword | None, n: int, d: int) -> Surface:
+    if keyword is None:
+        return {}
     lines = [words for words in map(bytes.split, _content(keyword)) if words]
     if len(lines) != keyword.number():
         raise keyword.section.error(f"FFD_SURFACE_POINTS= {keyword.value}, but {len(lines)} rows follow.")
-    for row, words in enumerate(lines):
-        try:
-            values = [float(word) for word in words[1:]]
-        except ValueError:
-            values = []
-        if len(values) != 4 or not 0 <= values[0] < n or values[0] != int(values[0]):
+    rows = [parse(b" ".join(words[1:]), np.float64) for words in lines]
+    for row, values in enumerate(rows):
+        if len(values) != len(lines[row]) - 1 or len(values) != 4 or not 0 <= values[0] < n or values[0] % 1:
             raise keyword.section.error("a marker, a node and three coordinates in the box expected.", row)
-        lists.setdefault(decoded(words[0]), []).append(values)
-    tables = {marker: np.array(rows) for marker, rows in lists.items()}
+    tables = gathered((decoded(words[0]), values[None]) for words, values in zip(lines, rows, strict=True))
     return {marker: (table[:, 0].astype(np.int64), table[:, 1 : 1 + d]) for marker, table in tables.items()}
 
 
-def _lines(new: Sequence[Box], d: int) -> Iterator[str]:
+def _lines(new: Sequence[Box]) -> Iterator[str]:
     yield f"FFD_NBOX= {len(new)}"
     yield f"FFD_NLEVEL= {1 + max(box.level for box in new)}"
     for box in new:
@@ -315,19 +323,23 @@ def _lines(new: Sequence[Box], d: int) -> Iterator[str]:
         yield from (f"FFD_TAG= {box.name}", f"FFD_LEVEL= {box.level}")
         yield from (f"FFD_DEGREE_{axis}= {count - 1}" for axis, count in zip("IJK", counts, strict=False))
         yield f"FFD_BLENDING= {'BEZIER' if is_bezier else 'BSPLINE_UNIFORM'}"
-        if not is_bezier:
-            yield from (f"BSPLINE_ORDER_{axis}= {p + 1}" for axis, p in zip("IJK", degrees, strict=False))
+        orders = () if is_bezier else degrees
+        yield from (f"BSPLINE_ORDER_{axis}= {p + 1}" for axis, p in zip("IJK", orders, strict=False))
         yield from (f"FFD_PARENTS= {len(box.parents)}", *box.parents)
         yield from (f"FFD_CHILDREN= {len(box.children)}", *box.children)
-        corners = box.shape.given_corners.tolist()
-        yield from (f"FFD_CORNER_POINTS= {len(corners)}", *("\t".join(map(repr, row)) for row in corners))
-        control = np.asarray(box.control, float)
-        if d == 2:  # below and above the plane
-            control = np.stack([np.insert(control, 2, height, axis=-1) for height in (-HALF, HALF)], axis=2)
-        yield f"FFD_CONTROL_POINTS= {control[..., 0].size}"
-        for place in np.ndindex(control.shape[:-1]):
-            yield "\t".join([*map(str, place), *map(repr, control[place].tolist())])
-        yield f"FFD_SURFACE_POINTS= {sum(len(nodes) for nodes, _ in box.surface.values())}"
-        for marker, (nodes, places) in box.surface.items():
-            for node, place in zip(nodes.tolist(), places.tolist(), strict=True):
-                yield "\t".join([marker, str(node), *map(repr, [*place, *[HALF] * (3 - d)])])
+        yield from _points(box)
+
+
+def _points(box: Box) -> Iterator[str]:
+    """Yields corners, control points, in 2-D below and above the plane, and nodes in the box."""
+    corners, control, d = box.shape.given_corners.tolist(), np.asarray(box.control, float), len(box.shape.counts)
+    yield from (f"FFD_CORNER_POINTS= {len(corners)}", *("\t".join(map(repr, row)) for row in corners))
+    if d == 2:
+        control = np.stack([np.insert(control, 2, height, axis=-1) for height in (-HALF, HALF)], axis=2)
+    places = np.ndindex(control.shape[:-1])
+    yield f"FFD_CONTROL_POINTS= {control[..., 0].size}"
+    yield from ("\t".join([*map(str, place), *map(repr, control[place].tolist())]) for place in places)
+    yield f"FFD_SURFACE_POINTS= {sum(len(nodes) for nodes, _ in box.surface.values())}"
+    for marker, (nodes, inside) in box.surface.items():
+        for node, x in zip(nodes.tolist(), inside.tolist(), strict=True):
+            yield "\t".join([marker, str(node), *map(repr, [*x, *[HALF] * (3 - d)])])

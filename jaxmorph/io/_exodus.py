@@ -1,18 +1,16 @@
 """Exodus files of Cubit and MOOSE, netCDF-4 or classic: copies with other coordinates."""
 
-import dataclasses
 import pathlib
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxmorph._host.cells.topology import DIMENSION
 from jaxmorph._mesh.exchange import Grid, Parts, Patch, regions_note
 
-from ._format import Arrays, MeshLike
+from ._format import MeshLike
 from ._text import decoded
-from ._tree import Coordinates, of_tree, opened, points_of, singles_of, write_points
+from ._tree import Coordinates, of_tree, opened, points_of, write_points
 
 NAME = "Exodus"
 WHAT = "an Exodus file"
@@ -34,15 +32,20 @@ TYPES = {
 TYPES |= {(name, 1): ("vertex", []) for name in ("SPH", "CIR", "POI", "NOD")}
 """Types of cells by first letters and node counts of Exodus's types, and corners of each side."""
 
-_SETS = (("ss", "num_side_sets", "elem_ss", "sides"), ("ns", "num_node_sets", "node_ns", "nodes"))
-"""Side sets and node sets: prefix, number, array of members, and the word of a patch."""
+_SETS = (
+    (("ss", "elem_ss", "sides"), "num_side_sets"),
+    (("ns", "node_ns", "nodes"), "num_node_sets"),
+)
+"""Of side sets and node sets: their prefix, the array of members, our word; and their number."""
 _UNREAD = {"num_edge_sets": "edge sets", "num_face_sets": "face sets", "num_elem_sets": "element sets"}
 _UNREAD |= {"num_ed_blk": "blocks of edges", "num_fa_blk": "blocks of faces"}
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class _Block:
-    """Elements of one type by `corners`, called `name` or `own`, and corners of their sides."""
+class _Block(NamedTuple):
+    """Elements of one type between `corners`, called `name`, and the corners of their sides.
+
+    Without a name it is called `own`.
+    """
 
     name: str
     own: str
@@ -63,22 +66,14 @@ def read(path: pathlib.Path) -> Parts:
         blocks = list(_blocks(path, file, d))
         _check_count(file, "num_elem", sum(len(block.corners) for block in blocks))
         grid = Grid(points, [(block.kind, block.corners) for block in blocks], {}, {})
-        levels = [DIMENSION.get(block.kind, 0) for block in blocks]
-        solid = [level == max(levels) for level in levels]
-        patches = [
-            Patch(block.name, block.own, block.corners)
-            for block, is_solid in zip(blocks, solid, strict=True)
-            if not is_solid
-        ]
-        patches += [*_sets(file, _SETS[0], blocks), *_sets(file, _SETS[1], blocks)]
-        for name, _, nodes in patches:
-            if len(nodes) and not 0 <= nodes.min() <= nodes.max() < len(points):
-                raise ValueError(f"{name} has nodes {nodes.min() + 1} to {nodes.max() + 1} of {len(points)}")
-        notes = list(_notes(file, [block for block, is_solid in zip(blocks, solid, strict=True) if is_solid]))
-        return of_tree(path, NAME, grid, singles_of(coordinates), patches, notes)
+        patches = [Patch(block.name, block.own, block.corners) for *_, block in grid.of_blocks(blocks)]
+        patches += [patch for what, number in _SETS for patch in _sets(file, what, number, blocks)]
+        notes = _notes(file, [block for *_, block in grid.of_blocks(blocks, full=True)])
+        return of_tree(path, NAME, coordinates, grid, patches, notes)
 
 
-def write(path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arrays) -> None:
+def write(path: pathlib.Path, mesh: MeshLike) -> None:
+    """Writes a copy of the file that the mesh was read from."""
     write_points(path, mesh, NAME, _coordinates, WHAT)
 
 
@@ -99,11 +94,7 @@ def _check_count(file: Mapping[str, Any], name: str, count: int) -> None:
 
 def _blocks(path: pathlib.Path, file: Mapping[str, Any], dimension: int) -> Iterator[_Block]:
     """Yields the blocks of elements. A block that the file has no array of is empty."""
-    numbers, names = _names(file, "eb", file["num_el_blk"].shape[0])
-    if len(numbers) > len(names):
-        raise ValueError(f"{len(numbers)} numbers of blocks, {len(names)} expected")
-    for at, name in enumerate(names, start=1):
-        array = _array(file, "connect", at, "eb")
+    for _, name, own, array in _named(file, ("eb", "connect", "block"), "num_el_blk"):
         if array is None:
             continue
         kind, corners = _text(array.attrs["elem_type"]), array[()].astype(np.int64) - 1
@@ -114,8 +105,7 @@ def _blocks(path: pathlib.Path, file: Mapping[str, Any], dimension: int) -> Iter
         ours, sides = TYPES[kind.upper()[:3], width]
         # triangles of a mesh in space have sides as shells have, quads have not
         is_shell = ours == "triangle" and dimension == 3
-        own = f"block_{_number(numbers, at)}"
-        yield _Block(name or own, own, ours, corners, _SHELLS[3] if is_shell else sides)
+        yield _Block(name, own, ours, corners, _SHELLS[3] if is_shell else sides)
 
 
 def _notes(file: Mapping[str, Any], solid: list[_Block]) -> Iterator[str]:
@@ -126,36 +116,34 @@ def _notes(file: Mapping[str, Any], solid: list[_Block]) -> Iterator[str]:
             yield f"{file[dimension].shape[0]} {what} are not read, and stay in the file."
 
 
-def _sets(file: Mapping[str, Any], kind: tuple[str, str, str, str], blocks: list[_Block]) -> Iterator[Patch]:
-    what, dimension, array, own = kind
-    numbers, names = _names(file, what, file[dimension].shape[0] if dimension in file else 0)
-    for at, name in enumerate(names, start=1):
-        members = _array(file, array, at, what)
+def _sets(file: Mapping[str, Any], what: tuple[str, str, str], number: str, blocks: list[_Block]) -> Iterator[Patch]:
+    for at, name, own, members in _named(file, what, number):
         rows = np.zeros(0, np.int64) if members is None else members[()].astype(np.int64) - 1
-        if what == "ss" and len(rows):
+        if what[0] == "ss" and len(rows):
             rows = _nodes(blocks, rows, file[f"side_ss{at}"][()].astype(np.int64) - 1)
-        own_name = f"{own}_{_number(numbers, at)}"
-        yield Patch(name or own_name, own_name, rows)
+        yield Patch(name, own, rows)
 
 
-def _array(file: Mapping[str, Any], name: str, at: int, what: str) -> Any:
-    """Finds a block's or set's array; None if it is empty: its status, if given, is 0."""
-    array, status = file.get(f"{name}{at}"), file.get(f"{what}_status")
-    if array is None and status is not None and status[()][at - 1]:
-        raise ValueError(f"there is no {name}{at}")
-    return array
+def _named(file: Mapping[str, Any], what: tuple[str, str, str], number: str) -> Iterator[tuple[int, str, str, Any]]:
+    """Yields place, name, own name and array of blocks or sets; None if one is empty.
+
+    The status of an empty one, if given, is 0.
+    """
+    (prefix, array, word), count = what, file[number].shape[0] if number in file else 0
+    numbers = _values(file, f"{prefix}_prop1", np.arange(1, count + 1))
+    names = list(map(_text, _values(file, f"{prefix}_names", [""] * count)))
+    status = _values(file, f"{prefix}_status", np.zeros(count))
+    if not len(numbers) == len(names) == len(status) == count:
+        raise ValueError(f"{len(numbers)} numbers and {len(names)} names of {word}, {count} expected")
+    for at, (name, own) in enumerate(zip(names, numbers.tolist(), strict=True), start=1):
+        values = file.get(f"{array}{at}")
+        if values is None and status[at - 1]:
+            raise ValueError(f"there is no {array}{at}")
+        yield at, name or f"{word}_{own}", f"{word}_{own}", values
 
 
-def _names(file: Mapping[str, Any], what: str, count: int) -> tuple[np.ndarray, list[str]]:
-    numbers = file[f"{what}_prop1"][()] if f"{what}_prop1" in file else np.zeros(0, int)
-    names = [_text(row) for row in file[f"{what}_names"][()]] if f"{what}_names" in file else [""] * count
-    if len(names) != count:
-        raise ValueError(f"{len(names)} names in {what}_names, {count} expected")
-    return numbers, names
-
-
-def _number(numbers: np.ndarray, at: int) -> int:
-    return int(numbers[at - 1]) if at <= len(numbers) else at
+def _values(file: Mapping[str, Any], name: str, default: Any) -> Any:
+    return file[name][()] if name in file else default
 
 
 def _nodes(blocks: list[_Block], cells: np.ndarray, sides: np.ndarray) -> np.ndarray:

@@ -2,18 +2,19 @@
 
 import contextlib
 import dataclasses
-import functools
 import importlib
 import pathlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 
+from jaxmorph import Mesh
 from jaxmorph._boundary.periodic import Periodic
 from jaxmorph._host.cells.pieces import boundary_sides
 from jaxmorph._host.cells.topology import EDGES, SHAPES
 from jaxmorph._host.package.errors import place_of, warn
+from jaxmorph._host.package.text import MESHES
 from jaxmorph._mesh.exchange import Grid, Parts, Patch, checked_parts, intact_source, parts
 from jaxmorph._mesh.polyhedra import Polyhedra
 
@@ -26,44 +27,24 @@ EVERYTHING = ((slice(None), slice(None)),)
 Arrays = Mapping[str, np.ndarray]
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Held:
-    """How a file holds the points of its mesh, where it does not keep all of their digits.
-
-    - `points` (N, k): the points of the file, as read.
-    - `in_file`, `in_mesh`: take points (n, d) of the mesh to those of the file, and back.
-    - `singles`: rows and columns of `points` in single precision.
-    """
-
-    points: np.ndarray
-    in_file: Callable[[np.ndarray], np.ndarray]
-    in_mesh: Callable[[np.ndarray], np.ndarray]
-    singles: Sequence[tuple[slice, Any]] = ()
-
-    def stored(self, points: np.ndarray) -> np.ndarray:
-        values = np.array(self.in_file(points), float)
-        for place in self.singles:
-            values[place] = values[place].astype(np.float32)
-        return self.in_mesh(values)
-
-    @functools.cached_property
-    def base(self) -> np.ndarray:
-        return self.in_mesh(self.points)
-
-
-def warn_of_loss(path: pathlib.Path, cells: Mapping[str, Any], held: Held, points: np.ndarray) -> np.ndarray:
-    stored = held.stored(points)
+def warn_of_loss(path: pathlib.Path, cells: Mapping[str, Any], held: Any, points: np.ndarray) -> np.ndarray:
+    """Computes what the file holds of moved points (n, d); warns where rounding takes much."""
+    values = np.array(held.in_file(points), float)
+    for place in held.singles:
+        values[place] = values[place].astype(np.float32)
+    stored = held.in_mesh(values)
     if not held.singles:
         return stored
+    base = held.in_mesh(held.points)
     points = points.astype(float)
     off = np.linalg.norm(stored - points, axis=1)
-    motion = np.linalg.norm(points - held.base, axis=1)
+    motion = np.linalg.norm(points - base, axis=1)
     most = motion.max(initial=0.0)
     losses = []
     # far from the origin nodes that hardly move are rounded more, and that changes nothing there
     if (off[motion >= most / 2] > SHARE * most).any():
         losses.append(f"more than a tenth of the motion, which is {most:.3g}")
-    start, end = _changed_edges(cells, held.base, points, stored)
+    start, end = _changed_edges(cells, base, points, stored)
     if len(start):
         length = np.linalg.norm(points[end] - points[start], axis=1)
         place = place_of(points[start[length.argmin()]])
@@ -101,10 +82,13 @@ class Source:
     - `periodic`, `symmetry`, `kinds`: periodic pairs of patches, patches in symmetry planes, and
       the type of each patch.
     - `node_ids` (n,): numbers of the nodes in other files, None for 0, 1, 2, ...
-    - `in_file`: takes points (n, d) of the mesh to points (N, 3) of the file; None for equal nodes.
-    - `held`: how the file holds the points; None where it keeps all of their digits.
-    - `cells`: counts of the file's cells by type, which show changed cells; None: unknown.
-    - `notes`: sentences on what the mesh leaves out of the file, or renames.
+    - `in_file`: takes points (n, d) of the mesh to points (N, 3) of the file; None where a mesh has
+      the nodes of its file.
+    - `held`: the content, where the file does not keep all digits of the points, else None. Its
+      `in_file` and `in_mesh` take points to the file's and back. Of its `points`, those of the
+      file, rows and columns `singles` are in single precision.
+    - `cells`: numbers of the file's cells by type, by which changed cells are seen; None: unknown.
+    - `notes`: sentences on what of the file is not in the mesh, or has another name there.
     """
 
     path: pathlib.Path
@@ -120,7 +104,7 @@ class Source:
     kinds: Mapping[str, str] = dataclasses.field(default_factory=dict)
     file_nodes: np.ndarray | None = None
     in_file: Callable[[np.ndarray], np.ndarray] | None = None
-    held: Held | None = None
+    held: Any = None
     cells: Mapping[str, int] | None = None
     notes: tuple[str, ...] = ()
 
@@ -128,38 +112,34 @@ class Source:
         return f"Source({str(self.path)!r}, {self.format})"
 
 
-@runtime_checkable
-class MeshLike(Protocol):
-    @property
-    def points(self) -> Any: ...
-    @property
-    def cells(self) -> dict[str, Any]: ...
-    @property
-    def patches(self) -> dict[str, Any]: ...
-    @property
-    def source(self) -> Any: ...
+MeshLike = Mesh | Parts
+"""What a format writes."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Format:
-    """A format: its name, its endings, and the module of this package that reads and writes it.
+    """A format: its name, and the module of this package that reads and writes it.
 
     `magic` are the first bytes of its files, for an ending that two formats share. The module, and
     with it an extra, is imported at first use. It defines
 
     - `read(path) -> Parts`: `ValueError` names file, place and what was found;
-    - `write(path, mesh, point_data, cell_data)`: writes a new file. `cell_data` follows the order
-      of `mesh.cells`, type by type. A folder is written complete or not at all;
+    - `write(path, mesh)`: writes a new file. One that `holds_arrays` takes `point_data` and
+      `cell_data` too, in the order of `mesh.cells`, type by type. A folder is written complete or
+      not at all;
     - `check(path, mesh)`: raises `ValueError` for what `write` could not do with the mesh, for any
       points. Without it the format takes back only meshes that came from it.
     """
 
     name: str
-    suffixes: tuple[str, ...]
     module: str
     holds_arrays: bool = False
     is_folder: bool = False
     magic: tuple[bytes, ...] = ()
+
+    @property
+    def suffixes(self) -> tuple[str, ...]:
+        return MESHES[self.name]
 
     def codec(self) -> Any:
         return importlib.import_module(f"{__package__}.{self.module}")
@@ -169,6 +149,10 @@ def source_of(mesh: MeshLike, format_name: str) -> Source | None:
     source = intact_source(mesh)
     is_of_format = isinstance(source, Source) and source.format == format_name and source.content is not None
     return source if is_of_format else None
+
+
+def content_of(mesh: MeshLike, format_name: str) -> Any:
+    return getattr(source_of(mesh, format_name), "content", None)
 
 
 def own_source(path: pathlib.Path, mesh: MeshLike, format_name: str) -> Source:
@@ -220,12 +204,14 @@ class FilePoints:
     """The points (N, k) of a file, of which a 2-D mesh has no z.
 
     - `node` (N,): the mesh's node for each of them; None where the mesh has the nodes of the file.
-    - `stamp`: for a format of copies, shows a changed file.
+    - `stamp`: marks by which a changed file is found, for a format of copies.
+    - `singles`: rows and columns of `points` that the file has in single precision.
     """
 
     points: np.ndarray
     node: np.ndarray | None = dataclasses.field(default=None, kw_only=True)
     stamp: tuple[int, int] | None = dataclasses.field(default=None, kw_only=True)
+    singles: Sequence[tuple[slice, Any]] = dataclasses.field(default=(), kw_only=True)
 
     @property
     def is_flat(self) -> bool:
@@ -246,9 +232,10 @@ class FilePoints:
         """Returns the mesh's points from the file's, without z where all z are equal."""
         return values[self._first, : 2 if self.is_flat else 3]
 
-    def held(self, singles: Sequence[tuple[slice, Any]]) -> Held | None:
-        """Tells how a file in single precision at `singles` holds the points; None: all digits."""
-        return Held(self.points, self.in_file, self.in_mesh, singles) if singles else None
+    @property
+    def known(self) -> dict[str, Any]:
+        """Fields of the source of a mesh with these points in its file."""
+        return {"in_file": self.in_file, "file_nodes": self.node, "held": self if self.singles else None}
 
 
 def patch_faces(mesh: MeshLike) -> dict[str, dict[str, np.ndarray]]:

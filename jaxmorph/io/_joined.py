@@ -1,15 +1,15 @@
 """Structured blocks and zones joined to one mesh, and the way back to the file's nodes."""
 
-import dataclasses
 import itertools
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 from scipy import spatial
 
-from jaxmorph._mesh.exchange import Parts, checked_parts
+from jaxmorph._mesh.exchange import Parts, checked_parts, gathered
 
 from .._host.cells.adjacency import columns_of, is_single, parts_of, sorted_columns
-from ._format import FilePoints as Joined
+from ._format import FilePoints
 
 SIDES = ("imin", "imax", "jmin", "jmax", "kmin", "kmax")
 TOLERANCE = 1e-3
@@ -84,52 +84,37 @@ def shared_nodes(points: np.ndarray, faces: list[np.ndarray]) -> np.ndarray:
     return same
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Zones:
-    """All nodes, zone after zone, cells and patches of their ids, outer faces and their names."""
+def join(
+    points: np.ndarray,
+    cells: Iterable[tuple[str, np.ndarray]],
+    patches: Mapping[str, Sequence[np.ndarray]],
+    faces: list[np.ndarray],
+    names: Sequence[str] = (),
+) -> tuple[Parts, FilePoints]:
+    """Joins zones to one mesh in the file's node order, 2-D if z is constant.
 
-    points: np.ndarray
-    cells: list[tuple[str, np.ndarray]]
-    patches: dict[str, list[np.ndarray]]
-    faces: list[np.ndarray]
-    names: list[str] | None = None
+    `points` are all nodes of a file, zone after zone, with cells and patches of their ids. Where no
+    other zone meets the outer `faces`, they become patches by their `names`. Without names these
+    are the patch `unnamed`, or `boundary` where there is no other. Where the file has a patch
+    `unnamed` they are `unnamed_faces`.
 
-
-def join(zones: Zones) -> tuple[Parts, Joined]:
-    """Joins zones to one mesh in the file's order, 2-D if z is constant; refuses NaN."""
-    points = zones.points
+    It raises `ValueError` for coordinates that are not finite.
+    """
     bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
     if bad.size:
         raise ValueError(f"{bad.size} points are not finite, first node {bad[0]}: {points[bad[0]].tolist()}.")
-    node, patches = _join_nodes(zones)
-    cells: dict[str, list[np.ndarray]] = {}
-    for kind, corners in zones.cells:
-        cells.setdefault(kind, []).append(node[corners])
-    joined = Joined(points, node=node)
-    whole = {kind: np.concatenate(parts) for kind, parts in cells.items()}
-    return checked_parts(np.ascontiguousarray(joined.in_mesh(points)), whole, patches), joined
-
-
-def _join_nodes(zones: Zones) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Finds the mesh node of each file node, and the mesh's patches.
-
-    Where no patch lies, duplicates are one node. Faces that are then alone and in no patch have
-    their name, or are the patch `unnamed`; `boundary` without other patches, `unnamed_faces` where
-    the file has a patch `unnamed`.
-    """
-    covers = [nodes for parts in zones.patches.values() for nodes in parts]
-    faces = open_faces(zones.faces, covers, len(zones.points))
-    node = np.unique(shared_nodes(zones.points, faces), return_inverse=True)[1]
-    patches = {name: np.concatenate([node[nodes] for nodes in parts]) for name, parts in zones.patches.items()}
+    faces = open_faces(faces, [nodes for parts in patches.values() for nodes in parts], len(points))
+    node = np.unique(shared_nodes(points, faces), return_inverse=True)[1]
     rest = "unnamed" if patches else "boundary"
     while rest in patches:
         rest += "_faces"
     shared = [node[corners] for corners in faces]
-    for number, (corners, mask) in enumerate(zip(shared, _single(shared), strict=True)):
-        if mask.any():
-            name = zones.names[number] if zones.names else rest
-            patches[name] = np.concatenate([patches.get(name, corners[:0, 0]), corners[mask].ravel()])
-    return node, patches
+    alone = zip(names or [rest] * len(faces), shared, _single(shared), strict=True)
+    own = [(name, node[nodes]) for name, parts in patches.items() for nodes in parts]
+    own += [(name, corners[mask].ravel()) for name, corners, mask in alone if mask.any()]
+    joined = FilePoints(points, node=node)
+    whole = gathered((kind, node[corners]) for kind, corners in cells)
+    return checked_parts(np.ascontiguousarray(joined.in_mesh(points)), whole, gathered(own)), joined
 
 
 def _single(faces: list[np.ndarray]) -> list[np.ndarray]:

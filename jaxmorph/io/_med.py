@@ -6,12 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from jaxmorph._host.cells.topology import DIMENSION
-from jaxmorph._mesh.exchange import Grid, Parts, Patch, regions_note
+from jaxmorph._mesh.exchange import Grid, Parts
 
-from ._format import Arrays, MeshLike
+from ._format import MeshLike
 from ._text import decoded
-from ._tree import Coordinates, of_tree, opened, points_of, singles_of, write_points
+from ._tree import Coordinates, of_tree, opened, points_of, write_points
 
 NAME = "MED"
 WHAT = "a MED file"
@@ -34,7 +33,7 @@ def read(path: pathlib.Path) -> Parts:
         name, step = _step(file)
         coordinates = list(_coordinates(file))
         n = int(coordinates[0].array.attrs["NBR"])
-        points, singles = points_of(coordinates, n, coordinates[0].array.size // n), singles_of(coordinates)
+        points = points_of(coordinates, n, coordinates[0].array.size // n)
         blocks, families = [], []
         for kind, group in step["MAI"].items():
             if kind not in TYPES:
@@ -44,13 +43,21 @@ def read(path: pathlib.Path) -> Parts:
             blocks.append((ours, corners))
             families.append(_families(group, len(corners)))
         of_nodes = _families(step["NOE"], len(points))
-        of_elements, groups = _groups(file, name, "ELEME"), _groups(file, name, "NOEUD")
-    patches, regions = _of_elements(blocks, families, of_elements)
-    patches += [Patch(group, "nodes", np.flatnonzero(np.isin(of_nodes, ids))) for group, ids in groups.items()]
-    return of_tree(path, NAME, Grid(points, blocks, {}, {}), singles, patches, regions_note(regions))
+        sets = {
+            "cell_sets": {
+                group: [np.flatnonzero(np.isin(family, ids)) for family in families]
+                for group, ids in _groups(file, name, "ELEME").items()
+            },
+            "point_sets": {
+                group: np.flatnonzero(np.isin(of_nodes, ids)) for group, ids in _groups(file, name, "NOEUD").items()
+            },
+        }
+        grid = Grid(points, blocks, {}, {}, **sets, own=("elements", "nodes"))
+        return of_tree(path, NAME, coordinates, grid)
 
 
-def write(path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arrays) -> None:
+def write(path: pathlib.Path, mesh: MeshLike) -> None:
+    """Writes a copy of the file that the mesh was read from."""
     write_points(path, mesh, NAME, _coordinates, WHAT)
 
 
@@ -63,23 +70,6 @@ def _families(group: Any, count: int) -> np.ndarray:
     if len(families) != count:
         raise ValueError("families of other elements than there are")
     return families
-
-
-def _of_elements(
-    blocks: list[tuple[str, np.ndarray]], families: list[np.ndarray], groups: dict[str, list[int]]
-) -> tuple[list[Patch], list[str]]:
-    patches, regions, levels = [], [], [DIMENSION.get(kind, 0) for kind, _ in blocks]
-    for group, numbers in groups.items():
-        chosen = [np.isin(family, numbers) for family in families]
-        parts = list(zip(blocks, levels, chosen, strict=True))
-        nodes = [
-            corners[inside].ravel() for (_, corners), level, inside in parts if level < max(levels) and inside.any()
-        ]
-        if nodes:
-            patches.append(Patch(group, "elements", np.concatenate(nodes)))
-        if any(inside.any() for _, level, inside in parts if level == max(levels)):
-            regions.append(group)
-    return patches, regions
 
 
 def _step(file: Any) -> tuple[str, Any]:

@@ -4,7 +4,7 @@ import dataclasses
 import pathlib
 import re
 from collections.abc import Iterable, Iterator
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -13,7 +13,7 @@ from jaxmorph._host.cells.lagrange import lagrange_types, node_keys, of_order, v
 from jaxmorph._host.cells.topology import CORNERS, DIMENSION
 from jaxmorph._mesh.exchange import Parts, checked_parts, gathered, regions_note
 
-from ._format import Arrays, Held, MeshLike, Source, faults_of, own_source
+from ._format import MeshLike, Source, faults_of, own_source
 from ._text import Section, blanked, replaced
 
 EDGES = {
@@ -175,6 +175,8 @@ class _Content:
     - `points`: the mesh's points as read; `cells`: curved cells from order 3 on, else none.
     """
 
+    singles: ClassVar = ()
+
     text: bytes
     space: _Space
     values: np.ndarray
@@ -210,10 +212,7 @@ def read(path: pathlib.Path) -> Parts:
     space = _space_of(parts)
     space.check(cells, sides, parts)
     nodes, of_sides, total = numbered(cells, sides, space.order, space.vertices)
-    node = np.arange(total)
-    if space.is_torn:  # cell by cell, the first reference coordinate fastest
-        tables = [ids[:, np.lexsort(lagrange_types()[name].lattice.T)] for name, ids in nodes.items()]
-        node = _in_file_order(cells, tables)
+    node = _nodes_in_file(space, cells, nodes, total)
     values = space.values(len(node))
     lobatto = _first_of(values, node, total)
     distance = np.abs(values - lobatto[node]).max()
@@ -223,16 +222,23 @@ def read(path: pathlib.Path) -> Parts:
     curved = nodes if space.order > 2 else {}
     points = at_places(curved, lobatto[:, :2] if is_flat else lobatto, are_lobatto=True)
     content = _Content(text, space, values, node, points, curved)
-    held = Held(values, content.in_file, content.in_mesh) if curved else None
     ids = np.concatenate([each.rows for each in cells])
     patches = _patches(sides, of_sides)
     with faults_of(path):  # a caller may change the mesh's points in place, and the file's must stay
         known = {"groups": _groups(parts.get("boundary_attribute_sets"), patches), "notes": tuple(_notes(cells, parts))}
-        source = Source(path, NAME, content, cell_ids=None if (np.diff(ids) == 1).all() else ids, held=held, **known)
+        known |= {"held": content if curved else None}
+        source = Source(path, NAME, content, cell_ids=None if (np.diff(ids) == 1).all() else ids, **known)
         return checked_parts(points.copy(), nodes, patches, source)
 
 
-def write(path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arrays) -> None:
+def _nodes_in_file(space: _Space, cells: list[Elements], nodes: dict[str, np.ndarray], total: int) -> np.ndarray:
+    """Lists nodes as the file does: by number, or cell by cell, the first coordinate fastest."""
+    if not space.is_torn:
+        return np.arange(total)
+    return _in_file_order(cells, [ids[:, np.lexsort(lagrange_types()[name].lattice.T)] for name, ids in nodes.items()])
+
+
+def write(path: pathlib.Path, mesh: MeshLike) -> None:
     content: _Content = own_source(path, mesh, NAME).content
     space, rows = content.space, content.in_file(np.asarray(mesh.points))
     words = rows.T.ravel() if space.by_nodes else rows.ravel()

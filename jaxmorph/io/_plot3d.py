@@ -8,8 +8,8 @@ import numpy as np
 
 from jaxmorph._mesh.exchange import Parts
 
-from ._format import EVERYTHING, Arrays, MeshLike, Source, faults_of, own_source
-from ._joined import SIDES, Joined, Zones, block_cells, block_ids, block_sides, join
+from ._format import EVERYTHING, FilePoints, MeshLike, Source, faults_of, own_source
+from ._joined import SIDES, block_cells, block_ids, block_sides, join
 from ._text import chunks, parse, replaced
 
 NAME = "PLOT3D"
@@ -67,7 +67,7 @@ class FileLayout:
 class _Content:
     data: bytes
     layout: FileLayout
-    joined: Joined
+    joined: FilePoints
 
 
 def read(path: pathlib.Path) -> Parts:
@@ -89,12 +89,12 @@ def read(path: pathlib.Path) -> Parts:
     singles = EVERYTHING if layout.dtype.itemsize == 4 else ()
     notes = (f"{blank} nodes are blank (IBLANK 0), and are read as all others.",) if blank else ()
     with faults_of(path):
-        mesh, joined = join(_zones(path, layout.shapes, points))
-    known = {"in_file": joined.in_file, "held": joined.held(singles), "notes": notes}
-    return mesh._replace(source=Source(path, NAME, _Content(data, layout, joined), file_nodes=joined.node, **known))
+        mesh, joined = join(points, *_zones(path, layout.shapes))
+    joined = dataclasses.replace(joined, singles=singles)
+    return mesh._replace(source=Source(path, NAME, _Content(data, layout, joined), notes=notes, **joined.known))
 
 
-def write(path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arrays) -> None:
+def write(path: pathlib.Path, mesh: MeshLike) -> None:
     source = own_source(path, mesh, NAME)
     content: _Content = source.content
     data, layout = content.data, content.layout
@@ -175,7 +175,8 @@ def _are_records(numbers: np.ndarray, form: Form, lengths: list[int]) -> bool:
     return bool((numbers[places].view(form.head)[..., 0] == sizes[:, None]).all())
 
 
-def _zones(path: pathlib.Path, shapes: tuple[tuple[int, ...], ...], points: np.ndarray) -> Zones:
+def _zones(path: pathlib.Path, shapes: tuple[tuple[int, ...], ...]) -> tuple[list, dict, list[np.ndarray], list[str]]:
+    """Makes the cells, patches and outer faces of all blocks, and the names of the faces."""
     cells, faces, names, first = [], [], [], 0
     for block, shape in enumerate(shapes, start=1):
         ids = block_ids(shape, first)
@@ -186,7 +187,7 @@ def _zones(path: pathlib.Path, shapes: tuple[tuple[int, ...], ...], points: np.n
         first += ids.size
     beside = path.with_name(f"{path.name}.patches")
     patches = _patches(beside, shapes) if beside.is_file() else {}
-    return Zones(points, cells, patches, faces, None if patches else names)
+    return cells, patches, faces, [] if patches else names
 
 
 def _patches(path: pathlib.Path, shapes: tuple[tuple[int, ...], ...]) -> dict[str, list[np.ndarray]]:
@@ -208,7 +209,7 @@ def _patches(path: pathlib.Path, shapes: tuple[tuple[int, ...], ...]) -> dict[st
 def _patch(words: list[str], shapes: tuple[tuple[int, ...], ...]) -> np.ndarray:
     block = int(words[1]) - 1
     shape = shapes[block] if block >= 0 else ()
-    ids = sum(map(math.prod, shapes[:block])) + np.arange(math.prod(shape)).reshape(shape, order="F")
+    ids = block_ids(shape, sum(map(math.prod, shapes[:block]))).reshape(shape)
     if len(words) == 3:
         axis, end = divmod(SIDES.index(words[2].lower()), 2)
         return ids.take(-end, axis=axis).ravel()

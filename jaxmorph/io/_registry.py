@@ -17,21 +17,21 @@ from jaxmorph._host.package import files
 from jaxmorph._host.package.arguments import checked
 from jaxmorph._host.package.errors import place_of, warn
 from jaxmorph._host.package.files import complete, output_path
-from jaxmorph._host.package.text import MESHES, is_folder
+from jaxmorph._host.package.text import is_folder
 from jaxmorph._mesh.exchange import Parts, numbers_of_cells
 
 from ._format import Format, Source, own_source, source_of, warn_of_loss
 
 FORMATS = (
-    Format("SU2", MESHES["SU2"], "_su2"),
-    Format("VTK", MESHES["VTK"], "vtk.file", holds_arrays=True),
-    Format("gmsh", MESHES["gmsh"], "gmsh.file"),
-    Format("CGNS", MESHES["CGNS"], "cgns.file"),
-    Format("MFEM", MESHES["MFEM"], "_mfem"),
-    Format("MED", MESHES["MED"], "_med"),
-    Format("Exodus", MESHES["Exodus"], "_exodus", magic=(b"CDF", b"\x89HDF")),
-    Format("PLOT3D", MESHES["PLOT3D"], "_plot3d"),
-    Format("OpenFOAM", MESHES["OpenFOAM"], "openfoam.case", is_folder=True),
+    Format("SU2", "_su2"),
+    Format("VTK", "vtk.file", holds_arrays=True),
+    Format("gmsh", "gmsh.file"),
+    Format("CGNS", "cgns.file"),
+    Format("MFEM", "_mfem"),
+    Format("MED", "_med"),
+    Format("Exodus", "_exodus", magic=(b"CDF", b"\x89HDF")),
+    Format("PLOT3D", "_plot3d"),
+    Format("OpenFOAM", "openfoam.case", is_folder=True),
 )
 
 
@@ -162,14 +162,9 @@ def write(
         raise ValueError(
             f"{path}: {chosen.name} files hold no arrays; write .vtu to keep {', '.join([*arrays[0], *arrays[1]])}."
         )
-    finite = np.asarray(np.isfinite(np.asarray(mesh.points)).all(axis=1))
-    if not finite.all():
-        raise ValueError(
-            f"{path}: {(~finite).sum()} of {len(finite)} points are not finite, first node {np.argmin(finite)}."
-        )
     as_written(path, mesh)
     with contextlib.nullcontext(path) if chosen.is_folder else complete(path) as target:
-        chosen.codec().write(target, mesh, *arrays)
+        chosen.codec().write(target, mesh, *arrays[: 2 * chosen.holds_arrays])
 
 
 @checked
@@ -222,6 +217,11 @@ def _checked(name: str | os.PathLike[str], mesh: Mesh) -> Format:
         codec.check(path, mesh)
     else:
         own_source(path, mesh, chosen.name)
+    finite = np.asarray(np.isfinite(np.asarray(mesh.points)).all(axis=1))
+    if not finite.all():
+        raise ValueError(
+            f"{path}: {(~finite).sum()} of {len(finite)} points are not finite, first node {np.argmin(finite)}."
+        )
     return chosen
 
 
@@ -235,7 +235,7 @@ def periodic(mesh: Mesh) -> tuple[Periodic, ...]:
 
     **Returns:** pairs for `prepare(..., periodic=)`; none for other formats.
     """
-    return mesh.source.periodic if isinstance(mesh.source, Source) else ()
+    return getattr(mesh.source, "periodic", ())
 
 
 @checked
@@ -250,7 +250,7 @@ def symmetry(mesh: Mesh) -> tuple[str, ...]:
 
     **Returns:** names for `prepare(..., symmetry=)`; none for other formats.
     """
-    return mesh.source.symmetry if isinstance(mesh.source, Source) else ()
+    return getattr(mesh.source, "symmetry", ())
 
 
 @checked

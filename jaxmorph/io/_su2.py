@@ -6,6 +6,7 @@ import itertools
 import os
 import pathlib
 from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from jaxmorph._host.package.arguments import checked
 from jaxmorph._host.package.files import complete, input_path
 from jaxmorph._mesh.exchange import Parts, checked_parts, gathered
 
-from ._format import Arrays, MeshLike, Source, patch_faces, source_of
+from ._format import MeshLike, Source, patch_faces, source_of
 from ._registry import check_nodes, check_output
 from ._text import Rows, Section, blank_comments, decoded, replaced
 
@@ -138,7 +139,7 @@ def check(path: pathlib.Path, mesh: MeshLike) -> None:
     patch_faces(mesh)
 
 
-def write(path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arrays) -> None:
+def write(path: pathlib.Path, mesh: MeshLike) -> None:
     """Writes the mesh's own text with new coordinates; else a new file, see `_new_text`."""
     source, points = source_of(mesh, NAME), np.asarray(mesh.points)
     if source is not None and points.shape != source.content.shape:
@@ -288,7 +289,7 @@ def _new_text(mesh: MeshLike) -> Iterator[bytes]:
         yield from _element_rows(faces)
 
 
-def _element_rows(cells: Mapping[str, np.ndarray]) -> Iterator[bytes]:
+def _element_rows(cells: Mapping[str, Any]) -> Iterator[bytes]:
     for kind, corners in cells.items():
         yield from _rows(" ".join([str(VTK[kind]), *["%d"] * corners.shape[1]]), np.asarray(corners))
 
@@ -358,9 +359,6 @@ def write_zones(path: str | os.PathLike[str], meshes: Sequence[Mesh]) -> None:
 def _content(path: str | os.PathLike[str], mesh: Mesh) -> SU2Content:
     source = source_of(mesh, NAME)
     check_output(path, mesh)
-    bad = np.flatnonzero(~np.isfinite(np.asarray(mesh.points)).all(axis=1))
-    if len(bad):
-        raise ValueError(f"{path}: {len(bad)} points are not finite, first node {bad[0]}.")
     if source is None:
         raise ValueError(f"{path}: {WANTED}")
     return source.content

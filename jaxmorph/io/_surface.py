@@ -62,17 +62,14 @@ def read_table(
         columns = [next((k for k, name in enumerate(names) if name in IDS), 0), *map(names.index, wanted[:d])]
         if max(columns) > d:
             width, expected = len(names), f"{len(names)} numbers, as in the header,"
-    wrong = np.flatnonzero(rows.counts != width)
-    if wrong.size:
-        raise section.error(f"{expected} expected, found {rows.counts[wrong[0]]} numbers.", int(wrong[0]))
+    rows.refuse(rows.counts != width, lambda k: f"{expected} expected, found {rows.counts[k]} numbers.")
     table = rows.values.reshape(-1, width)[:, columns]
-    wrong = np.flatnonzero(~np.isfinite(table).all(axis=1) | (table[:, 0] != np.floor(table[:, 0])) | (table[:, 0] < 0))
-    if wrong.size:
-        raise section.error(f"found {table[wrong[0]].tolist()}, not a node id and {d} finite numbers.", int(wrong[0]))
-    ids = table[:, 0].astype(np.int64)
+    ids = table[:, 0]
+    is_wrong = ~np.isfinite(table).all(axis=1) | (ids != np.floor(ids)) | (ids < 0)
+    rows.refuse(is_wrong, lambda k: f"found {table[k].tolist()}, not a node id and {d} finite numbers.")
+    ids = ids.astype(np.int64)
     copies = np.setdiff1d(np.arange(len(ids)), np.unique(ids, return_index=True)[1])
-    if copies.size:
-        raise section.error(f"node {ids[copies[0]]} comes a second time.", int(copies[0]))
+    rows.refuse(copies, lambda k: f"node {ids[k]} comes a second time.")
     return ids, np.ascontiguousarray(table[:, 1:])
 
 

@@ -93,14 +93,13 @@ def singles_of(coordinates: Iterable[Coordinates]) -> list[tuple[slice, slice]]:
 def of_tree(
     path: pathlib.Path,
     name: str,
+    coordinates: Iterable[Coordinates],
     grid: Grid,
-    singles: list[tuple[slice, slice]],
-    patches: Iterable[Patch],
-    notes: Iterable[str],
+    patches: Iterable[Patch] = (),
+    notes: Iterable[str] = (),
 ) -> Parts:
-    content = FilePoints(grid.points, stamp=stamp_of(path))
-    source = Source(path, name, content, in_file=content.in_file, held=content.held(singles), notes=tuple(notes))
-    return of_grid(path, grid, source, patches)
+    content = FilePoints(grid.points, stamp=stamp_of(path), singles=singles_of(coordinates))
+    return of_grid(path, grid, Source(path, name, content, notes=tuple(notes), **content.known), patches)
 
 
 def write_points(

@@ -73,7 +73,7 @@ def skin(grid: Any) -> Any:
 
 def _polygons(whole: Any, grid: Any, cell_ids: Any) -> Any:
     """Returns polyhedra's outer faces as in the file, with the mean of their cell's pieces."""
-    outer = np.flatnonzero(np.append(whole.neighbour, np.full(len(whole.owner) - len(whole.neighbour), -1)) < 0)
+    outer = np.flatnonzero(whole.all_neighbours() < 0)
     nodes, corners = np.unique(np.concatenate([whole.nodes(k, k + 1) for k in outer.tolist()]), return_inverse=True)
     sizes = whole.sizes[outer]
     polygons = np.insert(corners.ravel(), np.cumsum(sizes) - sizes, sizes)

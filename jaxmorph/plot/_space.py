@@ -119,20 +119,26 @@ def cut(
     # through nodes, up to round-off, the plane would cut cells on both sides of it by turns
     origin = origin + 1e-9 * grid.length * normal
     body = np.asarray(grid.points)[bodies(np.asarray(mesh.points), mesh.patches)]
-    away = (body - origin) @ normal
-    is_met = plotter is None and len(body) and away.min() <= 0 <= away.max()
-    near = body[np.abs(away) <= np.quantile(np.abs(away), 0.1)] if is_met else None
+    near = _met(body, normal, origin) if plotter is None else None
     section, walls = (
         _cropped(part.slice(normal=normal.tolist(), origin=origin.tolist()), near, view_axes(viewer)[1:])
         for part in (grid, outside(mesh, points, None, None))
     )
-    drawn = _draw(section, limits, label, bar, plotter, lighting=False, show_edges=False)
+    drawn = _draw(section, limits, label, bar, plotter, is_cut=True)
     for lines, width in ((outlines(section), 1), (walls, 3.5)):
         if lines.n_cells:
             _in_front(drawn.add_mesh(lines, color=DARK, line_width=width, lighting=False))
     if plotter is None:
         aim(drawn, viewer)
     return drawn
+
+
+def _met(body: np.ndarray, normal: np.ndarray, origin: np.ndarray) -> np.ndarray | None:
+    """Finds the points of a body near a plane; None where the plane does not meet it."""
+    away = (body - origin) @ normal
+    if not len(body) or not away.min() <= 0 <= away.max():
+        return None
+    return body[np.abs(away) <= np.quantile(np.abs(away), 0.1)]
 
 
 def _cropped(section: Any, body: np.ndarray | None, axes: Sequence[np.ndarray]) -> Any:
@@ -144,30 +150,20 @@ def _cropped(section: Any, body: np.ndarray | None, axes: Sequence[np.ndarray]) 
     return section
 
 
-def _draw(
-    part: Any,
-    limits: Any,
-    label: str | None,
-    bar: bool,
-    plotter: Any,
-    *,
-    lighting: bool = True,
-    show_edges: bool = True,
-) -> Any:
+def _draw(part: Any, limits: Any, label: str | None, bar: bool, plotter: Any, *, is_cut: bool = False) -> Any:
     if part.n_cells == 0:
         raise ValueError(NOTHING)
-    has_values, ends = "values" in part.cell_data, {}
+    has_values = "values" in part.cell_data
     if label is not None and not has_values:
         raise ValueError(f"there are no `values` that are {label!r}.")
-    # light would change the colours, and not those of the bar
-    style: dict[str, Any] = LIT if lighting and not has_values else {"lighting": False}
-    style = style | {"color": GREY if lighting else "white"}
-    if has_values:
+    style: dict[str, Any] = {"lighting": False, "color": "white"} if is_cut else LIT | {"color": GREY}
+    ends: dict[str, str] = {}
+    if has_values:  # light would change the colours, and not those of the bar
         style, ends = _scaled(part, limits)
     new, plotter = plotter is None, new_plotter() if plotter is None else plotter
-    _add_faces(plotter, part, show_edges, show_scalar_bar=False, **style)
+    _add_faces(plotter, part, not is_cut, show_scalar_bar=False, **style)
     if has_values and bar:
-        add_bar(plotter, label or "", style["clim"], {f"{side}_label": sign for side, sign in ends.items()})
+        add_bar(plotter, label or "", style["clim"], ends)
     if new:
         aim(plotter, viewer_of(part))
     return plotter
@@ -176,9 +172,10 @@ def _draw(
 def _scaled(part: Any, limits: Limits | None) -> tuple[dict[str, Any], dict[str, str]]:
     values, sizes = part.cell_data["values"], part.compute_cell_sizes(length=False, volume=False).cell_data["Area"]
     colours, limits, *beyond = scale_of(values, sizes, limits)
-    ends = {side: sign for side, sign, is_so in zip(("below", "above"), "<>", beyond, strict=True) if is_so}
+    ends = [(side, sign) for (side, sign), is_so in zip((("below", "<"), ("above", ">")), beyond, strict=True) if is_so]
     style: dict[str, Any] = {"scalars": "values", "cmap": colours, "clim": limits, "lighting": False}
-    return style | {f"{side}_color": plt.get_cmap(colours)(float(side == "above")) for side in ends}, ends
+    style |= {f"{side}_color": plt.get_cmap(colours)(float(side == "above")) for side, _ in ends}
+    return style, {f"{side}_label": sign for side, sign in ends}
 
 
 def _add_faces(plotter: Any, faces: Any, show_edges: bool, **style: Any) -> None:

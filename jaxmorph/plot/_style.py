@@ -48,8 +48,7 @@ def cell_values(mesh: jm.Mesh, values: Any) -> np.ndarray:
     """Returns a value for each of `mesh.cells`, from one a cell, or one a whole polyhedron."""
     cells, known = len(mesh.cell_ids), f"{len(mesh.cell_ids)} cells"
     if mesh.polyhedra is not None and np.shape(values) != (cells,):
-        faces = mesh.polyhedra.faces
-        whole = int(max(faces.owner.max(), faces.neighbour.max())) + 1
+        whole = mesh.polyhedra.faces.count
         if np.shape(values) == (whole,):
             return np.asarray(values)[mesh.cell_ids]
         known = f"{whole} cells, in {cells} pieces"

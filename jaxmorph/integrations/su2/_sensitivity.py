@@ -94,10 +94,8 @@ def _file(options: Options, is_normal: bool) -> pathlib.Path:
 def _present(name: pathlib.Path, kind: str) -> pathlib.Path | None:
     """Finds the file of a name, with or without the objective and an ending; one alone for `*`."""
     is_full = name.suffix in (".dat", ".csv")
-    stem, endings = (
-        name.stem if is_full else name.name,
-        dict.fromkeys([name.suffix if is_full else ".dat", ".csv", ".dat"]),
-    )
+    stem, ending = (name.stem, name.suffix) if is_full else (name.name, ".dat")
+    endings = dict.fromkeys([ending, ".csv", ".dat"])
     for pattern in (f"{stem}_{kind}", stem):
         found = [file for ending in endings for file in sorted(name.parent.glob(pattern + ending))]
         if len(found) == 1 or (found and "*" not in pattern):
@@ -132,9 +130,8 @@ def _by_normals(config: Config, file: pathlib.Path) -> Float[np.ndarray, "m d"] 
 def _by_angle(file: pathlib.Path) -> float | None:
     """Finds the derivative by the angle of attack: behind the rows, or in the file .meta beside."""
     sizes = np.fromfile(file, "<i4", count=5)
-    begin = (
-        20 + 33 * int(sizes[1]) + 8 * int(sizes[1]) * int(sizes[2]) if len(sizes) == 5 and sizes[0] == 535532 else -1
-    )
+    is_restart = len(sizes) == 5 and sizes[0] == 535532
+    begin = 20 + 33 * int(sizes[1]) + 8 * int(sizes[1]) * int(sizes[2]) if is_restart else -1
     if begin > 0 and file.stat().st_size == begin + 4 + 64:
         return float(np.fromfile(file, "<f8", count=8, offset=begin + 4)[ANGLE])
     for text in ([] if begin > 0 else [file]) + [file.with_suffix(".meta")]:

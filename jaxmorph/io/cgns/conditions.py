@@ -3,11 +3,12 @@
 import collections
 import contextlib
 import dataclasses
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
+from .._joined import block_ids
 from .zone import Condition, Ragged, Zone, children, data, word
 
 NORMAL = {"IFaceCenter": 0, "JFaceCenter": 1, "KFaceCenter": 2}
@@ -28,27 +29,32 @@ class Connection:
     angles: np.ndarray
 
 
-def connections(zone: Zone, zones: Mapping[str, Zone]) -> Iterator[Connection]:
-    for name, interface, turns in _interfaces(zone, ONE_TO_ONE, "GridConnectivity_t"):
-        parts, donor = dict(interface.items()), zones.get(word(interface).rpartition("/")[2])
-        what = [kind for kind in ("PointRange", "PointList") if {kind, f"{kind}Donor"} <= parts.keys()]
-        if not turns or not what or donor is None:
-            continue
-        place, is_range = _place(parts), what[0] == "PointRange"
-        nodes = _nodes(zone, name, place, data(parts[what[0]]), is_range)
-        others = _nodes(donor, name, place, data(parts[f"{what[0]}Donor"]), is_range)
-        if nodes is None or others is None:
-            continue
-        values = {key: data(array).astype(float).ravel() for key, array in children(turns[0], "DataArray_t")}
-        centre, angles = (values.get(key, np.zeros(3)) for key in ("RotationCenter", "RotationAngle"))
-        yield Connection(zone.name, name, np.unique(nodes), np.unique(others), centre, angles)
+def connections(zones: list[Zone]) -> Iterator[Connection]:
+    """Yields the periodic interfaces of zones whose nodes are named on both sides."""
+    by_name = {zone.name: zone for zone in zones}
+    for zone in zones:
+        for name, interface, turns in _interfaces(zone, ONE_TO_ONE, "GridConnectivity_t"):
+            donor = by_name.get(word(interface).rpartition("/")[2])
+            if not turns or donor is None:
+                continue
+            nodes, others = _chosen(zone, name, interface), _chosen(donor, name, interface, "Donor")
+            if nodes is not None and others is not None:
+                values = {key: data(array).astype(float).ravel() for key, array in children(turns[0], "DataArray_t")}
+                centre, angles = (values.get(key, np.zeros(3)) for key in ("RotationCenter", "RotationAngle"))
+                yield Connection(zone.name, name, np.unique(nodes), np.unique(others), centre, angles)
+
+
+def _chosen(zone: Zone, name: str, interface: Any, end: str = "") -> np.ndarray | None:
+    """Finds the nodes of one side of an interface; None if they are not named on both sides."""
+    what = next((kind for kind in ("PointRange", "PointList") if {kind, f"{kind}Donor"} <= {*interface}), None)
+    return None if what is None else _picked(zone, name, interface, what + end, _place(interface))
 
 
 def _joints(zone: Zone) -> Iterator[np.ndarray]:
     for name, interface, turns in _interfaces(zone, ONE_TO_ONE):
         if not turns and "PointRange" in interface:
             with contextlib.suppress(ValueError):  # a wrong range of an interface does no harm
-                nodes = _nodes(zone, name, "Vertex", data(interface["PointRange"]), True)
+                nodes = _picked(zone, name, interface, "PointRange", "Vertex")
                 yield np.zeros(0, np.int64) if nodes is None else np.unique(nodes)
 
 
@@ -61,7 +67,7 @@ def _interfaces(zone: Zone, *labels: str) -> Iterator[tuple[str, Any, list[Any]]
 
 
 def _place(parts: Mapping[str, Any]) -> str:
-    return word(parts["GridLocation"]) if "GridLocation" in parts else "Vertex"
+    return word(parts.get("GridLocation"), "Vertex")
 
 
 def left_interfaces(zone: Zone, found: Iterable[Connection]) -> Iterator[str]:
@@ -80,14 +86,11 @@ def read_conditions(zones: list[Zone]) -> list[str]:
     One of another type, or with the name of a family, is a patch of its own, named by the zone too.
     """
     for zone in zones:
-        for _, zone_bc in children(zone.group, "ZoneBC_t"):
-            for name, node in children(zone_bc, "BC_t"):
-                family = next((word(child) for _, child in children(node, "FamilyName_t")), "")
-                zone.conditions.append(Condition(zone.name, name, node, family, family or name))
+        zone.conditions += _conditions(zone)
     every = [condition for zone in zones for condition in zone.conditions]
-    alone, families = [each for each in every if not each.family], {each.family for each in every if each.family}
+    families = {condition.family for condition in every} - {""}
     notes, kinds, members = [], {}, collections.Counter()
-    for condition in alone:
+    for condition in (condition for condition in every if not condition.family):
         name = condition.name
         if name not in families and kinds.setdefault(name, condition.kind) == condition.kind:
             members[name] += 1
@@ -104,6 +107,13 @@ def read_conditions(zones: list[Zone]) -> list[str]:
     return notes + [text.format(name, count) for name, count in members.items() if count > 1]
 
 
+def _conditions(zone: Zone) -> Iterator[Condition]:
+    for _, zone_bc in children(zone.group, "ZoneBC_t"):
+        for name, node in children(zone_bc, "BC_t"):
+            family = word(next((child for _, child in children(node, "FamilyName_t")), None))
+            yield Condition(zone.name, name, node, family, family or name)
+
+
 def patches(zone: Zone) -> Iterator[tuple[str, np.ndarray | None]]:
     """Yields the patch and the nodes of each boundary condition; None for a condition on cells.
 
@@ -116,38 +126,47 @@ def patches(zone: Zone) -> Iterator[tuple[str, np.ndarray | None]]:
         if nodes is None or np.unique(nodes).tobytes() not in joined:
             yield condition.patch, nodes
     if not zone.conditions and not any(children(zone.group, "ZoneGridConnectivity_t")):
-        for section in zone.content.elements.values():
-            if section.dimension == zone.content.dimension - 1 and not isinstance(section.vertices, Ragged):
+        for section in zone.outer_sections():
+            if not isinstance(section.vertices, Ragged):
                 yield section.section, section.vertices.ravel()
 
 
 def _nodes_of(zone: Zone, condition: Condition) -> np.ndarray | None:
-    parts = dict(condition.node.items())
+    parts = condition.node
     what = next((part for part in ("PointRange", "PointList", "ElementRange", "ElementList") if part in parts), None)
     if what is None:
         raise zone.error(f"boundary condition {condition.name} says neither a range nor a list of points")
     place = "FaceCenter" if what.startswith("Element") else _place(parts)
     if "InwardNormalIndex" in parts and place in ("FaceCenter", "CellCenter"):
         place = list(NORMAL)[int(np.argmax(np.abs(data(parts["InwardNormalIndex"]))))]
-    return _nodes(zone, condition.name, place, data(parts[what]), what.endswith("Range"))
+    return _picked(zone, condition.name, parts, what, place)
 
 
-def _nodes(zone: Zone, name: str, place: str, chosen: np.ndarray, is_range: bool) -> np.ndarray | None:
-    """Finds nodes of points, faces or elements, also of ranges backwards; None for cells."""
-    chosen = np.atleast_2d(chosen).astype(np.int64)
+def _picked(zone: Zone, name: str, parts: Any, what: str, place: str) -> np.ndarray | None:
+    """Finds nodes of a range or list of points, faces or elements; None for a region of cells.
+
+    A range may run backwards. One that ends before the first node is empty.
+    """
+    chosen, is_range = np.atleast_2d(data(parts[what])).astype(np.int64), "Range" in what
     first, last = chosen.reshape(2, -1) if is_range else (chosen, chosen)
     if not chosen.size or ((last < first) & (last < 1)).any():
         return np.zeros(0, np.int64)
     if zone.is_structured:
         return _of_block(zone, name, place, chosen, is_range)
-    is_vertex, sections = place == "Vertex", zone.content.elements.items()
-    most = max((begin + len(section.vertices) for begin, section in sections), default=1) - 1
-    most = zone.count if is_vertex else most
-    if (is_vertex and chosen.min() < 1) or chosen.max() > most:
-        what = f"vertices beyond 1 to {most}" if is_vertex else f"elements beyond the last one, {most}"
-        raise zone.error(f"boundary condition {name} names {what}")
+    _check_numbers(zone, name, place, chosen)
     numbers = np.arange(chosen.min(), chosen.max() + 1) if is_range else chosen.ravel()
-    return numbers - 1 + zone.first if is_vertex else _of_elements(zone, name, numbers)
+    return numbers - 1 + zone.first if place == "Vertex" else _of_elements(zone, name, numbers)
+
+
+def _check_numbers(zone: Zone, name: str, place: str, chosen: np.ndarray) -> None:
+    if place == "Vertex":
+        wrong = f"vertices beyond 1 to {zone.count}" if chosen.min() < 1 or chosen.max() > zone.count else ""
+    else:
+        sections = zone.content.elements.items()
+        most = max((begin + len(section.vertices) for begin, section in sections), default=1) - 1
+        wrong = f"elements beyond the last one, {most}" if chosen.max() > most else ""
+    if wrong:
+        raise zone.error(f"boundary condition {name} names {wrong}")
 
 
 def _of_block(zone: Zone, name: str, place: str, chosen: np.ndarray, is_range: bool) -> np.ndarray | None:
@@ -160,7 +179,7 @@ def _of_block(zone: Zone, name: str, place: str, chosen: np.ndarray, is_range: b
         step[np.arange(len(step)) != normal] = 1
     if len(low) != len(zone.shape) or (low < 0).any() or (high + step >= zone.shape).any():
         raise zone.error(f"boundary condition {name} goes beyond {' x '.join(map(str, zone.shape))} vertices")
-    ids = zone.first + np.arange(zone.count).reshape(zone.shape, order="F")
+    ids = block_ids(zone.shape, zone.first).reshape(zone.shape)
     if is_range:
         return ids[tuple(slice(a, b + 1) for a, b in zip(low, high + step, strict=True))].ravel()
     corners = np.stack(np.meshgrid(*(np.arange(size + 1) for size in step), indexing="ij"), axis=-1)
@@ -198,6 +217,14 @@ def _of_elements(zone: Zone, name: str, numbers: np.ndarray) -> np.ndarray | Non
     return None if solid == count else np.concatenate(nodes)
 
 
+def said(file: Any, zones: list[Zone], known: Collection[str]) -> dict[str, Any]:
+    """Lists what the file says of the patches `known`: their types and groups, and symmetry."""
+    conditions = [condition for zone in zones for condition in zone.conditions if condition.patch in known]
+    kinds = kinds_of(file, conditions)
+    symmetry = tuple(patch for patch, kind in kinds.items() if kind == SYMMETRY)
+    return {"kinds": kinds, "groups": groups_of(file, conditions, known), "symmetry": symmetry}
+
+
 def kinds_of(file: Any, conditions: list[Condition]) -> dict[str, str]:
     """Finds each patch's type: its conditions' or family's; several in turn, if they differ."""
     families = _of_families(file, "FamilyBC_t")
@@ -220,6 +247,5 @@ def groups_of(file: Any, conditions: list[Condition], known: Iterable[str]) -> d
     for condition in conditions:
         more = [word(family) for _, family in children(condition.node, "AdditionalFamilyName_t")]
         for group in [*above.get(condition.patch, []), *more]:
-            if group not in known and condition.patch in known:
-                groups.setdefault(group, {})[condition.patch] = None
-    return {name: tuple(several) for name, several in groups.items()}
+            groups.setdefault(group, {})[condition.patch] = None
+    return {name: tuple(several) for name, several in groups.items() if name not in known}

@@ -3,7 +3,7 @@
 import dataclasses
 import pathlib
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -31,9 +31,12 @@ class Ragged:
         return self.values[spread(self.starts[rows], self.starts[rows + 1])[0]]
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Block:
-    """Cells of one type by corner ids (k, corners), and their polyhedral cells (k,), or None."""
+class Block(NamedTuple):
+    """Holds cells of one type by their corner ids (k, corners).
+
+    `cell` (k,) is the number of the polyhedral cell that each is, or is a piece of; None for cells
+    of other sections.
+    """
 
     kind: str
     corners: np.ndarray
@@ -115,8 +118,9 @@ def data(group: Any) -> np.ndarray:
     return group[" data"][()]
 
 
-def word(group: Any) -> str:
-    return text(data(group).tobytes())
+def word(group: Any, default: str = "") -> str:
+    """Reads the text of a node, if there is one with data."""
+    return text(data(group).tobytes()) if group is not None and " data" in group else default
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -151,7 +155,7 @@ class Condition:
 
     @property
     def kind(self) -> str:
-        return word(self.node) if " data" in self.node else ""
+        return word(self.node)
 
 
 @dataclasses.dataclass(eq=False)
@@ -174,6 +178,11 @@ class Zone:
     @property
     def rows(self) -> slice:
         return slice(self.first, self.first + self.count)
+
+    def outer_sections(self) -> list[Elements]:
+        """Lists sections of faces of the zone's cells."""
+        elements = self.content.elements.values()
+        return [section for section in elements if section.dimension == self.content.dimension - 1]
 
     def error(self, message: str) -> ValueError:
         return ValueError(f"{self.path}, zone {self.name}: {message}.")
@@ -241,19 +250,21 @@ class _Section:
             raise self.error(f"names vertices beyond 1 to {self.zone.count}")
 
     def ragged(self, least: int) -> Ragged:
-        """Cuts the numbers by offsets, before version 4 by counts; `least` numbers a row."""
-        count, what = (
-            len(self.values),
-            f"numbers are not {self.count} rows of a count, {least} or more, and so many numbers",
-        )
+        """Cuts the numbers into faces or cells, of `least` numbers or more each.
+
+        Before version 4 of CGNS each row begins with its count, later offsets cut the numbers.
+        """
+        count = len(self.values)
         if "ElementStartOffset" in self.node:
             rows = Ragged(self.values, data(self.node["ElementStartOffset"]).astype(np.int64).ravel())
             is_good = rows.starts[0] == 0 and rows.starts[-1] == count
             fault = f"the offsets of section {self.name} do not cut its {count} numbers into rows of {least} or more"
         else:
             rows = _counted(self.values)
-            is_good = len(rows) == self.count
-            fault = f"section {self.name} has no ElementStartOffset, and its {count} {what}"
+            is_good, rest = len(rows) == self.count, f"rows of a count, {least} or more, and so many numbers"
+            fault = (
+                f"section {self.name} has no ElementStartOffset, and its {count} numbers are not {self.count} {rest}"
+            )
         if not is_good or (np.diff(rows.starts) < least).any():
             raise self.zone.error(fault)
         return rows

@@ -10,7 +10,7 @@ from jaxmorph._host.cells.orders import GMSH, reordered
 from jaxmorph._host.cells.topology import DIMENSION
 from jaxmorph._mesh.exchange import LEVELS, Grid, Parts, Patch, gathered, regions_note
 
-from .._format import Arrays, FilePoints, MeshLike, Source, faults_of, of_grid, patch_faces, source_of
+from .._format import FilePoints, MeshLike, Source, content_of, faults_of, of_grid, patch_faces
 from .._text import Section, replaced
 from .sections import (
     TYPES,
@@ -100,7 +100,7 @@ def read(path: pathlib.Path) -> Parts:
     top = max(DIMENSION.get(kind, 0) for kind, _ in blocks)
     notes = tuple(regions_note(patch.name for (level, _), patch in groups if level == top))
     notes += (f"sections {', '.join(found.others)} are not read, and stay in the file.",) * bool(found.others)
-    source = Source(path, NAME, content, in_file=content.in_file, notes=notes)
+    source = Source(path, NAME, content, notes=notes, **content.known)
     patches = [patch for (level, _), patch in groups if level < top]
     return of_grid(path, Grid(content.points, blocks, {}, {}), source, patches)
 
@@ -152,8 +152,11 @@ def _groups(cells: list[Elements], names: Names) -> dict[tuple[int, int], Patch]
 
 
 def check(path: pathlib.Path, mesh: MeshLike) -> None:
-    """Refuses patches that boundary faces cannot express, or whose name ends before its end."""
-    if source_of(mesh, NAME) is not None:
+    """Raises `ValueError` for patches that a new file cannot have.
+
+    Boundary faces cannot express them, or their name ends before its end.
+    """
+    if content_of(mesh, NAME) is not None:
         return
     for name in mesh.patches:
         if any(mark in name for mark in '"\r\n') or not name:
@@ -162,11 +165,14 @@ def check(path: pathlib.Path, mesh: MeshLike) -> None:
     patch_faces(mesh)
 
 
-def write(path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arrays) -> None:
-    """Writes the own file with new coordinates, or version 2.2, binary, with patches as groups."""
-    source = source_of(mesh, NAME)
+def write(path: pathlib.Path, mesh: MeshLike) -> None:
+    """Writes the mesh's own file with new coordinates; else a new binary file of version 2.2.
+
+    In a new file a patch becomes a physical group, with the boundary faces between its nodes as
+    elements.
+    """
+    content = content_of(mesh, NAME)
     with path.open("wb") as file:
-        content = None if source is None else source.content
         file.writelines(_new(mesh) if content is None else content.moved(content.in_file(np.asarray(mesh.points))))
 
 

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxmorph._host.cells.topology import DIMENSION, NODES
+from jaxmorph._mesh.exchange import gathered
 
 from .._text import Rows, Section, decoded
 
@@ -267,10 +268,9 @@ def _with_parameters(stream: Stream, total: int) -> Nodes:
 
 def elements(stream: Stream, groups: Groups) -> list[Elements]:
     if stream.version < 4:
-        tables: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}
-        for kind, corners, tags in _lines(stream, stream.rows) if stream.rows else _numbered(stream):
-            tables.setdefault(kind, []).append((corners, tags))
-        return [_of_version_2(kind, *map(np.concatenate, zip(*blocks, strict=True))) for kind, blocks in tables.items()]
+        lines = _lines(stream, stream.rows) if stream.rows else _numbered(stream)
+        tables = gathered((kind, np.column_stack([corners, tags])) for kind, corners, tags in lines)
+        return [_of_version_2(kind, table[:, :-2], table[:, -2:]) for kind, table in tables.items()]
     blocks, total, *_ = stream.take("n", 4 if stream.version > 4 else 2).tolist()
     result = [_of_entity(stream, groups) for _ in range(blocks)]
     stream.end()

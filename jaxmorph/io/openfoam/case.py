@@ -9,7 +9,7 @@ import pathlib
 import re
 import shutil
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,7 @@ from jaxmorph._mesh.exchange import Parts, checked_parts, gathered
 from jaxmorph._mesh.faces import Faces, standard_cells
 from jaxmorph._mesh.polyhedra import Polyhedra, tetrahedra
 
-from .._format import EVERYTHING, Arrays, Held, MeshLike, Source, as_in_file, faults_of, source_of
+from .._format import EVERYTHING, MeshLike, Source, as_in_file, faults_of, source_of
 from .._text import replaced
 from .file import PARENTHESES, FoamFile, Patch, load, patches
 from .plane import Front, check_cyclic, cyclic_pairs, layer, plane_cells, sector
@@ -51,12 +51,16 @@ class _CaseContent:
     def in_mesh(self, values: np.ndarray) -> np.ndarray:
         return values if self.plane is None else self.plane.fitted(values).in_plane(values)
 
-    def held(self) -> Held | None:
-        """How the file holds the points; None: all digits, in planes that are not tilted."""
-        is_single = self.file.is_binary and self.file.dtype("scalar").itemsize == 4
-        if not is_single and (self.plane is None or self.plane.kind == "empty"):
-            return None
-        return Held(self.points, self.in_file, self.in_mesh, EVERYTHING if is_single else ())
+    @property
+    def singles(self) -> Sequence[tuple[slice, Any]]:
+        return EVERYTHING if self.file.is_binary and self.file.dtype("scalar").itemsize == 4 else ()
+
+    @property
+    def known(self) -> dict[str, Any]:
+        """Fields of the source: the file does not hold all digits if planes may be tilted."""
+        is_held = not self.singles and (self.plane is None or self.plane.kind == "empty")
+        nodes = None if self.plane is None else self.plane.file_nodes()
+        return {"in_file": self.in_file, "held": None if is_held else self, "file_nodes": nodes}
 
     @functools.cached_property
     def point_ids(self) -> np.ndarray:
@@ -102,10 +106,8 @@ def read(path: pathlib.Path) -> Parts:
         whole,
         None if (joined[1:] > joined[:-1]).all() else joined,
         between=None if not len(between) else between if plane is None else plane.edges(between),
-        file_nodes=None if plane is None else plane.file_nodes(),
-        in_file=content.in_file,
-        held=content.held(),
         notes=tuple(_notes(folder, [patch for patch in planes if patch.count])),
+        **content.known,
         **_said(boundary, mesh, plane),
     )
     return mesh._replace(source=source)
@@ -124,13 +126,18 @@ def _planes(path: pathlib.Path, boundary: list[Patch]) -> list[Patch]:
 
 def _said(boundary: list[Patch], mesh: Parts, plane: Front | None) -> dict[str, Any]:
     own = [patch for patch in boundary if patch.name in mesh.patches or patch.type in PLANES]
-    is_divided = any(patch.refers and patch.count for patch in boundary)
-    pairs = [] if is_divided else [Periodic(first.name, second.name) for first, second in cyclic_pairs(own)]
     kinds = {patch.name: patch.type for patch in own}
     symmetry = [patch.name for patch in own if patch.type in SYMMETRY and patch.count]
     if plane is not None and plane.on_axis.any():
         symmetry, kinds = [*symmetry, "axis"], kinds | {"axis": "axis"}
-    return {"groups": _groups(own), "periodic": tuple(pairs), "symmetry": tuple(symmetry), "kinds": kinds}
+    return {"groups": _groups(own), "periodic": _periodic(boundary, own), "symmetry": tuple(symmetry), "kinds": kinds}
+
+
+def _periodic(boundary: list[Patch], own: list[Patch]) -> tuple[Periodic, ...]:
+    """Lists the cyclic pairs, unless partners of their faces are on another processor."""
+    if any(patch.refers and patch.count for patch in boundary):
+        return ()
+    return tuple(Periodic(first.name, second.name) for first, second in cyclic_pairs(own))
 
 
 def _groups(boundary: list[Patch]) -> dict[str, tuple[str, ...]]:
@@ -164,8 +171,11 @@ def check_new(path: pathlib.Path, case: pathlib.Path, remedy: str) -> None:
         raise ValueError(f"{path}: a new case cannot be inside of the case that the mesh was read from.")
 
 
-def write(path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arrays) -> None:
-    """Writes `points` in a time folder, or a new case; warns of old points in its parts."""
+def write(path: pathlib.Path, mesh: MeshLike) -> None:
+    """Writes `points` in a time folder, or a new case: `constant`, `system`, `0`, `0.orig`.
+
+    It warns where the case is decomposed: its parts keep the old points.
+    """
     content, points = content_of(mesh), file_points(mesh)
     case = _case_of(content.topology)
     parts = [] if case is None else [part for part in case.glob("processor*") if part.is_dir()]

@@ -161,14 +161,13 @@ class Decomposed:
         if not sides or not all(isinstance(side, Side) for side in sides):
             raise ValueError(f"`sides` must be what `side(k)` gives of the {len(self)} parts, not {shown(sides)}.")
         nodes, points = self._common_points(sides)
-        cells = gathered(item for side in sides for item in side.faces.items())
-        members = gathered(item for side in sides for item in side.patches.items())
-        return Mesh(
-            points,
-            {kind: np.searchsorted(nodes, rows) for kind, rows in cells.items() if len(rows)},
-            {name: np.searchsorted(nodes, np.unique(rows)) for name, rows in members.items()},
-            source=Source(self.path, NAME, None, node_ids=nodes, **_said(sides, members)),
+        faces, patches = (
+            {key: np.searchsorted(nodes, rows) for key, rows in _gathered(sides, name).items()}
+            for name in ("faces", "patches")
         )
+        cells = {kind: corners for kind, corners in faces.items() if len(corners)}
+        known = _said(sides, patches)
+        return Mesh(points, cells, patches, source=Source(self.path, NAME, None, node_ids=nodes, **known))
 
     def _common_points(self, sides: Sequence[Side]) -> tuple[np.ndarray, np.ndarray]:
         everywhere, places = (np.concatenate([getattr(side, name) for side in sides]) for name in ("nodes", "points"))
@@ -230,6 +229,10 @@ class Decomposed:
 
     def _left_out(self, here: str, names: list[str]) -> set[str]:
         return {"polyMesh"} & {*names} if pathlib.Path(here) == self.path / "constant" / self.region else set()
+
+
+def _gathered(sides: Sequence[Side], name: str) -> dict[str, np.ndarray]:
+    return gathered(item for side in sides for item in getattr(side, name).items())
 
 
 def _said(sides: Sequence[Side], members: Mapping[str, np.ndarray]) -> dict[str, Any]:

@@ -99,19 +99,36 @@ def sector(faces: Faces, points: np.ndarray, patches: Sequence[np.ndarray]) -> F
     # the plane farther around the axis is in front: seen from outside, (x, r) is right-handed
     front, back = (first, second) if np.cross(axes[1, 1], axes[0, 1]) @ axes[0, 0] > 0 else (second, first)
     axes, origin = _frame((front, back), points)
+    return _paired("wedge", faces, points, (front, back), axes, origin)
+
+
+def _paired(
+    kind: str,
+    faces: Faces,
+    points: np.ndarray,
+    planes: tuple[np.ndarray, np.ndarray],
+    axes: np.ndarray,
+    origin: np.ndarray,
+) -> Front:
+    """Finds the node behind that an edge joins to each node in front; one in both is its own."""
+    front, back = planes
     on = np.zeros((2, len(points)), dtype=bool)
     on[0, front], on[1, back] = True, True
-    partner = np.where(on.all(axis=0), np.arange(len(points)), behind(faces, on[0] & ~on[1], on[1] & ~on[0]))[front]
+    corner, after = faces.labels, faces.after(faces.labels)
+    across = (on[0] & ~on[1])[corner] & (on[1] & ~on[0])[after]
+    partner = np.where(on.all(axis=0), np.arange(len(points)), -1)
+    partner[corner[across]] = after[across]
+    partner = partner[front]
     if (partner < 0).any() or len(np.unique(partner)) < len(back):
         raise ValueError(
-            f"patches of type wedge, but their {len(front)} and {len(back)} nodes are not pairs joined by edges: there is more "
-            "than one layer of cells."
+            f"patches of type {kind}, but {len(front)} nodes in front and {len(back)} behind are not pairs joined by edges: "
+            "there is more than one layer of cells."
         )
     here, there = ((points[nodes] - origin) @ own.T for nodes, own in zip((front, partner), axes, strict=True))
     distance = np.linalg.norm(here - there, axis=1).max()
     if distance > APART * np.ptp(points, axis=0).max():
-        raise ValueError(f"patches of type wedge, but nodes of their planes are up to {distance:.3g} apart along them.")
-    return Front("wedge", front, partner, axes, origin)
+        raise ValueError(f"patches of type {kind}, but nodes of the two planes are {distance:.3g} apart along them.")
+    return Front(kind, front, partner, axes, origin)
 
 
 def _frame(patches: Sequence[np.ndarray], points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -137,15 +154,6 @@ def _frame(patches: Sequence[np.ndarray], points: np.ndarray) -> tuple[np.ndarra
     return np.stack([np.tile(axis, (2, 1)), away], axis=1), origin
 
 
-def behind(faces: Faces, front: np.ndarray, back: np.ndarray) -> np.ndarray:
-    """Finds the `back` node that an edge joins to each `front` node; -1 elsewhere."""
-    corner, after = faces.labels, faces.after(faces.labels)
-    across = front[corner] & back[after]
-    partner = np.full(len(front), -1)
-    partner[corner[across]] = after[across]
-    return partner
-
-
 def layer(faces: Faces, points: np.ndarray, empty: np.ndarray) -> Front:
     """Finds the two planes of a case with patches of type empty, whose faces are `empty`."""
     low, high = points.min(axis=0), points.max(axis=0)
@@ -166,17 +174,8 @@ def layer(faces: Faces, points: np.ndarray, empty: np.ndarray) -> Front:
     # seen from outside, the faces of the front run counterclockwise in its two coordinates
     is_high = points[:, normal] - low[normal] > high[normal] - points[:, normal]
     is_front = ~is_high if normal == 1 else is_high
-    front = np.flatnonzero(is_front)
-    back = behind(faces, is_front, ~is_front)[front]
-    if (back < 0).any() or len(np.unique(back)) != len(points) - len(front):
-        raise ValueError(
-            f"patches of type empty, but {len(front)} nodes in front and {len(points) - len(front)} behind are not pairs "
-            "joined by edges: there is more than one layer of cells."
-        )
-    off = np.abs((points[front] - points[back]) @ axes.T).max()
-    if off > APART * (high - low).max():
-        raise ValueError(f"patches of type empty, but nodes of the two planes are {off:.3g} apart along them.")
-    return Front("empty", front, back, np.stack([axes, axes]), np.zeros(3))
+    planes = np.flatnonzero(is_front), np.flatnonzero(~is_front)
+    return _paired("empty", faces, points, planes, np.stack([axes, axes]), np.zeros(3))
 
 
 def plane_cells(
@@ -192,9 +191,9 @@ def plane_cells(
     front = chosen[np.logical_and.reduceat(is_front[faces.labels], faces.starts[:-1])[chosen]]
     front = front[np.argsort(faces.owner[front], kind="stable")]
     owner, sizes = faces.owner[front], faces.sizes[front]
-    if not np.array_equal(owner, np.arange(faces.owner.max() + 1)):
+    if not np.array_equal(owner, np.arange(faces.count)):
         raise ValueError(
-            f"patches of type {plane.kind} have {len(front)} faces in front of {faces.owner.max() + 1} cells, not one each: "
+            f"patches of type {plane.kind} have {len(front)} faces in front of {faces.count} cells, not one each: "
             "the mesh is not one layer of cells between them. Give these patches another type, such as patch."
         )
     corners = {"triangle": faces.corners(front[sizes == 3], 3), "quad": faces.corners(front[sizes == 4], 4)}

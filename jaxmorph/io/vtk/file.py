@@ -3,6 +3,7 @@
 import dataclasses
 import pathlib
 import urllib.parse
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from jaxmorph._mesh import vtk
 from jaxmorph._mesh.exchange import PREFIX, Parts
 from jaxmorph._mesh.export import to_vtk
 
-from .._format import EVERYTHING, Arrays, FilePoints, MeshLike, Source, faults_of, source_of
+from .._format import EVERYTHING, Arrays, FilePoints, MeshLike, Source, content_of, faults_of
 from . import legacy, xml
 from .checks import errors_told
 
@@ -37,17 +38,17 @@ class Content:
 def read(path: pathlib.Path) -> Parts:
     with faults_of(path):
         content = _read(path)
-        mesh, whole = vtk.mesh_of(vtk.unstructured(content.data))
+        mesh = vtk.mesh_of(vtk.unstructured(content.data))
     places = vtk.coordinates(content.data)
-    points = FilePoints(np.asarray(places, float))
-    held = points.held(EVERYTHING if places.dtype == np.float32 else ())
-    known = {"in_file": points.in_file, "held": held, "notes": mesh.source.notes}
-    return mesh._replace(source=Source(path, NAME, content, *(whole or (None, None)), **known))
+    points = FilePoints(np.asarray(places, float), singles=EVERYTHING if places.dtype == np.float32 else ())
+    origin = mesh.source
+    source = Source(path, NAME, content, origin.polyhedra, origin.cell_ids, notes=origin.notes, **points.known)
+    return mesh._replace(source=source)
 
 
 def check(path: pathlib.Path, mesh: MeshLike) -> None:
     suffix = path.suffix.lower()
-    content = _content(mesh)
+    content = content_of(mesh, NAME)
     if suffix in FILES_OF_FILES:
         raise ValueError(f"{path}: {suffix} files name other files, and are not written; write .vtu, which holds all.")
     try:
@@ -61,20 +62,28 @@ def check(path: pathlib.Path, mesh: MeshLike) -> None:
 
 
 def write(path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arrays) -> None:
-    """Writes the read data with other points, or a new grid in double precision."""
-    content = _content(mesh)
+    """Writes what was read with other points, or a new grid in double precision.
+
+    The file is encoded as the one that was read, where that was of the same kind.
+    """
+    content = content_of(mesh, NAME)
     parts = Parts(mesh.points, mesh.cells, mesh.patches, mesh.source)
     data = to_vtk(parts, content and content.data, point_data, cell_data)
     suffix = path.suffix.lower()
     kind: Any = legacy if suffix == ".vtk" else xml
     encoding = content.encoding if content and isinstance(content.encoding, kind.Encoding) else kind.Encoding()
     with errors_told():
-        path.write_bytes(kind.written(vtk.unstructured(data) if suffix == ".vtu" else data, encoding))
+        path.write_bytes(text_of(kind.writer, vtk.unstructured(data) if suffix == ".vtu" else data, encoding))
 
 
-def _content(mesh: MeshLike) -> Content | None:
-    source = source_of(mesh, NAME)
-    return None if source is None else source.content
+def text_of(make: Callable[..., Any], data: Any, encoding: Any) -> bytes:
+    """Makes the file. VTK itself tells no error where a device is full, so it writes to memory."""
+    writer = make(data, encoding)
+    writer.SetInputData(data)
+    writer.WriteToOutputStringOn()
+    writer.Write()
+    text = (writer.GetOutputStdString if hasattr(writer, "GetOutputStdString") else writer.GetOutputString)()
+    return text.encode() if isinstance(text, str) else text
 
 
 def _read(path: pathlib.Path) -> Content:

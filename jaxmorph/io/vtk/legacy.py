@@ -288,18 +288,13 @@ def reader(_: pathlib.Path, raw: bytes, encoding: Encoding) -> Any:
     return new
 
 
-def written(data: Any, encoding: Encoding) -> bytes:
-    """Makes the file in memory, since VTK raises no error on a full device."""
+def writer(data: Any, encoding: Encoding) -> Any:
     kind = data.GetClassName().removeprefix("vtk")
     writer = getattr(vtk.vtk("vtkIOLegacy"), f"vtk{kind}Writer")()
-    writer.SetInputData(data)
     writer.SetHeader(encoding.title)
     # before 5.1 files have another order of the nodes of hexahedra, in which VTK does not write
     is_new = encoding.version > "5" or VTK_LAGRANGE["hexahedron"] in vtk.numbers_of(vtk.unstructured(data))
     writer.SetFileVersion(51 if is_new else 42)
     (writer.SetFileTypeToASCII if encoding.is_text else writer.SetFileTypeToBinary)()
     writer.SetPrecision(17)
-    writer.WriteToOutputStringOn()
-    writer.Write()
-    text = writer.GetOutputStdString()
-    return text.encode() if isinstance(text, str) else text
+    return writer

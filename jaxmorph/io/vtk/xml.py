@@ -168,8 +168,11 @@ def _check_cells(file: _File, section: ElementTree.Element) -> None:
     ends = file.values(arrays["offsets"]) if "offsets" in arrays else np.zeros(0, np.int64)
     check_ends(ends, count, "connectivity")
     types = file.values(arrays["types"]) if "types" in arrays else np.zeros(0)
-    if not (types == POLYHEDRON).any():
-        return
+    if (types == POLYHEDRON).any():
+        _check_polyhedra(file, arrays, len(types))
+
+
+def _check_polyhedra(file: _File, arrays: dict[str, ElementTree.Element], count: int) -> None:
     if arrays.keys() >= {*STREAM}:
         faces, ends = (file.values(arrays[name]) for name in STREAM)
         ends = ends[ends >= 0].astype(np.int64)  # -1 for other cells
@@ -181,7 +184,7 @@ def _check_cells(file: _File, section: ElementTree.Element) -> None:
     check_ends(cell_ends, len(of_cells), "polyhedron_to_faces")
     check_ends(face_ends, len(faces), "face_connectivity")
     most = of_cells.max(initial=0)
-    if len(cell_ends) != len(types) or not 0 <= of_cells.min(initial=0) <= most < len(face_ends):
+    if len(cell_ends) != count or not 0 <= of_cells.min(initial=0) <= most < len(face_ends):
         raise ValueError(f"polyhedra of {len(cell_ends)} cells name {most}, of {len(face_ends)} faces.")
 
 
@@ -191,23 +194,16 @@ def reader(path: pathlib.Path, _: bytes, encoding: Encoding) -> Any:
     return new
 
 
-def written(data: Any, encoding: Encoding) -> bytes:
-    """Makes the file in memory, since VTK raises no error on a full device."""
+def writer(data: Any, encoding: Encoding) -> Any:
     kind = data.GetClassName().removeprefix("vtk")
     writer = getattr(vtk("vtkIOXML"), f"vtkXML{kind}Writer")()
-    writer.SetInputData(data)
-    {"ascii": writer.SetDataModeToAscii, "binary": writer.SetDataModeToBinary}.get(
-        encoding.mode, writer.SetDataModeToAppended
-    )()
+    getattr(writer, f"SetDataModeTo{encoding.mode.capitalize()}")()
     writer.SetEncodeAppendedData(not encoding.is_raw)
     kinds = ("None", "ZLib", "LZ4", "LZMA")
     writer.SetCompressorType(next(k for k, name in enumerate(kinds) if name in (encoding.compressor or "None")))
     getattr(writer, f"SetHeaderTypeTo{encoding.header}")()
     getattr(writer, f"SetByteOrderTo{encoding.order}")()
-    writer.SetWriteToOutputString(True)
-    writer.Write()
-    text = writer.GetOutputString()
-    return text.encode() if isinstance(text, str) else text
+    return writer
 
 
 def named_files(path: pathlib.Path) -> list[tuple[str, pathlib.Path]]:
@@ -258,7 +254,7 @@ def _rows(piece: ElementTree.Element) -> dict[str, dict[str, int]]:
 
 def _opened(raw: bytes) -> _File:
     at, end = raw.find(b"<AppendedData"), raw.rfind(b"</AppendedData>")
-    tag = re.compile(rb"[^>]*>\s*_").match(raw, at) if at >= 0 else None
+    tag = re.compile(rb"<AppendedData[^>]*>\s*_").match(raw, max(at, 0))
     if at >= 0 and (tag is None or end < tag.end()):
         raise ValueError("no AppendedData that begin with '_' and end: a damaged file, or one cut short.")
     try:
