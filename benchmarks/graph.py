@@ -76,7 +76,7 @@ def location(count: int) -> list[tuple[str, str, str]]:
     build, ours_build = once(lambda: Delaunay(surface))[:2]
     few = points[morton_order(points)][:: max(count // 500, 1)]
     _, theirs, _ = once(lambda: build.find_simplex(few))
-    corners = surface[found.vertices]
+    corners = surface[found]
     edges = np.moveaxis(corners[:, 1:] - corners[:, :1], 1, 2)
     inner = np.linalg.solve(edges, (points - corners[:, 0])[..., None])[..., 0]
     least = np.minimum(inner.min(axis=1), 1 - inner.sum(axis=1)).min()

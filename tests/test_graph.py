@@ -20,7 +20,7 @@ SHARED = pathlib.Path(__file__).parents[2] / "shared" / "cases"
 
 def weights_of(surface, points, wanted):
     """Barycentric coordinates of the wanted points in the simplices found for them, by NumPy's solver."""
-    vertices = locate(surface, points, wanted).vertices
+    vertices = locate(surface, points, wanted)
     corners = surface[vertices]
     edges = np.moveaxis(corners[:, 1:] - corners[:, :1], 1, 2)
     inner = np.linalg.solve(edges, (points[wanted] - corners[:, 0])[..., None])[..., 0]
@@ -149,8 +149,8 @@ def test_degenerate_clouds_do_not_depend_on_the_order(order):
     points, sides = box((6, 5, 7))
     boundary, inner = np.flatnonzero(sides.any(axis=1)), np.flatnonzero(~sides.any(axis=1))
     rows = np.random.default_rng(0).permutation(len(boundary)) if order == "shuffled" else np.arange(len(boundary))
-    vertices = locate(points[boundary][rows], points, inner).vertices
-    expected = locate(points[boundary], points, inner).vertices
+    vertices = locate(points[boundary][rows], points, inner)
+    expected = locate(points[boundary], points, inner)
     assert (np.sort(rows[vertices], axis=1) == np.sort(expected, axis=1)).all()
 
 

@@ -86,8 +86,12 @@ def cures(
     if len(points) > MOST_POINTS[dimension]:
         return
     turn = Turn.of(points[moving], in_space(u))
-    held = [(name, nodes) for name, nodes in mesh.patches.items() if len(nodes) and np.isin(nodes, fixed).all()]
-    if names := tuple(name for name, nodes in held if turn.keeps(points[nodes], dimension)):
+    names = tuple(
+        name
+        for name, nodes in mesh.patches.items()
+        if len(nodes) and np.isin(nodes, fixed).all() and turn.keeps(points[nodes], dimension)
+    )
+    if names:
         yield Cure(sliding=names)
     yield from (Cure(steps=steps) for steps in STEPS)
     yield from (Cure(method=method.name) for method in METHODS if method.is_cure)

@@ -1,6 +1,7 @@
 """The fewest steps in which a large motion leaves no cell inverted."""
 
 import dataclasses
+import itertools
 from collections.abc import Callable
 
 import jax.numpy as jnp
@@ -75,28 +76,25 @@ def fewest_steps(
     """
     whole("max_steps", max_steps)
     between("min_jacobian_ratio", min_jacobian_ratio, 0, 1, "[)")
-    if tuple(mesh.points.shape) != plan.points.shape:
-        raise ValueError(f"`mesh` has points {tuple(mesh.points.shape)}, the plan {plan.points.shape}.")
-
+    plan.check_mesh(mesh)
     expected = (plan.n_moving, plan.points.shape[1])
 
     def tried(count: int, fraction: float = 1.0, mend: bool = False) -> Steps:
-        parts = [motion(fraction * (j + 1) / count) for j in range(count)]
-        path = jnp.stack([jnp.asarray(finite_array("motion(t)", part, expected)) for part in parts])
+        parts = [finite_array("motion(t)", motion(fraction * (j + 1) / count), expected) for j in range(count)]
+        path, improvement = jnp.stack(list(map(jnp.asarray, parts))), None
         plans, points = march(plan, path)
-        improvement = improve_of(plan, mesh, points) if mend else None
-        points = points if improvement is None else improvement.points
+        if mend:
+            improvement = improve_of(plan, mesh, points)
+            points = improvement.points
         return Steps(count, fraction, points, quality(mesh, points), plans, path, improvement)
 
     def is_good(steps: Steps) -> bool:
         return not int(steps.report.inverted) and float(steps.report.min_jacobian_ratio) > min_jacobian_ratio
 
-    for count in range(1, max_steps + 1):
-        steps = tried(count)
-        if is_good(steps):
+    counts = range(1, max_steps + 1)
+    for count, mend in [*zip(counts, itertools.repeat(False)), *[(max_steps, True)] * improve]:
+        if is_good(steps := tried(count, mend=mend)):
             return steps
-    if improve and is_good(steps := tried(max_steps, mend=True)):
-        return steps
     best = tried(max_steps, 0.0)
     for mend, width in ((False, 1e-3), (True, 1e-2))[: 1 + improve]:
         low, high = best.fraction, 1.0  # on the host: a motion may be NumPy's

@@ -80,19 +80,17 @@ def inspect(
 
 def inspected(plan: Plan, u: Any, mesh: Mesh | None, nodes: Any, moved: np.ndarray | None = None) -> Inspection:
     plan.check_surface("inspect")
-    if nodes is None and mesh is not None and tuple(mesh.points.shape) != tuple(plan.points.shape):
-        raise ValueError(
-            f"`mesh` has points of shape {tuple(mesh.points.shape)}; this plan was made for {tuple(plan.points.shape)}."
-        )
+    if nodes is None and mesh is not None:
+        plan.check_mesh(mesh)
     count = len(plan.points)
-    ids = np.arange(count) if nodes is None else rows_of("nodes", nodes, 2**62 if mesh is None else len(mesh.points))
+    most = 2**62 if mesh is None else len(mesh.points)
+    ids = rows_of("nodes", np.arange(count) if nodes is None else nodes, most)
     if len(ids) != count:
         raise ValueError(f"`nodes` has {len(ids)} ids; this plan has {count} points.")
     surface, vectors = np.asarray(plan.surface_nodes), np.asarray(plan.of_surface(u))
     _check_finite(u, surface[: plan.n_moving])
     if mesh is None:
-        inspection = _of_plan(plan, u, vectors, moved)
-        return inspection if nodes is None else inspection.renumbered(ids)
+        return _of_plan(plan, u, vectors, moved).renumbered(ids)
     looking = Beside(_of_faces, mesh, ids[surface], vectors.astype(float), plan.n_moving)
     inspection = _of_plan(plan, u, vectors, moved).renumbered(ids)
     faces, found = looking.result()

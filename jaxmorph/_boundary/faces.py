@@ -13,7 +13,7 @@ from scipy.sparse import csr_array
 
 from .._host.cells.lagrange import lagrange_types
 from .._host.cells.topology import SHAPES
-from .._kernels.values import norm
+from .._kernels.values import area_vectors, norm
 from .holes import distance_from_edges, inside, rim
 from .walls import ALONG_AXIS, AbstractWall, Flat
 
@@ -31,7 +31,7 @@ class FlatFaces(Flat):
 
     def at(self, points):
         patch, old = points[self.nodes], jnp.asarray(self.normal, points.dtype)
-        areas = _areas(patch, self.faces)
+        areas = area_vectors(patch[jnp.asarray(self.faces)])
         areas = areas * jnp.where(jnp.matmul(areas, old) < 0, -1, 1)[:, None]  # both sides of a baffle add up
         total = jnp.sum(areas, axis=0)
         normal = total / norm(total)
@@ -89,7 +89,7 @@ class Faceted(AbstractWall):
 
     def _normals(self, vertices: Float[Array, "v d"]) -> Float[Array, "v d"]:
         """Computes unit normals at the vertices, smoothed over their faces."""
-        areas = _areas(vertices, self.faces)
+        areas = area_vectors(vertices[jnp.asarray(self.faces)])
         total = jnp.zeros_like(vertices).at[jnp.asarray(self.faces)].add(areas[:, None])
         length = norm(total)[:, None]
         return total / jnp.where(length > 0, length, 1)
@@ -137,17 +137,8 @@ def _on_edge(x, first, second):
     return first + jnp.clip(along, 0, 1) * edge
 
 
-def _areas(points: Float[Array, "v d"], faces: Int[Array | np.ndarray, "e d"]) -> Float[Array, "e d"]:
-    """Computes normals of faces: as long as a line, or as twice the area of a triangle."""
-    first, *others = (points[jnp.asarray(faces)[:, k]] for k in range(points.shape[1]))
-    if len(others) == 1:
-        along = others[0] - first
-        return jnp.stack([along[:, 1], -along[:, 0]], axis=1)
-    return jnp.cross(others[0] - first, others[1] - first)
-
-
 def normal_of(corners: Float[Array, "d d"]) -> Float[Array, " d"]:
-    normal = _areas(corners, np.arange(len(corners))[None])[0]
+    normal = area_vectors(corners[None])[0]
     length = norm(normal)
     return normal / jnp.where(length > 0, length, 1)
 

@@ -5,7 +5,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import Delaunay, QhullError
 
 from .._host.cells.adjacency import parts_of
-from .._host.linear.products import normals
+from .._host.linear.products import normals, unit_rows
 from .._host.surface.gaps import distance_from_segment
 
 CONTINUES = 0.5
@@ -28,7 +28,7 @@ def filled(
 
 def _joined(faces: np.ndarray, vertices: np.ndarray, moves: np.ndarray) -> np.ndarray:
     """Lists lines (k, 2) from moving ends to the nearest moving start that lies ahead."""
-    along = _unit(np.diff(vertices[faces], axis=1)[:, 0])  # zero for a face of two nodes at one place
+    along = unit_rows(np.diff(vertices[faces], axis=1)[:, 0])  # zero for a face of two nodes at one place
     last = np.flatnonzero(~np.isin(faces[:, 1], faces[:, 0]) & moves[faces[:, 1]])
     first = np.flatnonzero(~np.isin(faces[:, 0], faces[:, 1]) & moves[faces[:, 0]])
     gap = vertices[faces[first, 0]][None] - vertices[faces[last, 1]][:, None]
@@ -41,11 +41,6 @@ def _joined(faces: np.ndarray, vertices: np.ndarray, moves: np.ndarray) -> np.nd
         lines.append([faces[last[end], 1], faces[first[start], 0]])
         size[end], size[:, start] = np.inf, np.inf
     return np.array(lines, dtype=faces.dtype).reshape(-1, 2)
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    length = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return vectors / np.where(length > 0, length, 1)
 
 
 def _closed_rims(faces: np.ndarray, moves: np.ndarray) -> list[np.ndarray]:
@@ -64,7 +59,7 @@ def _across(rim: np.ndarray, faces: np.ndarray, vertices: np.ndarray) -> np.ndar
     nodes, ends = np.unique(rim), vertices[rim]
     area = np.cross(ends[:, 0] - ends[0, 0], ends[:, 1] - ends[0, 0]).sum(axis=0)
     beside = normals(vertices[faces[np.isin(faces, nodes).sum(axis=1) > 1]])
-    if not (_unit(beside) @ area).mean() > CONTINUES * np.linalg.norm(area):
+    if not (unit_rows(beside) @ area).mean() > CONTINUES * np.linalg.norm(area):
         return faces[:0]
     axes = np.linalg.svd(area[None])[2][1:]
     flat = (vertices[nodes] - vertices[nodes].mean(axis=0)) @ axes.T

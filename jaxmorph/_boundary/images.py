@@ -126,7 +126,8 @@ def images_of(
     flags = itertools.product(*((False,) if is_facing else (False, True) for is_facing in facing(planes)))
     powers = itertools.product(*(pairing.powers for pairing in pairs))
     elements = sorted(itertools.product(powers, flags), key=lambda element: sum(map(abs, element[0])))
-    transforms = [_transform(planes, pairs, *element, points.shape[1]) for element in elements]
+    d = points.shape[1]
+    transforms = [_transform(planes, pairs, *element, d) for element in elements]
     matrices, shifts = map(np.stack, zip(*transforms, strict=True))
     places, roots = _numbered(elements, pairs, on_plane[nodes[order]])
     if pairs:
@@ -137,10 +138,7 @@ def images_of(
     first = np.argsort(rows >= moving, kind="stable")
     rows, kind = rows[first], kind[first]
     sides = _sides(pairs, len(nodes))
-    normals, origins = (
-        np.array([getattr(plane, name) for plane in planes]).reshape(-1, points.shape[1])
-        for name in ("normal", "origin")
-    )
+    normals, origins = np.reshape([(plane.normal, plane.origin) for plane in planes], (-1, 2, d)).swapaxes(0, 1)
     exponents = np.array([powers for powers, _ in elements], dtype=np.int32).reshape(len(elements), len(pairs))
     images = (normals, origins, on_plane[nodes], order[rows].astype(np.int32), kind.astype(np.int32), matrices, shifts)
     own_pairs = tuple(pairing.renumbered(row) for pairing in pairings)

@@ -141,17 +141,23 @@ def by_kinds(mesh: Any, moving: Any, periodic: Sequence[Periodic]) -> tuple[list
     names = names_in(moving)
     if not isinstance(mesh, Mesh) or names is None:
         return [], []
-    sides = [side for pair in periodic for side in (pair.patch, pair.partner) if isinstance(side, str)]
-    elsewhere = {*mesh.patch_names(*names), *sides}
-    kinds = {name: kind for name, kind in mesh.kinds.items() if name not in elsewhere and len(mesh.patches[name])}
-    fixed = [name for name, kind in kinds.items() if kind not in SYMMETRY and not kind.startswith(INSIDE)]
-    symmetry = _in_planes(mesh, [name for name in kinds if kinds[name] in SYMMETRY])
+    kinds = _outer_kinds(mesh, {*mesh.patch_names(*names)}.union(*(pair.patches for pair in periodic)))
+    symmetry = [name for name in kinds if kinds[name] in SYMMETRY]
+    fixed, symmetry = [name for name in kinds if name not in symmetry], _in_planes(mesh, symmetry)
     clauses = _clauses(kinds, fixed=fixed, symmetry=symmetry)
     if clauses:
         warn(
             f"No patches beside `moving` are named. By their kinds in the file {clauses}. Name the patches to choose otherwise."
         )
     return fixed, symmetry
+
+
+def _outer_kinds(mesh: Mesh, elsewhere: set[str]) -> dict[str, str]:
+    return {
+        name: kind
+        for name, kind in mesh.kinds.items()
+        if name not in elsewhere and len(mesh.patches[name]) and not kind.startswith(INSIDE)
+    }
 
 
 def _clauses(kinds: Mapping[str, str], **lists: list[str]) -> str:

@@ -71,6 +71,11 @@ class Periodic:
         return f"the periodic patches {' and '.join(names)}"
 
     @property
+    def patches(self) -> list[str]:
+        """The names of the two sides, where they have names."""
+        return [side for side in (self.patch, self.partner) if isinstance(side, str)]
+
+    @property
     def is_rotation(self) -> bool:
         return not (self.rotation is None and self.about is None and self.axis is None)
 
@@ -181,9 +186,9 @@ def check_pairings(pairings: Sequence[Pairing], planes: Sequence[Plane], size: f
     """Refuses transforms that turn a symmetry plane, or that do not commute."""
     pairings = [pairing for pairing in pairings if pairing.copies]  # others may lie across a plane
     for k, pairing in enumerate(pairings):
-        for normal in (plane.normal for plane in planes):
-            along = pairing.matrix @ normal
-            if np.abs(along - normal).max() > 1e-9 or abs(normal @ pairing.shift) > 1e-9 * size:
+        for plane in planes:
+            normal = plane.normal
+            if np.abs(pairing.matrix @ normal - normal).max() > 1e-9 or abs(normal @ pairing.shift) > 1e-9 * size:
                 raise ValueError(
                     f"a periodic transform moves the symmetry plane with normal {normal.tolist()}: the plane must be parallel to "
                     "the translation, or at right angles to the rotation's axis."

@@ -1,7 +1,7 @@
 """The problem of `improve`: nodes that are held, nodes that are led, and the cells' energy."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import jax
 import jax.numpy as jnp
@@ -31,17 +31,21 @@ class Constraints:
 
 def constraints_of(boundary: Boundary, mesh: Mesh) -> Constraints:
     points, data = boundary.points, np.concatenate([boundary.moving, boundary.fixed])
-    sliding = np.concatenate([np.zeros(0, dtype=int), *(track.rows for track in boundary.tracks)])
+    sliding = _rows(boundary.tracks)
     on_plane = [np.flatnonzero(plane.holds(points)) for plane in boundary.planes]
-    flat = [Flat(plane.normal, plane.origin) for plane in boundary.planes]
-    nodes = [np.setdiff1d(nodes, sliding) for nodes in on_plane]
-    tracks, corners = tracks_of(list(zip(flat, nodes, strict=True)), (), points)
+    pairs = zip(boundary.planes, on_plane, strict=True)
+    walls = [(Flat(plane.normal, plane.origin), np.setdiff1d(nodes, sliding)) for plane, nodes in pairs]
+    tracks, corners = tracks_of(walls, (), points)
     tracks, held = (*boundary.tracks, *tracks), np.append(data, corners)
-    edges = [track.rows for track in tracks if len(track.walls) > 1]
+    edges = _rows(track for track in tracks if len(track.walls) > 1)
     ways = [track.rows for track in tracks if len(track.walls) == 1]
     ways += [np.append(side, pair.alone) for pair in boundary.pairings for side in (pair.first, pair.second)]
-    ways = [np.concatenate([way, held, *edges]) for way in (*ways, *on_plane, boundary.free)]
+    ways = [np.concatenate([way, held, edges]) for way in (*ways, *on_plane, boundary.free)]
     return Constraints(np.append(_boundary(mesh, ways), held), tuple(map(smoothed, tracks)), boundary.pairings)
+
+
+def _rows(tracks: Iterable[Track]) -> np.ndarray:
+    return np.concatenate([np.zeros(0, dtype=int), *(track.rows for track in tracks)])
 
 
 def prepared(

@@ -7,14 +7,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Integer
 
-from .._boundary.faces import Faceted, faces_around
-from .._boundary.names import node_ids
+from .._boundary.names import nodes_named
 from .._boundary.outer_faces import outer_faces
 from .._boundary.symmetry import Plane
 from .._host.cells.lagrange import lagrange_types
 from .._host.cells.topology import DIMENSION
 from .._host.package.arguments import checked, finite_array, shown
 from .._host.package.errors import MeshError, place_of, warn
+from .._host.surface.gaps import closest
 from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod
 from .._plan.deform import deform
@@ -57,9 +57,7 @@ def curve(
         raise ValueError(
             f"{mesh} has linear cells alone, which stay straight: `elevate(mesh, 2)` gives it nodes to curve."
         )
-    names = (moving,) if isinstance(moving, str) else moving
-    is_named = len(names) and all(isinstance(name, str) for name in names)
-    nodes = mesh.patch(*names) if is_named else node_ids(moving, "moving", len(mesh.points))
+    nodes = nodes_named(moving, "moving", mesh, len(mesh.points))
     wall = np.asarray(mesh.points)[nodes]
     places = _places(surface, wall)
     _check_reach(mesh, nodes, places - wall)
@@ -91,10 +89,9 @@ def _nearest(surface: Mesh, wall: np.ndarray) -> np.ndarray:
     simplices = [ids[:, rows] for kind, ids in faces.items() for rows in cut[kind]]
     if not sum(map(len, simplices)):
         raise ValueError(f"`surface` has no faces of {d - 1} dimensions, and no boundary: {surface}.")
-    used, rows = np.unique(np.concatenate(simplices), return_inverse=True)
-    rows = rows.reshape(-1, d).astype(np.int32)
-    facets = Faceted(used, np.asarray(surface.points)[used], rows, faces_around(rows, len(used)))
-    return np.asarray(facets.nearest(jnp.asarray(wall))[0])
+    corners = np.asarray(surface.points, dtype=float)[np.concatenate(simplices)]
+    simplex, weights, _ = closest(corners, wall)
+    return np.einsum("mc,mcd->md", weights, corners[simplex])
 
 
 def _check_reach(mesh: Mesh, nodes: np.ndarray, u: np.ndarray) -> None:

@@ -20,6 +20,7 @@ from .._quality.vector import Vector, cross, divide, dot, norm, stack, total
 
 Scalar = Float[Array, "s k"]
 Matrix = list[list[Scalar]]
+Blocks = list[list[Array]]
 SWEEPS = 5
 """Sweeps of Jacobi rotations in 3-D: four or five converge to round-off. In 2-D one rotation is
 exact.
@@ -64,7 +65,7 @@ def rotations(stretch: list[Vector]) -> tuple[list[Vector], list[Scalar], list[V
     """
     values, v = symmetric_eigen([[dot(a, b) for b in stretch] for a in stretch])
     v = _descending(values, v)
-    images = [_image(stretch, column) for column in v]
+    images = [total(c * x for c, x in zip(stretch, column, strict=True)) for column in v]
     zero = jnp.zeros_like(values[0])
     first = _unit(images[0], Vector([zero + 1, *[zero] * (len(v) - 1)]), zero)
     if len(v) == 2:
@@ -83,10 +84,6 @@ def _descending(values: list[Scalar], vectors: list[Vector]) -> list[Vector]:
     picked = Vector(jnp.take_along_axis(component, order, axis=0) for component in stack(vectors))
     v = [picked.at(j) for j in range(len(vectors))]
     return [v[0], Vector((-v[0][1], v[0][0]))] if len(v) == 2 else [v[0], v[1], cross(v[0], v[1])]
-
-
-def _image(columns: list[Vector], x: Vector) -> Vector:
-    return total(column * component for column, component in zip(columns, x, strict=True))
 
 
 def _unit(a: Vector, otherwise: Vector, noise: Scalar) -> Vector:
@@ -114,7 +111,7 @@ def convex(
     """
     d = len(sigma)
     curvature = _hessian(lambda s: energy(*_measures(s)), jnp.stack(sigma))
-    values, vectors = symmetric_eigen([[curvature[i, j] for j in range(d)] for i in range(d)])
+    values, vectors = symmetric_eigen(list(map(list, curvature)))
     values = [jnp.maximum(value, floor) for value in values]
     along = [
         [_added(w * v[i] * v[j] for w, v in zip(values, vectors, strict=True)) for j in range(d)] for i in range(d)
@@ -161,15 +158,21 @@ def blocks(
     """
     axes = range(len(stretch))
     u, sigma, v = rotations(stretch)
-    g = [jnp.stack([sum(row[b] * v[a][b] for b in axes) for row in inverse]) for a in axes]
+    g = [jnp.stack([dot(row, v[a]) for row in inverse]) for a in axes]
     # The barrier makes XLA compute these once, not for every pair of edges that uses them.
     once = jax.lax.optimization_barrier
-    g, u, (along, twice, mirrored) = once((g, [tuple(column) for column in u], convex(energy, sigma, floor)))
+    g, u, (along, twice, mirrored) = once((g, list(map(tuple, u)), convex(energy, sigma, floor)))
     u, along, twice, mirrored = jax.tree.map(lambda entry: entry[None, None], (u, along, twice, mirrored))
-    pair = [[g[a][:, None] * g[b][None] for b in axes] for a in axes]
+    inner = once(_inner(g, along, twice, mirrored))
+    half = once([[sum(u[a][i] * inner[a][e] for a in axes) for e in axes] for i in axes])
+    return jnp.stack([jnp.stack([sum(row[e] * u[e][j] for e in axes) for j in axes]) for row in half])
+
+
+def _inner(g: list[Array], along: Blocks, twice: Blocks, mirrored: Blocks) -> Blocks:
+    """Computes second derivatives by the entries of U^T A V, for pairs of edges."""
+    axes = range(len(g))
+    pair = [[a[:, None] * b[None] for b in g] for a in g]
     inner = [[along[a][e] * pair[a][e] + mirrored[a][e] * pair[e][a] for e in axes] for a in axes]
     for a, b in itertools.permutations(axes, 2):
         inner[a][a] += twice[a][b] * pair[b][b]
-    inner = once(inner)
-    half = once([[sum(u[a][i] * inner[a][e] for a in axes) for e in axes] for i in axes])
-    return jnp.stack([jnp.stack([sum(row[e] * u[e][j] for e in axes) for j in axes]) for row in half])
+    return inner

@@ -77,7 +77,7 @@ def fused_sum(
     (count, rows), (n, dimension) = weights.shape, points.shape
     block, warps, blocks, share = _layout(n, count)
     parts = -(-count // share)
-    packed = jnp.stack([jnp.asarray(number, points.dtype) for number in constants or (0.0,)])
+    packed = jnp.asarray([*constants, 0.0], points.dtype)  # Pallas takes no empty array
 
     def kernel(weights_ref, sources_ref, points_ref, constants_ref, sums_ref):
         here = pl.ds(jnp.minimum(pl.program_id(0) * block, n - block), block)

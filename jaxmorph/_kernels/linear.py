@@ -139,10 +139,6 @@ def _batched(arguments, axes, *, axis):
     return jax.vmap(functools.partial(_few_rows, axis=axis), axes)(rows, block), 0
 
 
-def _transposed_in_rows(cotangent, rows, block, *, axis):
-    return _product.bind(cotangent, block, axis=1 - axis)  # XLA would compute block.T anew
-
-
 def _transposed_in_block(cotangent, rows, block, *, axis):
     left, right = (rows, cotangent) if axis == 0 else (cotangent, rows)
     return jnp.matmul(left.T, right, precision="highest")
@@ -151,7 +147,8 @@ def _transposed_in_block(cotangent, rows, block, *, axis):
 _product = Primitive("few_rows_times")
 _product.def_impl(jax.jit(_few_rows, static_argnames="axis"))
 _product.def_abstract_eval(_abstract)
-ad.defbilinear(_product, _transposed_in_rows, _transposed_in_block)
+# with the other axis: XLA would compute block.T anew
+ad.defbilinear(_product, lambda ct, rows, block, *, axis: _product.bind(ct, block, axis=1 - axis), _transposed_in_block)
 batching.primitive_batchers[_product] = _batched
 mlir.register_lowering(_product, mlir.lower_fun(_few_rows, multiple_results=False))
 for _platform in ("cuda", "rocm"):

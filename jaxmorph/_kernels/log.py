@@ -97,7 +97,7 @@ def _reduced(x):
     """x = 2^k m with m in [sqrt(1/2), sqrt(2)): k, f = (m - 1) / 2, s = (m - 1) / (m + 1). The half
     in f costs nothing here, and a thin plate spline needs it.
     """
-    bits = _bits(x) + _word(_ONE - _ROOT_HALF)
+    bits = jax.lax.bitcast_convert_type(x, jnp.uint64) + _word(_ONE - _ROOT_HALF)
     k = _float(bits >> _word(52) | _word(_TWO_52)) - (2.0**52 + 1023)
     m = _float((bits & _word(_MANTISSA)) + _word(_ROOT_HALF - _EXPONENT_1))  # half of it
     f, d = m - 0.5, m + 0.5
@@ -113,10 +113,6 @@ def _polynomial(coefficients, x):
     for coefficient in coefficients[-2::-1]:
         result = coefficient + x * result
     return result
-
-
-def _bits(x):
-    return jax.lax.bitcast_convert_type(x, jnp.uint64)
 
 
 def _float(bits):

@@ -66,6 +66,14 @@ def norm(vectors: Float[Either, "*shape d"]) -> Float[Either, "*shape"]:
     return root(namespace(vectors).sum(vectors**2, axis=-1))
 
 
+def area_vectors(corners: Float[Array, "f c d"]) -> Float[Array, "f d"]:
+    """Computes area vectors of faces: of triangles or quads, in 2-D of edges, as long as these."""
+    if corners.shape[1] == 2:
+        edge = corners[:, 1] - corners[:, 0]
+        return jnp.stack([edge[:, 1], -edge[:, 0]], axis=1)
+    return jnp.cross(corners[:, 2] - corners[:, 0], corners[:, -1] - corners[:, 1]) / 2
+
+
 def largest(values: Float[Either, "*shape"], axis: int = 0) -> Float[Either, "*rest"]:
     """The largest value along an axis; the derivative is the mean over equal ones."""
     return np.max(values, axis=axis) if namespace(values) is np else _largest(values, axis)

@@ -30,7 +30,7 @@ class DelaunayGraph(AbstractPlacing):
         vertices = np.repeat(rows[:, None], points.shape[1] + 1, axis=1)  # a node of the surface: itself, d + 1 times
         inside = np.flatnonzero(rows == len(surface.points))
         if inside.size:
-            vertices[inside] = locate(_begun(surface).result(), points, inside).vertices
+            vertices[inside] = locate(_begun(surface).result(), points, inside)
         return None, vertices
 
     def fit(self, ids, surface, points):

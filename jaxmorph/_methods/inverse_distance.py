@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from .._host.package.arguments import between, check_fields
-from .._kernels.values import as_jax, largest, norm, root
+from .._kernels.values import area_vectors, as_jax, largest, norm, root
 from .base import AbstractField, AbstractMethod, number
 from .rbf.system import block_size, squared_distances
 from .surface import Surface
@@ -130,18 +130,10 @@ def _power(squared: Float[Array, "..."], exponent: float) -> Float[Array, "..."]
     return whole * jnp.sqrt(squared) if exponent % 2 else whole
 
 
-def _vectors(corners: Float[Array, "k c d"]) -> Float[Array, "k d"]:
-    """Computes the area of each face times its normal: of an edge, a triangle or a quad."""
-    if corners.shape[1] == 2:
-        edge = corners[:, 1] - corners[:, 0]
-        return jnp.stack([edge[:, 1], -edge[:, 0]], axis=1)
-    return jnp.cross(corners[:, 2] - corners[:, 0], corners[:, -1] - corners[:, 1]) / 2
-
-
 def _normals(faces: Faces, surface: Float[Array, "b d"]) -> Float[Array, "b d"]:
     total = jnp.zeros_like(surface)
     for ids in faces.values():
-        total = total.at[ids].add(_vectors(surface[ids])[:, None])
+        total = total.at[ids].add(area_vectors(surface[ids])[:, None])
     return total
 
 
@@ -149,7 +141,7 @@ def _areas(faces: Faces, surface: Float[Array, "b d"]) -> Float[Array, " b"]:
     """Each node's share of its faces; a node without any has the mean share."""
     total = jnp.zeros(len(surface), surface.dtype)
     for ids in faces.values():
-        total = total.at[ids].add(norm(_vectors(surface[ids]))[:, None] / ids.shape[1])
+        total = total.at[ids].add(norm(area_vectors(surface[ids]))[:, None] / ids.shape[1])
     return jnp.where(total > 0, total, total.mean())
 
 

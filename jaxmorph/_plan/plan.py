@@ -17,6 +17,7 @@ from .._host.package.arguments import checked
 from .._kernels.compile import compiled
 from .._kernels.module import Module
 from .._kernels.values import as_jax, on_host, taken
+from .._mesh.mesh import Mesh
 from .._methods.base import AbstractField, AbstractMethod
 from .._methods.blocks import map_points
 from .._methods.reconstruction import SurfaceReconstruction
@@ -193,6 +194,12 @@ class Plan(Module):
             raise ValueError(
                 f"this plan is of a piece, and {absent} surface nodes are in other pieces: call {call} with the plan of "
                 "the surface, half.plan."
+            )
+
+    def check_mesh(self, mesh: Mesh) -> None:
+        if tuple(mesh.points.shape) != tuple(self.points.shape):
+            raise ValueError(
+                f"`mesh` has points {tuple(mesh.points.shape)}; this plan was made for {tuple(self.points.shape)}."
             )
 
     @checked

@@ -123,10 +123,8 @@ def _with(plan: Plan, tracks: tuple[Track, ...], pairings: tuple[Pairing, ...]) 
     guide = plan.surface.guide
     if guide is None:
         return plan
-    images = guide.plan.images.at(pairings)
-    guide = eqx.tree_at(lambda guide: (guide.tracks, guide.pairings), guide, (tracks, pairings))
-    guide = eqx.tree_at(lambda guide: guide.plan.surface.images, guide, images)
-    return eqx.tree_at(lambda plan: plan.surface.guide, plan, guide)
+    parts = lambda guide: (guide.tracks, guide.pairings, guide.plan.surface.images)  # noqa: E731
+    return eqx.tree_at(lambda plan: parts(plan.surface.guide), plan, (tracks, pairings, guide.plan.images.at(pairings)))
 
 
 @compiled

@@ -138,21 +138,20 @@ class _Writer:
     places: dict[Any, int] = dataclasses.field(default_factory=dict)
 
     def node(self, value: Any, where: str) -> Any:
-        if value is None or type(value) in (bool, int, str):
+        if type(value) in (type(None), bool, int, str):
             return value
         if type(value) is float:
             return value if math.isfinite(value) else {"float": repr(value)}
         if type(value) in (tuple, list):
             return {type(value).__name__: [self.node(item, f"{where}[{i}]") for i, item in enumerate(value)]}
-        if type(value) is dict and all(type(key) is str for key in value):
+        if type(value) is dict and set(map(type, value)) <= {str}:
             return {"dict": {key: self.node(item, f"{where}[{key!r}]") for key, item in value.items()}}
-        if isinstance(value, jax.Array | np.ndarray | np.generic):
-            return self._array(value, where)
-        if isinstance(value, enum.Enum):
-            return {"enum": self._name(type(value), where), "member": value.name}
-        return self._object(value, where)
+        is_array = isinstance(value, jax.Array | np.ndarray | np.generic)
+        return self._array(value, where) if is_array else self._object(value, where)
 
     def _object(self, value: Any, where: str) -> dict[str, Any]:
+        if isinstance(value, enum.Enum):
+            return {"enum": self._name(type(value), where), "member": value.name}
         if not dataclasses.is_dataclass(value) or isinstance(value, type):
             kind = type(value).__name__
             raise ValueError(

@@ -104,8 +104,7 @@ def _check_march(plan: Plan, rebuild: bool, mesh: Mesh | None) -> None:
             f"{name} needs the cells of the mesh at each step: march(plan, path, rebuild=True, mesh=mesh)."
         )
     if mesh is not None:
-        if tuple(mesh.points.shape) != plan.points.shape:
-            raise ValueError(f"`mesh` has points {tuple(mesh.points.shape)}, the plan {plan.points.shape}.")
+        plan.check_mesh(mesh)
         if not rebuild:
             raise ValueError(
                 "`mesh` needs `rebuild=True`. Without it the ids of the plan are kept. Pass rebuild=True, or remove `mesh`."

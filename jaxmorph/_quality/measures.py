@@ -180,9 +180,8 @@ def skewness(kind: str, x: Sequence[Vector], maximum: Callable[[Float[Either, "t
     terms = []
     for group in faces_by_size(kind):
         size, corners = len(group[0]), pick(x, group)
-        sides = [corners[(i + 1) % size] - corner for i, corner in enumerate(corners)]
-        angles = xp.concatenate([angle(side, sides[i - 1] * -1) for i, side in enumerate(sides)])
-        terms += _deviations(angles, math.pi * (size - 2) / size)
+        angles = [angle(corners[(i + 1) % size] - here, corners[i - 1] - here) for i, here in enumerate(corners)]
+        terms += _deviations(xp.concatenate(angles), math.pi * (size - 2) / size)
     if kind == "tetra":
         areas = face_areas(kind, x)
         first, second = pick([areas.at(i) for i in range(4)], tuple(itertools.combinations(range(4), 2)))

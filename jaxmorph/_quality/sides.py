@@ -101,7 +101,7 @@ class Sides:
 
 def _standard(mesh: Mesh, highest: int) -> Sides:
     solids = {kind: np.asarray(ids) for kind, ids in mesh.cells.items() if DIMENSION[kind] == highest}
-    counts = [len(ids) for ids in mesh.cells.values()]
+    counts = list(map(len, mesh.cells.values()))
     numbers = mesh.cell_ids[np.repeat([kind in solids for kind in mesh.cells], counts)].astype(np.int32)
     (neighbour, flipped), faces, first, used = neighbours(solids), {}, 0, 0
     for kind, ids in solids.items():

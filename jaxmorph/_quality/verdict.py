@@ -243,22 +243,20 @@ class Verdict:
     @classmethod
     def together(cls, parts: "Sequence[Verdict]") -> "Verdict":
         """Joins the verdicts on the parts of a mesh. Raises `ValueError` for anything else."""
-        if not isinstance(parts, Sequence) or not parts or not all(isinstance(part, Verdict) for part in parts):
+        if not isinstance(parts, Sequence) or set(map(type, parts)) != {cls}:
             raise ValueError(f"`parts` must be verdicts on the parts of a mesh, not {shown(parts)}.")
-        sums: dict[str, Any] = {
-            name: sum(getattr(part, name) for part in parts) for name in ("cells", "inverted", "degenerate", "spoilt")
-        }
-        spoilt = [part.worst for part in parts if part.worst is not None]
-        before = [part.before for part in parts if part.before is not None]
+        of: Callable[[str], Any] = lambda name: [getattr(part, name) for part in parts]  # noqa: E731
+        sums: dict[str, Any] = {name: sum(of(name)) for name in ("cells", "inverted", "degenerate", "spoilt")}
+        spoilt, before = (list(filter(None, of(name))) for name in ("worst", "before"))
         return cls(
             **sums,
             rule=parts[0].rule,
-            worst=max(spoilt, key=lambda number: number.badness) if spoilt else None,
-            rows={row: _merged([part.rows[row] for part in parts]) for row in parts[0].rows},
-            gates=tuple(map(_joined, zip(*(part.gates for part in parts), strict=True))),
+            worst=_merged(spoilt) if spoilt else None,
+            rows={row: _merged([rows[row] for rows in of("rows")]) for row in parts[0].rows},
+            gates=tuple(map(_joined, zip(*of("gates"), strict=True))),
             before=cls.together(before) if before else None,
             parts=len(parts),
-            between=sum(part.between for part in parts) // 2,
+            between=sum(of("between")) // 2,
         )
 
     @checked
@@ -294,13 +292,13 @@ class Verdict:
     def _measures(self) -> list[str]:
         """A row for each measure: without ratios, or after a motion without volume."""
         if self.before is None:
-            lines = [f"{'':<23}{'':>12}   worst cell"]
-            rows = {row: ("", number) for row, number in self.rows.items() if row not in RATIOS}
+            lines, starts = [f"{'':<23}{'':>12}   worst cell"], {row: "" for row in self.rows if row not in RATIOS}
         else:
             lines, old = [f"{'':<23}{'before':>12}{'after':>12}   worst cell after"], self.before.rows
-            starts = {row: f"{'-':>12}" if row in RATIOS else _column(old[row].value) for row in self.rows}
-            rows = {row: (starts[row], number) for row, number in self.rows.items() if row[1] != "volume"}
-        for (kind, name), (start, number) in rows.items():
+            starts = {row: _column(old[row].value) for row in self.rows if row[1] != "volume"}
+            starts |= dict.fromkeys(starts.keys() & RATIOS, f"{'-':>12}")
+        for (kind, name), start in starts.items():
+            number = self.rows[kind, name]
             where = "" if kind == "mean" else f"   {number.name} near {number.place}"
             lines.append(f"{kind + ' ' + label(name):<23}{start}{_column(number.value)}{where}")
         if self.before is not None:

@@ -56,7 +56,7 @@ def owned_sides(
     first = 0
     for kind, ids in cells.items():
         nodes = columns_of(ids)
-        for side, rows in sides_of(kind):
+        for side, rows in lagrange_types()[kind].sides:
             columns, here = [nodes[row] for row in rows], None
             if is_candidate is not None:
                 # both copies of an inner face pass or fail together
@@ -78,11 +78,6 @@ def _single(parts: list[tuple[list[np.ndarray], int, np.ndarray | None]], n: int
     joined = [np.concatenate(column) for column in zip(*columns, strict=True)]
     single = is_single(sorted_columns(joined, len(joined)))
     return np.stack([column[single] for column in joined], axis=1).astype(np.int64), np.concatenate(owner)[single]
-
-
-def sides_of(kind: str) -> list[tuple[str, np.ndarray]]:
-    """Lists the type of each face of a cell, and its nodes as rows of the cell; none for a line."""
-    return [] if SHAPES[kind] == "line" else lagrange_types()[kind].sides
 
 
 @functools.cache

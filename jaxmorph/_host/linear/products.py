@@ -69,6 +69,12 @@ def cross_rows(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.stack(cross(a.T, b.T), axis=1)
 
 
+def unit_rows(vectors: np.ndarray) -> np.ndarray:
+    """Divides vectors (k, d) by their lengths; zero stays zero."""
+    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return vectors / np.where(length > 0, length, 1)
+
+
 def outward(corners: np.ndarray) -> np.ndarray:
     """Outward normals (k, d) of faces (k, corners, d), as long as the area (2-D: edge)."""
     if corners.shape[1] == 2:

@@ -40,7 +40,7 @@ def solve(pairs, values, diagonal, masses, free, right, *, multigrid: bool = Tru
     """
     key = (pairs, values, diagonal, masses, free, np.array(multigrid))
     with _lock:
-        apply = next((apply for old, apply in _kept if all(map(_equal, old, key))), None)
+        apply = next((apply for old, apply in _kept if all(map(np.array_equal, old, key))), None)
     if apply is None:
         if not all(np.isfinite(array).all() for array in (values, diagonal, masses)):
             return np.full_like(right, np.nan)
@@ -56,10 +56,6 @@ def check_solver(unknowns: int, dimension: int) -> None:
         raise ImportError(
             f"{unknowns} unknowns in 3-D are solved by multigrid, which needs pyamg: pip install 'jaxmorph[solvers]'."
         )
-
-
-def _equal(a: np.ndarray, b: np.ndarray) -> bool:
-    return a.shape == b.shape and a.dtype == b.dtype and bool(np.array_equal(a, b))
 
 
 def _inverse(pairs, values, diagonal, masses, free, multigrid: bool) -> Callable[[np.ndarray], np.ndarray]:

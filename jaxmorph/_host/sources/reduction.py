@@ -50,7 +50,10 @@ class AbstractSeparated(AbstractReduction):
         return chosen_in_order(points, self._chosen)
 
     def closest(self, points: np.ndarray) -> float:
-        return least_distance(points, self.separation)
+        """Returns `separation` times the diagonal of all points, but at least round-off."""
+        if len(points) == 0:
+            return 0.0
+        return max(self.separation * float(np.linalg.norm(np.ptp(points, axis=0))), roundoff(points))
 
 
 class AbstractSearchPoints(abc.ABC):
@@ -236,13 +239,6 @@ def extreme_points(points: np.ndarray) -> np.ndarray:
             others = np.delete(points[touching], axis, axis=1)
             extremes += [touching[first_largest(side * column, slack)] for column in others.T for side in (-1, 1)]
     return np.unique(extremes)
-
-
-def least_distance(points: np.ndarray, separation: float) -> float:
-    """Computes `separation` times the diagonal of all points, but at least round-off."""
-    if len(points) == 0:
-        return 0.0
-    return max(separation * float(np.linalg.norm(np.ptp(points, axis=0))), roundoff(points))
 
 
 def drop_close(points: np.ndarray, ids: np.ndarray, closest: float) -> np.ndarray:

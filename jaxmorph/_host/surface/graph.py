@@ -66,7 +66,8 @@ def graph_of(surface: np.ndarray) -> Graph:
     surface = surface.astype(np.float64, copy=False)
     centre, size = surface.min(axis=0), np.ptp(surface, axis=0).max() or 1.0
     unit = (surface - centre) / size
-    unique = _without_coincident(unit, roundoff(surface) / size)
+    unique = drop_close(unit, np.arange(len(unit)), roundoff(surface) / size)  # of coincident nodes a moving one
+    unique = unique[canonical_order(unit[unique])]
     nodes = unit[unique]
     if len(nodes) <= dimension:
         raise ValueError(
@@ -114,12 +115,6 @@ def _graph(nodes: np.ndarray, flat: float) -> Delaunay:
     return graph
 
 
-def _without_coincident(unit: np.ndarray, closest: float) -> np.ndarray:
-    """Lists distinct nodes in canonical order: of coincident ones the first, or a moving one."""
-    rows = drop_close(unit, np.arange(len(unit)), closest)
-    return rows[canonical_order(unit[rows])]
-
-
 def _snapped(nodes: np.ndarray) -> np.ndarray:
     """Rounds coordinates to about `SNAP` of the nearest distance: qhull sees no last bits."""
     step = 2 ** np.floor(np.log2(SNAP * spacing(nodes)) + BETWEEN)[:, None]
@@ -140,22 +135,8 @@ def _jittered(nodes: np.ndarray, phase: int) -> np.ndarray:
 TOLERANCE = 1e-6  # a point whose smallest weight is below minus this is searched again
 
 
-@dataclasses.dataclass(frozen=True)
-class Location:
-    """The places of points in the graph.
-
-    - `vertices`: ids (w, d + 1) of the surface nodes whose simplex holds the point.
-    - `repaired`: number of answers of the search that were repaired.
-    - `outside`: number of points outside of all simplices, by no more than round-off.
-    """
-
-    vertices: np.ndarray
-    repaired: int
-    outside: int = 0
-
-
-def locate(surface: np.ndarray | Graph, points: np.ndarray, wanted: np.ndarray) -> Location:
-    """Finds the surface nodes whose simplex holds a point, for all `wanted` points.
+def locate(surface: np.ndarray | Graph, points: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """Finds the ids (w, d + 1) of the surface nodes whose simplex holds each `wanted` point.
 
     Coordinates in single precision count as exact numbers, except for points on the hull.
 
@@ -175,7 +156,6 @@ def locate(surface: np.ndarray | Graph, points: np.ndarray, wanted: np.ndarray) 
     by_blocks(find, len(targets))
     smallest = graph.smallest_weight(simplex, targets)
     poor = np.flatnonzero(~(smallest >= -TOLERANCE))
-    outside = 0
     if poor.size:
         simplex[poor], smallest[poor] = _repair(graph, targets[poor], simplex[poor])
         still = poor[~(smallest[poor] >= -TOLERANCE)]
@@ -183,9 +163,7 @@ def locate(surface: np.ndarray | Graph, points: np.ndarray, wanted: np.ndarray) 
         simplex[still], beyond = _search(graph, targets[still], simplex[still])
         beyond_sides = np.where(beyond > graph.flat + JITTER, beyond, 0)
         _check_inside(points, wanted[still], beyond_sides * graph.size - graph.slack)
-        outside = int((beyond > 0).sum())
-    vertices = graph.unique.astype(np.int32)[graph.delaunay.simplices]
-    return Location(vertices[simplex], len(poor), outside)
+    return graph.unique.astype(np.int32)[graph.delaunay.simplices][simplex]
 
 
 def _repair(graph: Graph, points: np.ndarray, simplex: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

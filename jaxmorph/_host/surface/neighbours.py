@@ -14,18 +14,18 @@ AROUND = 8  # neighbours among whose distances a leap is searched
 Once = Callable[[Any, Callable[[], Any]], Any]
 
 
-def at_once(key: Any, make: Callable[[], Any]) -> Any:
-    """Calls `make` without a cache."""
-    return make()
-
-
 def digest(values: np.ndarray) -> tuple[int, int]:
     """A cache key of an array: its length and a hash of its bytes."""
     return len(values), hash(values.tobytes())
 
 
 def near_walls(
-    surface: np.ndarray, wall: np.ndarray, reach: np.ndarray, points: np.ndarray, count: int, once: Once = at_once
+    surface: np.ndarray,
+    wall: np.ndarray,
+    reach: np.ndarray,
+    points: np.ndarray,
+    count: int,
+    once: Once = lambda key, make: make(),
 ) -> tuple[np.ndarray, np.ndarray]:
     """Finds the points near a wall, and the ids (k, count + 1) of the surface nodes near them.
 

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from ..cells.adjacency import parts_of
-from ..linear.products import outward
+from ..linear.products import outward, unit_rows
 from ..package.rounding import SAME, Tree, distinct, nearest_of, ranked
 from ..sources.farthest import farthest
 
@@ -71,13 +71,9 @@ def ordered_rows(points: np.ndarray, moving: int, faces: Mapping[str, np.ndarray
     for corners in faces.values():
         x = points[corners]
         for node, place in zip(corners.T, x.swapaxes(0, 1), strict=True):
-            np.add.at(about, node, np.concatenate([_unit(outward(x)), _unit(x.mean(axis=1) - place)], axis=1))
+            np.add.at(about, node, np.concatenate([unit_rows(outward(x)), unit_rows(x.mean(axis=1) - place)], axis=1))
     columns += [ranked(column, SAME) for column in about.T]
     return np.lexsort([*columns[::-1], is_still])
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=1), 1e-300)[:, None]
 
 
 def _by_faces(points: np.ndarray, moving: int, groups: list[np.ndarray]) -> np.ndarray:
@@ -85,7 +81,7 @@ def _by_faces(points: np.ndarray, moving: int, groups: list[np.ndarray]) -> np.n
     normal = np.concatenate([outward(points[group]) for group in groups])
     middle = np.concatenate([points[group].mean(axis=1) for group in groups])
     first, second, agree = _beside(groups)
-    unit = _unit(normal)
+    unit = unit_rows(normal)
     closing = np.einsum("kd,kd->k", unit[first], middle[second] - middle[first]) < 0
     sharp = agree & closing & (np.einsum("kd,kd->k", unit[first], unit[second]) < SHARP * (1 - SAME))
     fixed = np.concatenate([(group >= moving).any(axis=1) for group in groups])

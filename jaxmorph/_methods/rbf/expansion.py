@@ -48,8 +48,10 @@ class RBFFactors(eqx.Module):
     def places(self) -> Float[Array, "s d"]:
         return self.sources / self.scale + self.centre[None]
 
-    def solve(self, values: Float[Array, "t k"]) -> Float[Array, "t k"]:
-        half = triangular_solve(self.lu, values[self.order], left_side=True, lower=True, unit_diagonal=True)
+    def solve(self, values: Float[Array, "s k"]) -> Float[Array, "t k"]:
+        """Solves for values at the sources, or at the first of them; other rows are zero."""
+        right = jnp.pad(values, ((0, len(self.lu) - len(values)), (0, 0)))
+        half = triangular_solve(self.lu, right[self.order], left_side=True, lower=True, unit_diagonal=True)
         return triangular_solve(self.lu, half, left_side=True, lower=False)
 
 
@@ -123,16 +125,15 @@ class Expansion(Module):
 
     def field(self, factors: RBFFactors, values: Float[Array, "s k"], dtype) -> RBFField:
         """Makes the field with given values at the sources, in a given precision. Traced."""
-        terms = polynomial(factors.sources[:1], self.degree).shape[1]
-        right = jnp.concatenate([values, jnp.zeros((terms, values.shape[1]), values.dtype)])
-        solve = factors.solve if factors.cardinals is None else lambda right: self._iterated(factors, right)
-        weights = solve(right).astype(dtype)
+        solved = factors.solve(values) if factors.cardinals is None else self._iterated(factors, values)
+        weights = solved.astype(dtype)
         beta, alpha = weights.T[:, : len(factors.sources)], weights.T[:, len(factors.sources) :]
         sources, centre, scale = (leaf.astype(dtype) for leaf in (factors.sources, factors.centre, factors.scale))
         return RBFField(self.basis, self.degree, sources, centre, scale, beta, alpha)
 
-    def _iterated(self, factors: RBFFactors, right: Float[Array, "t k"]) -> Float[Array, "t k"]:
+    def _iterated(self, factors: RBFFactors, values: Float[Array, "s k"]) -> Float[Array, "t k"]:
         count, tail = len(factors.sources), polynomial(factors.sources, self.degree)
+        right = jnp.pad(values, ((0, tail.shape[1]), (0, 0)))
 
         def product(x):
             beta, alpha = x[:count], x[count:]
@@ -145,13 +146,9 @@ class Expansion(Module):
     def iterations(self, factors: RBFFactors) -> ConjugateGradients:
         cardinals = factors.cardinals
         assert cardinals is not None
-
-        def inverse_of_first(values):
-            return factors.solve(jnp.pad(values, ((0, len(factors.lu) - len(values)), (0, 0))))[: len(values)]
-
         return ConjugateGradients(
             lambda beta: self._times_kernel_quickly(factors, beta),
-            lambda residual: precondition(cardinals, inverse_of_first, residual),
+            lambda residual: precondition(cardinals, lambda first: factors.solve(first)[: len(first)], residual),
             polynomial(factors.sources, self.degree),
             cardinals.tolerance,
         )
@@ -207,19 +204,16 @@ def rounding(expansion: Expansion, factors: RBFFactors, values: Float[Array, "s 
     """
     sources, count = factors.sources, len(values)
 
-    def weights(values):
-        return factors.solve(jnp.pad(values, ((0, len(factors.lu) - count), (0, 0))))
-
     def field(weights, points):
         def of_block(part):
             return times(expansion.rows(sources, factors.scale, part), weights)
 
         return map_rows(of_block, points, 1024)
 
-    first = weights(values)
+    first = factors.solve(values)
     missed = values - field(first, sources) - expansion.at_sources * first[:count]
     between = [(sources + jnp.roll(sources, shift, axis=0)) / 2 for shift in (1, 1 + count // 2)]
-    moved = field(weights(missed), jnp.concatenate([sources, *between]))
+    moved = field(factors.solve(missed), jnp.concatenate([sources, *between]))
     change = jnp.abs(jnp.concatenate([missed, moved])).max()
     return jnp.where(jnp.diagonal(factors.lu).all(), change, jnp.inf)
 

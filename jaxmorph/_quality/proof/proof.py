@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Int, Real
 
-from ..._host.cells.topology import DIMENSION
+from ..._host.cells.topology import DIMENSION, solid
 from ..._host.package.arguments import between, checked, whole
 from ..._kernels.values import Either, as_jax, constant, is_known, namespace, smallest
 from ..._mesh.mesh import Mesh
@@ -189,19 +189,19 @@ def proof(
 def _proven(mesh: Mesh, ends: tuple[np.ndarray, ...], depth: int) -> Proof:
     """Bounds det J at one end or between two; folded pieces of polyhedra are unknown."""
     base, signs, has_time = np.asarray(mesh.points, float), signs_of(mesh), len(ends) == 2
-    is_solid = {kind: DIMENSION[kind] == base.shape[1] for kind in mesh.cells}
+    counted = np.repeat([DIMENSION[kind] == base.shape[1] for kind in mesh.cells], list(map(len, mesh.cells.values())))
     columns = {}
-    for kind, ids in mesh.cells.items():
-        if is_solid[kind]:
-            size, bound = _room(np, form_of(kind, has_time)), functools.partial(_bounded, kind, base, ends, depth)
-            columns[kind] = in_blocks(np, bound, np.asarray(ids).T, np.asarray(signs[kind], float), size=size)
-    for kind, ids in mesh.cells.items():
-        if not is_solid[kind]:
-            like = next(iter(columns.values()))
-            columns[kind] = {name: np.full((*rows.shape[:-1], len(ids)), np.nan) for name, rows in like.items()}
-    found = joined(np, {kind: columns[kind] for kind in mesh.cells})
+    for kind, ids in solid(mesh.cells, base.shape[1]).items():
+        size, bound = _room(np, form_of(kind, has_time)), functools.partial(_bounded, kind, base, ends, depth)
+        columns[kind] = in_blocks(np, bound, np.asarray(ids).T, np.asarray(signs[kind], float), size=size)
+
+    def among_all(rows: Float[np.ndarray, "*n s"]) -> Float[np.ndarray, "*n k"]:
+        result = np.full((*rows.shape[:-1], len(counted)), np.nan)
+        result[..., counted] = rows
+        return result
+
+    found = jax.tree.map(among_all, joined(np, columns))
     lower, upper = found["lower"], found["upper"]
-    counted = np.repeat(list(is_solid.values()), [len(ids) for ids in mesh.cells.values()])
     is_invalid = counted & ((found["value"] < 0) & (upper < 0) | np.isnan(upper))
     if mesh.polyhedra is not None:
         is_invalid &= ~np.isin(mesh.cell_ids, mesh.polyhedra.cut)
