@@ -25,6 +25,7 @@ from .._methods.reconstruction import SurfaceReconstruction
 from .._methods.surface import Cells, Surface
 from .plan import Guide, Plan, SurfacePart, VolumePart
 from .refit import refitted
+from .share import chosen_share, near_cells, needs_share, with_share
 
 FEW = 50_000, 2_000
 """Points, and surface nodes, below which compiling takes longer than one compiled run."""
@@ -151,6 +152,10 @@ def _plan_of(boundary: Boundary, method: AbstractMethod, guide: Guide | None = N
     with quickly_compiled(is_quick):
         plan = refitted(plan, plan.points)
         method.check(plan.surface.ids, plan.surface.factors, _trial(plan))
+        if boundary.cells is not None and needs_share(plan):
+            nodes, cells = near_cells(boundary.cells, boundary.moving, len(boundary.points))
+            near = jax.tree.map(lambda leaf: leaf[nodes], plan.volume)
+            plan = with_share(plan, chosen_share(plan, surface, near, cells))
     return plan
 
 

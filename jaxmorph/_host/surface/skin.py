@@ -275,11 +275,16 @@ def behind_tips(walls: Tips, length: np.ndarray, closest: float, room: np.ndarra
 
 
 def beside_tips(walls: Tips, chord: np.ndarray) -> np.ndarray:
-    """Lists rows on both sides of sharp tips, at distances `NEARBY`; edges (e,) have a `chord`."""
+    """Lists rows on both sides of sharp tips, at distances `NEARBY`; edges (e,) have a `chord`.
+
+    Distances shorter than the wall's edges at the tip are left out.
+    """
+    length = np.linalg.norm(np.subtract(*walls.points[walls.ends.T]), axis=1)
     places = [
         place
         for tip in walls.tips.tolist()
         for share in NEARBY
+        if share * walls.lengths(tip, chord).min() >= walls.lengths(tip, length).max() * (1 - SAME)
         for place in walls.sides(tip, share * walls.lengths(tip, chord).min())
     ]
     return walls.rows[np.unique(np.array(places, dtype=np.int64))]

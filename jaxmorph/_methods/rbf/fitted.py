@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ..._host.package.rounding import SAME, roundoff
-from ..._host.sources.farthest import Filled
+from ..._host.sources.farthest import ENOUGH, Filled, farthest
 from ..._host.sources.reduction import KDTree, drop_close
 from ..._host.surface.skin import (
     behind_tips,
@@ -23,7 +23,7 @@ from ..._host.surface.skin import (
     thinned,
 )
 from ..._kernels.values import as_jax, norm
-from ..base import AbstractMethod, Control, check_kind, length_or_none
+from ..base import AbstractMethod, Control, check_kind, length_or_none, number
 from ..surface import Surface
 from .expansion import RBFFactors
 from .rbf import RBF, Direct
@@ -61,6 +61,9 @@ The field follows the wall's slope at the tip.
 
 Cells at a sharp tip are small, and the wall's angle there changes with the thickness.
 """
+
+WALLS = {2: 8, 3: 2}
+"""Most walls that get sources as if each were alone, by dimension; more walls share as many."""
 
 ROWS = {2: 4096, 3: 2048}
 """Most nodes of the wall, and most edges, that enter the fit, by dimension."""
@@ -182,6 +185,29 @@ def _at_tips(
     return beside_tips(walls, chord), behind, walls.points[walls.tips]
 
 
+def _share_or_none(value):
+    return None if value is None else number("share", 0, 1, "[]")(value)
+
+
+def _on_each_wall(surface: Surface, sources: np.ndarray, closest: float) -> np.ndarray:
+    """Adds sources until each of several moving walls has enough, with their images."""
+    rows = np.arange(surface.moving)
+    wall, images = surface.walls[0][rows], surface.images[rows]
+    labels = np.unique(wall[images == rows])
+    if len(labels) < 2:
+        return sources
+    most, count = len(labels), ENOUGH[surface.points.shape[1]]
+    enough = count * min(most, WALLS[surface.points.shape[1]]) // most
+    chosen = [sources]
+    for label in labels:
+        own = rows[(wall == label) & (images == rows)]
+        first = np.flatnonzero(np.isin(own, sources))
+        if len(first) < enough:
+            chosen.append(own[farthest(surface.points[own], enough, closest, first if len(first) else None)])
+    moving = rows[np.isin(images, np.concatenate(chosen))]
+    return np.concatenate([moving, sources[sources >= surface.moving]])
+
+
 class FittedRBF(AbstractMethod):
     """Fits radial basis functions that follow the body instead of its skin.
 
@@ -237,6 +263,7 @@ class FittedRBF(AbstractMethod):
     rbf: RBF = eqx.field(default_factory=lambda: RBF(reduction=Filled()))
     ell: Float[Array, ""] | None = eqx.field(default=None, converter=length_or_none("ell"))
     mu: Float[Array, ""] | None = eqx.field(default=None, converter=length_or_none("mu"))
+    share: Float[Array, ""] | None = eqx.field(default=None, converter=_share_or_none)
 
     def __check_init__(self):
         check_kind(self.rbf, RBF, "rbf", "jm.RBF()")
@@ -265,7 +292,7 @@ class FittedRBF(AbstractMethod):
         if is_open:
             return WallIds.without_edges(surface, self._denser.chosen(surface))
         closest = self.rbf.reduction.closest(surface.points[: surface.moving])
-        return WallIds.found(surface, self.rbf.chosen(surface), closest)
+        return WallIds.found(surface, _on_each_wall(surface, self.rbf.chosen(surface), closest), closest)
 
     @property
     def _denser(self) -> RBF:
@@ -288,7 +315,9 @@ class FittedRBF(AbstractMethod):
         sources = ids.places(surface)
         rbf = self.rbf.fit(jnp.arange(len(sources)), sources, points)
         if not len(ids.edges):
-            return FitFactors(rbf, *(jnp.zeros((0,) * rank, sources.dtype) for rank in (2, 2, 4, 1, 2, 2, 2, 2)))
+            return FitFactors(
+                rbf, *(jnp.zeros((0,) * rank, sources.dtype) for rank in (2, 2, 4, 1, 2, 2, 2, 2, 2, 1, 2))
+            )
         surface = surface.astype(rbf.lu.dtype)
         count, moves, dimension = len(rbf.sources), len(ids.moving), surface.shape[1]
         start, end = surface[ids.edges[:, 0]], surface[ids.edges[:, 1]]
@@ -317,7 +346,11 @@ class FittedRBF(AbstractMethod):
         of_edges = (slope * (edge * mu**2 / length)[:, None])[:, :moves]
         affine = _affine(self.rbf, rbf, surface)
         ring = polynomial(rbf.sources[moves + len(ids.fixed) :], self.rbf.degree)[: len(ids.far)]
-        return FitFactors(rbf, node * value[:, :moves], of_edges, outer, scale, lower, *affine, ring)
+        plain = _product(value[:, :moves].T * node, value)
+        size = 1 / jnp.sqrt(jnp.diagonal(plain))
+        squares = jnp.linalg.cholesky(plain[:, :moves] * size * size[:, None])
+        plain = plain[:, moves:], size, squares
+        return FitFactors(rbf, node * value[:, :moves], of_edges, outer, scale, lower, *affine, ring, *plain)
 
     def _lengths(self, ids: WallIds, surface, middle):
         span = norm(surface[ids.ends[:, 0]] - surface[ids.ends[:, 1]])
@@ -341,7 +374,13 @@ class FittedRBF(AbstractMethod):
         fixed = jnp.concatenate([rest[ids.fixed], ids.at_rings(rest), ids.behind_tips(rest)])
         wanted = wanted.T - jnp.einsum("aicj,jc->ai", factors.outer, fixed, precision="highest")
         solved = jax.scipy.linalg.cho_solve((factors.lower, True), wanted.ravel() * factors.scale) * factors.scale
-        moving = solved.reshape(wanted.shape).T + _product(factors.polynomial[ids.moving], affine)
+        plain = _product(factors.nodes.T, rest[ids.nodes]) - _product(factors.outside, fixed)
+        plain = (
+            jax.scipy.linalg.cho_solve((factors.squares, True), plain * factors.size[:, None]) * factors.size[:, None]
+        )
+        share = 1 if self.share is None else self.share.astype(values.dtype)
+        moving = share * solved.reshape(wanted.shape).T + (1 - share) * plain
+        moving = moving + _product(factors.polynomial[ids.moving], affine)
         ring = _product(factors.ring, affine) + ids.at_rings(rest)
         everything = jnp.concatenate([moving, values[ids.fixed], ring, ids.behind_tips(values)])
         return self.rbf.expansion.field(factors.rbf, everything, u.dtype)
@@ -363,6 +402,9 @@ class FitFactors(eqx.Module):
     polynomial: Float[Array, "b p"]
     moments: Float[Array, "p p"]
     ring: Float[Array, "r p"]
+    outside: Float[Array, "s t"]
+    size: Float[Array, " s"]
+    squares: Float[Array, "s s"]
 
 
 def _system(follow: Float[Array, "m s"], slopes: Float[Array, "e d s"]) -> Float[Array, "d m d s"]:
