@@ -630,7 +630,9 @@ def body_cases() -> Iterator[Case]:
         motions = {
             "flap turned": one_of(three, "flap", lambda x, a: turn(x, 0.2 * a, (-0.1, 0.05)), mesh),
             "flap opened": one_of(three, "flap", linear(lambda x: along(-1, np.full(len(x), -0.02), 2)), mesh),
-            "flap closed": one_of(three, "flap", linear(lambda x: along(-1, np.full(len(x), 0.4 * gap), 2)), mesh),
+            "flap closed": one_of(
+                three, "flap", linear(lambda x, gap=gap: along(-1, np.full(len(x), 0.4 * gap), 2)), mesh
+            ),
             "slat turned": one_of(three, "slat", lambda x, a: turn(x, -0.2 * a, (0.0, 0.0)), mesh),
             "main cambered": one_of(three, "main", lambda x, a: along(-1, 0.2 * a * (0.25 - x[:, 0] ** 2), 2), mesh),
         }

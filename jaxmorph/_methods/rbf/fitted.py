@@ -19,7 +19,6 @@ from ..._host.surface.skin import (
     has_free_sides,
     nearest_held,
     sharp_tips,
-    thicknesses,
     thinned,
 )
 from ..._kernels.values import as_jax, norm
@@ -40,12 +39,6 @@ ELL, MU = {2: 0.17, 3: 0.07}, {2: 0.1, 3: 0.4}
 """Defaults of `ell` and `mu` by dimension, relative to the mean chord of the wall.
 
 A body that twists in 3-D pays for every large rotation, so less of it is asked for there.
-"""
-
-THIN = 2.25
-"""Largest default of `ell`, relative to the mean thickness of a closed wall in 2-D.
-
-Both sides of a thin body may change in opposite senses.
 """
 
 BEHIND, BEYOND_TIP = 0.02, 0.2
@@ -115,13 +108,13 @@ class WallIds(eqx.Module):
             beside, tips, sharp = _at_tips(surface, pairs, chord[wall[pairs[:, 0]]], closest)
             moving = drop_close(points, np.concatenate([moving, beside]), roundoff(points))
         # each source has a row of its own, so that the system is regular
-        nodes = np.union1d(thinned(points[: surface.moving], ROWS[dimension]), moving)
+        nodes = np.union1d(surface.seen[thinned(points[surface.seen], ROWS[dimension])], moving)
         pairs = pairs[thinned(points[pairs].mean(axis=1), ROWS[dimension])]
         label = wall[pairs[:, 0]]
         held = nearest_held(points, surface.moving, wall, pairs)
         far, reach = drawn_in(points, moving, fixed, surface.images)
         rows = (moving, fixed, nodes, pairs, held, ends[label], far, tips)
-        ell, mu = (length[label] for length in default_lengths(points, wall, surface.faces, ends, share))
+        ell, mu = ELL[dimension] * share[label], MU[dimension] * share[label]
         near, largest = AT_TIP
         for tip in sharp:
             distance = np.linalg.norm(points[pairs].mean(axis=1) - tip, axis=1)
@@ -155,15 +148,6 @@ class WallIds(eqx.Module):
         """
         mean, squared = values[self.moving].mean(axis=0), self.reach.astype(values.dtype) ** 2
         return (1 - squared + squared * jnp.log(squared))[:, None] * mean[None]
-
-
-def default_lengths(points, wall, faces, ends, share) -> tuple[np.ndarray, np.ndarray]:
-    """Computes the default ell and mu of each wall (w,), relative to the distance of its ends."""
-    dimension = points.shape[1]
-    ell = ELL[dimension] * share
-    if dimension == 2:
-        ell = np.minimum(ell, THIN * thicknesses(points, wall, faces, ends))
-    return ell, MU[dimension] * share
 
 
 def _at_tips(
@@ -200,7 +184,7 @@ def _on_each_wall(surface: Surface, sources: np.ndarray, closest: float) -> np.n
     enough = count * min(most, WALLS[surface.points.shape[1]]) // most
     chosen = [sources]
     for label in labels:
-        own = rows[(wall == label) & (images == rows)]
+        own = np.intersect1d(rows[(wall == label) & (images == rows)], surface.seen)
         first = np.flatnonzero(np.isin(own, sources))
         if len(first) < enough:
             chosen.append(own[farthest(surface.points[own], enough, closest, first if len(first) else None)])
@@ -245,14 +229,18 @@ class FittedRBF(AbstractMethod):
     **Arguments:**
 
     - `rbf`: basis and sources. The default takes moving sources from 16 leaves of a k-d tree, 32 if
-      another boundary is near, and then the nodes farthest from them: 84 in 2-D, 400 in 3-D.
+      another boundary is near, and then the nodes farthest from them: 84 in 2-D, 400 in 3-D. Each
+      of several walls gets as many (up to 8 walls, 2 in 3-D; more walls share them).
     - `ell`: the length that weighs strain, in the mesh's units. A large length keeps the wall's
       lines at right angles, a small length follows the skin. It is nowhere more than 0.05 of the
       distance to the nearest node that is held or of another wall. Default 0.17 of each wall's mean
-      chord, half of its perimeter, but at most 2.25 of its mean thickness. In 3-D it is 0.07 of
-      half of the wall's area over its span.
+      chord, half of its perimeter. In 3-D it is 0.07 of half of the wall's area over its span.
     - `mu`: the length that weighs the slope along the wall, in the mesh's units. Default 0.1 of
       each wall's mean chord, and 0.5 within 0.03 chords of a sharp tip. In 3-D it is 0.4.
+    - `share`: the share of the fit in the field, from 0 to 1. The rest is the field of least
+      squares on the same sources, which follows the skin and keeps the cells at blunt ends, slots
+      and thin sections. Default None: `prepare` takes the largest of 1, 0.5, 0.25, 0.1 and 0 that
+      keeps cells in trial motions of the walls, and without cells 1.
 
     Walls of more than 4,096 nodes or edges, in 3-D 2,048, are sampled.
 
@@ -348,7 +336,7 @@ class FittedRBF(AbstractMethod):
         ring = polynomial(rbf.sources[moves + len(ids.fixed) :], self.rbf.degree)[: len(ids.far)]
         plain = _product(value[:, :moves].T * node, value)
         size = 1 / jnp.sqrt(jnp.diagonal(plain))
-        squares = jnp.linalg.cholesky(plain[:, :moves] * size * size[:, None])
+        squares = jnp.linalg.cholesky(plain[:, :moves] * size[None] * size[:, None])
         plain = plain[:, moves:], size, squares
         return FitFactors(rbf, node * value[:, :moves], of_edges, outer, scale, lower, *affine, ring, *plain)
 

@@ -1,4 +1,4 @@
-"""The share of the fit in a plan's coarse field: the largest that trial motions allow."""
+"""The share of the fit in a coarse field: the largest that trial motions of the walls allow."""
 
 import dataclasses
 from collections.abc import Callable, Iterator, Mapping
@@ -12,11 +12,12 @@ from scipy.sparse import csr_array, diags_array
 
 from .._host.cells.topology import CORNERS, FRAMES, SHAPES
 from .._kernels.compile import compiled
-from .._methods.rbf.fitted import FittedRBF
-from .._methods.reconstruction import SurfaceReconstruction
-from .._methods.sparse import Interpolation
-from .._methods.surface import Surface
-from .plan import Plan, VolumePart, extended, kept
+from .._kernels.values import is_known
+from .base import AbstractMethod
+from .nearwall import WallPlace
+from .rbf.fitted import FittedRBF
+from .reconstruction import SurfaceReconstruction
+from .sparse import Interpolation
 
 KEPT = 0.8
 """Smallest Jacobian ratio that least squares alone leave after a trial motion."""
@@ -42,19 +43,41 @@ AT_ONCE, FLAT = 8, 1e-4
 Cells = Mapping[str, np.ndarray]
 
 
-def needs_share(plan: Plan) -> bool:
-    """Checks whether the fit's share in the coarse field is open, and can be judged."""
-    method = plan.method
-    if not isinstance(method, SurfaceReconstruction) or not isinstance(method.coarse, FittedRBF):
-        return False
-    return method.coarse.share is None and len(plan.surface.ids[0].edges) > 0
+@dataclasses.dataclass(frozen=True)
+class WallTrial:
+    """Data of trial motions: the walls, and cells near them.
+
+    - `surface` (b, d): the surface's rows. `vectors` extends motions (t, m, d) of the moving nodes
+      to displacements (b, t, d) of them.
+    - `moving` (m, d), `walls` (m,): the moving nodes, and the wall of each.
+    - `points` (k, d), `placed`: points near the walls, and their places. `cells` have rows of them.
+    - `smallest`: the smallest number of all pieces of a mesh.
+    """
+
+    surface: Float[Array, "b d"]
+    vectors: Callable[[Any], Float[Array, "b t d"]]
+    moving: Float[np.ndarray, "m d"]
+    walls: np.ndarray
+    points: Float[Array, "k d"]
+    placed: Any
+    cells: Cells
+    smallest: Callable[[float], float] = float
 
 
-def with_share(plan: Plan, share: Any) -> Plan:
-    """Returns the plan whose coarse field has a share of the fit."""
-    method: Any = plan.method
-    coarse = dataclasses.replace(method.coarse, share=share)
-    return dataclasses.replace(plan, method=dataclasses.replace(method, coarse=coarse))
+def needs_share(method: AbstractMethod, ids: Any) -> bool:
+    """Checks whether the fit's share in a coarse field is open."""
+    is_fitted = isinstance(method, SurfaceReconstruction) and isinstance(method.coarse, FittedRBF)
+    return is_fitted and method.coarse.share is None and len(ids[0].edges) > 0
+
+
+def share_of(method: AbstractMethod) -> float | None:
+    """Returns the share of the fit, None where it is open, traced or the method has no fit."""
+    share = method.coarse.share if isinstance(getattr(method, "coarse", None), FittedRBF) else None
+    return float(share) if share is not None and is_known(share) else None
+
+
+def with_share(method: Any, share: Any) -> Any:
+    return dataclasses.replace(method, coarse=dataclasses.replace(method.coarse, share=share))
 
 
 def near_cells(cells: Cells, nodes: np.ndarray, count: int) -> tuple[np.ndarray, dict[str, np.ndarray]]:
@@ -65,6 +88,8 @@ def near_cells(cells: Cells, nodes: np.ndarray, count: int) -> tuple[np.ndarray,
     most = CELLS[max((len(FRAMES[SHAPES[kind]][0]) - 1 for kind in linear), default=2)]
     is_near, chosen = np.zeros(count, dtype=bool), {}
     is_near[nodes] = True
+    if not is_near.any():  # a piece far from the walls
+        is_near[[ids[0, 0] for ids in linear.values() if len(ids)][:1]] = True
     while True:
         layer = {kind: ids[is_near[ids].any(axis=1)] for kind, ids in linear.items()}
         size, before = sum(map(len, layer.values())), sum(map(len, chosen.values()))
@@ -79,28 +104,27 @@ def near_cells(cells: Cells, nodes: np.ndarray, count: int) -> tuple[np.ndarray,
     return used, {SHAPES[kind]: np.searchsorted(used, ids) for kind, ids in chosen.items()}
 
 
-def chosen_share(
-    plan: Plan, surface: Surface, near: VolumePart, cells: Cells, smallest: Callable[[float], float] = float
-) -> float:
-    """Returns the largest share of the fit that keeps enough in all trial motions of the walls.
+def judged(method: AbstractMethod, ids: Any, factors: Any, trial: WallTrial) -> AbstractMethod:
+    """Returns the method with the largest share that keeps enough in all trial motions."""
+    return with_share(method, _largest_share(method, ids[0], factors[0], trial))
 
-    `surface` is the plan's, `near` are points near the walls, and `cells` have rows of these. A mesh
-    in pieces takes the `smallest` number of all pieces.
-    """
-    matrix = _correction(near.placed[1], len(plan.surface.points))
+
+def _largest_share(method: Any, ids: Any, factors: Any, trial: WallTrial) -> float:
+    matrix = _correction(trial.placed[1], len(trial.surface))
     if matrix is None:
         return 1.0
-    used = np.unique(matrix.indices)
-    matrix, points = csr_array(matrix[:, used]), np.asarray(near.points)
-    rows = np.asarray(_kernel(plan, jnp.concatenate([plan.surface.points[used], near.points])))
-    corners = _Corners.of(points.astype(float), cells)
-    alive, trials = dict(SHARES), motions(np.asarray(plan.moving_points, float), _walls(plan, surface))
+    used, coarse, smallest = np.unique(matrix.indices), method.coarse, trial.smallest
+    matrix = csr_array(matrix[:, used])
+    rows = np.asarray(_kernel(coarse, factors, jnp.concatenate([trial.surface[used], trial.points])))
+    corners = _JudgedCorners.of(np.asarray(trial.points, float), trial.cells)
+    alive, trials = dict(SHARES), motions(trial.moving, trial.walls)
     for first in range(0, len(trials), AT_ONCE):
         u = trials[first : first + AT_ONCE]
         padded = np.concatenate([u, np.zeros((AT_ONCE - len(u), *u.shape[1:]))])
-        weights, vectors = (np.asarray(part) for part in _solved(plan, jnp.array([1.0, 0.0]), padded))
-        field = _times(rows, weights)
-        offset = vectors[used, None] - field[: len(used)]  # eq. (5)
+        vectors = trial.vectors(padded)
+        weights = _weights(coarse, ids, factors, trial.surface, jnp.array([1.0, 0.0]), vectors)
+        field = _times(rows, np.asarray(weights))
+        offset = np.asarray(vectors)[used, None] - field[: len(used)]  # eq. (5)
         moved = field[len(used) :] + _times(matrix, offset)
         for k in range(len(u)):
             ratios = _Ratios.of(*(corners.gradients(moved[:, of, k]) for of in (0, 1)))
@@ -155,14 +179,14 @@ def _shapes(x: Float[np.ndarray, "m d"]) -> Iterator[tuple[np.ndarray, int]]:
 
 
 @dataclasses.dataclass(frozen=True)
-class _Corners:
+class _JudgedCorners:
     """Corners of cells: ids (d + 1, c) of a corner and the ends of its edges; inverse edges."""
 
     ids: np.ndarray
     inverse: np.ndarray
 
     @classmethod
-    def of(cls, points: np.ndarray, cells: Cells) -> "_Corners":
+    def of(cls, points: np.ndarray, cells: Cells) -> "_JudgedCorners":
         none = np.zeros((0, points.shape[1] + 1), dtype=int)
         ids = np.concatenate([none, *(own[:, frame] for kind, own in cells.items() for frame in FRAMES[kind])]).T
         edges = _edges(points, ids).transpose(2, 0, 1)
@@ -173,7 +197,7 @@ class _Corners:
     def gradients(self, moved: Float[np.ndarray, "k d"]) -> Float[np.ndarray, "d d c"]:
         """Computes gradients of a displacement."""
         edges = _edges(moved, self.ids)
-        return sum(edges[:, k, None] * self.inverse[k][None] for k in range(len(edges)))
+        return np.sum([edges[:, k, None] * self.inverse[k][None] for k in range(len(edges))], axis=0)
 
 
 def _edges(values: np.ndarray, ids: np.ndarray) -> Float[np.ndarray, "d d c"]:
@@ -185,8 +209,8 @@ def _edges(values: np.ndarray, ids: np.ndarray) -> Float[np.ndarray, "d d c"]:
 class _Ratios:
     """Corner Jacobians after a motion, relative to before: det(1 + size (s F + (1 - s) P)).
 
-    `terms` (k, j, c) are the coefficients of size^k s^j (1 - s)^(k - j), for gradients F by the fit and P
-    by least squares.
+    `terms` (k, j, c) are the coefficients of size^k s^j (1 - s)^(k - j), for gradients F by the fit
+    and P by least squares.
     """
 
     terms: list[list[np.ndarray]]
@@ -197,7 +221,8 @@ class _Ratios:
             return np.trace(a) * np.trace(b) - (a * b.swapaxes(0, 1)).sum(axis=(0, 1))
 
         def cube(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-            return sum((a[k] * np.cross(b[k - 2], b[k - 1], axis=0)).sum(axis=0) for k in range(3))
+            cofactors = np.stack([np.cross(b[k - 2], b[k - 1], axis=0) for k in range(3)])
+            return (a * cofactors).sum(axis=(0, 1))
 
         terms = [[np.trace(plain), np.trace(fit)], [square(plain, plain) / 2, square(plain, fit), square(fit, fit) / 2]]
         if len(fit) == 3:
@@ -206,10 +231,11 @@ class _Ratios:
 
     def coefficients(self, share: float) -> list[np.ndarray]:
         """Returns the coefficients of size, size^2, ... for a share of the fit."""
-        return [
-            sum(share**j * (1 - share) ** (k + 1 - j) * part for j, part in enumerate(parts) if share or not j)
-            for k, parts in enumerate(self.terms)
-        ]
+        mixed = []
+        for k, parts in enumerate(self.terms, 1):
+            weights = [share**j * (1 - share) ** (k - j) for j in range(k + 1)]
+            mixed.append(np.add.reduce([weight * part for weight, part in zip(weights, parts, strict=True) if weight]))
+        return mixed
 
     def least(self, share: float, size: float) -> float:
         return float(_polynomial(self.coefficients(share), size).min(initial=np.inf))
@@ -235,14 +261,6 @@ def _polynomial(terms: list[np.ndarray], size: float) -> Float[np.ndarray, " c"]
     return 1 + total
 
 
-def _walls(plan: Plan, surface: Surface) -> np.ndarray:
-    """Finds the wall (m,) of each moving node."""
-    is_own = np.asarray(plan.images.kind) == 0
-    walls = np.zeros(len(plan.surface.nodes), dtype=int)
-    walls[np.asarray(plan.images.rows)[is_own]] = surface.walls[0][is_own]
-    return walls[: plan.n_moving]
-
-
 def _correction(placed: Any, count: int) -> csr_array | None:
     """Assembles the correction's matrix from surface rows to points, if it interpolates."""
     if isinstance(placed, Interpolation):
@@ -251,34 +269,27 @@ def _correction(placed: Any, count: int) -> csr_array | None:
             weights = np.where(np.asarray(placed.reached).reshape(len(weights), -1), weights, 0)
         starts = np.arange(0, weights.size + 1, weights.shape[1])
         return csr_array((weights.ravel(), np.asarray(placed.nodes).ravel(), starts), (len(weights), count))
-    if not isinstance(placed, tuple) or len(placed) != 3:
+    correction = _correction(placed.correction, count) if isinstance(placed, WallPlace) else None
+    if correction is None:
         return None
-    correction, wall, rest = _correction(placed[0], count), _correction(placed[1], count), np.asarray(placed[2])
-    return None if correction is None or wall is None else csr_array(wall + diags_array(rest) @ correction)
+    return csr_array(_correction(placed.wall, count) + diags_array(np.asarray(placed.outside)) @ correction)
 
 
 @compiled
-def _kernel(plan: Plan, points: Float[Array, "k d"]) -> Float[Array, "k t"]:
-    method: Any = plan.method
-    rbf = plan.surface.factors[0].rbf
-    return method.coarse.rbf.expansion.rows(rbf.sources, rbf.scale, (points - rbf.centre[None]) * rbf.scale)
+def _kernel(coarse: FittedRBF, factors: Any, points: Float[Array, "k d"]) -> Float[Array, "k t"]:
+    rbf = factors.rbf
+    return coarse.rbf.expansion.rows(rbf.sources, rbf.scale, (points - rbf.centre[None]) * rbf.scale)
 
 
 @compiled
-def _solved(plan: Plan, shares: Float[Array, " s"], u: Float[Array, "t m d"]) -> tuple[Array, Array]:
-    """Computes weights (k, s, t, d) of the coarse field and displacements (b, t, d) of the surface."""
-    surface = plan.surface
-
-    def rows(u: Float[Array, "m d"]) -> Float[Array, "b d"]:
-        return surface.with_images(kept(plan, extended(plan, u)))
+def _weights(coarse: FittedRBF, ids: Any, factors: Any, surface: Array, shares: Array, vectors: Array) -> Array:
+    """Computes weights (k, s, t, d) of the field for some shares and displacements (b, t, d)."""
 
     def weights(share: Float[Array, ""], vectors: Float[Array, "b d"]) -> Float[Array, "k d"]:
-        coarse: Any = with_share(plan, share).method
-        field = coarse.coarse.field(surface.ids[0], surface.factors[0], surface.points, vectors)
+        field = dataclasses.replace(coarse, share=share).field(ids, factors, surface, vectors)
         return jnp.concatenate([field.beta, field.alpha], axis=1).T
 
-    vectors = jax.vmap(rows, out_axes=1)(u)
-    return jax.vmap(jax.vmap(weights, (None, 1), 1), (0, None), 1)(shares, vectors), vectors
+    return jax.vmap(jax.vmap(weights, (None, 1), 1), (0, None), 1)(shares, vectors)
 
 
 def _times(matrix: Any, columns: np.ndarray) -> np.ndarray:
