@@ -117,7 +117,7 @@ class SurfaceHalf:
         volume = dataclasses.replace(volume, placed=placed)
         return Plan(plan.method, own, volume, plan.n_moving, plan.n_guided, is_piece=True)
 
-    def judged(self, pieces: Iterable[tuple[Mesh, Integer[np.ndarray, " n"]]], comm: Any = None) -> "SurfaceHalf":
+    def judged(self, pieces: Iterable[tuple[Mesh, np.ndarray]], comm: Any = None) -> "SurfaceHalf":
         """Chooses the share of the fit by the cells near the walls, as `prepare` does with a mesh.
 
         `prepare_surface` does so for a boundary with cells, `integrations.mpi.prepare` for pieces.
