@@ -520,6 +520,176 @@ def solid_cases() -> Iterator[Case]:
     )
 
 
+def graded(bodies: dict[str, np.ndarray], far: np.ndarray, *, growth: float = 0.35) -> jm.Mesh:
+    """Triangles about closed curves (k, 2) inside a closed curve `far`, coarser with the distance from all of them.
+
+    The cloud is the union of jittered grids, each twice as coarse as the last, in the band where its spacing is wanted.
+    """
+    curves, rng = [*bodies.values(), far], np.random.default_rng(7)
+    walls = np.concatenate(curves)
+    ends = np.concatenate([np.roll(curve, -1, axis=0) for curve in curves])
+    size = np.linalg.norm(ends - walls, axis=1)
+    fine = np.concatenate([walls + t * (ends - walls) for t in (0, 0.25, 0.5, 0.75)])
+    edge, tree = np.tile(size, 4), KDTree(fine)
+    solids = [Path(np.vstack([c, c[:1]])) for c in bodies.values()]
+    outline = Path(np.vstack([far, far[:1]]))
+    low, high, spacing, cloud = walls.min(axis=0), walls.max(axis=0), size.min(), [walls]
+    while spacing < np.ptp(walls, axis=0).max():
+        x, y = (np.arange(a + spacing / 2, b, spacing) for a, b in zip(low, high, strict=True))
+        if len(x) * len(y) > 4e6:  # the finest grids are wanted near walls alone
+            near = walls[size < 4 * spacing]
+            grid = (
+                near[:, None] + spacing * np.stack(np.meshgrid(*[np.arange(-6, 7)] * 2), axis=-1).reshape(1, -1, 2)
+            ).reshape(-1, 2)
+            grid = np.unique(np.round((grid - low) / spacing), axis=0) * spacing + low
+        else:
+            grid = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+        distance, nearest = tree.query(grid)
+        wanted = edge[nearest] + growth * distance
+        grid = grid[(wanted >= spacing) & (wanted < 2 * spacing) & (distance > 0.7 * spacing)]
+        cloud.append(grid + rng.uniform(-0.2, 0.2, grid.shape) * spacing)
+        spacing *= 2
+    points = np.concatenate(cloud)
+    inner = outline.contains_points(points) & ~np.any([solid.contains_points(points) for solid in solids], axis=0)
+    inner[: len(walls)] = True
+    points = points[inner]
+    cells = Delaunay(points).simplices
+    middle = points[cells].mean(axis=1)
+    cells = cells[
+        outline.contains_points(middle) & ~np.any([solid.contains_points(middle) for solid in solids], axis=0)
+    ]
+    a, b, c = (points[cells[:, k]] for k in range(3))
+    area = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
+    cells = np.where(area[:, None] < 0, cells[:, ::-1], cells)
+    size = np.max([np.sum((p - q) ** 2, axis=1) for p, q in ((a, b), (b, c), (c, a))], axis=0)
+    cells = cells[np.abs(area) > 1e-7 * size]
+    used, cells = np.unique(cells, return_inverse=True)
+    place, starts = np.full(len(points), -1), np.cumsum([0, *map(len, curves)])
+    place[used] = np.arange(len(used))
+    names = [*bodies, "farfield"]
+    patches = {name: place[first:last] for name, first, last in zip(names, starts, starts[1:], strict=False)}
+    return jm.Mesh(points[used], {"triangle": cells.reshape(-1, 3)}, {n: i[i >= 0] for n, i in patches.items()})
+
+
+def outline(corners: np.ndarray, spacing: float) -> np.ndarray:
+    """A closed polygon, divided evenly between its corners."""
+    sides = zip(corners, np.roll(corners, -1, axis=0), strict=True)
+    parts = [
+        a + np.linspace(0, 1, max(2, round(np.linalg.norm(b - a) / spacing)), endpoint=False)[:, None] * (b - a)
+        for a, b in sides
+    ]
+    return np.concatenate(parts)
+
+
+def placed(curve: np.ndarray, chord: float, degrees: float, at: tuple[float, float]) -> np.ndarray:
+    z = (curve @ np.array([1, 1j])) * chord * np.exp(-1j * np.deg2rad(degrees))
+    return np.stack([z.real, z.imag], axis=1) + np.array(at)
+
+
+def deck(side: int = 14, first: float = 0.006, layers: int = 36, growth: float = 1.17) -> jm.Mesh:
+    """An O-grid about a rectangle 5 : 1 with right corners, whose cells are finest at the wall."""
+    wall = outline(np.array([[-2.5, -0.5], [2.5, -0.5], [2.5, 0.5], [-2.5, 0.5]]), 1 / side)
+    along_wall = np.roll(wall, -1, axis=0) - np.roll(wall, 1, axis=0)
+    out = np.stack([along_wall[:, 1], -along_wall[:, 0]], axis=1) / np.linalg.norm(along_wall, axis=1)[:, None]
+    depth = np.concatenate([[0], np.cumsum(first * growth ** np.arange(layers))])
+    far = depth[-1] * wall / np.linalg.norm(wall, axis=1)[:, None]
+    share = (depth / depth[-1])[:, None, None]
+    places = wall + depth[:, None, None] * (1 - np.sqrt(share)) * out + np.sqrt(share) * share * far
+    ids = ids_of(len(depth), len(wall))
+    closed = np.column_stack([ids, ids[:, 0]])[:, ::-1]
+    return jm.Mesh(places.reshape(-1, 2), {"quad": quads(closed)}, {"body": ids[0], "farfield": ids[-1]})
+
+
+BLUNT = {
+    "camber": linear(lambda x: along(-1, 0.4 * (6.25 - x[:, 0] ** 2) / 6.25, 2)),
+    "nose": linear(
+        lambda x: along(0, 0.3 * np.where(x[:, 0] < 0, -1, 1) * (1 - 4 * x[:, 1] ** 2) * (np.abs(x[:, 0]) > 2.4), 2)
+    ),
+    "shear": linear(lambda x: along(0, 0.5 * x[:, 1], 2)),
+    "waves": linear(lambda x: along(-1, 0.1 * np.sin(1.2 * np.pi * (x[:, 0] + 2.5)), 2)),
+    "thickness": linear(lambda x: along(-1, 0.3 * x[:, 1], 2)),
+    "pitch": lambda x, amount: turn(x, 0.3 * amount, (0.0, 0.0)),
+}
+
+
+def body_cases() -> Iterator[Case]:
+    """Blunt bodies, several bodies with narrow gaps, and bodies whose inside moves."""
+    far = ("farfield",)
+    yield Case("deck, O-grid", deck(), ("body",), far, BLUNT)
+    box = outline(np.array([[-2.5, -0.5], [2.5, -0.5], [2.5, 0.5], [-2.5, 0.5]]), 0.08)
+    yield Case("deck, triangles", graded({"body": box}, circle(40, (0.0, 0.0), 20.0)), ("body",), far, BLUNT)
+    square = {"a": box, "b": box * 0.4 + np.array([3.7, 0.1])}
+    mesh = graded(square, circle(40, (0.0, 0.0), 20.0))
+    motions = {f"{name} of one": one_of(square, "a", motion, mesh) for name, motion in BLUNT.items()}
+    yield Case("two decks", mesh, tuple(square), far, motions)
+    for gap, fine in ((0.05, 1), (0.02, 2), (0.01, 3)):
+        main, flap = profile(70 * fine, 0.14), placed(profile(50 * fine, 0.12), 0.3, 20.0, (0.97, -0.02 - gap))
+        slat = placed(profile(45 * fine, 0.1), 0.2, 25.0, (-0.17, -0.03 - gap))
+        three = {"slat": slat, "main": main, "flap": flap}
+        mesh = graded(three, circle(40, (0.5, 0.0), 12.0))
+        motions = {
+            "flap turned": one_of(three, "flap", lambda x, a: turn(x, 0.2 * a, (-0.1, 0.05)), mesh),
+            "flap opened": one_of(three, "flap", linear(lambda x: along(-1, np.full(len(x), -0.02), 2)), mesh),
+            "flap closed": one_of(
+                three, "flap", linear(lambda x, gap=gap: along(-1, np.full(len(x), 0.4 * gap), 2)), mesh
+            ),
+            "slat turned": one_of(three, "slat", lambda x, a: turn(x, -0.2 * a, (0.0, 0.0)), mesh),
+            "main cambered": one_of(three, "main", lambda x, a: along(-1, 0.2 * a * (0.25 - x[:, 0] ** 2), 2), mesh),
+        }
+        yield Case(f"three elements, gap {gap}", mesh, tuple(three), far, motions)
+    long = faults.sharp_o_grid(around=64, layers=24, first_cell=1e-3)
+    yield Case("O-grid, sharp, long edges", long, ("airfoil",), far, SECTION)
+    lobes = {name: ROUND[name] for name in ("lobes 3", "lobes 6", "ellipse", "dent", "shift")}
+    channel = outline(np.array([[-3.0, -2.0], [8.0, -2.0], [8.0, 2.0], [-3.0, 2.0]]), 0.4)
+    yield Case("cylinder in a channel", graded({"body": circle(64, (0.0, 0.0), 1.0)}, channel), ("body",), far, lobes)
+    yield from solid_bodies()
+
+
+def solid_bodies() -> Iterator[Case]:
+    """A rod whose inside moves too, a vessel that narrows, a row of blades."""
+    radius = np.concatenate([np.linspace(0.1, 0.5, 5), np.linspace(0.56, 1.0, 8)])
+    angle, z = 2 * np.pi * np.arange(28) / 28, np.linspace(0, 6, 11)
+    r, a, h = np.meshgrid(radius, angle, z, indexing="ij")
+    ids = ids_of(len(radius), len(angle), len(z))
+    closed = np.concatenate([ids, ids[:, :1]], axis=1)
+    points = np.stack([r * np.cos(a), r * np.sin(a), h], axis=-1).reshape(-1, 3)
+    patches = {"rod": ids[:5], "sleeve": ids[-1], "low": ids[..., 0], "high": ids[..., -1]}
+    rod = jm.Mesh(points, {"hexahedron": hexahedra(closed)}, {name: np.unique(i) for name, i in patches.items()})
+    wave = lambda x: np.sin(np.pi * x[:, 2] / 6) ** 2  # noqa: E731
+    moved = {
+        "shift": linear(lambda x: along(0, np.full(len(x), 0.3), 3)),
+        "lean": linear(lambda x: along(0, 0.3 * wave(x), 3)),
+        "swell": linear(lambda x: 0.5 * x * np.array([1.0, 1, 0]) * wave(x)[:, None]),
+    }
+    yield Case("rod, inside moves", rod, ("rod",), ("sleeve",), moved, ("low", "high"))
+    t = np.linspace(-1, 1, 9)
+    u, v, z = np.meshgrid(t, t, np.linspace(0, 8, 17), indexing="ij")
+    disc = np.stack([u * np.sqrt(1 - v**2 / 2), v * np.sqrt(1 - u**2 / 2)], axis=-1)  # a square mapped to a disc
+    size = np.linalg.norm(disc, axis=-1, keepdims=True)
+    disc = disc * np.where(size > 0, (1 - (1 - size) ** 1.5) / np.maximum(size, 1e-9), 1.5)
+    swell = 1 + 0.5 * np.exp(-((z - 4) ** 2))
+    points = np.concatenate([disc * swell[..., None], z[..., None]], axis=-1).reshape(-1, 3)
+    ids = ids_of(9, 9, 17)
+    rim = np.unique(np.concatenate([ids[0].ravel(), ids[-1].ravel(), ids[:, 0].ravel(), ids[:, -1].ravel()]))
+    ends = np.union1d(ids[..., 0], ids[..., -1])
+    vessel = jm.Mesh(points, {"hexahedron": hexahedra(ids)}, {"wall": np.setdiff1d(rim, ends), "ends": ends})
+    bulge = lambda x: np.exp(-((x[:, 2] - 4) ** 2))[:, None]  # noqa: E731
+    radial = np.array([1.0, 1, 0])
+    changes = {
+        "narrowed": linear(lambda x: -0.3 * x * radial * bulge(x)),
+        "widened": linear(lambda x: 0.3 * x * radial * bulge(x)),
+        "bent": linear(lambda x: along(0, 0.5 * np.sin(np.pi * x[:, 2] / 8) ** 2, 3)),
+        "dent": linear(lambda x: -0.3 * x * radial * bulge(x) * (x[:, :1] > 0) * np.clip(x[:, :1], 0, None)),
+    }
+    yield Case("vessel", vessel, ("wall",), ("ends",), changes)
+    blade = extruded(faults.cascade(around=56, layers=12, first_cell=5e-3), 6, 1.0)
+    sides = ("inlet", "outlet", "lower", "upper")
+    stagger = upright({name: SECTION[name] for name in ("camber", "thickness", "pitch")})
+    stagger["restagger"] = lambda x, a: turn(x, 0.3 * a * (0.3 + x[:, 1]), (0.5, 0.0))
+    yield Case("blade row", blade, ("blade",), sides, stagger, ("root", "tip"))
+
+
 def all_cases() -> Iterator[Case]:
     yield from flat_cases()
+    yield from body_cases()
     yield from solid_cases()

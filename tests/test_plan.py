@@ -120,7 +120,7 @@ def test_refit_is_prepare_on_points_that_keep_their_graph():
         np.testing.assert_allclose(jm.deform(refitted, u), expected, rtol=0, atol=1e-12)
 
 
-class Counting(jm.AbstractMethod):
+class Counting(jm.AbstractPlacing):
     """A method that counts how often it is connected, and the points it is then asked about."""
 
     method: jm.AbstractMethod
@@ -132,6 +132,9 @@ class Counting(jm.AbstractMethod):
 
     def fit(self, ids, surface, points):
         return self.method.fit(ids, surface, points)
+
+    def place(self, x, ids, factors, surface):
+        return self.method.place(x, ids, factors, surface)
 
     def field(self, ids, factors, surface, u):
         return self.method.field(ids, factors, surface, u)

@@ -13,16 +13,6 @@ from benchmarks import faults
 
 ROOT = pathlib.Path(__file__).parents[1]
 
-KNOWN = {
-    "C-grid 0015": ("bump", "stretch"),
-    "C-grid 4412, thin cells": ("thickness", "bump", "nose droop"),
-    "C-grid 0012, sharp": ("bump",),
-    "C-grid 0006, sharp": ("bump", "nose droop"),
-    "triangles, sharp airfoil": ("bump", "nose droop"),
-    "extruded section, sharp": ("bump",),
-}
-"""Large changes of one side of a thin section, with cells known: a default that leaves the other side alone is short there."""
-
 FLAT = (
     *("C-grid 0015", "C-grid 4412, thin cells", "C-grid 0012, sharp", "C-grid 0006, sharp", "O-grid, sharp"),
     *("O-grid, circle", "three round bodies", "a round body beside a held one", "pins between walls"),
@@ -30,7 +20,8 @@ FLAT = (
     *("hinged tail", "thin plate", "triangles, sharp airfoil"),
 )
 SOLID = ("extruded circle, 3 over 1", "wing", "box, tetra", "sphere", "rod on a held floor")
-OFTEN = ("C-grid 0015", "box, tetra")
+SOLID += ("rod, inside moves", "vessel", "blade row")
+OFTEN = ("C-grid 0015", "deck, triangles", "box, tetra")
 """`.ci/run` has these, `.ci/nightly` all of them."""
 
 

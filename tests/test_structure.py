@@ -207,7 +207,9 @@ def test_the_host_knows_neither_jax_nor_the_rest():
 def test_the_driver_knows_no_method_but_the_abstract_one():
     """`prepare` also asks for the default one, and for the one that guides nodes along boundaries."""
     known = {each.module for each in own_imports() if each.rooms == ("_plan", "_methods")}
-    assert known <= {f"jaxmorph._methods.{name}" for name in ("base", "blocks", "guiding", "reconstruction", "surface")}
+    assert known <= {
+        f"jaxmorph._methods.{name}" for name in ("base", "blocks", "guiding", "reconstruction", "shares", "surface")
+    }
 
 
 def test_nobody_outside_the_driver_unpacks_a_plan():

@@ -16,6 +16,8 @@ from benchmarks import faults
 from jaxmorph import cases
 from jaxmorph._host.surface.skin import behind_tips, beside_tips, chords, edges, sharp_tips, thinned
 
+WHOLE_FIT = jm.SurfaceReconstruction(jm.FittedRBF(share=1))
+
 
 @functools.cache
 def airfoil(code):
@@ -26,7 +28,7 @@ def airfoil(code):
     along = columns - 2 * wall[0] + 1
     upper = np.zeros(len(wall), dtype=bool)
     upper[along // 2 + 1 : along] = True
-    return mesh, jm.prepare(mesh, "airfoil", "farfield"), mesh.points[wall], upper
+    return mesh, jm.prepare(mesh, "airfoil", "farfield", method=WHOLE_FIT), mesh.points[wall], upper
 
 
 def up(base, height):

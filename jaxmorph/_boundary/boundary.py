@@ -22,7 +22,7 @@ from .tracks import Track, check_repeated, tracks_of
 Nodes = str | Sequence[str] | Integer[ArrayLike, " _k"] | Sequence[int | np.integer]
 
 _NONE = np.zeros(0, dtype=np.int64)
-_EMPTY: dict[str, Any] = {"planes": (), "pairings": (), "tracks": (), "free": _NONE, "loose": _NONE}
+_EMPTY: dict[str, Any] = {"planes": (), "pairings": (), "tracks": (), "free": _NONE, "loose": _NONE, "hidden": _NONE}
 _EMPTY |= dict.fromkeys(("mesh", "faces", "left", "is_open", "cells"))
 
 
@@ -77,6 +77,7 @@ class Boundary:
     is_open: bool | None
     cells: Mapping[str, np.ndarray] | None
     loose: Int[np.ndarray, " l"]
+    hidden: Int[np.ndarray, " h"]
 
     def __init__(
         self,
@@ -162,6 +163,7 @@ class Boundary:
         faces = faces and {kind: place[self.nodes[rows]] for kind, rows in faces.items()}
         lists: dict[str, Any] = {name: place[getattr(self, name)] for name in ("moving", "fixed", "guided")}
         lists["pairings"], lists["tracks"] = renumbered(self.pairings, self.tracks, place)
+        lists["hidden"] = np.flatnonzero(np.isin(nodes, self.hidden))
         return changed(self, mesh=None, points=self.points[nodes], faces=faces, cells=None, **lists)
 
 
@@ -184,7 +186,27 @@ def with_cells(boundary: Boundary, mesh: Mesh, outer: OuterFaces | None = None) 
         return boundary
     cells = {kind: np.asarray(corners) for kind, corners in solid(mesh.linear.cells, boundary.points.shape[1]).items()}
     loose = np.setdiff1d(of_no_cell(mesh), boundary.nodes) if cells else boundary.loose
-    return with_faces(changed(boundary, mesh=mesh, cells=cells, loose=loose), mesh, outer)
+    hidden, outer = _without_bodies(boundary, mesh, cells, outer)
+    return with_faces(changed(boundary, mesh=mesh, cells=cells, loose=loose, hidden=hidden), mesh, outer)
+
+
+def _without_bodies(
+    boundary: Boundary, mesh: Mesh, cells: Mapping[str, np.ndarray], outer: OuterFaces
+) -> tuple[np.ndarray, OuterFaces]:
+    """Finds moving nodes inside of bodies whose nodes all move, and the boundary without bodies."""
+    is_moving, is_inside, is_seen = (np.zeros(len(boundary.points), dtype=bool) for _ in range(3))
+    is_moving[boundary.moving] = True
+    for corners in cells.values():
+        is_inside[corners] = True
+    for corners in outer.corners.values():
+        is_inside[corners] = False
+    if mesh.polyhedra is not None or not (is_inside & is_moving).any():
+        return _NONE, outer
+    left = {kind: corners[~is_moving[corners].all(axis=1)] for kind, corners in cells.items()}
+    for corners in left.values():
+        is_seen[corners] = True
+    hidden = np.flatnonzero(is_moving & is_inside & ~is_seen)
+    return (hidden, outer_faces(Mesh(mesh.points, left)) or outer) if len(hidden) else (_NONE, outer)
 
 
 def with_faces(boundary: Boundary, mesh: Mesh, outer: OuterFaces) -> Boundary:

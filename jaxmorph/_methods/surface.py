@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from .._host.package.rounding import SAME, Tree, nearest_of
-from .._host.sources.reduction import AbstractReduction, drop_close, drop_near
+from .._host.sources.reduction import AbstractReduction, AllPoints, drop_close, drop_near
 from .._host.surface.skin import chords
 from .._host.surface.walls import walls
 
@@ -40,6 +40,7 @@ class Surface:
     - `in_planes` (b,): the rows that lie in a symmetry plane and are neither moving nor fixed.
     - `listed` (b,): for each row its place among the nodes as the caller lists them, or None where
       rows go in that order. A reduction sees points so: `motions` of `Greedy` have a row for each.
+    - `hidden` (b,): mask of moving rows inside a body, or None without any.
     - `values`: what was made `once`, by key.
     """
 
@@ -53,6 +54,7 @@ class Surface:
     cells: Cells | None = None
     in_planes: np.ndarray | None = None
     listed: np.ndarray | None = None
+    hidden: np.ndarray | None = None
     values: dict[Any, Any] = dataclasses.field(default_factory=dict, repr=False)
 
     @property
@@ -75,9 +77,16 @@ class Surface:
         """Returns the surface with other `nodes` or `matched` rows, and the same cache."""
         return dataclasses.replace(self, **fields)
 
+    @property
+    def seen(self) -> np.ndarray:
+        """Moving rows that are not inside a body."""
+        rows = np.arange(self.moving)
+        return rows if self.hidden is None else rows[~self.hidden[rows]]
+
     def reduced(self, moving: AbstractReduction, fixed: AbstractReduction) -> np.ndarray:
         """Chooses sources among moving, then fixed nodes, with images; no two are too close."""
-        first, closest = self._chosen(moving, np.arange(self.moving), self.points[self.moving :])
+        among = np.arange(self.moving) if isinstance(moving, AllPoints) else self.seen
+        first, closest = self._chosen(moving, among, self.points[self.moving :])
         rows = np.arange(self.moving, len(self.points))
         second, closest_fixed = self._chosen(fixed, rows, self.points[first])
         return np.concatenate([first, drop_near(self.points, second, first, min(closest, closest_fixed))])

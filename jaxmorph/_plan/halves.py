@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -13,6 +13,7 @@ from jaxtyping import Array, Int, Integer, PyTree, Real
 from .._boundary.boundary import Boundary, changed, with_faces
 from .._boundary.names import checked_points
 from .._boundary.outer_faces import OuterFaces
+from .._host.cells.topology import solid
 from .._host.package.arguments import as_array, checked, whole
 from .._host.package.errors import MeshError
 from .._host.package.rounding import roundoff
@@ -23,9 +24,10 @@ from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod, check_kind
 from .._methods.blocks import place_points
 from .._methods.reconstruction import sees_free_sides
+from .._methods.shares import near_cells, needs_share
 from .._methods.surface import Surface
 from .plan import Plan, SurfacePart, VolumePart
-from .prepare import between_planes, default_for, plan_of, refuse_cells, surface_of
+from .prepare import between_planes, default_for, plan_of, refuse_cells, surface_of, with_share
 
 SAME = 1e-12
 """Largest difference of a surface node's place in piece and half, as a share of the extent."""
@@ -114,6 +116,46 @@ class SurfaceHalf:
         placed = _placed(plan.method, own, volume.points, ids)
         volume = dataclasses.replace(volume, placed=placed)
         return Plan(plan.method, own, volume, plan.n_moving, plan.n_guided, is_piece=True)
+
+    def judged(self, pieces: Iterable[tuple[Mesh, np.ndarray]], comm: Any = None) -> "SurfaceHalf":
+        """Chooses the share of the fit by the cells near the walls, as `prepare` does with a mesh.
+
+        `prepare_surface` does so for a boundary with cells, `integrations.mpi.prepare` for pieces.
+
+        **Arguments:**
+
+        - `pieces`: pieces of the mesh, with the id (n,) of each point in the whole mesh.
+        - `comm`: a communicator, as of mpi4py, whose processes call this together.
+
+        **Returns:** the half with the chosen share, or itself where nothing is to be chosen.
+        """
+        if not needs_share(self.plan.method, self.plan.surface.ids):
+            return self
+        near = [self._near(solid(mesh.linear.cells, mesh.points.shape[1]), mesh.points, ids) for mesh, ids in pieces]
+        parts = [near] if comm is None else comm.gather(near)
+        method = None if parts is None else self._judged([piece for part in parts for piece in part]).plan.method
+        method = method if comm is None else comm.bcast(method)
+        return dataclasses.replace(self, plan=dataclasses.replace(self.plan, method=method))
+
+    def _near(self, cells: Mapping[str, Any], points: Any, nodes: Any) -> tuple[np.ndarray, np.ndarray, dict]:
+        """Cuts the cells near the walls out of a piece: ids, points, and cells between ids."""
+        nodes = np.asarray(nodes)
+        ids = np.where(nodes < 0, -2 - np.arange(len(nodes)), nodes)  # no two nodes have one id
+        near, cells = near_cells(cells, np.flatnonzero(np.isin(nodes, self.moving)), len(nodes))
+        return ids[near], np.asarray(points)[near], {kind: ids[near][rows] for kind, rows in cells.items()}
+
+    def _judged(self, pieces: list[tuple[np.ndarray, np.ndarray, dict]]) -> "SurfaceHalf":
+        ids, first = np.unique(np.concatenate([ids for ids, _, _ in pieces]), return_index=True)
+        points = np.concatenate([points for _, points, _ in pieces])[first]
+        kinds = sorted({kind for _, _, cells in pieces for kind in cells})
+        cells = {kind: np.concatenate([own[kind] for _, _, own in pieces if kind in own]) for kind in kinds}
+        cells = {kind: np.searchsorted(ids, corners) for kind, corners in cells.items()}
+        near, cells = near_cells(cells, np.flatnonzero(np.isin(ids, self.moving)), len(ids))
+        try:
+            part = self.attach(points[near], np.where(ids[near] < 0, -1, ids[near]))
+        except ValueError:  # pieces that do not fit are told of when they are attached
+            return self
+        return dataclasses.replace(self, plan=with_share(self.plan, self._surface[0], part.volume, cells))
 
     def _check_sides(self, surface: Surface, points: np.ndarray, place: np.ndarray) -> None:
         """Refuses points on a free side, if the surface was prepared without."""
@@ -219,9 +261,12 @@ def prepare_surface(
     rows = np.union1d(boundary.nodes, fence)
     part = changed(boundary.part(rows), is_open=is_open)
     try:
-        return SurfaceHalf(plan_of(part, method), ids[rows], part.surface_faces, is_open)
+        half = SurfaceHalf(plan_of(part, method), ids[rows], part.surface_faces, is_open)
     except MeshError as error:
         raise error.renumbered(rows) from None
+    if boundary.cells is None or not needs_share(method, half.plan.surface.ids):
+        return half
+    return half._judged([half._near(boundary.cells, boundary.points, ids)])
 
 
 def _unique_ids(nodes: Any, count: int) -> np.ndarray:

@@ -21,6 +21,7 @@ from .._mesh.mesh import Mesh
 from .._methods.base import AbstractField, AbstractMethod
 from .._methods.blocks import map_points
 from .._methods.reconstruction import SurfaceReconstruction
+from .._methods.shares import share_of
 from .devices import Layout, over_points, rows_here
 
 
@@ -220,6 +221,8 @@ class Plan(Module):
             fixed = nodes.shape[-1] - self.n_moving - self.n_guided
             guided = [f"{self.n_guided} guided"] if self.n_guided else []
             parts = [f"{n} points in {d}-D", *parts, f"{fixed} fixed", *guided, f"{points.dtype}"]
+        share = share_of(self.method)
+        parts += [] if share is None else [f"share {share:g} of the fit"]
         return f"Plan({', '.join(parts)}, {self.method})"
 
 

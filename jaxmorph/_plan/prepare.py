@@ -1,6 +1,8 @@
 """Preparation: all of a mesh that does not depend on the displacement, once on the host."""
 
-from collections.abc import Sequence
+import dataclasses
+import functools
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -16,12 +18,13 @@ from .._boundary.symmetry import Plane, check_planes, on_facing
 from .._host.package.errors import warn
 from .._host.package.rounding import SAME
 from .._host.surface.walls import ordered_rows
-from .._kernels.compile import quickly_compiled
+from .._kernels.compile import compiled, quickly_compiled
 from .._kernels.values import as_jax
 from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod, check_kind
 from .._methods.guiding import carrying, guiding
 from .._methods.reconstruction import SurfaceReconstruction
+from .._methods.shares import WallTrial, judged, near_cells, needs_share
 from .._methods.surface import Cells, Surface
 from .plan import Guide, Plan, SurfacePart, VolumePart
 from .refit import refitted
@@ -151,7 +154,35 @@ def _plan_of(boundary: Boundary, method: AbstractMethod, guide: Guide | None = N
     with quickly_compiled(is_quick):
         plan = refitted(plan, plan.points)
         method.check(plan.surface.ids, plan.surface.factors, _trial(plan))
+        if boundary.cells is not None and needs_share(method, plan.surface.ids):
+            nodes, cells = near_cells(boundary.cells, boundary.moving, len(points))
+            plan = with_share(plan, surface, jax.tree.map(lambda leaf: leaf[nodes], plan.volume), cells)
     return plan
+
+
+def with_share(
+    plan: Plan,
+    surface: Surface,
+    near: VolumePart,
+    cells: Mapping[str, np.ndarray],
+    smallest: Callable[[float], float] = float,
+) -> Plan:
+    """Judges the share of the fit by `cells` between points `near` the walls.
+
+    `smallest` returns the smallest number of all pieces of a mesh.
+    """
+    is_own = np.asarray(plan.images.kind) == 0
+    walls = np.zeros(len(plan.surface.nodes), dtype=int)
+    walls[np.asarray(plan.images.rows)[is_own]] = surface.walls[0][is_own]
+    moving, walls = np.asarray(plan.moving_points, float), walls[: plan.n_moving]
+    rows, vectors = plan.surface.points, functools.partial(_vectors, plan)
+    trial = WallTrial(rows, vectors, moving, walls, near.points, near.placed, cells, smallest)
+    return dataclasses.replace(plan, method=judged(plan.method, plan.surface.ids, plan.surface.factors, trial))
+
+
+@compiled
+def _vectors(plan: Plan, u: Float[Array, "t m d"]) -> Float[Array, "b t d"]:
+    return jax.vmap(lambda u: plan.images.vectors(plan.of_surface(u)), out_axes=1)(u)
 
 
 def surface_of(
@@ -184,6 +215,7 @@ def surface_of(
         cells=cells,
         in_planes=in_planes if in_planes.any() else None,
         listed=own,
+        hidden=np.isin(nodes[own], boundary.hidden) if len(boundary.hidden) else None,
     )
     return surface, images, on_plane if planes else None
 

@@ -50,6 +50,8 @@ def deform_parts(request: Deform, out: Output) -> int:
         return _prepared(request, case.surface(_by_part(gathered)), out)
 
     half, path = ranks.bcast(together(ranks, prepared))  # pyright: ignore[reportGeneralTypeIssues]
+    with out.progress("choosing the share of the fit"):
+        half = half.judged(((part, io.global_nodes(part)) for part in map(case.read, share)), ranks)
     parts, bad, is_written = MovingParts(half, path, largest, request), [], False
     with contextlib.suppress(_Bad), case.writing(request.output, ranks) as writer:
         with out.progress("moving and judging the parts") as stage:

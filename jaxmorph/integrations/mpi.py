@@ -159,6 +159,9 @@ def prepare(
 
     shared = comm.bcast(together(comm, half))
     assert shared is not None
+    shared = (
+        shared.judged([(mesh, ids)] if mesh is not None and mesh.cells else [], comm) if faces is not None else shared
+    )
     plan = together(comm, lambda: shared.attach(own.points, ids))
     return Piece(comm, plan, ids, own.moving, np.searchsorted(names[:m], ids[own.moving]), *marks)
 

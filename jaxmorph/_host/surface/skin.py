@@ -6,7 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from ..linear.products import cross, outward
+from ..linear.products import outward
 from ..package.rounding import (
     SAME,
     Tree,
@@ -103,21 +103,6 @@ def chords(points: np.ndarray, wall: np.ndarray, faces: FacesByType = None) -> t
     span = np.linalg.norm(points[ends[:, 0]] - points[ends[:, 1]], axis=1)
     safe = np.where(span > 0, span, 1)
     return ends, size / (2 * safe ** (points.shape[1] - 1))
-
-
-def thicknesses(points: np.ndarray, wall: np.ndarray, faces: FacesByType, ends: np.ndarray) -> np.ndarray:
-    """Measures relative thickness (w,) of walls in 2-D: 2 area / length, over the `ends`' distance.
-
-    It is infinite for a wall that is not closed, and without faces.
-    """
-    lines = (faces or {}).get("line", np.zeros((0, 2), dtype=np.int64))
-    start, along = points[lines[:, 0]], points[lines[:, 1]] - points[lines[:, 0]]
-    parts = cross(start.T, along.T)[0] / 2, np.linalg.norm(along, axis=1), *along.T
-    area, length, *gap = (np.bincount(wall[lines[:, 0]], part, len(ends)) for part in parts)
-    is_closed = (length > 0) & (np.linalg.norm(gap, axis=0) <= 1e-6 * length)
-    span = np.linalg.norm(points[ends[:, 0]] - points[ends[:, 1]], axis=1)
-    safe = np.where(is_closed & (span > 0), length * span / 2, 1)
-    return np.where(is_closed, np.abs(area) / safe, np.inf)
 
 
 def _shares(points: np.ndarray, faces: FacesByType) -> np.ndarray:
@@ -275,11 +260,16 @@ def behind_tips(walls: Tips, length: np.ndarray, closest: float, room: np.ndarra
 
 
 def beside_tips(walls: Tips, chord: np.ndarray) -> np.ndarray:
-    """Lists rows on both sides of sharp tips, at distances `NEARBY`; edges (e,) have a `chord`."""
+    """Lists rows on both sides of sharp tips, at distances `NEARBY`; edges (e,) have a `chord`.
+
+    Distances shorter than the wall's edges at the tip are left out.
+    """
+    length = np.linalg.norm(np.subtract(*walls.points[walls.ends.T]), axis=1)
     places = [
         place
         for tip in walls.tips.tolist()
         for share in NEARBY
+        if share * walls.lengths(tip, chord).min() >= walls.lengths(tip, length).max() * (1 - SAME)
         for place in walls.sides(tip, share * walls.lengths(tip, chord).min())
     ]
     return walls.rows[np.unique(np.array(places, dtype=np.int64))]

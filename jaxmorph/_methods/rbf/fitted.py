@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ..._host.package.rounding import SAME, roundoff
-from ..._host.sources.farthest import Filled
+from ..._host.sources.farthest import ENOUGH, Filled, farthest
 from ..._host.sources.reduction import KDTree, drop_close
 from ..._host.surface.skin import (
     behind_tips,
@@ -19,11 +19,10 @@ from ..._host.surface.skin import (
     has_free_sides,
     nearest_held,
     sharp_tips,
-    thicknesses,
     thinned,
 )
 from ..._kernels.values import as_jax, norm
-from ..base import AbstractMethod, Control, check_kind, length_or_none
+from ..base import AbstractMethod, Control, check_kind, length_or_none, number
 from ..surface import Surface
 from .expansion import RBFFactors
 from .rbf import RBF, Direct
@@ -42,12 +41,6 @@ ELL, MU = {2: 0.17, 3: 0.07}, {2: 0.1, 3: 0.4}
 A body that twists in 3-D pays for every large rotation, so less of it is asked for there.
 """
 
-THIN = 2.25
-"""Largest default of `ell`, relative to the mean thickness of a closed wall in 2-D.
-
-Both sides of a thin body may change in opposite senses.
-"""
-
 BEHIND, BEYOND_TIP = 0.02, 0.2
 """Distance of the source behind a sharp tip, and its largest distance.
 
@@ -61,6 +54,9 @@ The field follows the wall's slope at the tip.
 
 Cells at a sharp tip are small, and the wall's angle there changes with the thickness.
 """
+
+WALLS = {2: 8, 3: 2}
+"""Most walls that get sources as if each were alone, by dimension; more walls share as many."""
 
 ROWS = {2: 4096, 3: 2048}
 """Most nodes of the wall, and most edges, that enter the fit, by dimension."""
@@ -112,13 +108,13 @@ class WallIds(eqx.Module):
             beside, tips, sharp = _at_tips(surface, pairs, chord[wall[pairs[:, 0]]], closest)
             moving = drop_close(points, np.concatenate([moving, beside]), roundoff(points))
         # each source has a row of its own, so that the system is regular
-        nodes = np.union1d(thinned(points[: surface.moving], ROWS[dimension]), moving)
+        nodes = np.union1d(surface.seen[thinned(points[surface.seen], ROWS[dimension])], moving)
         pairs = pairs[thinned(points[pairs].mean(axis=1), ROWS[dimension])]
         label = wall[pairs[:, 0]]
         held = nearest_held(points, surface.moving, wall, pairs)
         far, reach = drawn_in(points, moving, fixed, surface.images)
         rows = (moving, fixed, nodes, pairs, held, ends[label], far, tips)
-        ell, mu = (length[label] for length in default_lengths(points, wall, surface.faces, ends, share))
+        ell, mu = ELL[dimension] * share[label], MU[dimension] * share[label]
         near, largest = AT_TIP
         for tip in sharp:
             distance = np.linalg.norm(points[pairs].mean(axis=1) - tip, axis=1)
@@ -154,15 +150,6 @@ class WallIds(eqx.Module):
         return (1 - squared + squared * jnp.log(squared))[:, None] * mean[None]
 
 
-def default_lengths(points, wall, faces, ends, share) -> tuple[np.ndarray, np.ndarray]:
-    """Computes the default ell and mu of each wall (w,), relative to the distance of its ends."""
-    dimension = points.shape[1]
-    ell = ELL[dimension] * share
-    if dimension == 2:
-        ell = np.minimum(ell, THIN * thicknesses(points, wall, faces, ends))
-    return ell, MU[dimension] * share
-
-
 def _at_tips(
     surface: Surface, pairs: np.ndarray, chord: np.ndarray, closest: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -180,6 +167,29 @@ def _at_tips(
     walls = sharp_tips(surface.points, pairs)
     behind = behind_tips(walls, BEHIND * room, closest, BEYOND_TIP * room)
     return beside_tips(walls, chord), behind, walls.points[walls.tips]
+
+
+def _share_or_none(value):
+    return None if value is None else number("share", 0, 1, "[]")(value)
+
+
+def _on_each_wall(surface: Surface, sources: np.ndarray, closest: float) -> np.ndarray:
+    """Adds sources until each of several moving walls has enough, with their images."""
+    rows = np.arange(surface.moving)
+    wall, images = surface.walls[0][rows], surface.images[rows]
+    labels = np.unique(wall[images == rows])
+    if len(labels) < 2:
+        return sources
+    most, count = len(labels), ENOUGH[surface.points.shape[1]]
+    enough = count * min(most, WALLS[surface.points.shape[1]]) // most
+    chosen = [sources]
+    for label in labels:
+        own = np.intersect1d(rows[(wall == label) & (images == rows)], surface.seen)
+        first = np.flatnonzero(np.isin(own, sources))
+        if len(first) < enough:
+            chosen.append(own[farthest(surface.points[own], enough, closest, first if len(first) else None)])
+    moving = rows[np.isin(images, np.concatenate(chosen))]
+    return np.concatenate([moving, sources[sources >= surface.moving]])
 
 
 class FittedRBF(AbstractMethod):
@@ -219,14 +229,18 @@ class FittedRBF(AbstractMethod):
     **Arguments:**
 
     - `rbf`: basis and sources. The default takes moving sources from 16 leaves of a k-d tree, 32 if
-      another boundary is near, and then the nodes farthest from them: 84 in 2-D, 400 in 3-D.
+      another boundary is near, and then the nodes farthest from them: 84 in 2-D, 400 in 3-D. Each
+      of several walls gets as many (up to 8 walls, 2 in 3-D; more walls share them).
     - `ell`: the length that weighs strain, in the mesh's units. A large length keeps the wall's
       lines at right angles, a small length follows the skin. It is nowhere more than 0.05 of the
       distance to the nearest node that is held or of another wall. Default 0.17 of each wall's mean
-      chord, half of its perimeter, but at most 2.25 of its mean thickness. In 3-D it is 0.07 of
-      half of the wall's area over its span.
+      chord, half of its perimeter. In 3-D it is 0.07 of half of the wall's area over its span.
     - `mu`: the length that weighs the slope along the wall, in the mesh's units. Default 0.1 of
       each wall's mean chord, and 0.5 within 0.03 chords of a sharp tip. In 3-D it is 0.4.
+    - `share`: the share of the fit in the field, from 0 to 1. The rest is the field of least
+      squares on the same sources, which follows the skin and keeps the cells at blunt ends, slots
+      and thin sections. Default None: `prepare` takes the largest of 1, 0.5, 0.25, 0.1 and 0 that
+      keeps cells in trial motions of the walls, and without cells 1.
 
     Walls of more than 4,096 nodes or edges, in 3-D 2,048, are sampled.
 
@@ -237,6 +251,7 @@ class FittedRBF(AbstractMethod):
     rbf: RBF = eqx.field(default_factory=lambda: RBF(reduction=Filled()))
     ell: Float[Array, ""] | None = eqx.field(default=None, converter=length_or_none("ell"))
     mu: Float[Array, ""] | None = eqx.field(default=None, converter=length_or_none("mu"))
+    share: Float[Array, ""] | None = eqx.field(default=None, converter=_share_or_none)
 
     def __check_init__(self):
         check_kind(self.rbf, RBF, "rbf", "jm.RBF()")
@@ -265,7 +280,7 @@ class FittedRBF(AbstractMethod):
         if is_open:
             return WallIds.without_edges(surface, self._denser.chosen(surface))
         closest = self.rbf.reduction.closest(surface.points[: surface.moving])
-        return WallIds.found(surface, self.rbf.chosen(surface), closest)
+        return WallIds.found(surface, _on_each_wall(surface, self.rbf.chosen(surface), closest), closest)
 
     @property
     def _denser(self) -> RBF:
@@ -288,7 +303,9 @@ class FittedRBF(AbstractMethod):
         sources = ids.places(surface)
         rbf = self.rbf.fit(jnp.arange(len(sources)), sources, points)
         if not len(ids.edges):
-            return FitFactors(rbf, *(jnp.zeros((0,) * rank, sources.dtype) for rank in (2, 2, 4, 1, 2, 2, 2, 2)))
+            return FitFactors(
+                rbf, *(jnp.zeros((0,) * rank, sources.dtype) for rank in (2, 2, 4, 1, 2, 2, 2, 2, 2, 1, 2))
+            )
         surface = surface.astype(rbf.lu.dtype)
         count, moves, dimension = len(rbf.sources), len(ids.moving), surface.shape[1]
         start, end = surface[ids.edges[:, 0]], surface[ids.edges[:, 1]]
@@ -317,7 +334,11 @@ class FittedRBF(AbstractMethod):
         of_edges = (slope * (edge * mu**2 / length)[:, None])[:, :moves]
         affine = _affine(self.rbf, rbf, surface)
         ring = polynomial(rbf.sources[moves + len(ids.fixed) :], self.rbf.degree)[: len(ids.far)]
-        return FitFactors(rbf, node * value[:, :moves], of_edges, outer, scale, lower, *affine, ring)
+        plain = _product(value[:, :moves].T * node, value)
+        size = 1 / jnp.sqrt(jnp.diagonal(plain))
+        squares = jnp.linalg.cholesky(plain[:, :moves] * size[None] * size[:, None])
+        plain = plain[:, moves:], size, squares
+        return FitFactors(rbf, node * value[:, :moves], of_edges, outer, scale, lower, *affine, ring, *plain)
 
     def _lengths(self, ids: WallIds, surface, middle):
         span = norm(surface[ids.ends[:, 0]] - surface[ids.ends[:, 1]])
@@ -341,7 +362,13 @@ class FittedRBF(AbstractMethod):
         fixed = jnp.concatenate([rest[ids.fixed], ids.at_rings(rest), ids.behind_tips(rest)])
         wanted = wanted.T - jnp.einsum("aicj,jc->ai", factors.outer, fixed, precision="highest")
         solved = jax.scipy.linalg.cho_solve((factors.lower, True), wanted.ravel() * factors.scale) * factors.scale
-        moving = solved.reshape(wanted.shape).T + _product(factors.polynomial[ids.moving], affine)
+        plain = _product(factors.nodes.T, rest[ids.nodes]) - _product(factors.outside, fixed)
+        plain = (
+            jax.scipy.linalg.cho_solve((factors.squares, True), plain * factors.size[:, None]) * factors.size[:, None]
+        )
+        share = 1 if self.share is None else self.share.astype(values.dtype)
+        moving = share * solved.reshape(wanted.shape).T + (1 - share) * plain
+        moving = moving + _product(factors.polynomial[ids.moving], affine)
         ring = _product(factors.ring, affine) + ids.at_rings(rest)
         everything = jnp.concatenate([moving, values[ids.fixed], ring, ids.behind_tips(values)])
         return self.rbf.expansion.field(factors.rbf, everything, u.dtype)
@@ -363,6 +390,9 @@ class FitFactors(eqx.Module):
     polynomial: Float[Array, "b p"]
     moments: Float[Array, "p p"]
     ring: Float[Array, "r p"]
+    outside: Float[Array, "s t"]
+    size: Float[Array, " s"]
+    squares: Float[Array, "s s"]
 
 
 def _system(follow: Float[Array, "m s"], slopes: Float[Array, "e d s"]) -> Float[Array, "d m d s"]:
