@@ -26,12 +26,6 @@ def program(name):
     return name
 
 
-def differing(a, b):
-    """The places of bytes that differ."""
-    a, b = (np.frombuffer(path.read_bytes(), np.uint8) for path in (a, b))
-    return np.flatnonzero(a != b)
-
-
 @pytest.mark.parametrize(
     ("form", "name"),
     runs(
@@ -46,7 +40,7 @@ def test_every_form_is_the_mesh_of_its_twin(form, name, tmp_path):
     mesh = io.read(tmp_path / "a.cgns")
     assert_same(mesh, io.read(tmp_path / "h.cgns"))
     io.write(tmp_path / "same.cgns", mesh)
-    assert len(differing(tmp_path / "a.cgns", tmp_path / "same.cgns")) == 0
+    assert (tmp_path / "same.cgns").read_bytes() == (tmp_path / "a.cgns").read_bytes()
     moved = mesh.points * np.pi
     moved[0] = mesh.points[0]
     assert_same(rewritten(tmp_path / "b.cgns", mesh.moved(moved)), mesh.moved(moved))

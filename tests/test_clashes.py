@@ -88,24 +88,6 @@ def of_cgns(path, families=(None, None), types=("BCWall", "BCWall"), name="wall"
     return path
 
 
-def between(points, first, last):
-    return (points[:, 2] == 0) & (points[:, 0] >= first) & (points[:, 0] <= last)
-
-
-def of_cgns_of_one_type(path):
-    return of_cgns(path), {"wall": (0, 2)}, ["the boundary conditions wall of 2 zones"]
-
-
-def of_cgns_of_two_types(path):
-    wanted = {"wall": (0, 1), "wall_zone2": (1, 2)}
-    return of_cgns(path, types=("BCWall", "BCInflow")), wanted, ["wall_zone2"]
-
-
-def of_cgns_with_a_family(path):
-    wanted = {"wall_zone1": (0, 1), "wall": (1, 2)}
-    return of_cgns(path, families=(None, "wall")), wanted, ["called as a family"]
-
-
 def of_su2(path):
     """SU2 finds a marker's settings by its tag: markers of one tag are one boundary."""
     path = path.with_suffix(".su2")
@@ -140,8 +122,13 @@ def of_plot3d(path):
     return path, {}, ["2 nodes are blank"]
 
 
-KINDS = [of_exodus, of_med, of_gmsh, of_cgns_of_one_type, of_cgns_of_two_types, of_cgns_with_a_family]
-KINDS += [of_su2, of_mfem, of_openfoam, of_plot3d]
+TWO_TYPES, WITH_FAMILY = {"types": ("BCWall", "BCInflow")}, {"families": (None, "wall")}
+KINDS = [
+    lambda path: (of_cgns(path), {"wall": (0, 2)}, ["the boundary conditions wall of 2 zones"]),
+    lambda path: (of_cgns(path, **TWO_TYPES), {"wall": (0, 1), "wall_zone2": (1, 2)}, ["wall_zone2"]),
+    lambda path: (of_cgns(path, **WITH_FAMILY), {"wall_zone1": (0, 1), "wall": (1, 2)}, ["called as a family"]),
+]
+KINDS += [of_exodus, of_med, of_gmsh, of_su2, of_mfem, of_openfoam, of_plot3d]
 
 
 @pytest.mark.parametrize("make", KINDS)
@@ -151,9 +138,9 @@ def test_nothing_of_one_name_is_merged_or_lost_silently(tmp_path, capsys, make):
     for name, nodes in wanted.items():
         found = mesh.patches[name]
         if isinstance(nodes, tuple):  # from and to which x, at z = 0
-            np.testing.assert_array_equal(found, np.flatnonzero(between(mesh.points, *nodes)), err_msg=name)
-        else:
-            np.testing.assert_array_equal(found, nodes, err_msg=name)
+            x, _, z = mesh.points.T
+            nodes = np.flatnonzero((z == 0) & (x >= nodes[0]) & (x <= nodes[1]))
+        np.testing.assert_array_equal(found, nodes, err_msg=name)
     for part in told:
         assert any(part in note for note in mesh.source.notes), (part, mesh.source.notes)
     said = " ".join(printed(capsys, ["info", str(path)]).split())

@@ -523,10 +523,8 @@ def test_the_extra_says_what_else_it_needs():
 
 @pytest.mark.nightly
 def test_two_processes_have_what_one_has(grids, tmp_path):
-    meshes.write_openfoam(tmp_path / "case", parts=True)
-    meshes.write_structured(tmp_path / "grid.cgns")
-    meshes.write_unstructured(tmp_path / "mesh.cgns")
-    meshes.write_plot3d(tmp_path / "grid.xyz")
+    for kind, (name, _, write) in meshes.FILES.items():
+        write(tmp_path / name, **({"parts": True} if kind == "openfoam" else {}))
     meshes.write_overset(tmp_path / "overset.cgns")
     for count in (1, 2):
         mpi_run(count, "mpi_idwarp", str(tmp_path))

@@ -77,10 +77,6 @@ def zones(path):
     path.write_text(f"NZONE= 2\n% the first\nIZONE= 1\n{PLAIN}% the second\nIZONE= 2\n{text}")
 
 
-def boxed(path):
-    path.write_text(PLAIN + BOX.format(control=CONTROL))
-
-
 def netcdf(**form):
     return lambda path: exodus.solid(path, **form)
 
@@ -157,7 +153,7 @@ KINDS = {
     "gmsh's legacy VTK, binary": (by_gmsh(Binary=1), "a.vtk", of_legacy),
     "MED": (by_gmsh(), "a.med", of_gmsh),
     "SU2, two zones": (zones, "a.su2", of_su2),
-    "SU2, a box": (boxed, "a.su2", of_su2),
+    "SU2, a box": (lambda path: path.write_text(PLAIN + BOX.format(control=CONTROL)), "a.su2", of_su2),
     **{f"Exodus, {form}": (netcdf(form=form), "a.e", of_exodus) for form in exodus.FORMS},
     **{f"Exodus, joined, {form}": (netcdf(form=form, is_joined=True), "a.e", of_exodus) for form in exodus.FORMS},
 }

@@ -19,9 +19,7 @@ KILLS = max(50, int(os.environ.get("JAXMORPH_FUZZ", "0")) // 40)
 SEED = os.environ.get("JAXMORPH_FUZZ_SEED", "0")
 pytestmark = [
     pytest.mark.nightly,
-    pytest.mark.skipif(
-        not sys.platform.startswith("linux"), reason="processes are forked, and /dev/full is written to"
-    ),
+    pytest.mark.skipif(not sys.platform.startswith("linux"), reason="processes are forked, /dev/full is written to"),
 ]
 
 
