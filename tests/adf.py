@@ -34,12 +34,8 @@ class Heap:
         """A node behind its children; `values` are in the order of HDF5, cut into `pieces`."""
         kind, sizes, chunks, at = b"MT", [], 0, 0
         if values is not None:
-            code = (
-                "C1"
-                if values.dtype.itemsize == 1
-                else values.dtype.kind.upper().replace("F", "R") + str(values.dtype.itemsize)
-            )
-            kind, sizes, chunks = code.encode(), values.shape[::-1], pieces
+            code = values.dtype.kind.upper().replace("F", "R") + str(values.dtype.itemsize)
+            kind, sizes, chunks = b"C1" if values.dtype.itemsize == 1 else code.encode(), values.shape[::-1], pieces
             raw = values.astype(values.dtype.newbyteorder(self.order)).tobytes()
             counts = [values.size * k // pieces for k in range(pieces + 1)]  # cgnslib swaps the bytes of each piece
             pairs = [(a * values.itemsize, b * values.itemsize) for a, b in itertools.pairwise(counts)]
@@ -54,21 +50,13 @@ class Heap:
         unused = (b"unused entry in sub-node-table  " + self.pointer(4096)) * 2
         table = self.pointer(self.part(b"SNTb", below + unused, b"snTE")) if children else self.pointer(4096)
         padded = [*sizes, *[0] * (12 - len(sizes))]
-        shape = (
-            b"".join(b"%08X" % size for size in padded)
-            if self.version == "A"
-            else np.array(padded, self.order + "u8").tobytes()
-        )
-        words = [
-            b"NoDe",
-            name.encode().ljust(32),
-            label.ljust(32),
-            b"%08X%08X" % (len(children), len(children) + 2),
-            table,
-        ]
-        return b"".join(
-            [*words, kind.ljust(32), b"%02X" % len(sizes), shape, b"%04X" % chunks, self.pointer(at or 4096), b"TaiL"]
-        )
+        shape = np.array(padded, self.order + "u8").tobytes()
+        if self.version == "A":
+            shape = b"".join(b"%08X" % size for size in padded)
+        count = len(children)
+        words = [b"NoDe", name.encode().ljust(32), label.ljust(32), b"%08X%08X" % (count, count + 2), table]
+        words += [kind.ljust(32), b"%02X" % len(sizes), shape, b"%04X" % chunks, self.pointer(at or 4096), b"TaiL"]
+        return b"".join(words)
 
     def finish(self, root):
         date, letter = b"Wed Apr 19 09:33:25 1995".ljust(28), b"L" if self.order == "<" else b"B"
@@ -76,23 +64,8 @@ class Heap:
         sizes = b"010204080408" + b"08" * 5
         empty = b"".join([b"fCbt", *[self.pointer(4096)] * 6, b"Fcte"])
         places = b"".join(self.pointer(at) for at in (root, len(self.data), 186, 4096))
-        head = [
-            what,
-            b"AdF0",
-            date,
-            b"AdF1",
-            date,
-            b"AdF2",
-            letter,
-            b"B",
-            b"AdF3",
-            sizes,
-            b"08",
-            b"AdF4",
-            places,
-            b"AdF5",
-            empty,
-        ]
+        head = [what, b"AdF0", date, b"AdF1", date, b"AdF2", letter, b"B", b"AdF3", sizes, b"08"]
+        head += [b"AdF4", places, b"AdF5", empty]
         self.data[:266] = b"".join(head)
         return bytes(self.data)
 

@@ -23,11 +23,8 @@ def node(parent, name, label, value=None):
 def base(file, cell_dimension, dimension):
     file.create_dataset(" format", data=np.frombuffer(b"IEEE_LITTLE_32\0", np.int8))
     file.create_dataset(" hdf5version", data=np.frombuffer(b"HDF5 Version 1.10.8".ljust(33, b"\0"), np.int8))
-    for key, said, width in (
-        ("name", "HDF5 MotherNode", 33),
-        ("label", "Root Node of HDF5 File", 33),
-        ("type", "MT", 3),
-    ):
+    root = (("name", "HDF5 MotherNode", 33), ("label", "Root Node of HDF5 File", 33), ("type", "MT", 3))
+    for key, said, width in root:
         file.attrs.create(key, np.bytes_(said.ljust(width, "\0")), dtype=f"S{width}")
     node(file, "CGNSLibraryVersion", "CGNSLibraryVersion_t", np.array([3.4], np.float32))
     return node(file, "Base", "CGNSBase_t", np.array([cell_dimension, dimension], np.int32))
@@ -60,6 +57,14 @@ def polygons(group, name, kind, rows, first):
     node(group[name], "ElementStartOffset", "DataArray_t", starts)
 
 
+def write(path, mesh, kind="<f8"):
+    """A mesh of hexahedra as one zone without conditions."""
+    corners = np.asarray(mesh.cells["hexahedron"]) + 1
+    with h5py.File(path, "w") as file:
+        group = zone(base(file, 3, 3), "box", tuple(np.asarray(mesh.points).T), len(corners), kind)
+        elements(group, "cells", 17, corners, 1, len(corners))
+
+
 def condition(group, name, places, family=None, location=None, what="PointRange"):
     found = group["ZoneBC"] if "ZoneBC" in group else node(group, "ZoneBC", "ZoneBC_t")
     child = node(found, name, "BC_t", "FamilySpecified" if family else "BCWall")
@@ -83,31 +88,21 @@ def periodic(group, name, donor, places, others, translation=(0, 0, 0), angles=(
         node(turn, key, "DataArray_t", np.array(values, np.float32))
 
 
-def everything(path):
-    """All nodes of a file with their data."""
-    found = {}
-    with h5py.File(path) as file:
-        file.visititems(lambda name, item: found.update({name: item[()].tobytes() if isinstance(item, h5py.Dataset) else
-                                                         sorted((k, str(v)) for k, v in item.attrs.items())}))  # fmt: skip
-    return found
-
-
 def two_blocks(path, kind="<f8"):
     """A box in two blocks, 4 x 3 x 3 and 3 x 3 x 3 nodes, that meet at x = 1, the second one with j and k exchanged."""
     x, y, z = np.meshgrid(np.linspace(0, 1, 4), np.linspace(0, 1, 3) ** 2, [0, 0.25, 1], indexing="ij")
-    x2, y2, z2 = (
-        np.swapaxes(a, 1, 2) for a in np.meshgrid([1, 1.5, 2], np.linspace(0, 1, 3) ** 2, [0, 0.25, 1], indexing="ij")
-    )
+    other = np.meshgrid([1, 1.5, 2], np.linspace(0, 1, 3) ** 2, [0, 0.25, 1], indexing="ij")
     with h5py.File(path, "w", track_order=True) as file:
         root = base(file, 3, 3)
         first = zone(root, "one", (x, y, z), kind=kind)
-        second = zone(root, "two", (x2, y2, z2), kind=kind)
+        second = zone(root, "two", [np.swapaxes(axis, 1, 2) for axis in other], kind=kind)
         condition(first, "a", [[1, 1, 1], [1, 3, 3]], "inlet")
         condition(first, "b", [[1, 1, 1], [3, 2, 1]], "floor", "FaceCenter")
         condition(first, "c", [[1, 1, 3], [4, 3, 3]])
         condition(second, "d", [[1, 1, 1], [2, 1, 2]], "floor", "JFaceCenter")
         condition(second, "e", [[3, 2, 1], [3, 3, 3]])
         condition(second, "f", [[2, 2, 2], [3, 3, 3]], what="PointList")
+    return path
 
 
 def unstructured(path):

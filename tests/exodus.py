@@ -28,11 +28,8 @@ def write(path, points, blocks, side_sets=(), node_sets=(), form="cdf1", real="f
     if is_joined:
         arrays, dimensions = {"coord": points.T.astype(real)}, {"coord": ["num_dim", "num_nodes"]}
     attributes = {}
-    for what, size, items in (
-        ("eb", "num_el_blk", blocks),
-        ("ss", "num_side_sets", side_sets),
-        ("ns", "num_node_sets", node_sets),
-    ):
+    numbers = ("num_el_blk", "num_side_sets", "num_node_sets")
+    for what, size, items in zip(("eb", "ss", "ns"), numbers, (blocks, side_sets, node_sets), strict=True):
         if items:
             arrays[f"{what}_status"] = np.array([len(each[-1]) > 0 for each in items], "i4")
             arrays[f"{what}_prop1"] = 10 * np.arange(1, len(items) + 1, dtype="i4")
@@ -53,12 +50,8 @@ def write(path, points, blocks, side_sets=(), node_sets=(), form="cdf1", real="f
     arrays = {name: array for name, array in arrays.items() if array.size}  # an empty set has no arrays
     for name, array in arrays.items():
         sizes |= dict(zip(dimensions[name], array.shape, strict=True))
-    attributes[""] = {
-        "api_version": np.float32(5.1),
-        "version": np.float32(5.1),
-        "floating_point_word_size": np.int32(8),
-        "file_size": np.int32(not is_joined),
-    }
+    attributes[""] = {"api_version": np.float32(5.1), "version": np.float32(5.1)}
+    attributes[""] |= {"floating_point_word_size": np.int32(8), "file_size": np.int32(not is_joined)}
     {"netcdf4": _netcdf4, "cdf5": _cdf5}.get(form, _classic)(path, sizes, arrays, dimensions, attributes, form)
 
 
@@ -73,13 +66,14 @@ SIDES = [6, 5, 5, 4]
 
 
 def solid(path, **form):
-    """Cells of all types in blocks, shells on two of their faces, and a set of each side of each cell."""
+    """Cells of all types in blocks, shells on two of their faces, and a set of each side of each cell; returns the path."""
     points = mixed()[0]
     blocks = [(f"all {kind}", kind, corners) for kind, corners in CELLS.items()]
     blocks += [("skin", "quad", [[0, 3, 2, 1]]), ("tip", "triangle", [[6, 11, 10]])]
     sets = [(f"side {cell} {side}", [cell], [side]) for cell, count in enumerate(SIDES) for side in range(count)]
     sets += [("several", [0, 3, 1], [4, 0, 3]), ("of shells", [4, 4, 5, 5], [0, 3, 1, 4]), ("none", [], [])]
     write(path, points, blocks, sets, [("floor", [0, 1, 2, 3, 8]), ("corner", [11])], **form)
+    return path
 
 
 def _classic(path, sizes, arrays, dimensions, attributes, form):

@@ -55,7 +55,7 @@ def polyhedral(cells):
 
 
 def write_case(case, points, cells, patches, form=FORMS["ascii"]):
-    """A case; `patches` is a list of (name, type, test of a face's nodes), the first that fits takes a face."""
+    """Writes a case and returns its path; of `patches`, (name, type, test of a face's nodes), the first that fits takes a face."""
     faces, owner, neighbour, outer = polyhedral(cells)
     entries = []
     for name, kind, fits in patches:
@@ -88,6 +88,7 @@ def write_case(case, points, cells, patches, form=FORMS["ascii"]):
     ).replace(" {\n        in", "\n        in")
     _file(folder, "boundary", "polyBoundaryMesh", f"{len(entries)}\n(\n{rows})\n".encode(), Form())
     _system(pathlib.Path(case))
+    return case
 
 
 def write_parts(case, points, cells, patches, owner, form=FORMS["ascii"]):
@@ -195,6 +196,11 @@ TETRA = ((0, 1, 3), (1, 2, 3), (2, 0, 3), (0, 2, 1))
 
 def cell(shape, *nodes):
     return [[nodes[i] for i in face] for face in shape]
+
+
+def hexahedra(corners):
+    """Faces of each of these hexahedra."""
+    return [cell(HEXAHEDRON, *row) for row in np.asarray(corners).tolist()]
 
 
 def mixed():

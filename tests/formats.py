@@ -1,4 +1,4 @@
-"""A small mesh in a file of each format."""
+"""A small mesh in a file of each format, and what two meshes have alike."""
 
 import pathlib
 
@@ -13,31 +13,26 @@ from foam import PATCHES, mixed
 from meshes import bricks
 from plot3d import write as write_plot3d
 
+import jaxmorph as jm
 from jaxmorph import io
 from jaxmorph.io._registry import FORMATS
 
 ENDINGS = [".vtk", *((form.suffixes or ("",))[0] for form in FORMATS)]
-
-
 SINGLE = ["", ".cgns", ".med", ".e", ".xyz", ".vtu", ".vtk"]
 """Endings of formats that have files in single precision."""
 
 
-def written(folder: pathlib.Path, ending: str, *, is_single: bool = False) -> pathlib.Path:
-    """Writes a small mesh with a patch `floor` in the format of an ending."""
-    path, mesh = folder / f"in{ending}", bricks(2)
-    if ending == "":
+def write(path: pathlib.Path, mesh: jm.Mesh, *, is_single: bool = False) -> None:
+    """Writes a mesh of hexahedra with a patch `floor` in the format of the path's ending."""
+    points, corners, real = np.asarray(mesh.points), np.asarray(mesh.cells["hexahedron"]), "f4" if is_single else "f8"
+    if path.suffix == "":
         foam.write_case(path, *mixed(), PATCHES, foam.FORMS["binary-32-scalars" if is_single else "ascii"])
-    elif ending == ".cgns":
-        corners = np.asarray(mesh.cells["hexahedron"]) + 1
-        with h5py.File(path, "w") as file:
-            base = cgns.base(file, 3, 3)
-            zone = cgns.zone(base, "box", tuple(np.asarray(mesh.points).T), len(corners), "<f4" if is_single else "<f8")
-            cgns.elements(zone, "cells", 17, corners, 1, len(corners))
-    elif ending == ".med":
-        corners = np.asarray(mesh.cells["hexahedron"])[:, [0, 3, 2, 1, 4, 7, 6, 5]]  # MED's order
-        tags = np.isin(np.arange(len(mesh.points)), mesh.patch("floor")).astype(int)
-        tagged = meshio.Mesh(mesh.points, [("hexahedron", corners)], point_data={"point_tags": tags})
+    elif path.suffix == ".cgns":
+        cgns.write(path, mesh, f"<{real}")
+    elif path.suffix == ".med":
+        tags = np.isin(np.arange(len(points)), mesh.patch("floor")).astype(int)
+        in_order = [("hexahedron", corners[:, [0, 3, 2, 1, 4, 7, 6, 5]])]  # MED's
+        tagged = meshio.Mesh(points, in_order, point_data={"point_tags": tags})
         tagged.point_tags = {1: ["floor"]}
         meshio.med.write(path, tagged)
         if is_single:
@@ -46,18 +41,36 @@ def written(folder: pathlib.Path, ending: str, *, is_single: bool = False) -> pa
                 values, attributes = step["NOE"]["COO"][()], dict(step["NOE"]["COO"].attrs)
                 del step["NOE"]["COO"]
                 step["NOE"].create_dataset("COO", data=values.astype("f4")).attrs.update(attributes)
-    elif ending == ".e":
-        corners = np.asarray(mesh.cells["hexahedron"])
-        blocks, sets = [("box", "hexahedron", corners)], [("floor", mesh.patch("floor"))]
-        exodus.write(path, np.asarray(mesh.points), blocks, node_sets=sets, real="f4" if is_single else "f8")
-    elif ending == ".mesh":
+    elif path.suffix == ".e":
+        sets = [("floor", mesh.patch("floor"))]
+        exodus.write(path, points, [("box", "hexahedron", corners)], node_sets=sets, real=real)
+    elif path.suffix == ".mesh":
         path.write_text(mfem_meshes.straight(mesh, "floor"))
-    elif ending == ".xyz":
+    elif path.suffix == ".xyz":
         grid = np.stack(np.meshgrid(*(np.linspace(0, 1, 3),) * 3, indexing="ij"))
         write_plot3d(path, [grid], "records" if is_single else "text", width=4 if is_single else 8)
     elif is_single:
-        cells = [("hexahedron", np.asarray(mesh.cells["hexahedron"]))]
-        meshio.write(path, meshio.Mesh(np.asarray(mesh.points, np.float32), cells))
+        meshio.write(path, meshio.Mesh(points.astype(np.float32), [("hexahedron", corners)]))
     else:
         io.write(path, mesh)
+
+
+def written(folder: pathlib.Path, ending: str, *, is_single: bool = False) -> pathlib.Path:
+    path = folder / f"in{ending}"
+    write(path, bricks(2), is_single=is_single)
     return path
+
+
+def assert_same(a: jm.Mesh, b: jm.Mesh) -> None:
+    """The same points to the last bit, and the same cells and patches in one order."""
+    assert np.asarray(a.points).tobytes() == np.asarray(b.points).tobytes()
+    for one, other in ((a.cells, b.cells), (a.patches, b.patches)):
+        assert list(one) == list(other)
+        for name in one:
+            np.testing.assert_array_equal(one[name], other[name])
+
+
+def rewritten(path: pathlib.Path, mesh: jm.Mesh) -> jm.Mesh:
+    """What is read of the file that a mesh is written to."""
+    io.write(path, mesh)
+    return io.read(path)

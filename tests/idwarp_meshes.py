@@ -7,6 +7,8 @@ import cgns
 import foam
 import h5py
 import numpy as np
+import plot3d
+from meshes import blocks
 
 CELLS = 4
 SIDES = {"floor": (2, 0.0), "lid": (2, 1.0), "sym0": (0, 0.0), "xmax": (0, 1.0), "sym1": (1, 0.0), "ymax": (1, 1.0)}
@@ -21,10 +23,7 @@ def cube():
 
 def corners(shape):
     """Hexahedra between nodes numbered with i fastest."""
-    ids = np.arange(np.prod(shape)).reshape(shape, order="F")
-    steps = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)]
-    parts = [ids[tuple(slice(s, n - 1 + s) for s, n in zip(step, shape, strict=True))].ravel() for step in steps]
-    return np.stack(parts, axis=1)
+    return blocks(np.arange(np.prod(shape)).reshape(shape, order="F"))
 
 
 def on(points, name):
@@ -75,12 +74,14 @@ def overset_nodes():
 
 def overset_floors():
     """Faces of the lowest side of each zone, four corners each, and the zone of each face."""
-    turns, corners, zones = ((0, 0), (1, 0), (1, 1), (0, 1)), [], []
-    for zone, (name, part) in enumerate(overset_blocks().items()):
-        for i, j in np.ndindex(part.shape[0] - 1, part.shape[1] - 1):
-            corners += [part[i + a, j + b, 0] + OVERSET[name] for a, b in turns]
-            zones.append(zone)
-    return np.array(corners), np.array(zones)
+    floors = [np.array(floor_faces(part)) + OVERSET[name] for name, part in overset_blocks().items()]
+    return np.concatenate(floors), np.repeat(np.arange(len(floors)), [len(each) // 4 for each in floors])
+
+
+def floor_faces(grid):
+    """Corners of the faces at the lowest k, four for each."""
+    turns, faces = ((0, 0), (1, 0), (1, 1), (0, 1)), np.ndindex(grid.shape[0] - 1, grid.shape[1] - 1)
+    return [grid[i + a, j + b, 0] for i, j in faces for a, b in turns]
 
 
 def write_overset(path):
@@ -110,12 +111,10 @@ def write_unstructured(path, names=None):
 
 def write_plot3d(path):
     grid = cube()
-    numbers = " ".join(map(repr, grid.reshape(-1, 3, order="F").T.ravel().tolist()))
-    pathlib.Path(path).write_text(f"1\n{CELLS + 1} {CELLS + 1} {CELLS + 1}\n{numbers}\n")
+    plot3d.write(pathlib.Path(path), [np.moveaxis(grid, -1, 0)], "text")
     return grid.reshape(-1, 3, order="F")
 
 
-FACES = [(0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (3, 7, 6, 2), (0, 4, 7, 3), (1, 2, 6, 5)]
 TYPES = {"floor": "wall", "sym0": "symmetryPlane", "sym1": "symmetry"}
 
 
@@ -123,12 +122,10 @@ def write_openfoam(folder, parts=False):
     """The case whole, and in two parts where `parts` is set."""
     grid = cube()
     points = grid.reshape(-1, 3, order="F")
-    cells = [[[int(cell[k]) for k in face] for face in FACES] for cell in corners(grid.shape[:3])]
+    cells = foam.hexahedra(corners(grid.shape[:3]))
     is_on = lambda nodes, axis, place: bool((points[nodes, axis] == place).all())  # noqa: E731
-    tests = [
-        (name, TYPES.get(name, "patch"), functools.partial(is_on, axis=axis, place=place))
-        for name, (axis, place) in SIDES.items()
-    ]
+    kinds = {name: TYPES.get(name, "patch") for name in SIDES}
+    tests = [(name, kinds[name], functools.partial(is_on, axis=axis, place=at)) for name, (axis, at) in SIDES.items()]
     foam.write_case(folder, points, cells, tests)
     if parts:
         owner = [int(points[cell[0], 0].min() >= 0.5) for cell in corners(grid.shape[:3])]

@@ -83,9 +83,7 @@ for kind, (name, options) in GRIDS.items():
 
 # grids that overlap: each process has the nodes of the other, and faces of its half of the zones
 nodes = meshes.overset_nodes()
-grid = MultiUSMesh(
-    str(folder / "overset.cgns"), {"wing": {"useRotations": False}, "tip": {"useRotations": False}}, comm
-)
+grid = MultiUSMesh(str(folder / "overset.cgns"), {key: {"useRotations": False} for key in ("wing", "tip")}, comm)
 share = np.array_split(np.arange(len(nodes)), comm.size)[-1 - comm.rank][::-1]
 grid.setExternalMeshIndices((3 * share[:, None] + np.arange(3)).ravel())
 points, zones = meshes.overset_floors()

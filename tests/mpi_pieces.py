@@ -85,10 +85,7 @@ def moved_in_pieces(whole, patches, parts, u_of):
     return np.abs(one.deform(u_of(points[here[lists[0]]])) - expected[here]).max() / np.ptp(points, axis=0).max()
 
 
-for whole, patches in (
-    (jm.Mesh(points, {kind: cells}), (wall, far)),
-    (cases.wing(points=300, stations=4), None),
-):
+for whole, patches in ((jm.Mesh(points, {kind: cells}), (wall, far)), (cases.wing(points=300, stations=4), None)):
     patches = patches or (whole.patch("wing"), np.setdiff1d(whole.patch("farfield"), whole.patch("wing")))
     middles = {k: np.asarray(whole.points)[np.asarray(ids)].mean(axis=1) for k, ids in whole.cells.items()}
     for ghosts in (0.0, 0.1):  # cells of both pieces lie about the cut

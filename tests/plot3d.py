@@ -9,7 +9,7 @@ def record(data, order):
 
 
 def write(path, blocks, form, order="<", width=8, is_multiple=True, blank=False):
-    """`blocks` are arrays (d, i, j[, k]); `form` is text, records or plain."""
+    """Returns the path; `blocks` are arrays (d, i, j[, k]); `form` is text, records or plain."""
     sizes = [block.shape[1:] for block in blocks]
     if form == "text":
         words = [f"{len(blocks)}"] if is_multiple else []
@@ -18,7 +18,7 @@ def write(path, blocks, form, order="<", width=8, is_multiple=True, blank=False)
             words += [" ".join(f"{x:.17e}".replace("e", "D") for x in axis.ravel(order="F")) for axis in block]
             words += [" ".join(["1"] * block[0].size)] * blank
         path.write_text("\n".join(words) + "\n")
-        return
+        return path
     close = record if form == "records" else lambda data, order: data
     out = close(np.array([len(blocks)], f"{order}i4").tobytes(), order) if is_multiple else b""
     out += close(np.array(sizes, f"{order}i4").tobytes(), order)
@@ -26,6 +26,7 @@ def write(path, blocks, form, order="<", width=8, is_multiple=True, blank=False)
         data = np.concatenate([axis.ravel(order="F") for axis in block]).astype(f"{order}f{width}").tobytes()
         out += close(data + np.ones(block[0].size * blank, f"{order}i4").tobytes(), order)
     path.write_bytes(out)
+    return path
 
 
 def box(*counts):

@@ -1,22 +1,25 @@
-"""Which run holds which cases of a law: the fast tests, `.ci/run` or `.ci/nightly`; and runs of several processes."""
+"""Which run holds which cases of a law; runs of several processes, and commands that end with an error."""
 
 import os
 import pathlib
+import re
 import subprocess
 import sys
 
 import pytest
 
+from jaxmorph.cli import main
+
 TESTS = pathlib.Path(__file__).resolve().parent
 
 
-def mpi_run(count: int, script: str, *words: str) -> str:
-    """Runs a script of `tests` in several processes, and returns what they print; skips without mpi4py and its mpiexec."""
+def mpi_run(count: int, module: str, *words: str) -> str:
+    """Runs a module in several processes, and returns what they print; skips without mpi4py and its mpiexec."""
     pytest.importorskip("mpi4py")
     command = pathlib.Path(sys.executable).with_name("mpiexec")
     if not command.exists():
         pytest.skip("no mpiexec beside this python: another one may belong to another MPI than mpi4py")
-    run = [str(command), "-n", str(count), sys.executable, str(TESTS / script), *words]
+    run = [str(command), "-n", str(count), sys.executable, "-m", module, *words]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(TESTS.parent), str(TESTS)])}
     done = subprocess.run(run, capture_output=True, text=True, env=environment, timeout=900, check=False)
     assert done.returncode == 0, done.stderr
@@ -28,3 +31,28 @@ def runs(fast=(), slow=(), nightly=()) -> list:
     marked = [*((case, ()) for case in fast), *((case, pytest.mark.slow) for case in slow)]
     marked += [(case, pytest.mark.nightly) for case in nightly]
     return [pytest.param(*(case if isinstance(case, tuple) else (case,)), marks=marks) for case, marks in marked]
+
+
+def printed(capsys, words: list[str]) -> str:
+    """What a command prints that ends well."""
+    assert main(words) == 0
+    return capsys.readouterr().out
+
+
+def refused(capsys, words: list[str], message: str) -> None:
+    """Runs a command that cannot be done: it ends with 2, and prints one line of error alone."""
+    capsys.readouterr()
+    try:
+        status = main(words)
+    except SystemExit as end:
+        status = end.code
+    said = capsys.readouterr()
+    assert (status, said.out, said.err.count("\n")) == (2, "", 1)
+    assert re.search(message, said.err), said.err
+
+
+def all_refused(*cases) -> None:
+    """Calls each of these, which ends with a ValueError of these words."""
+    for call, message in cases:
+        with pytest.raises(ValueError, match=message):
+            call()

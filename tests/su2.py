@@ -1,5 +1,7 @@
 """A mesh file of SU2 as people write it."""
 
+import pathlib
+
 PLAIN = """NDIME= 2
 NELEM= 3
 9 0 1 4 3 0
@@ -46,3 +48,9 @@ upper	4	5.0e-01	7.0e-01	5.0e-01
 """
 ROWS = [(i, j, k, 0.1 * i + 0.01 * j, i - j, k - 0.5) for i in range(3) for j in range(2) for k in range(2)]
 CONTROL = "\n".join("\t".join(map(str, row)) for row in ROWS)
+
+
+def written(path: pathlib.Path, text: str) -> pathlib.Path:
+    """Writes a text as it is, whatever ends its lines."""
+    path.write_bytes(text.encode())
+    return path

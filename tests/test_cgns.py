@@ -7,6 +7,7 @@ import h5py
 import numpy as np
 import pytest
 from cgns import joined_polyhedra, two_blocks, unstructured
+from formats import rewritten
 from runs import runs
 
 import jaxmorph as jm
@@ -14,8 +15,7 @@ from jaxmorph import io
 
 
 def test_structured_zones_are_joined_and_written_back(tmp_path):
-    two_blocks(tmp_path / "a.cgns")
-    mesh = io.read(tmp_path / "a.cgns")
+    mesh = io.read(two_blocks(tmp_path / "a.cgns"))
     assert mesh.points.shape == (4 * 9 + 2 * 9, 3)
     assert len(mesh.cells["hexahedron"]) == 12 + 8
     report = jm.quality(mesh)
@@ -29,14 +29,6 @@ def test_structured_zones_are_joined_and_written_back(tmp_path):
     assert (at["e"][:, 0] == 2).all()
     inside = ((at["unnamed"] > 0) & (at["unnamed"] < [2, 1, 1])).all(axis=1)
     assert not inside.any()
-    io.write(tmp_path / "same.cgns", mesh)
-    assert (tmp_path / "same.cgns").read_bytes() == (tmp_path / "a.cgns").read_bytes()
-    io.write(tmp_path / "b.cgns", mesh.moved(mesh.points * np.pi))
-    again = io.read(tmp_path / "b.cgns")
-    np.testing.assert_array_equal(again.points, mesh.points * np.pi)
-    before, after = cgns.everything(tmp_path / "a.cgns"), cgns.everything(tmp_path / "b.cgns")
-    assert before.keys() == after.keys()
-    assert {name.split("/")[-2][:-1] for name in before if before[name] != after[name]} == {"Coordinate"}
 
 
 def test_unstructured_zones(tmp_path):
@@ -47,8 +39,6 @@ def test_unstructured_zones(tmp_path):
         "hexahedron": [[0, 1, 2, 3, 4, 5, 6, 7]], "wedge": [[1, 8, 2, 5, 9, 6]]}  # fmt: skip
     named = {name: nodes.tolist() for name, nodes in mesh.patches.items() if name != "unnamed"}
     assert named == {"wall": [0, 1, 2, 3, 8], "high": [4, 5, 6, 7], "some": [0, 7], "old": [1, 2, 4, 5, 6, 7, 8]}
-    io.write(tmp_path / "b.cgns", mesh.moved(points * 3))
-    np.testing.assert_array_equal(io.read(tmp_path / "b.cgns").points, points * 3)
 
 
 def test_a_c_grid_is_joined_along_its_wake_and_not_at_its_wall(tmp_path):
@@ -70,8 +60,7 @@ def test_a_c_grid_is_joined_along_its_wake_and_not_at_its_wall(tmp_path):
 
 
 def test_what_is_refused(tmp_path):
-    two_blocks(tmp_path / "a.cgns")
-    mesh = io.read(tmp_path / "a.cgns")
+    mesh = io.read(two_blocks(tmp_path / "a.cgns"))
     os.utime(tmp_path / "a.cgns", ns=(0, 0))
     with pytest.raises(ValueError, match="has changed since the mesh was read"):
         io.write(tmp_path / "b.cgns", mesh)
@@ -81,9 +70,7 @@ def test_what_is_refused(tmp_path):
     with h5py.File(tmp_path / "d.cgns", "w") as file:
         zone = cgns.zone(cgns.base(file, 3, 3), "n", tuple(np.eye(3)), 1)
         cgns.elements(zone, "curved", 25, [1, 2, 3] * 3, 1, 1)
-    with pytest.raises(
-        ValueError, match="zone n: section curved has elements of type 25, of order 3 or 4 without all inner"
-    ):
+    with pytest.raises(ValueError, match="zone n: section curved has elements of type 25, of order 3 or 4 without"):
         io.read(tmp_path / "d.cgns")
     with h5py.File(tmp_path / "e.cgns", "w") as file:
         zone = cgns.zone(cgns.base(file, 2, 2), "linked", tuple(np.zeros((2, 3, 3))))
@@ -106,8 +93,6 @@ def test_polyhedra(tmp_path):
     np.testing.assert_array_equal(mesh.patch("floor"), np.flatnonzero(points[:, 2] == 0))
     inside = ((points > 0) & (points < [2, 1, 1])).all(axis=1)
     np.testing.assert_array_equal(mesh.patch("floor", "unnamed"), np.flatnonzero(~inside))
-    io.write(tmp_path / "b.cgns", mesh.moved(points * np.pi))
-    np.testing.assert_array_equal(io.read(tmp_path / "b.cgns").points, points * np.pi)
     good = (tmp_path / "a.cgns").read_bytes()
     for part, value, message in (
         ("cells/ElementConnectivity", 999, "NFACE_n names faces that are in no section NGON_n"),
@@ -194,16 +179,14 @@ def test_periodic_interfaces_are_pairs(is_turned, tmp_path):
     assert set(mesh.patches) == {"one/low", "high", "two/low", "two/low donor", "unnamed"}
     ends = np.isin(mesh.points[:, 2], (0, 4))
     method = jm.RBF.classic(jm.ThinPlateSpline())
-    inner = np.flatnonzero(
-        np.isclose(np.linalg.norm(mesh.points[:, :2], axis=1) if is_turned else mesh.points[:, 1], 1)
-    )
+    radius = np.linalg.norm(mesh.points[:, :2], axis=1)
+    inner = np.flatnonzero(np.isclose(radius if is_turned else mesh.points[:, 1], 1))
     moving = inner[~ends[inner]]
     plan = jm.prepare(mesh.points, moving, np.flatnonzero(ends), periodic=[
         jm.Periodic(mesh.patch(str(each.patch)), mesh.patch(str(each.partner)), about=each.about, axis=each.axis) for each in pairs
     ], method=method)  # fmt: skip
-    whole = jm.prepare(
-        mesh.points, moving, np.flatnonzero(ends), periodic=jm.Periodic(*sides, axis=pairs[0].axis), method=method
-    )
+    pair = jm.Periodic(*sides, axis=pairs[0].axis)
+    whole = jm.prepare(mesh.points, moving, np.flatnonzero(ends), periodic=pair, method=method)
     u = 0.05 * np.sin(mesh.points[moving])
     np.testing.assert_allclose(jm.deform(plan, u), jm.deform(whole, u), rtol=0, atol=1e-12)
 
@@ -239,8 +222,7 @@ def test_polyhedra_in_the_forms_of_other_writers(tmp_path, form):
             cgns.node(section, "ElementConnectivity", "DataArray_t", counted)
     mesh = io.read(tmp_path / "b.cgns")
     same(mesh, io.read(tmp_path / "a.cgns"))
-    io.write(tmp_path / "c.cgns", mesh.moved(mesh.points * np.pi))
-    same(io.read(tmp_path / "c.cgns"), mesh.moved(mesh.points * np.pi))
+    same(rewritten(tmp_path / "c.cgns", mesh.moved(mesh.points * np.pi)), mesh.moved(mesh.points * np.pi))
 
 
 def test_a_region_of_cells_is_no_patch_and_families_above_are_groups(tmp_path):
@@ -331,5 +313,4 @@ def test_names_that_are_not_utf_8(tmp_path):
         del conditions["c"]
     mesh = io.read(tmp_path / "a.cgns")
     assert "sym\xe9trie" in mesh.patches
-    io.write(tmp_path / "b.cgns", mesh.moved(mesh.points * np.pi))
-    same(io.read(tmp_path / "b.cgns"), mesh.moved(mesh.points * np.pi))
+    same(rewritten(tmp_path / "b.cgns", mesh.moved(mesh.points * np.pi)), mesh.moved(mesh.points * np.pi))

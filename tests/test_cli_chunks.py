@@ -34,11 +34,7 @@ def run(file, out, *flags):
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize(
-    "flags",
-    [["--steps", "2"], ["--method", "rbf", "--dtype", "float32"]],
-    ids=" ".join,
-)
+@pytest.mark.parametrize("flags", [["--steps", "2"], ["--method", "rbf", "--dtype", "float32"]], ids=" ".join)
 def test_chunks_give_the_mesh_of_the_whole(here, sizes, flags):
     mesh = write_ring(here / "ring.su2")
     whole = run("ring.su2", "whole.su2", *MOVE, *flags)

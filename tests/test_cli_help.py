@@ -77,10 +77,3 @@ def test_a_shell_completes(tmp_path, line, expected):
         [sys.executable, "-c", code], env=os.environ | asked, capture_output=True, text=True, cwd=tmp_path, check=False
     )
     assert {word.strip() for word in done.stdout.split("\n") if word.strip()} == expected
-
-
-def test_a_method_that_does_not_exist_is_told_with_the_one_meant(capsys):
-    with pytest.raises(SystemExit) as ended:
-        main(["deform", "a.su2", "b.su2", "--moving", "w", "--fixed", "f", "--method", "elastic"])
-    assert ended.value.code == 2
-    assert "there is no method 'elastic'; did you mean elasticity? (methods: default, " in capsys.readouterr().err

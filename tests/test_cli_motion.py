@@ -1,11 +1,11 @@
 """Motions of the command line against closed forms."""
 
 import json
-import re
 
 import numpy as np
 import pytest
 from meshes import lattice, ring, tetrahedra
+from runs import refused
 from scipy.integrate import trapezoid
 from scipy.spatial.transform import Rotation
 
@@ -25,12 +25,8 @@ def brick(tmp_path_factory):
     low, high = np.flatnonzero(points[:, 0] == -2), np.flatnonzero(points[:, 0] == 2)
     rest = np.setdiff1d(np.flatnonzero(side), np.concatenate([low, high]))
     file = tmp_path_factory.mktemp("motion") / "brick.su2"
-    io.write(
-        file,
-        jm.Mesh(
-            points, {"tetra": tetrahedra(np.arange(216).reshape(6, 6, 6))}, {"low": low, "high": high, "rest": rest}
-        ),
-    )
+    cells = {"tetra": tetrahedra(np.arange(216).reshape(6, 6, 6))}
+    io.write(file, jm.Mesh(points, cells, {"low": low, "high": high, "rest": rest}))
     return file
 
 
@@ -59,7 +55,7 @@ def test_each_patch_has_its_own_motion(brick):
 def test_a_patch_named_again_goes_on_from_there(brick):
     about = ("--axis", "0", "0", "1", "--about", "2", "0", "0")
     x, y, mesh = moved(
-        brick, "--moving", "high", "--translate", "0.5", "0", "0", "--moving", "high", "--rotate", "90", *about
+        brick, *["--moving", "high", "--translate", "0.5", "0", "0", "--moving", "high", "--rotate", "90"], *about
     )
     high = mesh.patch("high")
     shifted = x[high] + [0.5, 0, 0] - [2, 0, 0]
@@ -126,9 +122,7 @@ def test_patches_that_move_a_common_node_differently_are_told():
         ValueError, match=r"--moving two --translate move 2 common nodes differently, by up to 0.1: nodes 8, 9,"
     ):
         path_of(mesh, ["--moving", "one", *up, "--moving", "two", *down])
-    with pytest.raises(
-        ValueError, match=r"--moving one three --translate, then --moving three --rotate move \d common"
-    ):
+    with pytest.raises(ValueError, match=r"--moving one three --translate, then --moving three --rotate move"):
         path_of(mesh, ["--moving", "one", "three", *up, "--moving", "three", "--rotate", "5"])
 
 
@@ -200,6 +194,7 @@ def test_a_box_moves_what_is_inside_by_bernstein_polynomials(brick):
 BOX = '--box {{"low":[0,0,0],"high":[1,1,{}],"points":[2,2,2],"moved":[{}]}}'
 WRONG = {
     "--bend 5 --along 0 1 0": "--bend needs --axis X Y Z",
+    "--translate 1 0 0 --translate 1 0 0": "--translate twice for one --moving",
     "--twist 5": "--along X Y Z is missing",
     "--bend 5 --axis 1 0 0 --along 1 1 0": "--bend needs --axis and --along at right angles",
     "--twist 5 --along 1 0 0 --about 3 0 0": "--twist needs a --length above 0, and no node lies ahead of --about",
@@ -212,14 +207,6 @@ WRONG = {
 @pytest.mark.parametrize("flags", WRONG)
 def test_motions_that_make_no_sense(brick, capsys, flags):
     out = brick.with_name("wrong.su2")
-    assert main(["deform", str(brick), str(out), "--moving", "high", *flags.split(), "--fixed", "rest", "low"]) == 2
-    said = capsys.readouterr()
-    assert (said.out, said.err.count("\n"), out.exists()) == ("", 1, False)
-    assert re.search(WRONG[flags], said.err), said.err
-
-
-def test_a_flag_twice_for_one_patch(brick, capsys):
-    with pytest.raises(SystemExit) as ended:
-        main(["deform", str(brick), "x.su2", "--moving", "high", *("--translate", "1", "0", "0") * 2])
-    assert ended.value.code == 2
-    assert "--translate twice for one --moving" in capsys.readouterr().err
+    words = ["deform", str(brick), str(out), "--moving", "high", *flags.split(), "--fixed", "rest", "low"]
+    refused(capsys, words, WRONG[flags])
+    assert not out.exists()

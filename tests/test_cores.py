@@ -1,6 +1,7 @@
 """Work on several cores: their number, results that do not depend on it, and errors from threads."""
 
 import dataclasses
+import itertools
 import os
 import subprocess
 import sys
@@ -36,15 +37,8 @@ METHODS = {
 def fine():
     """A square of 5,041 nodes with a bump at the bottom."""
     axis = np.linspace(0, 1, 71) ** 1.5
-    return grid(
-        axis,
-        axis,
-        patches={
-            "bottom": lambda ids: ids[:, 0],
-            "left": lambda ids: ids[0],
-            "rest": lambda ids: np.concatenate([ids[-1], ids[:, -1]]),
-        },
-    )
+    rest = lambda ids: np.concatenate([ids[-1], ids[:, -1]])  # noqa: E731
+    return grid(axis, axis, patches={"bottom": lambda ids: ids[:, 0], "left": lambda ids: ids[0], "rest": rest})
 
 
 @pytest.fixture
@@ -57,16 +51,11 @@ def few_points(monkeypatch):
     monkeypatch.setattr(vector, "CACHED", 512)
 
 
-@pytest.mark.parametrize(
-    ("name", "sides"),
-    runs(
-        [("radial functions", "fixed")],
-        nightly=[
-            *((name, "fixed") for name in METHODS if name != "radial functions"),
-            *((name, "a plane") for name in METHODS),
-        ],
-    ),
-)
+EVERY = list(itertools.product(METHODS, ("fixed", "a plane")))
+FAST = ("radial functions", "fixed")
+
+
+@pytest.mark.parametrize(("name", "sides"), runs([FAST], nightly=[case for case in EVERY if case != FAST]))
 def test_any_number_of_cores_gives_equal_bits(fine, few_points, monkeypatch, name, sides):
     fixed, symmetry = (("left", "rest"), ()) if sides == "fixed" else ("rest", "left")
     x = np.asarray(fine.points)[fine.patch("bottom")]
@@ -171,10 +160,9 @@ def test_a_call_beside_returns_or_raises_where_its_result_is_asked_for(monkeypat
 def test_a_surface_without_extent_is_refused_beside_other_work(monkeypatch, count):
     monkeypatch.setenv(cores.SWITCH, count)
     points = np.concatenate([np.stack([np.linspace(0, 1, 9), np.zeros(9)], axis=1), [[0.5, 1.0]]])
+    method = jm.SurfaceReconstruction(jm.InverseDistance(), jm.DelaunayGraph())
     with pytest.raises(ValueError, match="lie in one line, so no Delaunay graph"):
-        jm.prepare(
-            points, [0, 1, 2], range(3, 9), method=jm.SurfaceReconstruction(jm.InverseDistance(), jm.DelaunayGraph())
-        )
+        jm.prepare(points, [0, 1, 2], range(3, 9), method=method)
 
 
 @pytest.mark.nightly
@@ -182,9 +170,7 @@ def test_tables_of_the_transpose_are_made_for_derivatives_alone(monkeypatch):
     from jaxmorph._methods import sparse
 
     made, tabled = [], sparse.Interpolation._tabled
-    monkeypatch.setattr(
-        sparse.Interpolation, "_tabled", lambda *arguments: made.append(arguments) or tabled(*arguments)
-    )
+    monkeypatch.setattr(sparse.Interpolation, "_tabled", lambda *given: made.append(given) or tabled(*given))
     mesh = body(2)
     plan = jm.prepare(mesh.points, mesh.moving, mesh.fixed)
     u, w = motion(mesh.points)[mesh.moving], np.random.default_rng(0).normal(size=mesh.points.shape)

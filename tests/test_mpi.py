@@ -6,7 +6,7 @@ from runs import mpi_run
 
 @pytest.mark.nightly
 def test_two_processes_move_one_mesh():
-    told = mpi_run(2, "mpi_pieces.py")
+    told = mpi_run(2, "mpi_pieces")
     for line in (
         "0 process 1: `u` has shape",
         "1 `u` has shape",

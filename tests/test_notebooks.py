@@ -13,9 +13,6 @@ FOLDER = pathlib.Path(__file__).parents[1] / "notebooks"
 OPTIMISED = "03_shape_optimisation.ipynb"
 """It takes twice as long where compiled code is not optimised (`.ci/run`); the others compile most of the time."""
 
-OFTEN = ("00_first_steps.ipynb",)
-"""`.ci/run` runs this notebook, `.ci/nightly` all."""
-
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
 LARGEST = 640 * 1024
 """Bytes, pictures included."""
@@ -59,9 +56,8 @@ def check_wing(said):
         )
         assert float(reduced[2]) > float(graph[2]) + 0.15
         assert reduced[3] == "0"
-    kept, rebuilt = (
-        re.findall(rf"{name} +([13]) +\S+ +\S+ +\S+ +(\d+) +(\S+)\n", said) for name in ("ids kept", "found again")
-    )
+    row = r" +([13]) +\S+ +\S+ +\S+ +(\d+) +(\S+)\n"
+    kept, rebuilt = (re.findall(name + row, said) for name in ("ids kept", "found again"))
     assert [(row[0], row[1]) for row in kept + rebuilt] == [("1", "0"), ("3", "0")] * 2
     assert float(kept[1][2]) < 1e-9 < float(rebuilt[1][2])
     rows = re.findall(r"(bending|pitch|dihedral) +(held|interior|symmetry) +(-?[0-9.]+) +(\d+) +([0-9.]+)\n", said)
@@ -77,9 +73,8 @@ def check_wing(said):
 
 def check_extension(said):
     """Exact on the surface, no inverted cell, and the gradient is that of the differences."""
-    rows = re.findall(
-        r"(thin plate spline|cubic|inverse distances|cubic \+ inverse distances) +(\S+) +\S+ +\S+ +(\d+)\n", said
-    )
+    names = r"(thin plate spline|cubic|inverse distances|cubic \+ inverse distances)"
+    rows = re.findall(names + r" +(\S+) +\S+ +\S+ +(\d+)\n", said)
     assert len(rows) == 4
     assert all(float(error) < 1e-15 and inverted == "0" for _, error, inverted in rows)
     check_equal(said, r"direction (-?[0-9.]+), central difference (-?[0-9.]+)", 1e-6)
@@ -231,20 +226,10 @@ CASES = {
 """Parameters for the tests, put in place of those that the cell tagged `parameters` sets, and what the output has to say."""
 
 
-def with_parameters(notebook, values):
-    tagged = [k for k, cell in enumerate(notebook.cells) if "parameters" in cell.metadata.get("tags", ())]
-    assert len(tagged) == 1
-    lines = "\n".join(f"{name} = {value!r}" for name, value in values.items())
-    notebook.cells.insert(tagged[0] + 1, nbformat.v4.new_code_cell(lines))
-    return notebook
-
-
 # Warnings are those of Jupyter's client; what the notebook's own kernel warns of is looked for in its output.
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.nightly
-@pytest.mark.parametrize(
-    "name", [name if name in OFTEN else pytest.param(name, marks=pytest.mark.nightly) for name in sorted(CASES)]
-)
+@pytest.mark.parametrize("name", sorted(CASES))
 def test_notebook_runs(name, monkeypatch):
     if name == OPTIMISED:
         monkeypatch.delenv("JAX_DISABLE_MOST_OPTIMIZATIONS", raising=False)
@@ -253,7 +238,10 @@ def test_notebook_runs(name, monkeypatch):
 
 def said_by(name):
     """What the notebook prints on small meshes."""
-    notebook = with_parameters(nbformat.read(FOLDER / name, as_version=4), CASES[name][0])
+    notebook = nbformat.read(FOLDER / name, as_version=4)
+    (tagged,) = (k for k, cell in enumerate(notebook.cells) if "parameters" in cell.metadata.get("tags", ()))
+    lines = "\n".join(f"{key} = {value!r}" for key, value in CASES[name][0].items())
+    notebook.cells.insert(tagged + 1, nbformat.v4.new_code_cell(lines))
     nbclient.NotebookClient(notebook, timeout=300, kernel_name="python3").execute()
     said = [output for cell in notebook.cells for output in cell.get("outputs", ())]
     assert not [output.text for output in said if output.get("name") == "stderr"]

@@ -7,6 +7,7 @@ import foam
 import numpy as np
 import pytest
 from foam import PATCHES, mixed, split, strip
+from formats import rewritten
 from scipy.spatial import ConvexHull
 
 import jaxmorph as jm
@@ -50,30 +51,26 @@ def test_comments_at_the_end_may_hold_parentheses(tmp_path, end):
         file.write_text(file.read_text().rstrip() + end)
     mesh = io.read(tmp_path / "a")
     np.testing.assert_array_equal(mesh.points, points)
-    io.write(tmp_path / "b", mesh.moved(points + 1))
-    np.testing.assert_array_equal(io.read(tmp_path / "b").points, points + 1)
+    np.testing.assert_array_equal(rewritten(tmp_path / "b", mesh.moved(points + 1)).points, points + 1)
     assert (tmp_path / "b" / "constant" / "polyMesh" / "points").read_text().endswith(end)
 
 
 def test_cells_have_the_volumes_of_their_hulls(tmp_path):
     points, cells = mixed()
-    foam.write_case(tmp_path / "a", points, cells, PATCHES)
-    mesh = io.read(tmp_path / "a")
+    mesh = io.read(foam.write_case(tmp_path / "a", points, cells, PATCHES))
     report = jm.quality(mesh)
     assert int(report.inverted) == 0
     for kind, at in (("tetra", 3), ("pyramid", 2), ("wedge", 1), ("hexahedron", 0)):
         assert sorted(mesh.cells[kind][0].tolist()) == sorted({n for face in cells[at] for n in face})
     flat, cells = np.round(points), mixed()[1]
-    foam.write_case(tmp_path / "flat", flat, cells, PATCHES)
-    volumes = np.asarray(jm.quality(io.read(tmp_path / "flat")).volume)
+    volumes = np.asarray(jm.quality(io.read(foam.write_case(tmp_path / "flat", flat, cells, PATCHES))).volume)
     hulls = [ConvexHull(flat[sorted({n for face in faces for n in face})]).volume for faces in cells]
     np.testing.assert_allclose(np.sort(volumes), np.sort(hulls), rtol=1e-6)
 
 
 def test_polyhedra_are_judged_by_pieces_between_their_own_nodes(tmp_path):
     points, cells = split()
-    foam.write_case(tmp_path / "a", points, cells, PATCHES)
-    mesh = io.read(tmp_path / "a")
+    mesh = io.read(foam.write_case(tmp_path / "a", points, cells, PATCHES))
     assert len(mesh.points) == len(points)
     assert len(mesh.cells["hexahedron"]) == 4
     assert list(mesh.cells) == ["hexahedron", "tetra"]
@@ -101,20 +98,17 @@ def test_pieces_of_a_polyhedron_may_coincide(tmp_path):
     ]
     foam.write_case(tmp_path / "a", points, [cell], [("all", "wall", lambda face: True)])
     moved = io.read(tmp_path / "a").moved(points + np.random.default_rng(9).integers(-4, 5, points.shape) / 8)
-    io.write(tmp_path / "b", moved)
-    found = io.read(tmp_path / "b")
+    found = rewritten(tmp_path / "b", moved)
     pieces = np.sort(np.asarray(found.cells["tetra"]), axis=1)
     assert len(np.unique(pieces, axis=0)) < len(pieces)
     assert found.cell_counts == {"polyhedron": 1}
 
 
-@pytest.mark.parametrize(
-    "entry", ["inGroups 1(wall);", "inGroups List<word> 2(wall near);", 'inGroups ( "wall" );', ""]
-)
+@pytest.mark.parametrize("entry", ["1(wall)", "List<word> 2(wall near)", '( "wall" )', ""])
 def test_patches_by_the_groups_of_the_case(tmp_path, capsys, entry):
     foam.write_case(tmp_path / "a", *split(), PATCHES)
     boundary = tmp_path / "a" / "constant" / "polyMesh" / "boundary"
-    boundary.write_text(boundary.read_text().replace("inGroups 1(wall);", entry))
+    boundary.write_text(boundary.read_text().replace("inGroups 1(wall);", entry and f"inGroups {entry};"))
     mesh = io.read(tmp_path / "a")
     walls = {"wall": ("floor",)} if entry else {}
     near = {"near": ("floor",)} if "near" in entry else {}
@@ -131,18 +125,14 @@ def test_patches_by_the_groups_of_the_case(tmp_path, capsys, entry):
 @pytest.mark.parametrize("normal", [0, 1, 2])
 def test_cases_in_2d_move_both_planes_alike(tmp_path, normal):
     points, cells, patches = strip(normal)
-    foam.write_case(tmp_path / "a", points, cells, patches)
-    mesh = io.read(tmp_path / "a")
+    mesh = io.read(foam.write_case(tmp_path / "a", points, cells, patches))
     assert {kind: len(corners) for kind, corners in mesh.cells.items()} == {"quad": 27, "triangle": 2}
     assert {name: len(nodes) for name, nodes in mesh.patches.items()} == {"far": 14, "hole": 14}
     np.testing.assert_allclose(np.linalg.norm(mesh.points[mesh.patch("hole")], axis=1), 1)
     area = np.asarray(jm.quality(mesh).area)
     assert area.min() > 0
     np.testing.assert_allclose(area.sum(), 7 * np.sin(np.pi / 7) * 1.25, rtol=1e-6)
-    io.write(tmp_path / "same", mesh)
-    assert foam.tree(tmp_path / "same") == foam.tree(tmp_path / "a")
-    io.write(tmp_path / "b", mesh.moved(mesh.points * [1.1, 0.7]))
-    again = io.read(tmp_path / "b")
+    again = rewritten(tmp_path / "b", mesh.moved(mesh.points * [1.1, 0.7]))
     np.testing.assert_array_equal(again.points, mesh.points * [1.1, 0.7])
     expected = points * np.insert([1.1, 0.7], normal, 1)
     np.testing.assert_array_equal(again.source.content.points, expected)
@@ -175,37 +165,20 @@ def test_what_is_refused(tmp_path):
             io.read(tmp_path / name) if new is None else io.write(tmp_path / name, new)
 
 
-@pytest.mark.parametrize("target", ["b", "a/0.5"])
-def test_a_failure_leaves_nothing(tmp_path, monkeypatch, target):
-    foam.write_case(tmp_path / "a", *mixed(), PATCHES)
-    mesh = io.read(tmp_path / "a")
-    before = sorted(tmp_path.rglob("*"))
-
-    def fail(*_):
-        raise OSError("no space left")
-
-    monkeypatch.setattr("jaxmorph.io.openfoam.case._write_points", fail)
-    with pytest.raises(OSError, match="no space left"):
-        io.write(tmp_path / target, mesh)
-    assert sorted(tmp_path.rglob("*")) == before
-
-
 @pytest.mark.parametrize("form", ["ascii", "binary", "ascii-gz"])
 @pytest.mark.parametrize("make", [mixed, split])
 def test_vtk_sees_the_same_mesh(tmp_path, form, make):
     pyvista = pytest.importorskip("pyvista")
     points, cells = make()
-    foam.write_case(tmp_path / "a", points, cells, PATCHES, foam.FORMS[form])
-    mesh = io.read(tmp_path / "a")
+    mesh = io.read(foam.write_case(tmp_path / "a", points, cells, PATCHES, foam.FORMS[form]))
     io.write(tmp_path / "b", mesh.moved(mesh.points * [1, 2, 3] + 1e-3))
     (tmp_path / "b" / "b.foam").touch()
     seen = pyvista.OpenFOAMReader(tmp_path / "b" / "b.foam").read()["internalMesh"]
     np.testing.assert_allclose(seen.points, points * [1, 2, 3] + 1e-3, rtol=1e-6)
     assert seen.n_cells == len(cells)
     volume = np.asarray(jm.quality(mesh.moved(mesh.points * [1, 2, 3])).volume).sum()
-    np.testing.assert_allclose(
-        volume, np.abs(seen.compute_cell_sizes()["Volume"]).sum(), rtol=2e-3 if make is mixed else 1e-6
-    )
+    sizes = np.abs(seen.compute_cell_sizes()["Volume"])
+    np.testing.assert_allclose(volume, sizes.sum(), rtol=2e-3 if make is mixed else 1e-6)
 
 
 @pytest.mark.parametrize("form", ["ascii", "ascii-gz", "binary", "binary-big-endian-gz"])
@@ -213,21 +186,18 @@ def test_vtk_sees_the_same_mesh(tmp_path, form, make):
 def test_sensitivities_at_points(tmp_path, form, plane):
     """g . dx over all points of the case is what read_sensitivity gives . dx over the nodes of the mesh."""
     points, cells, patches = strip(1) if plane else (*mixed(), PATCHES)
-    foam.write_case(tmp_path / "a", points, cells, patches)
-    mesh = io.read(tmp_path / "a")
+    mesh = io.read(foam.write_case(tmp_path / "a", points, cells, patches))
     g = np.random.default_rng(3).normal(size=points.shape)
     file = tmp_path / "a" / "7" / "pointSensVecas1ESI"
     foam.write_point_vectors(file, g, foam.FORMS[form])
     dx = np.random.default_rng(4).normal(size=mesh.points.shape)
-    io.write(tmp_path / "b", mesh.moved(mesh.points + dx))
-    moved = io.read(tmp_path / "b").source.content.points
+    moved = rewritten(tmp_path / "b", mesh.moved(mesh.points + dx)).source.content.points
     found = io.read_sensitivity(next(file.parent.glob("pointSens*")), mesh)
     np.testing.assert_allclose(np.vdot(found, dx), np.vdot(g, moved - points), rtol=1e-9)
 
 
 def test_sensitivities_that_are_none(tmp_path):
-    foam.write_case(tmp_path / "a", *mixed(), PATCHES)
-    mesh = io.read(tmp_path / "a")
+    mesh = io.read(foam.write_case(tmp_path / "a", *mixed(), PATCHES))
     file = tmp_path / "s"
     foam.write_point_vectors(file, np.ones((11, 3)))
     with pytest.raises(ValueError, match="12 vectors expected, one for each point of the case, found 11"):

@@ -5,7 +5,6 @@ import re
 import foam
 import numpy as np
 import pytest
-from foam import HEXAHEDRON
 
 import jaxmorph as jm
 from jaxmorph import cases, io
@@ -22,7 +21,7 @@ def case(request, tmp_path):
     """Bricks in the unit cube, cyclic from x = 0 to x = 1, straight or bent."""
     mesh = cases.bricks(cells=3)
     flat = np.asarray(mesh.points)
-    cells = [[[row[i] for i in face] for face in HEXAHEDRON] for row in mesh.cells["hexahedron"].tolist()]
+    cells = foam.hexahedra(mesh.cells["hexahedron"])
 
     def at(x):
         return lambda face: bool(np.allclose(flat[face, 0], x))
@@ -41,9 +40,8 @@ def case(request, tmp_path):
 def test_patches_that_move_alike_match(case, tmp_path):
     folder, flat, points, kind = case
     mesh = io.read(folder)
-    bumped = flat + np.stack(
-        [0 * flat[:, 0], 0 * flat[:, 0], 0.1 * np.sin(2 * np.pi * flat[:, 0]) + 0.1 * flat[:, 1] ** 2], axis=1
-    )
+    bumped = flat.copy()
+    bumped[:, 2] += 0.1 * np.sin(2 * np.pi * flat[:, 0]) + 0.1 * flat[:, 1] ** 2
     moved = bumped if kind == "translation" else turned(bumped)
     io.write(tmp_path / "alike", mesh.moved(moved))
     turn = np.array([[0.6, -0.8, 0], [0.8, 0.6, 0], [0, 0, 1]])
@@ -58,9 +56,8 @@ def test_patches_that_drift_apart_are_an_error(case, tmp_path):
     here = np.flatnonzero(np.all(np.isclose(flat, [0, 1 / 3, 1 / 3]), axis=1))
     moved = points.copy()
     moved[here, 2] += 0.02
-    with pytest.raises(
-        ValueError, match=r"'in' and 'out' no longer match: \d of 9 pairs.*Hold both patches fixed"
-    ) as error:
+    told = r"'in' and 'out' no longer match: \d of 9 pairs.*Hold both patches fixed"
+    with pytest.raises(ValueError, match=told) as error:
         io.write(tmp_path / "apart", mesh.moved(moved))
     assert float(re.findall(r"up to ([\d.]+) of", str(error.value))[0]) == pytest.approx(0.02 / 4 / (1 / 3), rel=1.3)
     assert not (tmp_path / "apart").exists()

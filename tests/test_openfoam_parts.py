@@ -1,10 +1,7 @@
 """Decomposed OpenFOAM cases: parts are read, moved, judged and written as the whole case is."""
 
-import os
-import pathlib
 import re
 import shutil
-import subprocess
 import sys
 import types
 
@@ -12,7 +9,7 @@ import foam
 import numpy as np
 import pytest
 from meshes import grid
-from runs import runs
+from runs import all_refused, mpi_run, runs
 from scipy.spatial import KDTree
 
 import jaxmorph as jm
@@ -24,13 +21,11 @@ from jaxmorph.cli import main
 from jaxmorph.cli._decomposed import STARTED, _ranks, _say_warnings_of_all
 from jaxmorph.cli._output import Output
 
-ROOT = pathlib.Path(__file__).resolve().parents[1]
-
 
 def cubes(shape=(3, 2, 2)):
     """Points of a box of cubes, and the faces of each cell."""
     mesh = grid(*(np.arange(n + 1.0) for n in shape))
-    return np.asarray(mesh.points), [foam.cell(foam.HEXAHEDRON, *row) for row in mesh.cells["hexahedron"].tolist()]
+    return np.asarray(mesh.points), foam.hexahedra(mesh.cells["hexahedron"])
 
 
 def box(points):
@@ -78,9 +73,7 @@ def test_parts_of_a_region_are_those_of_a_case(divided, tmp_path):
     with pytest.raises(ValueError, match=rf"name one of the regions fluid, solid, as {re.escape(str(fluid))}"):
         io.Decomposed(tmp_path / "regions")
     shutil.rmtree(tmp_path / "regions" / "constant")
-    with pytest.raises(
-        ValueError, match=r"It is decomposed, and has the regions fluid, solid: .*--decomposed \S+fluid"
-    ):
+    with pytest.raises(ValueError, match=r"It is decomposed, and has the regions fluid, solid: .*decomposed \S+fluid"):
         io.read(tmp_path / "regions")
     case = io.Decomposed(fluid)
     surface = case.surface()
@@ -142,12 +135,8 @@ def test_summaries_of_parts_add_up_to_the_whole(divided):
     assert (found.cells, found.inverted, found.spoilt) == (expected.cells, expected.inverted, expected.spoilt)
     assert 0 < found.inverted < 12
     first = {0: 0, 1: 4}
-    for row in (
-        ("max", "face_aspect_ratio"),
-        ("min", "pyramid"),
-        ("min", "volume_ratio"),
-        ("mean", "face_aspect_ratio"),
-    ):
+    aspect = "face_aspect_ratio"
+    for row in (("max", aspect), ("min", "pyramid"), ("min", "volume_ratio"), ("mean", aspect)):
         assert found.rows[row].value == pytest.approx(expected.rows[row].value, rel=1e-12)
         if row[0] != "mean":
             number = found.rows[row]
@@ -214,14 +203,12 @@ def test_what_a_decomposed_case_lacks(divided, tmp_path):
         file.write_text(text)
     undivided = io.read(divided)
     shutil.rmtree(divided / "constant")
-    for act, message in (
+    all_refused(
         (lambda: io.global_nodes(jm.Mesh(np.zeros((3, 2)))), "was not read from an OpenFOAM case"),
         (lambda: io.global_nodes(undivided), "there is no pointProcAddressing"),
         (lambda: io.Decomposed(tmp_path), "not decomposed, there is no folder processor0"),
         (lambda: io.read(divided), "It is decomposed: take one of its 2 folders"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            act()
+    )
     (divided / "processor1" / "constant" / "polyMesh" / "pointProcAddressing").unlink()
     with pytest.raises(ValueError, match=r"there is no pointProcAddressing.* Run reconstructParMesh -constant"):
         io.Decomposed(divided).surface()
@@ -243,25 +230,13 @@ def test_processes_agree_and_fail_together():
 HEAD = "FoamFile {{ version 2.0; format ascii; class dictionary; object {}; }}\n"
 CORNERS = "(0 0 0)(2 0 0)(2 1.2 0)(0 1 0)(0 0 1)(2 0 1)(2 1.2 1)(0 1 1)"
 PAIR = "front {type cyclic; neighbourPatch back; faces ((4 5 6 7));} back {type cyclic; neighbourPatch front; faces ((0 3 2 1));}"
+PLANES = "front {type symmetryPlane; faces ((4 5 6 7));} back {type symmetryPlane; faces ((0 3 2 1));}"
+EMPTY = "front {type empty; faces ((4 5 6 7)(0 3 2 1));}"
 ENDS = "floor {type wall; faces ((0 1 5 4));} roof {type wall; faces ((3 7 6 2));} sides {type patch; faces ((0 4 7 3)(2 6 5 1));}"
 CASES = {
-    "cyclic": (PAIR, (8, 6, 4), "simple; simpleCoeffs { n (2 1 2); delta 0.001; }", 4, "ascii", []),
-    "symmetry": (
-        "front {type symmetryPlane; faces ((4 5 6 7));} back {type symmetryPlane; faces ((0 3 2 1));}",
-        (8, 6, 4),
-        "simple; simpleCoeffs { n (1 2 1); delta 0.001; }",
-        2,
-        "binary",
-        ["--symmetry", "front", "back"],
-    ),
-    "empty": (
-        "front {type empty; faces ((4 5 6 7)(0 3 2 1));}",
-        (12, 6, 1),
-        "simple; simpleCoeffs { n (2 2 1); delta 0.001; }",
-        4,
-        "ascii; writeCompression on",
-        [],
-    ),
+    "cyclic": (PAIR, (8, 6, 4), "2 1 2", 4, "ascii", []),
+    "symmetry": (PLANES, (8, 6, 4), "1 2 1", 2, "binary", ["--symmetry", "front", "back"]),
+    "empty": (EMPTY, (12, 6, 1), "2 2 1", 4, "ascii; writeCompression on", []),
 }
 """Patches in front and behind, cells, how it is decomposed, in how many parts, how it is written, more flags."""
 
@@ -274,7 +249,7 @@ def made_by_openfoam(case, name):
     mesh = f"vertices ({CORNERS}); blocks (hex (0 1 2 3 4 5 6 7) ({cells}) simpleGrading (1 2 1)); edges ();"
     mesh += f" boundary ({ENDS} {patches});"
     (case / "system" / "blockMeshDict").write_text(HEAD.format("blockMeshDict") + mesh)
-    way = f"numberOfSubdomains {count}; method {way}"
+    way = f"numberOfSubdomains {count}; method simple; simpleCoeffs {{ n ({way}); delta 0.001; }}"
     (case / "system" / "decomposeParDict").write_text(HEAD.format("decomposeParDict") + way)
     with (case / "system" / "controlDict").open("a") as file:
         file.write(f"writeFormat {form}; writePrecision 17;\n")
@@ -292,17 +267,10 @@ LIFT = ("--translate", "0.02", "-0.05", "0.1")
 
 
 @pytest.mark.filterwarnings("ignore:.*the case is decomposed")
-@pytest.mark.parametrize(
-    "flags",
-    [
-        pytest.param((), marks=pytest.mark.slow),
-        *(pytest.param(each, marks=pytest.mark.nightly) for each in [("--steps", "3"), ("--dtype", "float32")]),
-    ],
-    ids=str,
-)
+@pytest.mark.parametrize("flags", runs(slow=[""], nightly=["--steps 3", "--dtype float32"]))
 def test_parts_move_as_their_union(divided, tmp_path, capsys, flags):
-    assert move(divided, tmp_path / "whole", *LIFT, *flags) == 0
-    assert move(divided, tmp_path / "parts", *LIFT, *flags, "--decomposed") == 0
+    assert move(divided, tmp_path / "whole", *LIFT, *flags.split()) == 0
+    assert move(divided, tmp_path / "parts", *LIFT, *flags.split(), "--decomposed") == 0
     assert "in 2 parts" in capsys.readouterr().out
     expected = io.read(tmp_path / "whole").points
     for k in range(2):
@@ -353,19 +321,11 @@ def test_parts_move_as_the_whole_case(tmp_path, monkeypatch, capsys, name):
 
 @pytest.mark.slow
 def test_processes_of_an_mpi_run_write_the_same_case(divided, tmp_path):
-    pytest.importorskip("mpi4py")
-    mpiexec = pathlib.Path(sys.executable).with_name("mpiexec")
-    if not mpiexec.exists():
-        pytest.skip("no mpiexec beside this python: another one may belong to another MPI than mpi4py")
     assert move(divided, tmp_path / "one", *LIFT, "--decomposed") == 0
 
     def run(words):
-        command = [str(mpiexec), "-n", "2", sys.executable, "-m", "jaxmorph", *words]
-        environment = os.environ | {"PYTHONPATH": str(ROOT)}
-        done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=300, check=False)
-        print(done.stdout, done.stderr)
-        assert done.stdout.count("quality of") == 1  # one speaks for all
-        return done.returncode
+        assert mpi_run(2, "jaxmorph", *words).count("quality of") == 1  # one speaks for all
+        return 0
 
     assert move(divided, tmp_path / "two", *LIFT, "--decomposed", run=run) == 0
     one, two = (foam.tree(tmp_path / each) for each in ("one", "two"))

@@ -12,6 +12,7 @@ import foam
 import numpy as np
 import pytest
 from foam import PATCHES, mixed
+from runs import runs
 
 import jaxmorph as jm
 from jaxmorph import io
@@ -61,10 +62,10 @@ INCOMPRESSIBLE = {
     "adjointOptimisationFoam/resources/meshes/sbend": ("lower", ["--translate", "0", "-0.01"]),
 }
 
+OFTEN = "adjointOptimisationFoam/resources/meshes/naca0012"
 
-@pytest.mark.parametrize(
-    "name", [name if "naca" in name else pytest.param(name, marks=pytest.mark.nightly) for name in INCOMPRESSIBLE]
-)
+
+@pytest.mark.parametrize("name", runs([OFTEN], nightly=[each for each in INCOMPRESSIBLE if each != OFTEN]))
 def test_tutorials_in_2d(tmp_path, capsys, name):
     moving, motion = INCOMPRESSIBLE[name]
     case, new = tutorial(tmp_path / "case", f"incompressible/{name}"), tmp_path / "new"
@@ -108,9 +109,8 @@ def test_a_solver_runs_on_a_moved_cyclic_channel(tmp_path):
     mesh_file, control = (case / "system" / name for name in ("blockMeshDict", "controlDict"))
     mesh_file.write_text(mesh_file.read_text().replace("(40 25 30)", "(16 8 6)"))
     text = control.read_text().partition("functions")[0]
-    control.write_text(
-        re.sub(r"(endTime|deltaT)( +)[\d.]+;", r"\1\2 0.01;", text).replace("writeInterval   200", "writeInterval 1")
-    )
+    text = re.sub(r"(endTime|deltaT)( +)[\d.]+;", r"\1\2 0.01;", text)
+    control.write_text(text.replace("writeInterval   200", "writeInterval 1"))
     shutil.rmtree(case / "0")
     (case / "0.orig").rename(case / "0")
     foam.run(case, "blockMesh")
@@ -148,9 +148,7 @@ boundary ( floor {type wall; faces ((0 1 5 4));} roof {type wall; faces ((3 7 6 
 """
 
 
-@pytest.mark.parametrize(
-    "settings", ["writeFormat ascii;", "writeFormat binary;", "writeFormat ascii; writeCompression on;"]
-)
+@pytest.mark.parametrize("settings", ["ascii", "binary", "ascii; writeCompression on"])
 def test_polyhedra_made_by_openfoam(tmp_path, capsys, settings):
     """The dual of a block: five kinds of polyhedra, and hexahedra."""
     case = tmp_path / "a"
@@ -158,8 +156,9 @@ def test_polyhedra_made_by_openfoam(tmp_path, capsys, settings):
     shutil.rmtree(case / "constant" / "polyMesh")
     (case / "system" / "blockMeshDict").write_text(BLOCK)
     with (case / "system" / "controlDict").open("a") as file:
-        file.write(f"{settings} writePrecision 15;\n")
+        file.write(f"writeFormat {settings}; writePrecision 15;\n")
     foam.run(case, "blockMesh")
+    assert_measured_alike(case, capsys)
     foam.run(case, "polyDualMesh", "60", "-overwrite")
     for file in case.glob("*.obj"):
         file.unlink()

@@ -36,9 +36,7 @@ def component(**options):
 
 @pytest.mark.parametrize("flat", runs([False], nightly=[True]))
 def test_partials_pass_openmdaos_check(plan, flat):
-    problem = om.Problem(reports=False)
-    problem.model.add_subsystem("mesh", component(plan=plan, flat=flat, units="m"), promotes=["*"])
-    problem.setup()
+    problem = run(plan=plan, flat=flat, units="m")
     np.testing.assert_array_equal(problem.get_val("points").ravel(), np.asarray(plan.points).ravel())
     u = given(plan)
     problem.set_val("displacements", u.ravel() if flat else u)

@@ -78,9 +78,10 @@ def test_walls_are_drawn_stronger_than_the_lines_between_cells():
     _, lines, walls = plot.mesh(mesh, values=np.ones(3)).collections
     outer = jm.boundary_faces(mesh)["line"]
     assert len(walls.get_segments()) == len(outer)
-    assert {frozenset(map(tuple, edge)) for edge in walls.get_segments()} == {
-        frozenset(map(tuple, edge)) for edge in mesh.points[outer]
-    }
+    found, expected = (
+        {frozenset(map(tuple, edge)) for edge in each} for each in (walls.get_segments(), mesh.points[outer])
+    )
+    assert found == expected
     corners = sum(ids.size for ids in mesh.cells.values())
     assert len(lines.get_segments()) == (corners + len(outer)) / 2
     assert min(walls.get_linewidths()) > 2 * max(lines.get_linewidths())
@@ -113,9 +114,8 @@ def test_new_figures_have_the_shape_of_their_content():
 
 def test_mesh_at_other_points_in_a_window_of_a_given_axis():
     mesh, given = mixed(), plt.subplots()[1]
-    axis = plot.mesh(
-        mesh, mesh.points + np.array([10, 0]), values=[4, 1, 2], window=((10.1, 10.9), (0.2, 0.5)), ax=given
-    )
+    moved, window = mesh.points + np.array([10, 0]), ((10.1, 10.9), (0.2, 0.5))
+    axis = plot.mesh(mesh, moved, values=[4, 1, 2], window=window, ax=given)
     assert axis is given
     assert axis.get_xlim() == (10.1, 10.9)
     np.testing.assert_array_equal(axis.collections[0].get_array(), [4])
@@ -201,9 +201,8 @@ def test_before_and_after_in_two_colours(airfoil):
     np.testing.assert_array_equal(outlines(before)[0][:4], airfoil.points[airfoil.cells["quad"][0]])
     wall = jm.boundary_faces(airfoil)["line"]
     for walls, points in ((was, airfoil.points), (now, moved)):
-        np.testing.assert_allclose(
-            np.sort(np.concatenate(walls.get_segments()), axis=0), np.sort(points[wall].reshape(-1, 2), axis=0)
-        )
+        found = np.sort(np.concatenate(walls.get_segments()), axis=0)
+        np.testing.assert_allclose(found, np.sort(points[wall].reshape(-1, 2), axis=0))
     lines = np.concatenate(after.get_segments())
     np.testing.assert_allclose(lines[:, 1].max(), moved[:, 1].max())
     assert [text.get_text() for text in axis.get_legend().get_texts()] == ["undeformed", "deformed"]
@@ -251,10 +250,8 @@ def test_graph_has_the_edges_of_a_triangulation():
 def test_legends_hide_nothing_at_the_width_of_a_column(airfoil):
     """Each stands above its axes, within the figure, and the axes stay larger than the legend."""
     plan = jm.prepare(airfoil, "airfoil", "farfield", method=jm.RBF(reduction=jm.KDTree(4)))
-    window, errors = (
-        plot.whole(airfoil.points),
-        plot.surface_errors(plan, 0.1 * plan.points[plan.moving], [jm.KDTree(2)]),
-    )
+    window = plot.whole(airfoil.points)
+    errors = plot.surface_errors(plan, 0.1 * plan.points[plan.moving], [jm.KDTree(2)])
     for draw in (
         lambda ax: plot.before_after(airfoil, airfoil.points, ax=ax),
         lambda ax: plot.graph(plan, window=window, ax=ax),
@@ -286,13 +283,9 @@ def test_histogram_counts_cells_of_the_highest_dimension_alone():
     none = jnp.zeros(5)
     flags = dict.fromkeys(("is_inverted", "is_degenerate"), none > 0)
     names = ("skewness", "aspect_ratio", "jacobian", "non_orthogonality", "volume_ratio", "jacobian_ratio")
-    report = jm.QualityReport(
-        volume=jnp.array([7, 8, 1, 2, jnp.inf]),
-        centroid=jnp.zeros((5, 2)),
-        types=(("line", 2), ("quad", 1), ("triangle", 2)),
-        **dict.fromkeys(names, none),
-        **flags,
-    )
+    volume, types = jnp.array([7, 8, 1, 2, jnp.inf]), (("line", 2), ("quad", 1), ("triangle", 2))
+    rest = dict.fromkeys(names, none) | flags
+    report = jm.QualityReport(volume=volume, centroid=jnp.zeros((5, 2)), types=types, **rest)
     axis = plot.histogram({"all": report}, measure="volume")
     assert sum(bar.get_height() for bar in axis.containers[0]) == 2
     assert axis.get_xlim()[1] < 3
@@ -400,9 +393,8 @@ def test_a_label_brings_a_bar_in_3d():
     plotter = plot.surface(bricks(), values=np.arange(27.0), limits=(26, 0), label="J/J0")
     assert "J/J0\n" in plotter.scalar_bars
     assert plotter.mapper.scalar_range == (0, 26)
-    np.testing.assert_allclose(
-        np.array(plotter.mapper.lookup_table.map_value(0))[:3], plt.get_cmap(plot.COLOURS)(255)[:3], atol=0.01
-    )
+    first = np.array(plotter.mapper.lookup_table.map_value(0))[:3]
+    np.testing.assert_allclose(first, plt.get_cmap(plot.COLOURS)(255)[:3], atol=0.01)
 
 
 def test_cut_shows_the_cells_that_the_plane_meets():
@@ -430,26 +422,21 @@ def test_a_cut_along_nodes_has_each_edge_once():
 
 def test_a_cut_shows_whole_polyhedra(tmp_path):
     """A cube beside four small ones, cut across all: its section is one square, though its pieces are many."""
-    foam.write_case(tmp_path / "a", *foam.split(), foam.PATCHES)
-    mesh = io.read(tmp_path / "a")
+    mesh = io.read(foam.write_case(tmp_path / "a", *foam.split(), foam.PATCHES))
     assert len(mesh.cell_ids) > 5
     plotter = plot.cut(mesh, plane=jm.Plane((0, 0, 1.0), (0, 0, 0.25)))
     section, lines, walls = plotter.meshes
     np.testing.assert_allclose(section.area, 2)
     edges = lines.points[lines.lines.reshape(-1, 3)[:, 1:]]
-    inner = np.all((edges[:, :, 0] > 1e-6) & (edges[:, :, 0] < 1 - 1e-6), axis=1) & np.all(
-        (edges[:, :, 1] > 1e-6) & (edges[:, :, 1] < 1 - 1e-6), axis=1
-    )
-    assert not inner.any()  # of the cube
+    assert not ((edges[..., :2] > 1e-6) & (edges[..., :2] < 1 - 1e-6)).all(axis=(1, 2)).any()  # of the cube
     between = np.all(np.abs(edges[:, :, 0] - 1) < 1e-6, axis=1)  # the cube and the small ones
     length = np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1)
     np.testing.assert_allclose(length[~between].sum(), 6 + 1, rtol=1e-6)  # round both, and between the small ones
     assert length[between].sum() > 1 - 1e-6
     round_it = walls.points[walls.lines.reshape(-1, 3)[:, 1:]]
     np.testing.assert_allclose(np.linalg.norm(round_it[:, 1] - round_it[:, 0], axis=1).sum(), 6, rtol=1e-6)
-    assert (
-        plot.surface(mesh).meshes[0].n_cells == 5 + 12
-    )  # faces of the cube, of five corners too, and of the small ones
+    # faces of the cube, of five corners too, and of the small ones
+    assert plot.surface(mesh).meshes[0].n_cells == 5 + 12
 
 
 def test_a_cut_is_cropped_to_the_body_that_it_meets():

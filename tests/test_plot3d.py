@@ -20,8 +20,7 @@ FORMS = [
 @pytest.mark.parametrize(("is_multiple", "counts"), runs([(True, (4, 3, 5))], nightly=[(False, (4, 3))]))
 def test_every_form_comes_back_as_it_was(tmp_path, form, order, width, blank, counts, is_multiple):
     blocks = box(*counts) if is_multiple else box(*counts)[:1]
-    write(tmp_path / "a.xyz", blocks, form, order, width, is_multiple, blank)
-    mesh = io.read(tmp_path / "a.xyz")
+    mesh = io.read(write(tmp_path / "a.xyz", blocks, form, order, width, is_multiple, blank))
     size = int(np.prod(counts))
     assert len(mesh.points) == len(blocks) * size - (len(blocks) - 1) * size // counts[0]
     first = blocks[0].reshape(len(counts), -1, order="F").T
@@ -39,8 +38,7 @@ def test_every_form_comes_back_as_it_was(tmp_path, form, order, width, blank, co
 
 
 def test_patches_by_side_and_by_ranges(tmp_path):
-    write(tmp_path / "a.p3d", box(4, 3, 5), "records")
-    mesh = io.read(tmp_path / "a.p3d")
+    mesh = io.read(write(tmp_path / "a.p3d", box(4, 3, 5), "records"))
     sides = {f"block{block}_{axis}{end}" for block in (1, 2) for axis in "ijk" for end in ("min", "max")}
     # the blocks meet at the last i of the first one and at the first j of the second one
     assert set(mesh.patches) == sides - {"block1_imax", "block2_jmin"}
@@ -63,8 +61,7 @@ def test_patches_by_side_and_by_ranges(tmp_path):
 def test_vtk_sees_the_moved_grid(tmp_path, form):
     pyvista = pytest.importorskip("pyvista")
     blocks = box(4, 3, 5)
-    write(tmp_path / "a.xyz", blocks, form)
-    mesh = io.read(tmp_path / "a.xyz")
+    mesh = io.read(write(tmp_path / "a.xyz", blocks, form))
     io.write(tmp_path / "b.xyz", mesh.moved(mesh.points @ [[1, 0.5, 0], [0, 1, 0.25], [0, 0, 2]]))
     if form == "text":
         (tmp_path / "b.xyz").write_text((tmp_path / "b.xyz").read_text().replace("D", "e"))

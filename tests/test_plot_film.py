@@ -186,9 +186,7 @@ def test_a_page_takes_the_colours_of_the_cells_of_a_patch(tmp_path):
 @pytest.fixture
 def browser():
     """Chromium, drawing WebGL in software."""
-    playwright = pytest.importorskip(
-        "playwright.sync_api", reason="no playwright to drive a browser: pip install playwright"
-    )
+    playwright = pytest.importorskip("playwright.sync_api", reason="no playwright: pip install playwright")
     program = shutil.which("chromium") or shutil.which("google-chrome")
     if program is None:
         pytest.skip("no chromium on this machine: apt-get install chromium")
@@ -199,17 +197,23 @@ def browser():
         opened.close()
 
 
+def opened(browser, path, height=480):
+    """A tab with a page that is drawn, what goes wrong there, and what it asks for."""
+    tab, problems, requests = browser.new_page(viewport={"width": 640, "height": height}), [], []
+    tab.on("console", lambda message: problems.append(message.text) if message.type in ("error", "warning") else None)
+    tab.on("pageerror", lambda error: problems.append(str(error)))
+    tab.on("dialog", lambda dialog: (problems.append(dialog.message), dialog.dismiss()))
+    tab.on("request", lambda request: requests.append(request.url))
+    tab.goto(path.as_uri())
+    tab.wait_for_selector("#deformation", timeout=30_000)
+    return tab, problems, requests
+
+
 @pytest.mark.slow
 def test_a_page_draws_in_a_browser_without_a_network(tmp_path, browser):
     mesh = bricks(4)
     path = plot.page(tmp_path / "cube.html", mesh, raised(mesh, 2), label="displacement, m")
-    tab = browser.new_page(viewport={"width": 640, "height": 480})
-    problems, requests = [], []
-    tab.on("console", lambda message: problems.append(message.text) if message.type in ("error", "warning") else None)
-    tab.on("pageerror", lambda error: problems.append(str(error)))
-    tab.on("request", lambda request: requests.append(request.url))
-    tab.goto(path.as_uri())
-    tab.wait_for_selector("#deformation", timeout=30_000)
+    tab, problems, requests = opened(browser, path)
 
     def body():
         """Rows and columns of the picture, without slider and scale, in which something is drawn; and how many colours."""
@@ -246,9 +250,7 @@ def test_a_page_shows_both_ends_in_a_narrow_window(tmp_path, browser):
     cube = bricks(2)
     bar = jm.Mesh(cube.points * np.array([6, 1, 1]), cube.cells)
     path = plot.page(tmp_path / "bar.html", bar, bar.points + np.array([0, 0, 0.5]))
-    tab = browser.new_page(viewport={"width": 640, "height": 360})
-    tab.goto(path.as_uri())
-    tab.wait_for_selector("#deformation", timeout=30_000)
+    tab, _, _ = opened(browser, path, height=360)
     tab.set_viewport_size({"width": 360, "height": 640})
     for _ in range(40):
         tab.wait_for_timeout(500)
@@ -269,12 +271,7 @@ def test_names_on_a_page_are_data(tmp_path, browser, text):
     """Whatever a file or a label is called, it is shown and not run."""
     mesh = bricks(1)
     path = plot.page(tmp_path / f"{text.replace('/', ' ')}.html", mesh, raised(mesh, 2), label=text)
-    tab = browser.new_page()
-    problems = []
-    tab.on("dialog", lambda dialog: (problems.append(dialog.message), dialog.dismiss()))
-    tab.on("pageerror", lambda error: problems.append(str(error)))
-    tab.goto(path.as_uri())
-    tab.wait_for_selector("#deformation", timeout=30_000)
+    tab, problems, _ = opened(browser, path)
     assert tab.locator("#label").text_content() == text
     assert tab.evaluate("document.title").split() == path.stem.split()
     assert not problems

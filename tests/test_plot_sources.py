@@ -30,13 +30,8 @@ def planned(method=None, half=False):
     """Two rings and points between them, or half of each above a symmetry plane: 40 moving, 30 fixed."""
     rings = [circle(radius, n, half) for radius, n in ((1, 40), (6, 30), (2, 20), (4, 20))]
     method = method or jm.SurfaceReconstruction.published(4, 2)
-    return jm.prepare(
-        np.concatenate(rings),
-        np.arange(40),
-        np.arange(40, 70),
-        method=method,
-        symmetry=jm.Plane((0, 1), (0, 0)) if half else (),
-    )
+    plane = jm.Plane((0, 1), (0, 0)) if half else ()
+    return jm.prepare(np.concatenate(rings), np.arange(40), np.arange(40, 70), method=method, symmetry=plane)
 
 
 def drawn(axis, name):

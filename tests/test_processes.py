@@ -24,9 +24,8 @@ sys.exit(main(["deform", "ring.su2", "out.su2", "--moving", "wall", "--fixed", "
 
 def run(folder, *command, **variables):
     environment = os.environ | variables
-    return subprocess.run(
-        command, cwd=folder, env=environment, capture_output=True, text=True, check=False, timeout=300
-    )
+    options = {"capture_output": True, "text": True, "timeout": 300}
+    return subprocess.run(command, cwd=folder, env=environment, check=False, **options)
 
 
 @pytest.mark.slow
@@ -34,9 +33,8 @@ def run(folder, *command, **variables):
 def test_an_install_without_source_works(tmp_path):
     """Bytecode beside removed sources, as images are made small: all public names, and a command."""
     write_ring(tmp_path / "ring.su2")
-    shutil.copytree(
-        pathlib.Path(jm.__file__).parent, tmp_path / "jaxmorph", ignore=shutil.ignore_patterns("__pycache__")
-    )
+    without = shutil.ignore_patterns("__pycache__")
+    shutil.copytree(pathlib.Path(jm.__file__).parent, tmp_path / "jaxmorph", ignore=without)
     compileall.compile_dir(tmp_path / "jaxmorph", quiet=1, legacy=True)
     for source in (tmp_path / "jaxmorph").rglob("*.py"):
         source.unlink()

@@ -4,9 +4,9 @@ import json
 
 import numpy as np
 import pytest
+from runs import printed
 
 from jaxmorph import cases, io, shapes
-from jaxmorph.cli import main
 from jaxmorph.integrations import su2
 
 CONFIG = """MATH_PROBLEM= {problem}
@@ -100,8 +100,7 @@ def test_the_angle_of_attack_has_the_derivative_that_the_file_tells(mesh, folder
     assert (given.path, case.angles) == (file, [1])
     if form != "binary":
         return
-    assert main(["su2", "dot", str(folder / "case.cfg"), "--method", "rbf", "--json"]) == 0
-    facts = json.loads(capsys.readouterr().out)
+    facts = json.loads(printed(capsys, ["su2", "dot", str(folder / "case.cfg"), "--method", "rbf", "--json"]))
     assert (facts["angle"], facts["kind"]) == (given.by_angle, "volume")
     first, bump, angle = (folder / "of_grad.dat").read_text().splitlines()
     assert (first, float(angle)) == ("DRAG gradient ", given.by_angle or 0)

@@ -11,6 +11,7 @@ import zlib
 import numpy as np
 import pytest
 import vtk_files
+from formats import rewritten
 from meshes import bricks, gmsh_session
 
 import jaxmorph as jm
@@ -46,9 +47,8 @@ def test_vtk_reads_all_arrays_that_are_written(tmp_path, ending, dtype):
     np.testing.assert_array_equal(found.point_data["a b"], at_points)
     np.testing.assert_array_equal(found.cell_data["c"], at_cells)
     again = io.read(tmp_path / f"a.{ending}")
-    assert {name: nodes.tolist() for name, nodes in again.patches.items()} == {
-        name: nodes.tolist() for name, nodes in mesh.patches.items()
-    }
+    assert again.patches.keys() == mesh.patches.keys()
+    assert all(np.array_equal(nodes, mesh.patches[name]) for name, nodes in again.patches.items())
 
 
 @pytest.mark.parametrize("large", [2**31, -(2**31) - 1])
@@ -159,19 +159,17 @@ def test_pieces_and_blocks_are_one_mesh(tmp_path):
     from vtkmodules.vtkCommonDataModel import vtkMultiBlockDataSet
     from vtkmodules.vtkIOXML import vtkXMLMultiBlockDataWriter
 
-    cells = [(12, [x, x + 1, x + 5, x + 4, x + 8, x + 9, x + 13, x + 12]) for x in range(3)]
+    cells = [(12, vtk_files.cube(x)) for x in range(3)]
     for k, cell in enumerate(cells):
         vtk_files.write(tmp_path / f"p{k}.vtu", vtk_files.unstructured(vtk_files.BOX, [cell]))
     names = "".join(f'<Piece Source="p{k}.vtu"/>' for k in range(3))
-    (tmp_path / "a.pvtu").write_text(
-        f'<VTKFile type="PUnstructuredGrid"><PUnstructuredGrid>{names}</PUnstructuredGrid></VTKFile>'
-    )
+    text = f'<VTKFile type="PUnstructuredGrid"><PUnstructuredGrid>{names}</PUnstructuredGrid></VTKFile>'
+    (tmp_path / "a.pvtu").write_text(text)
     assert len(io.read(tmp_path / "a.pvtu").cells["hexahedron"]) == 3
     blocks = vtkMultiBlockDataSet()
     blocks.SetBlock(0, vtk_files.unstructured(vtk_files.BOX, cells))
-    blocks.SetBlock(
-        1, vtk_files.unstructured(vtk_files.BOX[:8], [(9, [0, 1, 5, 4]), (9, [1, 2, 6, 5]), (9, [2, 3, 7, 6])])
-    )
+    low = [(9, [0, 1, 5, 4]), (9, [1, 2, 6, 5]), (9, [2, 3, 7, 6])]
+    blocks.SetBlock(1, vtk_files.unstructured(vtk_files.BOX[:8], low))
     for k, name in enumerate(("inside", "low wall")):
         blocks.GetMetaData(k).Set(vtkMultiBlockDataSet.NAME(), name)
     writer = vtkXMLMultiBlockDataWriter()
@@ -181,8 +179,7 @@ def test_pieces_and_blocks_are_one_mesh(tmp_path):
     mesh = io.read(tmp_path / "b.vtm")
     assert len(mesh.cells["hexahedron"]) == 3
     assert {name: nodes.tolist() for name, nodes in mesh.patches.items()} == {"low wall": [*range(8)]}
-    io.write(tmp_path / "c.vtu", mesh.moved(mesh.points + 1))
-    assert io.read(tmp_path / "c.vtu").patch("low wall").tolist() == [*range(8)]
+    assert rewritten(tmp_path / "c.vtu", mesh.moved(mesh.points + 1)).patch("low wall").tolist() == [*range(8)]
     with pytest.raises(ValueError, match=r"c\.vtm: \.vtm files name other files, and are not written; write \.vtu"):
         io.write(tmp_path / "c.vtm", mesh)
 

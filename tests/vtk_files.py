@@ -42,9 +42,7 @@ def points_of(points: np.ndarray) -> vtkPoints:
 def with_arrays(data, *, on_cells: bool = True):
     """The data set with arrays of all sorts."""
     n, k = data.GetNumberOfPoints(), data.GetNumberOfCells()
-    for attributes, rows in (
-        ((data.GetPointData(), n), (data.GetCellData(), k)) if on_cells else ((data.GetPointData(), n),)
-    ):
+    for attributes, rows in [(data.GetPointData(), n), *([(data.GetCellData(), k)] if on_cells else [])]:
         for name, values in {
             "heat": np.linspace(0, 1, rows),
             "mean": np.where(np.arange(rows) == 0, np.nan, 0.5),
@@ -73,39 +71,37 @@ def unstructured(points: np.ndarray, cells: list[tuple[int, list]]) -> vtkUnstru
     grid = vtkUnstructuredGrid()
     grid.SetPoints(points_of(points))
     for number, nodes in cells:
-        ids = [len(nodes), *(x for face in nodes for x in (len(face), *face))] if number == 42 else nodes
         if number == 42:
             stream = vtkIdList()
-            for x in ids:
+            for x in (len(nodes), *(x for face in nodes for x in (len(face), *face))):
                 stream.InsertNextId(x)
             grid.InsertNextCell(number, stream)
         else:
-            grid.InsertNextCell(number, len(ids), ids)
+            grid.InsertNextCell(number, len(nodes), nodes)
     return grid
 
 
+def cube(x: int) -> list[int]:
+    """Corners of cube number `x` of `BOX`."""
+    return [x, x + 1, x + 5, x + 4, x + 8, x + 9, x + 13, x + 12]
+
+
 def faces_of_box(x: int) -> list[list[int]]:
-    """Outward faces of cube number `x` of `BOX`."""
-    a, b, c, d, e, f, g, h = x, x + 1, x + 5, x + 4, x + 8, x + 9, x + 13, x + 12
+    """Outward faces of a cube: the lower one, the upper one, and the sides."""
+    a, b, c, d, e, f, g, h = cube(x)
     return [[a, d, c, b], [e, f, g, h], [a, b, f, e], [b, c, g, f], [c, d, h, g], [d, a, e, h]]
 
 
-def house() -> list[list[int]]:
-    """Faces of cube 0 whose top is two triangles: a polyhedron that is no standard cell."""
-    low, (e, f, g, h), *sides = faces_of_box(0)
-    return [low, [e, f, g], [e, g, h], *sides]
-
-
-def roof() -> list[list[int]]:
-    low, top, *sides = faces_of_box(1)
-    return [top, low, *sides]
-
+LOW, (E, F, G, H), *SIDES = faces_of_box(0)
+HOUSE = [LOW, [E, F, G], [E, G, H], *SIDES]
+"""Faces of cube 0 whose top is two triangles: a polyhedron that is no standard cell."""
+ROOF = [faces_of_box(1)[k] for k in (1, 0, 2, 3, 4, 5)]
 
 KINDS = {
-    "hexahedra": lambda: unstructured(BOX, [(12, [x, x + 1, x + 5, x + 4, x + 8, x + 9, x + 13, x + 12]) for x in range(3)]),
+    "hexahedra": lambda: unstructured(BOX, [(12, cube(x)) for x in range(3)]),
     "voxels": lambda: unstructured(BOX, [(11, [x, x + 1, x + 4, x + 5, x + 8, x + 9, x + 12, x + 13]) for x in range(3)]),
     "polyhedra": lambda: unstructured(
-        BOX, [(42, house()), (42, roof()), (12, [2, 3, 7, 6, 10, 11, 15, 14]), (9, [0, 1, 5, 4]), (1, [0])]
+        BOX, [(42, HOUSE), (42, ROOF), (12, cube(2)), (9, [0, 1, 5, 4]), (1, [0])]
     ),
     "structured": lambda: structured(),
     "pixels": lambda: unstructured(BOX[:8], [(8, [x, x + 1, x + 4, x + 5]) for x in range(3)] + [(3, [0, 1])]),
@@ -166,11 +162,8 @@ def read(path: pathlib.Path):
 def said(data) -> dict[str, list]:
     """Everything that a data set says, but the coordinates: arrays by name, of points, cells and the whole, and cells."""
     told = {}
-    for what, fields in (
-        ("points", data.GetPointData()),
-        ("cells", data.GetCellData()),
-        ("whole", data.GetFieldData()),
-    ):
+    parts = (("points", data.GetPointData()), ("cells", data.GetCellData()), ("whole", data.GetFieldData()))
+    for what, fields in parts:
         for k in range(fields.GetNumberOfArrays()):
             array = fields.GetAbstractArray(k)
             values = [array.GetVariantValue(i).ToString() for i in range(array.GetNumberOfValues())]

@@ -31,9 +31,8 @@ def parts(result) -> dict[str, np.ndarray]:
         cut = np.split(pieces, np.cumsum([len(ids) for ids in cells.values()])[:-1])
         cells = {name: ids[~away] for (name, ids), away in zip(cells.items(), cut, strict=True)}
         cells |= {f"cells faces {k}": leaf for k, leaf in enumerate((faces.labels, faces.starts, result.polyhedra.cut))}
-    return (
-        {"points": np.asarray(result.points)} | cells | {f"patch {k}": np.asarray(v) for k, v in result.patches.items()}
-    )
+    patches = {f"patch {name}": np.asarray(nodes) for name, nodes in result.patches.items()}
+    return {"points": np.asarray(result.points)} | cells | patches
 
 
 def alike(a: dict[str, np.ndarray], b: dict[str, np.ndarray]) -> bool:
@@ -47,13 +46,13 @@ def zone(file: pathlib.Path, data: bytes, at: int) -> str:
         words = re.findall(rb"^(\w+)=", before, re.MULTILINE)
         if b"%" in line:
             return "nothing"
-        return "any" if b"=" in data[at - len(line) :].split(b"\n")[0] or not words else _su2(words[-1])
+        known = {b"NPOIN": "points", b"NELEM": "ids", b"MARKER_ELEMS": "ids"}
+        return "any" if b"=" in data[at - len(line) :].split(b"\n")[0] or not words else known.get(words[-1], "any")
     if file.suffix == ".msh":
         words = re.findall(rb"^\$(\w+)", before, re.MULTILINE)
         is_text = data[:60].split()[2:3] == [b"0"]
-        return {b"Nodes": "points" if is_text and b"." in _word(data, at) else "any", b"Elements": "ids"}.get(
-            words[-1] if words else b"", "any"
-        )
+        known = {b"Nodes": "points" if is_text and b"." in _word(data, at) else "any", b"Elements": "ids"}
+        return known.get(words[-1], "any") if words else "any"
     if file.suffix in (".cgns", ".e", ".med"):
         return _dataset(data, at)
     if file.name == "boundary":
@@ -66,10 +65,6 @@ def zone(file: pathlib.Path, data: bytes, at: int) -> str:
             return "nothing"  # another node or another cell beside a face leaves cells open
         return "any" if at < data.find(b"\n\n", data.find(b"FoamFile")) else "points"
     return "any"
-
-
-def _su2(keyword: bytes) -> str:
-    return {b"NPOIN": "points", b"NELEM": "ids", b"MARKER_ELEMS": "ids"}.get(keyword, "any")
 
 
 def _dataset(data: bytes, at: int) -> str:
@@ -85,7 +80,7 @@ def _dataset(data: bytes, at: int) -> str:
         for name, pieces, _ in _nodes(data):
             named += [name for first, count in pieces if first <= at < first + count]
     elif data.startswith(_tree.MAGIC):
-        for name, array in _tree.classic_tree(io.BytesIO(data)).items():
+        for name, array in _tree._Header(io.BytesIO(data)).tree().items():
             named += [name for first, count in array.pieces if 0 < first <= at < first + count]
     else:
         with h5py.File(io.BytesIO(data)) as opened:
@@ -129,7 +124,7 @@ def content(data: bytes) -> dict[str, tuple]:
     if data[4:25] == _adf.MAGIC:
         return {name: content for name, _, content in _nodes(data)}
     if data.startswith(_tree.MAGIC):
-        arrays = _tree.classic_tree(io.BytesIO(data)).items()
+        arrays = _tree._Header(io.BytesIO(data)).tree().items()
         return {name: (sorted(array.attrs.items()), array.shape, array.pieces) for name, array in arrays}
     with h5py.File(io.BytesIO(data)) as file:
         file.visititems(visit)
@@ -138,7 +133,7 @@ def content(data: bytes) -> dict[str, tuple]:
 
 def _nodes(data: bytes) -> list[tuple[str, list[tuple[int, int]], tuple]]:
     """Labels, types and values of an ADF file by the path that HDF5 has, and where values stand in it."""
-    waiting, found = [("", _adf.tree(pathlib.Path("a.cgns"), io.BytesIO(data)))], []
+    waiting, found = [("", _adf.Reader(pathlib.Path("a.cgns"), io.BytesIO(data)).tree())], []
     while waiting:
         place, node = waiting.pop()
         found.append((place, [], (node.attrs["label"],)))
@@ -165,11 +160,8 @@ def _structure(right: dict[str, tuple], damaged: dict[str, tuple], wrong: list[s
         if all(may) and not all(name.startswith(sum(may, ())) for name in wrong):
             return f"{where} changes {wrong}, but {changed} in the file"
         return ""
-    axes = [
-        np.frombuffer(damaged[name][2], damaged[name][1])
-        for name in sorted(right)
-        if "Coordinate" in name and " data" in name
-    ]
+    names = [name for name in sorted(right) if "Coordinate" in name and " data" in name]
+    axes = [np.frombuffer(damaged[name][2], damaged[name][1]) for name in names]
     told = set(map(tuple, np.stack(axes, axis=1).astype(float).tolist()))
     places = set(map(tuple, found["points"].tolist()))  # nodes of zones that meet are one
     return "" if places <= told else f"{where} changes {wrong}"
@@ -208,9 +200,8 @@ def accepted(file: pathlib.Path, data: bytes, damaged: bytes, at: int, good, fou
         return f"{where} changes what is read"
     wrong = sorted(name for name in good.keys() | found.keys() if not np.array_equal(found.get(name), good.get(name)))
     if file.suffix == ".toml":
-        return (
-            "" if tomllib.loads(damaged.decode()) != tomllib.loads(data.decode()) else f"{where} changes what is read"
-        )
+        is_other = tomllib.loads(damaged.decode()) != tomllib.loads(data.decode())
+        return "" if is_other else f"{where} changes what is read"
     if place == "boundary":
         return _boundary(data, damaged, good, found, where)
     if place == "structure":
@@ -261,15 +252,9 @@ def _places(good, found, expected: np.ndarray, where: str) -> str:
 
 def _rows(good, found) -> int:
     """Counts the cells of either mesh that are not in the other one, and the nodes of whole cells' faces that differ."""
-    rows = [
-        {
-            (name, tuple(row))
-            for name, ids in each.items()
-            if name.startswith("cells") and "faces" not in name
-            for row in ids.tolist()
-        }
-        for each in (good, found)
-    ]
+    cells = [[name for name in each if name.startswith("cells") and "faces" not in name] for each in (good, found)]
+    rows = [{(name, *row) for name in names for row in each[name].tolist()}
+            for names, each in zip(cells, (good, found), strict=True)]  # fmt: skip
     labels, other = (each.get("cells faces 0", np.zeros(0)) for each in (good, found))
     faces = int((labels != other).sum()) if labels.shape == other.shape else 99
     return max(len(rows[0] - rows[1]), len(rows[1] - rows[0])) + faces
@@ -277,7 +262,5 @@ def _rows(good, found) -> int:
 
 def _members(good, found) -> int:
     """Counts the patches that hold other nodes: those of one that has a new name are the same."""
-    members = [
-        {tuple(ids.tolist()) for name, ids in each.items() if name.startswith("patch")} for each in (good, found)
-    ]
+    members = [{tuple(ids.tolist()) for name, ids in m.items() if name.startswith("patch")} for m in (good, found)]
     return max(len(members[0] - members[1]), len(members[1] - members[0]))

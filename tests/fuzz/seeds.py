@@ -2,7 +2,6 @@
 
 import itertools
 import pathlib
-import struct
 import sys
 from collections.abc import Callable
 
@@ -11,14 +10,13 @@ import numpy as np
 sys.path.insert(0, str(pathlib.Path(__file__).parents[1]))
 
 import adf
-import cgns
 import exodus
 import foam
-import h5py
 import meshio
 import vtk_files
 from cgns import joined_polyhedra
 from foam import PATCHES, mixed, split, strip
+from formats import write
 from meshes import bricks
 from mfem_meshes import SOLID2, straight
 from plot3d import box
@@ -33,13 +31,7 @@ Seed = tuple[Callable, pathlib.Path, list[pathlib.Path]]
 
 def mesh_3d() -> jm.Mesh:
     points, _ = mixed()
-    cells = {
-        "hexahedron": [[0, 1, 2, 3, 4, 5, 6, 7]],
-        "wedge": [[1, 8, 2, 5, 9, 6]],
-        "pyramid": [[4, 5, 6, 7, 10]],
-        "tetra": [[6, 11, 7, 10]],
-    }
-    return jm.Mesh(points, cells, {"floor": [0, 1, 2, 3], "side": [0, 3, 4, 7]})
+    return jm.Mesh(points, exodus.CELLS, {"floor": [0, 1, 2, 3], "side": [0, 3, 4, 7]})
 
 
 def single(path: pathlib.Path, reader: Callable = io.read) -> Seed:
@@ -74,17 +66,13 @@ def vtk(folder: pathlib.Path) -> list[Seed]:
     return [single(file) for file in files]
 
 
-def single_type():
-    mesh = bricks(2)
-    return np.asarray(mesh.points), [("hexahedron", np.asarray(mesh.cells["hexahedron"]))]
-
-
 NAMES = '3\n1 7 "low"\n1 9 "both"\n2 1 "fluid"\n'
+ENTITIES = "0 2 1 0\n4 0 0 0 2 0 0 2 7 9 0 \n5 0 1.5 0 2 1.5 0 1 9 0 \n1 0 0 0 2 1.5 0 1 1 2 4 -5 \n"
 MSH = (
     (
         "e",
         "4.1 0 8\n",
-        "0 2 1 0\n4 0 0 0 2 0 0 2 7 9 0 \n5 0 1.5 0 2 1.5 0 1 9 0 \n1 0 0 0 2 1.5 0 1 1 2 4 -5 \n",
+        ENTITIES,
         "2 6 1 12\n1 4 1 3\n1\n2\n3\n0.25 0 0 0.125\n1 0 0 0.5\n2 0 0.5 1\n"
         "2 1 0 3\n10\n11\n12\n0.25 1.5 0\n1 1.25 0\n2 1.5 0.25\n",
         "3 8 1 8\n1 4 1 2\n1 1 2\n2 2 3\n1 5 1 2\n3 10 11\n4 11 12\n"
@@ -93,7 +81,7 @@ MSH = (
     (
         "f",
         "4 0 8\n",
-        "0 2 1 0\n4 0 0 0 2 0 0 2 7 9 0 \n5 0 1.5 0 2 1.5 0 1 9 0 \n1 0 0 0 2 1.5 0 1 1 2 4 -5 \n",
+        ENTITIES,
         "2 6\n4 1 1 3\n1 0.25 0 0 0.125\n2 1 0 0 0.5\n3 2 0 0.5 1\n1 2 0 3\n10 0.25 1.5 0\n11 1 1.25 0\n12 2 1.5 0.25\n",
         "3 8\n4 1 1 2\n1 1 2\n2 2 3\n5 1 1 2\n3 10 11\n4 11 12\n1 2 2 4\n5 1 2 10\n6 2 11 10\n7 2 3 11\n8 3 12 11\n",
     ),
@@ -105,30 +93,21 @@ def gmsh(folder: pathlib.Path) -> list[Seed]:
     io.write(folder / "a.msh", mesh_3d())
     mesh = meshio.gmsh.read(str(folder / "a.msh"))
     meshio.gmsh.write(str(folder / "b.msh"), mesh, fmt_version="2.2", binary=False)
-    mesh = meshio.Mesh(*single_type())
+    box = bricks(2)
+    mesh = meshio.Mesh(np.asarray(box.points), [("hexahedron", np.asarray(box.cells["hexahedron"]))])
     for name, binary in (("c.msh", True), ("d.msh", False)):
         meshio.gmsh.write(str(folder / name), mesh, fmt_version="4.1", binary=binary)
-    for name, head, entities, nodes, elements in MSH:
-        sections = {
-            "MeshFormat": head,
-            "PhysicalNames": NAMES,
-            "Entities": entities,
-            "Nodes": nodes,
-            "Elements": elements,
-        }
-        text = "".join(f"${key}\n{content}$End{key}\n" for key, content in sections.items())
+    for name, head, *parts in MSH:
+        keys = ("MeshFormat", "PhysicalNames", "Entities", "Nodes", "Elements")
+        sections = zip(keys, (head, NAMES, *parts), strict=True)
+        text = "".join(f"${key}\n{content}$End{key}\n" for key, content in sections)
         (folder / f"{name}.msh").write_text(text)
     return [single(folder / f"{name}.msh") for name in "abcdef"]
 
 
 def cgns_files(folder: pathlib.Path) -> list[Seed]:
     joined_polyhedra(folder / "a.cgns")
-    mesh = bricks(2)
-    with h5py.File(folder / "b.cgns", "w") as file:
-        base = cgns.base(file, 3, 3)
-        corners = np.asarray(mesh.cells["hexahedron"]) + 1
-        zone = cgns.zone(base, "box", tuple(np.asarray(mesh.points).T), len(corners))
-        cgns.elements(zone, "cells", 17, corners, 1, len(corners))
+    write(folder / "b.cgns", bricks(2))
     return [single(folder / f"{name}.cgns") for name in "ab"]
 
 
@@ -156,10 +135,7 @@ def mfem_files(folder: pathlib.Path) -> list[Seed]:
 
 
 def med(folder: pathlib.Path) -> list[Seed]:
-    points, cells = single_type()
-    mesh = meshio.Mesh(points, cells, point_data={"point_tags": (points[:, 2] == 0).astype(int)})
-    mesh.point_tags = {1: ["floor"]}
-    meshio.med.write(str(folder / "a.med"), mesh)
+    write(folder / "a.med", bricks(2))
     return [single(folder / "a.med")]
 
 
@@ -174,15 +150,12 @@ def plot3d(folder: pathlib.Path) -> list[Seed]:
 
 
 def openfoam(folder: pathlib.Path) -> list[Seed]:
-    seeds = []
     for name, form in foam.FORMS.items():
         for make in (mixed, split):
             foam.write_case(folder / f"{name}-{make.__name__}", *make(), PATCHES, form)
     points, cells, patches = strip(2, around=5)
     foam.write_case(folder / "plane", points, cells, patches)
-    for case in sorted(folder.iterdir()):
-        seeds.append((io.read, case, sorted((case / "constant" / "polyMesh").iterdir())))
-    return seeds
+    return [(io.read, case, sorted((case / "constant" / "polyMesh").iterdir())) for case in sorted(folder.iterdir())]
 
 
 def tables(folder: pathlib.Path) -> list[Seed]:
@@ -221,15 +194,9 @@ def surfaces(folder: pathlib.Path) -> list[Seed]:
     vertices = "".join(f"v {x} {y} {z}\n" for x, y, z in corners.tolist())
     (folder / "a.obj").write_text(vertices + "f 1 2 3\nf 1/1 3/2 4/3\n")
     np.savez(folder / "a.npz", points=corners, triangles=triangles)
-    facets = b"".join(struct.pack("<12fH", 0, 0, 1, *corners[t].ravel().tolist(), 0) for t in triangles)
-    (folder / "a.stl").write_bytes(b" " * 80 + struct.pack("<I", 2) + facets)
-    words = "".join(
-        "facet normal 0 0 1\nouter loop\n"
-        + "".join(f"vertex {x} {y} {z}\n" for x, y, z in corners[t].tolist())
-        + "endloop\nendfacet\n"
-        for t in triangles
-    )
-    (folder / "b.stl").write_text(f"solid a\n{words}endsolid a\n")
+    surface = meshio.Mesh(corners, [("triangle", triangles)])
+    for name, binary in (("a.stl", True), ("b.stl", False)):
+        meshio.write(folder / name, surface, file_format="stl", binary=binary)
     return [single(folder / name, between) for name in ("a.obj", "a.npz", "a.stl", "b.stl")]
 
 

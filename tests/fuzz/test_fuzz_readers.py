@@ -30,10 +30,7 @@ def can_reset_peak() -> bool:
     return True
 
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(not can_reset_peak(), reason="memory is read as Linux tells it"),
-]
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(not can_reset_peak(), reason="memory is read as Linux tells it")]
 
 
 @pytest.mark.parametrize("name", FORMATS)

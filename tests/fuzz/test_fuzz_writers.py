@@ -1,4 +1,4 @@
-"""Writers under attack: whatever ends them, the file is the old one or the new one, whole, and nothing else is left.
+"""Writers under attack: whatever ends them, the file is the old one or the new one, whole; a kill alone leaves more.
 
 They are killed, run into limits and full devices, and meet folders without permission and each other. Links: `test_files.py`.
 JAXMORPH_FUZZ sets the number of kills a format, 50 by default and in `.ci/nightly`, JAXMORPH_FUZZ_SEED their moments.
@@ -19,9 +19,7 @@ KILLS = max(50, int(os.environ.get("JAXMORPH_FUZZ", "0")) // 40)
 SEED = os.environ.get("JAXMORPH_FUZZ_SEED", "0")
 pytestmark = [
     pytest.mark.nightly,
-    pytest.mark.skipif(
-        not sys.platform.startswith("linux"), reason="processes are forked, and /dev/full is written to"
-    ),
+    pytest.mark.skipif(not sys.platform.startswith("linux"), reason="processes are forked, /dev/full is written to"),
 ]
 
 

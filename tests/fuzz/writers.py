@@ -27,7 +27,6 @@ sys.path.insert(0, str(pathlib.Path(__file__).parents[1]))
 
 import cgns
 import foam
-import h5py
 import meshio
 from meshes import bricks
 from mfem_meshes import straight
@@ -38,7 +37,6 @@ import jaxmorph as jm
 from jaxmorph import io, plot
 from jaxmorph._host.package import files
 
-Write = Callable[[pathlib.Path, int], None]
 NOBODY = 65534
 
 
@@ -47,7 +45,7 @@ class Output:
     """What is written: the name of its file or folder, and the function that writes the state `k` to a path."""
 
     name: str
-    write: Write
+    write: Callable[[pathlib.Path, int], None]
     source: pathlib.Path | None = None
     """The file that the mesh was read from, where `io.write` would write to it."""
     is_folder: bool = False
@@ -91,21 +89,6 @@ def plain(version: str, binary: bool) -> Callable[[pathlib.Path], None]:
     return lambda path: meshio.gmsh.write(str(path), rows, fmt_version=version, binary=binary)
 
 
-def write_cgns(path: pathlib.Path) -> None:
-    mesh = bricks(24)
-    corners = np.asarray(mesh.cells["hexahedron"]) + 1
-    with h5py.File(path, "w") as file:
-        base = cgns.base(file, 3, 3)
-        zone = cgns.zone(base, "box", tuple(np.asarray(mesh.points).T), len(corners))
-        cgns.elements(zone, "cells", 17, corners, 1, len(corners))
-
-
-def faces(mesh: jm.Mesh) -> list[list[list[int]]]:
-    """The faces of each hexahedron, seen from outside."""
-    sides = np.array([(0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)])
-    return np.asarray(mesh.cells["hexahedron"])[:, sides].tolist()
-
-
 WALL = [("all", "wall", lambda face: True)]
 
 
@@ -114,7 +97,8 @@ def foam_case(form: str, name: str) -> Callable[[pathlib.Path], Output]:
 
     def output(folder: pathlib.Path) -> Output:
         mesh = bricks(10)
-        foam.write_case(folder / "case", np.asarray(mesh.points), faces(mesh), WALL, foam.FORMS[form])
+        cells = foam.hexahedra(mesh.cells["hexahedron"])
+        foam.write_case(folder / "case", np.asarray(mesh.points), cells, WALL, foam.FORMS[form])
         return of_mesh(name, io.read(folder / "case"), is_folder=True, is_new=name == "new")
 
     return output
@@ -123,7 +107,8 @@ def foam_case(form: str, name: str) -> Callable[[pathlib.Path], Output]:
 def parts(folder: pathlib.Path) -> Output:
     """A decomposed case."""
     mesh = bricks(4)
-    foam.write_parts(folder / "case", np.asarray(mesh.points), faces(mesh), WALL, np.arange(64) // 32)
+    cells = foam.hexahedra(mesh.cells["hexahedron"])
+    foam.write_parts(folder / "case", np.asarray(mesh.points), cells, WALL, np.arange(64) // 32)
     decomposed = io.Decomposed(folder / "case")
 
     def write(path: pathlib.Path, k: int) -> None:
@@ -169,7 +154,7 @@ FORMATS: dict[str, Callable[[pathlib.Path], Output]] = {
     "gmsh 4 binary again": again("a.msh", plain("4.1", True)),
     "VTU": new("a.vtu"),
     "VTK": new("a.vtk"),
-    "CGNS": again("a.cgns", write_cgns),
+    "CGNS": again("a.cgns", lambda path: cgns.write(path, bricks(24))),
     "MFEM": again("a.mesh", lambda path: path.write_text(straight(bricks(12), "floor"))),
     "PLOT3D": again("a.xyz", lambda path: write_plot3d(path, [x + 0.123 for x in box(12, 13, 14)], "text", "<")),
     "OpenFOAM": foam_case("ascii", "new"),
@@ -193,14 +178,8 @@ def tree(path: pathlib.Path) -> dict[str, bytes]:
     """Every file at or below a path with its content, and every folder."""
     if not path.is_dir():
         return {"": path.read_bytes()} if path.exists() else {}
-    return {
-        str(each.relative_to(path)): b"folder" if each.is_dir() else each.read_bytes()
-        for each in sorted(path.rglob("*"))
-    }
-
-
-def without(found: dict[str, bytes]) -> dict[str, bytes]:
-    return {name: content for name, content in found.items() if ".partial" not in name}
+    below = sorted(path.rglob("*"))
+    return {str(each.relative_to(path)): b"folder" if each.is_dir() else each.read_bytes() for each in below}
 
 
 def leftovers(folder: pathlib.Path) -> list[str]:
@@ -268,12 +247,9 @@ class Attack:
             self.good(k)
             self.states[k] = self.found()
 
-    def fault(self, how: str, what: str) -> None:
-        print(json.dumps({"format": self.name, "attack": how, "fault": what[:500]}), flush=True)
-
     def expect(self, is_right: bool, how: str, what: str) -> None:
         if not is_right:
-            self.fault(how, what)
+            print(json.dumps({"format": self.name, "attack": how, "fault": what[:500]}), flush=True)
 
     def good(self, k: int) -> None:
         if self.output.is_new:
@@ -281,8 +257,8 @@ class Attack:
         self.output.write(self.target, k)
 
     def found(self) -> dict[str, bytes]:
-        """What stands at the target."""
-        return without(tree(self.target))
+        """What stands at the target, but for temporary files."""
+        return {name: content for name, content in tree(self.target).items() if ".partial" not in name}
 
     def old(self, k: int) -> dict[str, bytes]:
         """Brings the target into the state `k`; a new folder is none."""
@@ -292,7 +268,7 @@ class Attack:
         return {} if self.output.is_new else self.states[k]
 
     def kills(self, count: int) -> None:
-        """Ends writers at random moments: the target stays whole, and the next good write leaves nothing else."""
+        """Ends writers at random moments: the target stays whole, and the next good write leaves nothing more."""
         duration, inside, tries, halves = self.duration(), 0, 0, 0
         self.good(0)
         while inside < count and tries < 20 * count:
@@ -308,7 +284,10 @@ class Attack:
                     pass
                 os.kill(number, signal.SIGKILL)
             inside += os.WIFSIGNALED(os.waitpid(number, 0)[1])
-            halves += bool(leftovers(self.folder))
+            left = [self.folder / name for name in leftovers(self.folder)]
+            halves += bool(left)
+            for each in left:
+                shutil.rmtree(each) if each.is_dir() else each.unlink(missing_ok=True)
             is_right = self.found() in (old, self.states[k])
             self.expect(is_right, "kill", f"kill {tries} after {moment:.4f} of {duration:.4f} s: neither old nor new")
             self.good(k)
@@ -322,12 +301,8 @@ class Attack:
         times = []
         for _ in range(3):
             self.old(0)
-            work = lambda pipe: (  # noqa: E731
-                marked(pipe),
-                self.output.write(self.target, 1),
-                os.write(pipe, f"{time.perf_counter()}".encode()),
-            )
-            number, pipe = forked(work)
+            end = lambda pipe: os.write(pipe, f"{time.perf_counter()}".encode())  # noqa: E731
+            number, pipe = forked(lambda pipe, end=end: (marked(pipe), self.output.write(self.target, 1), end(pipe)))
             with os.fdopen(pipe) as stream:
                 begun, ended = map(float, stream.read().split())
             os.waitpid(number, 0)
@@ -342,9 +317,7 @@ class Attack:
         name = str(target or self.target)
         self.expect(name in words and ".partial" not in words, how, f"target not named: {words}")
         after = tree(self.folder)
-        changed = sorted({*before} ^ {*after}) + sorted(
-            name for name in {*before} & {*after} if before[name] != after[name]
-        )
+        changed = sorted(name for name in {*before} | {*after} if before.get(name) != after.get(name))
         self.expect(not changed, how, f"changed: {changed}")
 
     def full(self) -> None:
