@@ -25,12 +25,7 @@ from jaxmorph._methods.base import place
 FAST = {("delaunay", 2), ("reduced", 2)}
 """Cases whose laws the fast tests hold."""
 
-WHOLE = FAST | {
-    ("default", 2),
-    ("inverse-distance", 2),
-    ("elasticity", 2),
-    ("notebook's method", 2),
-}
+WHOLE = FAST | {("default", 2), ("inverse-distance", 2), ("elasticity", 2), ("notebook's method", 2)}
 """One case for each class of fields: `.ci/run` holds all laws of these. `.ci/nightly` holds every law of every case."""
 
 CHEAP = {("default", 2), ("elasticity", 2), ("compact", 2), ("inverse-distance", 2), ("torsional", 3)}

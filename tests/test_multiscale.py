@@ -102,9 +102,7 @@ class Every(jm.AbstractMethod):
 
 
 @pytest.mark.parametrize(
-    "method",
-    runs(slow=[jm.Multiscale()], nightly=[jm.Multiscale.whole(1.0, 0.2)]),
-    ids=["alone", "whole"],
+    "method", runs(slow=[jm.Multiscale()], nightly=[jm.Multiscale.whole(1.0, 0.2)]), ids=["alone", "whole"]
 )
 def test_mirror_images_move_alike(method):
     """The field of the whole surface, images included, is symmetric: nodes on the plane have no motion across it."""

@@ -173,10 +173,7 @@ def test_hardly_any_points(count):
 
 @pytest.mark.parametrize(
     ("options", "message"),
-    [
-        ({}, "needs `leaves`"),
-        ({"leaves": 1, "smallest_box": 2.0, "largest_box": 1.0}, "smallest_box <= largest_box"),
-    ],
+    [({}, "needs `leaves`"), ({"leaves": 1, "smallest_box": 2.0, "largest_box": 1.0}, "smallest_box <= largest_box")],
 )
 def test_options_that_make_no_sense(options, message):
     with pytest.raises(ValueError, match=message):

@@ -80,7 +80,7 @@ def test_the_default_tolerance_against_the_dense_solve_on_flat_sides():
             (jm.LinearSpline(), {"degree": 0}),
             (jm.CubicSpline(), {}),
             (jm.Multiquadric(0.15), {"degree": 0}),
-        ],
+        ]
     ),
 )
 def test_bases_against_the_dense_solve(basis, options):
