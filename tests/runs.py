@@ -1,7 +1,8 @@
-"""Which run holds which cases of a law: the fast tests, `.ci/run` or `.ci/nightly`; and runs of several processes."""
+"""Which run holds which cases of a law, tables of what is refused, and runs of several processes."""
 
 import os
 import pathlib
+import re
 import subprocess
 import sys
 
@@ -28,3 +29,15 @@ def runs(fast=(), slow=(), nightly=()) -> list:
     marked = [*((case, ()) for case in fast), *((case, pytest.mark.slow) for case in slow)]
     marked += [(case, pytest.mark.nightly) for case in nightly]
     return [pytest.param(*(case if isinstance(case, tuple) else (case,)), marks=marks) for case, marks in marked]
+
+
+def refusals(*cases, of=tuple):
+    """Makes a test of calls, each refused in two sentences at most, in words that match; `of` makes their arguments."""
+
+    @pytest.mark.parametrize(("call", "words"), cases)
+    def refuses(call, words):
+        with pytest.raises(ValueError, match=words) as caught:
+            call(*of())
+        assert len(re.split(r"(?<=[a-z)])\. ", str(caught.value))) <= 2
+
+    return refuses

@@ -124,9 +124,6 @@ def test_derivative_in_the_radius(make):
 
 @pytest.mark.parametrize("make", runs([jm.WendlandC2], nightly=[jm.Gaussian, jm.Multiquadric]))
 def test_what_a_radius_may_be(make):
-    for radius in (0, -1.5, np.nan, np.inf):
-        with pytest.raises(ValueError, match="radius` must be a real number above 0 and finite, not"):
-            make(radius)
     assert all(leaf.dtype == np.float64 for leaf in jax.tree.leaves([make(2), make(np.int32(2)), make(2.0)]))
     r2 = np.linspace(0, 3, 7)
     assert (make(2)(r2) == make(2.0)(r2)).all()
@@ -151,8 +148,6 @@ def test_a_ridge_smooths_noise():
         moved = jm.deform(jm.prepare(everything, np.arange(120), method=method), u) - everything
         miss.append(np.sqrt(np.mean((moved - motion)[120:] ** 2)))
     assert miss[1] < 0.6 * miss[0]
-    with pytest.raises(ValueError, match="`ridge` must be a real number of 0 or more and finite, not -1"):
-        jm.RBF(ridge=-1.0)
 
 
 def test_compact_functions_are_a_sparse_system():
@@ -162,8 +157,6 @@ def test_compact_functions_are_a_sparse_system():
     dense = jm.prepare(points, np.arange(60), np.arange(60, 80), method=jm.RBF.classic(jm.WendlandC2(0.4), degree=None))
     sparse = jm.prepare(points, np.arange(60), np.arange(60, 80), method=jm.CompactRBF(0.4))
     np.testing.assert_allclose(jm.deform(sparse, u[:60]), jm.deform(dense, u[:60]), rtol=0, atol=1e-12)
-    with pytest.raises(ValueError, match="`radius` must be a real number above 0"):
-        jm.CompactRBF(-1.0)
 
 
 def slit(gap):

@@ -4,7 +4,7 @@ import jax
 import numpy as np
 import pytest
 from meshes import bricks, naca, sphere, write_ring
-from runs import runs
+from runs import refusals, runs
 from scipy.spatial import ConvexHull
 
 import jaxmorph as jm
@@ -115,21 +115,15 @@ def test_thickness_follows_a_moved_wall():
     np.testing.assert_allclose(shapes.thickness(moved, LINES), 1.5 * shapes.thickness(ELLIPSE, LINES), rtol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda: shapes.area(BALL, LOOP), "expected"),
-        (lambda: shapes.volume(ELLIPSE, FACES), "expected"),
-        (lambda: shapes.leading_edge_radius(ELLIPSE, LOOP, 500), "must be in the loop"),
-        (lambda: shapes.trailing_edge_angle(ELLIPSE, 3, [1, 2]), "two nodes each"),
-        (lambda: on(ELLIPSE, SEGMENTS, [[0.5, 0], [3, 0]], [0, 1]), "1 of 2 lines miss the body, first row 1"),
-        (lambda: on(ELLIPSE, SEGMENTS, [[0.5, 0]], [0, 0]), "length 0"),
-        (lambda: on(ELLIPSE, FACES, [[0.5, 0]], [0, 1]), r"walls in 2-D have \(k, 2\)"),
-        (lambda: on(ELLIPSE, SEGMENTS + 1, [[0.5, 0]], [0, 1]), "ids in `faces`"),
-        (lambda: shapes.thickness(ELLIPSE[:5], LINES), "are not in 0 to 4"),
-        (lambda: shapes.thickness(BALL, LINES), "the stations are in 2-D"),
-    ],
+test_bad_input_is_refused = refusals(
+    (lambda: shapes.area(BALL, LOOP), "expected"),
+    (lambda: shapes.volume(ELLIPSE, FACES), "expected"),
+    (lambda: shapes.leading_edge_radius(ELLIPSE, LOOP, 500), "must be in the loop"),
+    (lambda: shapes.trailing_edge_angle(ELLIPSE, 3, [1, 2]), "two nodes each"),
+    (lambda: on(ELLIPSE, SEGMENTS, [[0.5, 0], [3, 0]], [0, 1]), "1 of 2 lines miss the body, first row 1"),
+    (lambda: on(ELLIPSE, SEGMENTS, [[0.5, 0]], [0, 0]), "length 0"),
+    (lambda: on(ELLIPSE, FACES, [[0.5, 0]], [0, 1]), r"walls in 2-D have \(k, 2\)"),
+    (lambda: on(ELLIPSE, SEGMENTS + 1, [[0.5, 0]], [0, 1]), "ids in `faces`"),
+    (lambda: shapes.thickness(ELLIPSE[:5], LINES), "are not in 0 to 4"),
+    (lambda: shapes.thickness(BALL, LINES), "the stations are in 2-D"),
 )
-def test_bad_input_is_refused(call, message):
-    with pytest.raises(ValueError, match=message):
-        call()

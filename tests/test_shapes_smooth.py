@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from meshes import blocks, bricks, lattice
+from runs import refusals
 
 from jaxmorph import shapes
 
@@ -69,16 +70,11 @@ def test_length_zero_changes_nothing_and_constants_stay():
     np.testing.assert_allclose(shapes.Smoother.on(mesh, "floor", 0.0).apply(u), u, atol=1e-14)
 
 
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda p, s: shapes.Smoother(p, s + 1, 1.0), "ids in `faces` are not in 0 to 39"),
-        (lambda p, s: shapes.Smoother(p, s[:-2], 1.0), "1 nodes are in no face, first row 39"),
-        (lambda p, s: shapes.Smoother(p[np.append(0, np.arange(39))], s, 1.0), "1 faces have no size"),
-        (lambda p, s: shapes.Smoother(p, np.ones((4, 3), int), 1.0), "have"),
-        (lambda p, s: shapes.Smoother(p, s, 1.0).at(p[:3]), "this wall has"),
-    ],
+test_bad_input_is_refused = refusals(
+    (lambda p, s: shapes.Smoother(p, s + 1, 1.0), "ids in `faces` are not in 0 to 39"),
+    (lambda p, s: shapes.Smoother(p, s[:-2], 1.0), "1 nodes are in no face, first row 39"),
+    (lambda p, s: shapes.Smoother(p[np.append(0, np.arange(39))], s, 1.0), "1 faces have no size"),
+    (lambda p, s: shapes.Smoother(p, np.ones((4, 3), int), 1.0), "have"),
+    (lambda p, s: shapes.Smoother(p, s, 1.0).at(p[:3]), "this wall has"),
+    of=circle,
 )
-def test_bad_input_is_refused(call, message):
-    with pytest.raises(ValueError, match=message):
-        call(*circle())

@@ -5,7 +5,7 @@ import pytest
 from cases import body, few, full, motion, whole_and_part
 from laws import check_base_derivative, check_linear, check_steps
 from meshes import blocks, lattice
-from runs import runs
+from runs import refusals, runs
 
 import jaxmorph as jm
 
@@ -221,30 +221,17 @@ def upper(normal, shift):
     return lambda: jm.prepare(part, np.flatnonzero(role == 1), np.flatnonzero(role == 2), method=GRAPH, symmetry=plane)
 
 
-REFUSED = {
-    "no normal": (lambda: jm.Plane([0, 0], [0, 0]), "a plane needs a normal that is not zero"),
-    "two dimensions": (lambda: jm.Plane([1, 0], [0, 0, 0]), "a plane needs a normal that is not zero"),
-    "one dimension more": (whole(([0, 0, 1], [0, 0, 0])), "normal has 3 components; the mesh has 2 dimensions"),
-    "inclined to each other": (whole(([1, 0], [0, 0]), ([1, 1], [0, 0])), "parallel or at right angles"),
-    "through a body": (
-        lambda: jm.Plane.through(body(2).points, body(2).moving),
-        r"do not lie in one plane: node \d+ at",
-    ),
-    "through a node": (lambda: jm.Plane.through(body(2).points, [5]), "1 nodes do not determine a plane"),
-    "beside the mesh": (
-        upper(2, -0.01),
-        r"holds no node of the mesh: the nearest, node \d+, is 0\.01 away \(tolerance",
-    ),
-    "one node inwards": (upper(1, None), r"nodes on both sides: \d+ of \d+ lie beyond .* \S+ away"),
-    "one node inwards, reversed": (upper(-1, None), r"nodes on both sides: \d+ of \d+ lie beyond .* \S+ away"),
-}
-
-
-@pytest.mark.parametrize("name", REFUSED)
-def test_what_is_not_a_symmetry_plane(name):
-    call, message = REFUSED[name]
-    with pytest.raises(ValueError, match=message):
-        call()
+test_what_is_not_a_symmetry_plane = refusals(
+    (lambda: jm.Plane([0, 0], [0, 0]), "a plane needs a normal that is not zero"),
+    (lambda: jm.Plane([1, 0], [0, 0, 0]), "a plane needs a normal that is not zero"),
+    (whole(([0, 0, 1], [0, 0, 0])), "normal has 3 components; the mesh has 2 dimensions"),
+    (whole(([1, 0], [0, 0]), ([1, 1], [0, 0])), "parallel or at right angles"),
+    (lambda: jm.Plane.through(body(2).points, body(2).moving), r"do not lie in one plane: node \d+ at"),
+    (lambda: jm.Plane.through(body(2).points, [5]), "1 nodes do not determine a plane"),
+    (upper(2, -0.01), r"holds no node of the mesh: the nearest, node \d+, is 0\.01 away \(tolerance"),
+    (upper(1, None), r"nodes on both sides: \d+ of \d+ lie beyond .* \S+ away"),
+    (upper(-1, None), r"nodes on both sides: \d+ of \d+ lie beyond .* \S+ away"),
+)
 
 
 def test_nodes_beyond_a_plane_are_counted():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from meshes import ring, shaken, with_folds
 from oracles import corner_areas
-from runs import runs
+from runs import refusals, runs
 
 import jaxmorph as jm
 
@@ -110,13 +110,8 @@ def test_proven_is_a_limit():
     assert (gate.beyond, verdict.ok) == ((~valid).sum(), bool(valid.all()))
 
 
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda mesh: jm.judge(mesh, mesh.points[:-1]), "`points`"),
-        (lambda mesh: jm.Limits(max_skewness=np.nan), "`max_skewness` must be a real number"),
-    ],
+test_what_cannot_be_judged = refusals(
+    (lambda mesh: jm.judge(mesh, mesh.points[:-1]), "`points`"),
+    (lambda mesh: jm.Limits(max_skewness=np.nan), "`max_skewness` must be a real number"),
+    of=lambda: (ring(),),
 )
-def test_what_cannot_be_judged(call, message):
-    with pytest.raises(ValueError, match=message):
-        call(ring())
