@@ -31,6 +31,11 @@ def runs(fast=(), slow=(), nightly=()) -> list:
     return [pytest.param(*(case if isinstance(case, tuple) else (case,)), marks=marks) for case, marks in marked]
 
 
+def over(names: str, *cases, ids=None, **more):
+    """Parametrises a test over the cases of `runs`; several names of arguments are parted by spaces."""
+    return pytest.mark.parametrize(names.split() if " " in names else names, runs(*cases, **more), ids=ids)
+
+
 def refusals(*cases, of=tuple):
     """Makes a test of calls, each refused in two sentences at most, in words that match; `of` makes their arguments."""
 

@@ -7,7 +7,7 @@ import jax
 import numpy as np
 import pytest
 from meshes import lattice, ring, square, unit_box
-from runs import refusals, runs
+from runs import over, refusals
 from scipy.spatial.transform import Rotation
 
 import jaxmorph as jm
@@ -52,7 +52,7 @@ def with_loose(mesh, places):
     return jm.Mesh(np.concatenate([places, mesh.points]), cells, patches)
 
 
-@pytest.mark.parametrize("planes", runs([""], slow=["y0 y1"], nightly=["y0", "x0 x1 y0 y1"]))
+@over("planes", [""], slow=["y0 y1"], nightly=["y0", "x0 x1 y0 y1"])
 def test_nodes_of_no_cell_stay_beside_planes_in_chunks_and_in_steps(planes):
     planes, box = planes.split(), unit_box()
     fixed = [name for name in box.patches if name not in (*planes, "z0")]
@@ -75,7 +75,7 @@ def test_nodes_of_no_cell_stay_beside_planes_in_chunks_and_in_steps(planes):
         assert (ends[1][:3] == odd.points[:3]).all()
 
 
-@pytest.mark.parametrize("part", runs(["whole"], slow=["half", "layer"]))
+@over("part", ["whole"], slow=["half", "layer"])
 def test_a_body_in_a_free_boundary_takes_its_grid_along(part):
     mesh = ring(24, np.linspace(0.5, 1.5, 6), ("body", "overset"))
     quads, symmetry, count = np.asarray(mesh.cells["quad"]), (), len(mesh.points)

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from meshes import write_ring
-from runs import refusals, runs
+from runs import over, refusals, runs
 from scipy.spatial.transform import Rotation
 
 import jaxmorph as jm
@@ -87,7 +87,7 @@ def test_twist_turns_sections_in_proportion():
     np.testing.assert_allclose(turned, [[1, 0, -1], [1, 0, 0], [0, 1, 0.5], [-1, 0, 1], [-1, 0, 4]], atol=1e-15)
 
 
-@pytest.mark.parametrize("d", runs([2], nightly=[3]))
+@over("d", [2], nightly=[3])
 def test_bending_makes_an_arc_of_the_same_length(d):
     s = np.linspace(-1, 3, 9)
     x = np.zeros((9, d))

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from meshes import naca
-from runs import refusals, runs
+from runs import over, refusals
 from scipy.interpolate import BSpline, CubicSpline
 from scipy.spatial.transform import Rotation
 
@@ -31,7 +31,7 @@ def random_like(parameters, seed=1):
     return jax.tree.map(lambda leaf: jnp.asarray(rng.normal(size=leaf.shape)), parameters)
 
 
-@pytest.mark.parametrize("name", runs([name for name in LINEAR if name not in BREADTH], nightly=BREADTH))
+@over("name", [name for name in LINEAR if name not in BREADTH], nightly=BREADTH)
 def test_linear_shapes_and_their_transposes(name):
     shape = LINEAR[name]
     np.testing.assert_array_equal(shape(AIRFOIL, shape.neutral()), AIRFOIL)
@@ -142,7 +142,7 @@ def wing():
     return rng.uniform([0, -0.1, -0.1], [1, 2.1, 0.2], (50, 3))
 
 
-@pytest.mark.parametrize("cubic", runs([False], nightly=[True]))
+@over("cubic", [False], nightly=[True])
 def test_stations_are_interpolated(cubic):
     shape = shapes.ReferenceAxis(PLANFORM.points, cubic=cubic)
     x, values = wing(), np.array([0.3, -0.2, 0.5])

@@ -3,8 +3,8 @@
 import jax
 import numpy as np
 import pytest
-from meshes import bricks, naca, sphere, write_ring
-from runs import refusals, runs
+from meshes import ball, bricks, naca, write_ring
+from runs import over, refusals
 from scipy.spatial import ConvexHull
 
 import jaxmorph as jm
@@ -17,17 +17,7 @@ LOOP = np.arange(COUNT)
 SEGMENTS = np.column_stack([LOOP, np.roll(LOOP, -1)])
 
 
-def ball():
-    """A unit sphere's convex hull, outward."""
-    points = sphere(300)
-    faces = ConvexHull(points).simplices
-    a, b, c = (points[faces[:, k]] for k in range(3))
-    inward = np.einsum("ki,ki->k", np.cross(b - a, c - a), a + b + c) < 0
-    faces[inward] = faces[inward][:, ::-1]
-    return points, faces
-
-
-BALL, FACES = ball()
+BALL, FACES = ball(300)
 on = shapes.Stations.on
 LINES = shapes.Stations.on(ELLIPSE, SEGMENTS, [[0.25, 0.0], [0.5, 0.0]], [0.0, 1.0])
 LINES3 = shapes.Stations.on(BALL, FACES, [[0.1, 0.2, 0.0]], [0.0, 0.1, 1.0])
@@ -45,10 +35,7 @@ MEASURES = {
 }
 
 
-@pytest.mark.parametrize(
-    "name",
-    runs([name for name in MEASURES if name not in ("radius", "thickness-3")], nightly=["radius", "thickness-3"]),
-)
+@over("name", [name for name in MEASURES if name not in ("radius", "thickness-3")], nightly=["radius", "thickness-3"])
 def test_derivatives_equal_differences(name):
     measure, x = MEASURES[name]
     direction = 0.1 * np.column_stack([np.sin(3 * x[:, k] + k) for k in range(x.shape[1])])
@@ -74,7 +61,6 @@ def test_closed_forms_of_an_ellipse():
 
 @pytest.mark.nightly
 def test_closed_forms_of_a_naca_airfoil():
-
     x = naca(0.0, 0.4, 0.12, count=401, last=0.1036)
     lower = np.arange(401, 801)  # from behind the nose to the tail
     loop = np.concatenate([lower, np.arange(400, -1, -1)[1:]])  # nose last; the tail of both sides is one place

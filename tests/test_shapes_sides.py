@@ -5,7 +5,7 @@ import pathlib
 import numpy as np
 import pytest
 from meshes import naca
-from runs import refusals, runs
+from runs import over, refusals
 
 from jaxmorph import cases, io, shapes
 
@@ -15,9 +15,8 @@ def cusped(count=65, gap=0.0, spacing=np.pi):
     x = 0.5 * (1 - np.cos(np.linspace(0, np.pi, count))) if spacing == np.pi else np.linspace(0, 1, count) ** 1.5
     half = 0.155 * np.sqrt(x) * (1 - x) ** 1.5 + 0.5 * gap * x
     line = 0.11 * x**3 * (1 - x)
-    return np.concatenate(
-        [np.column_stack([x, line + half]), np.column_stack([x, line - half])[1 : None if gap else -1]]
-    )
+    lower = np.column_stack([x, line - half])[1 : None if gap else -1]
+    return np.concatenate([np.column_stack([x, line + half]), lower])
 
 
 def extruded(section, layers=3):
@@ -141,7 +140,7 @@ SHARED = pathlib.Path(__file__).parents[2] / "shared" / "cases"
 
 
 @pytest.mark.skipif(not SHARED.is_dir(), reason="needs the shared cases")
-@pytest.mark.parametrize("name", runs(["naca0012-euler/naca0012_inv.su2"], nightly=["naca0012-cgrid/n0012_225-65.su2"]))
+@over("name", ["naca0012-euler/naca0012_inv.su2"], nightly=["naca0012-cgrid/n0012_225-65.su2"])
 def test_sides_of_meshes_that_others_made(name):
     mesh = io.read(SHARED / name)
     nodes, points = mesh.patch("airfoil"), np.asarray(mesh.points)
