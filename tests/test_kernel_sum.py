@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from runs import runs
+from runs import over
 from scipy.interpolate import RBFInterpolator
 
 import jaxmorph as jm
@@ -48,9 +48,7 @@ def one_by_one(plan, u):
     return jax.vmap(lambda x: field(x, None))(plan.points)
 
 
-@pytest.mark.parametrize(
-    ("name", "dimension"), runs([("thin-plate", 2), ("multiquadric", 3)], nightly=[("gaussian", 3)])
-)
+@over("name dimension", [("thin-plate", 2), ("multiquadric", 3)], nightly=[("gaussian", 3)])
 def test_scipy_agrees(name, dimension):
     plan, u, _ = case(name, dimension)
     _, kernel, epsilon, degree = BASES[name]
@@ -101,9 +99,8 @@ def test_every_transformation():
     second = flat.T @ (-w.ravel() * np.sin(at) * (flat @ v.ravel()))
     several = jnp.stack([u, v, -u])
     # before 0.10 JAX fails to transpose a loop by itself
-    transposed = (
-        jax.linear_transpose if jax.__version_info__ >= (0, 10) else lambda function, u: jax.vjp(function, u)[1]
-    )
+    can_transpose = jax.__version_info__ >= (0, 10)
+    transposed = jax.linear_transpose if can_transpose else lambda function, u: jax.vjp(function, u)[1]
 
     @jax.jit
     def found(u, v, w, several):
@@ -139,7 +136,7 @@ def test_every_transformation():
     np.testing.assert_allclose(jax.jit(jax.jacfwd(moved))(u), dense, rtol=1e-9, atol=1e-9)
 
 
-@pytest.mark.parametrize("name", runs(nightly=["thin-plate", "wendland"]))
+@over("name", nightly=["thin-plate", "wendland"])
 def test_derivatives_at_a_source_are_finite(name):
     """First and second derivatives with respect to the points, some of which are sources."""
     plan, u, w = case(name, n=BLOCK + 3, s=25)
@@ -163,12 +160,11 @@ def dense_kernels(text: str, n: int, s: int) -> int:
 def test_memory_does_not_grow_with_points_times_sources(what):
     """What the program sets aside beside its results: a few arrays of the points and one block, 40 times below n s."""
     plan, u, _ = case("thin-plate", n=40_000, s=200)
+    squares = lambda plan, u, x: jnp.sum(jm.deform(jm.refit(plan, x), u) ** 2)  # noqa: E731
     function = {
         "deform": lambda plan, u: jm.deform(plan, u),
         "gradient": lambda plan, u: jax.grad(lambda u: jnp.sum(jm.deform(plan, u) ** 2))(u),
-        "gradient by the points": lambda plan, u: jax.grad(lambda x: jnp.sum(jm.deform(jm.refit(plan, x), u) ** 2))(
-            plan.points
-        ),
+        "gradient by the points": lambda plan, u: jax.grad(squares, argnums=2)(plan, u, plan.points),
     }[what]
     arrays, static = eqx.partition(plan, eqx.is_array)
     compiled = jax.jit(lambda arrays, u: function(eqx.combine(arrays, static), u)).lower(arrays, u).compile()
@@ -202,10 +198,8 @@ def test_product_of_few_rows():
     close(jax.vmap(few_rows_times, (0, None))(many_rows, block), many_rows @ block)
     close(jax.vmap(few_rows_times, (None, 0))(rows, many_blocks), rows @ many_blocks)
     close(jax.vmap(few_rows_times)(many_rows, many_blocks), many_rows @ many_blocks)
-    close(
-        jax.vmap(jax.vmap(few_rows_times, (0, None)), (None, 0))(many_rows, many_blocks),
-        many_rows[None] @ many_blocks[:, None],
-    )
+    every = jax.vmap(jax.vmap(few_rows_times, (0, None)), (None, 0))
+    close(every(many_rows, many_blocks), many_rows[None] @ many_blocks[:, None])
     cotangent = rng.normal(size=(3, 7))
     by_rows, by_block = jax.vjp(few_rows_times, rows, block)[1](jnp.asarray(cotangent))
     close(by_rows, cotangent @ block.T)
