@@ -13,12 +13,10 @@ The first use of a public name imports its module, and JAX with it: the command 
 without. Submodules are imported when they are first used.
 """
 
-import ast
 import importlib
-import pkgutil
 import typing
 
-if typing.TYPE_CHECKING:  # `as` makes a name public for type checkers; `_MODULES` reads the block
+if typing.TYPE_CHECKING:  # `as` makes a name public for type checkers; `_NAMES` repeats it
     # isort: off
     from . import cases as cases, cli as cli, integrations as integrations, io as io, plot as plot, shapes as shapes
     from ._advice.compare import Comparison as Comparison, compare as compare
@@ -122,15 +120,63 @@ if typing.TYPE_CHECKING:  # `as` makes a name public for type checkers; `_MODULE
 __version__: str
 
 
-def _modules() -> dict[str, str]:
-    """Lists the module of every public name, and "" for submodules, as the block above has them."""
-    tree = ast.parse(pkgutil.get_data(__name__, "__init__.py") or b"")
-    (block,) = (node for node in tree.body if isinstance(node, ast.If))
-    imports = [node for node in block.body if isinstance(node, ast.ImportFrom)]
-    return {alias.name: node.module or "" for node in imports for alias in node.names}
-
-
-_MODULES = _modules()
+_SUBMODULES = ("cases", "cli", "integrations", "io", "plot", "shapes")
+_NAMES = {
+    "._advice.compare": "Comparison compare",
+    "._advice.fewest_steps": "Steps fewest_steps",
+    "._advice.inspect": "inspect",
+    "._advice.inspection": "Inspection",
+    "._advice.largest_step": "LargestStep largest_step",
+    "._advice.valid_steps": "ValidSteps",
+    "._boundary.boundary": "Boundary",
+    "._boundary.outer_faces": "FreeFaces boundary_faces",
+    "._boundary.periodic": "Periodic",
+    "._boundary.slide": "Revolution Slide",
+    "._boundary.symmetry": "Plane",
+    "._host.package.errors": "MeshError",
+    "._host.sources.farthest": "FarthestPoints Graded",
+    "._host.sources.greedy": "Greedy",
+    "._host.sources.reduction": "AbstractReduction AbstractSearchPoints AllPoints Centre Corners GaussPoints KDTree",
+    "._improve.curve": "curve",
+    "._improve.improve": "Improvement improve",
+    "._mesh.mesh": "Mesh elevate",
+    "._methods.base": "AbstractField AbstractMethod AbstractPlacing Control",
+    "._methods.cells.cells": "AbstractCellMethod",
+    "._methods.cells.equations": "AbstractStiffness Biharmonic ByDistance ByVolume Laplacian LinearElasticity SpringAnalogy "
+    "TorsionalSprings",
+    "._methods.delaunay": "DelaunayGraph",
+    "._methods.inverse_distance": "InverseDistance",
+    "._methods.local": "LocalCorrection",
+    "._methods.multiscale": "Multiscale",
+    "._methods.nearwall": "NearWall",
+    "._methods.rbf.basis": "AbstractBasis CompactC0 CompactC1 CompactC2a CompactC2b CubicSpline Gaussian InverseMultiquadric "
+    "InverseQuadratic LinearSpline Multiquadric ThinPlateSpline WendlandC0 WendlandC2 WendlandC4 "
+    "WendlandC6",
+    "._methods.rbf.compact": "CompactRBF",
+    "._methods.rbf.fitted": "FittedRBF",
+    "._methods.rbf.rbf": "RBF Direct Iterative",
+    "._methods.reconstruction": "SurfaceReconstruction",
+    "._methods.surface": "Surface",
+    "._plan.deform": "deform pullback velocity",
+    "._plan.halves": "SurfaceHalf prepare_in_chunks prepare_surface",
+    "._plan.judge": "BoundaryQuality boundary_quality",
+    "._plan.plan": "Plan",
+    "._plan.prepare": "prepare",
+    "._plan.refit": "refit",
+    "._plan.save": "load save",
+    "._plan.shard": "shard",
+    "._plan.steps": "march replay",
+    "._quality.distortion": "distortion",
+    "._quality.face_quality": "FaceQuality face_quality",
+    "._quality.proof.proof": "Proof proof proven_margin",
+    "._quality.quality": "inverted quality",
+    "._quality.report": "QualityReport",
+    "._quality.smooth_quality": "SmoothQuality smooth_quality soft_maximum",
+    "._quality.verdict": "Limits Verdict judge",
+    "._quality.wall_quality": "WallQuality wall_quality",
+}
+"""Public names by module: the block above is for type checkers, this for installs without source."""
+_MODULES = dict.fromkeys(_SUBMODULES, "") | {name: module for module, names in _NAMES.items() for name in names.split()}
 
 
 def __getattr__(name: str) -> typing.Any:
@@ -142,7 +188,7 @@ def __getattr__(name: str) -> typing.Any:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     if not _MODULES[name]:
         return importlib.import_module(f".{name}", __name__)
-    value = getattr(importlib.import_module(f".{_MODULES[name]}", __name__), name)
+    value = getattr(importlib.import_module(_MODULES[name], __name__), name)
     globals()[name] = value  # the next use is as fast as that of any name
     return value
 

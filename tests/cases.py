@@ -36,10 +36,7 @@ class Case:
     faces: bool = False
 
     def prepared(self, points, moving, fixed=(), length=1.0, order=None) -> jm.Plan:
-        """Prepares a plan for points of `body`, or the whole mesh with its cells for a method that needs them.
-
-        `order` lists the nodes of the body that the points are.
-        """
+        """Prepares a plan for points of `body`, nodes `order` of it, or the whole mesh for a method that needs cells."""
         method = self.make(length)
         if not (method.needs_cells or self.faces):
             return jm.prepare(points, moving, fixed, method=method)

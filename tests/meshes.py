@@ -2,10 +2,12 @@
 
 import contextlib
 import functools
+import itertools
 import pathlib
 
 import numpy as np
 import pytest
+from scipy.spatial import ConvexHull
 
 import jaxmorph as jm
 from jaxmorph import io
@@ -55,11 +57,8 @@ def tetrahedra(ids: np.ndarray) -> np.ndarray:
 
 def sides(points: np.ndarray) -> dict[str, np.ndarray]:
     """Lists the nodes of a unit box's sides: `x0`, `x1`, `y0` and so on."""
-    return {
-        f"{'xyz'[axis]}{side}": np.flatnonzero(points[:, axis] == side)
-        for axis in range(points.shape[1])
-        for side in (0, 1)
-    }
+    ways = itertools.product(range(points.shape[1]), (0, 1))
+    return {f"{'xyz'[axis]}{side}": np.flatnonzero(points[:, axis] == side) for axis, side in ways}
 
 
 def grid(*axes, patches=None) -> jm.Mesh:
@@ -120,10 +119,7 @@ TURNED = {
 
 
 def renumbered(mesh: jm.Mesh, seed: int) -> tuple[jm.Mesh, np.ndarray]:
-    """Numbers nodes, cells and patches of a mesh at random, half of its cells the other way round.
-
-    The second value lists the old number of each node.
-    """
+    """Numbers nodes, cells and patches at random, half of the cells the other way round; and lists each node's old number."""
     random = np.random.default_rng(seed)
     old = random.permutation(len(mesh.points))
     new, cells, patches = np.argsort(old), {}, {}
@@ -172,10 +168,7 @@ def even(kind: str) -> jm.Mesh:
 
 
 def half(mesh: jm.Mesh, bent: float = 0.0, is_passage: bool = False) -> jm.Mesh:
-    """Makes the upper half of a lattice with a hole, on a floor `plane`, bent by some height.
-
-    In a passage the sides `left` and `right` are not of the patch `far`.
-    """
+    """Makes the upper half of a lattice with a hole on a floor `plane`, `bent` by some height; a passage has open sides."""
     points = np.asarray(mesh.points)
     cells = {kind: ids[points[ids].mean(axis=1)[:, -1] > 0.5] for kind, ids in mesh.cells.items()}
     used = np.unique(np.concatenate([ids.ravel() for ids in cells.values()]))
@@ -233,9 +226,8 @@ def filled(kind: str, count: int = 3) -> jm.Mesh:
     if cell.shape == "tetra":  # the list of six is right-handed up to a turn
         edges = points[cells[:, 1:]] - points[cells[:, :1]]
         cells = np.where((np.linalg.det(edges) < 0)[:, None], cells[:, [0, 2, 1, 3]], cells)
-    mesh = jm.Mesh(
-        points, {cell.shape: cells}, {"boundary": np.flatnonzero(np.any((points == 0) | (points == 1), axis=1))}
-    )
+    outer = np.flatnonzero(np.any((points == 0) | (points == 1), axis=1))
+    mesh = jm.Mesh(points, {cell.shape: cells}, {"boundary": outer})
     return mesh if cell.order == 1 else jm.elevate(mesh, cell.order)
 
 
@@ -260,10 +252,14 @@ def with_folds(mesh: jm.Mesh, count: int = 1, seed: int = 0) -> np.ndarray:
     return points
 
 
+def on_circle(angle) -> np.ndarray:
+    """Lists points of the unit circle by their angles."""
+    return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+
+
 def circle(count: int) -> np.ndarray:
     """Lists points of the unit circle, the first one on the x axis."""
-    angle = 2 * np.pi / count * np.arange(count)
-    return np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return on_circle(2 * np.pi / count * np.arange(count))
 
 
 def ring(around: int = 24, radii=None, names=("wall", "far")) -> jm.Mesh:
@@ -287,6 +283,16 @@ def sphere(count: int) -> np.ndarray:
     i = np.arange(count) + 0.5
     polar, azimuth = np.arccos(1 - 2 * i / count), np.pi * (1 + 5**0.5) * i
     return np.stack([np.cos(azimuth) * np.sin(polar), np.sin(azimuth) * np.sin(polar), np.cos(polar)], axis=1)
+
+
+def ball(count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Lists points of the unit sphere, and the triangles of their convex hull, which look outwards."""
+    points = sphere(count)
+    faces = ConvexHull(points).simplices
+    a, b, c = np.moveaxis(points[faces], 1, 0)
+    inwards = np.sum(np.cross(b - a, c - a) * a, axis=1) < 0
+    faces[inwards] = faces[inwards][:, ::-1]
+    return points, faces
 
 
 @functools.cache

@@ -55,9 +55,8 @@ def wendland(distance, radius):
 
 def dense(points, sources, values, phi, degree):
     """The textbook system (eq. 3), solved by NumPy in the mesh's own coordinates."""
-    tail = np.concatenate([np.ones((len(sources), 1)), sources], axis=1)[
-        :, : {None: 0, 0: 1, 1: 1 + sources.shape[1]}[degree]
-    ]
+    count = {None: 0, 0: 1, 1: 1 + sources.shape[1]}[degree]
+    tail = np.concatenate([np.ones((len(sources), 1)), sources], axis=1)[:, :count]
     distance = np.linalg.norm(sources[:, None] - sources[None], axis=2)
     matrix = np.block([[phi(distance), tail], [tail.T, np.zeros((tail.shape[1],) * 2)]])
     weights = np.linalg.solve(matrix, np.concatenate([values, np.zeros((tail.shape[1], values.shape[1]))]))
@@ -117,9 +116,9 @@ def jacobians_inside(shape: str, order: int, lattice: np.ndarray, nodes: np.ndar
         return slope
 
     def cube(x):
-        return (
-            x if shape != "pyramid" else np.column_stack([x[:, :2] / np.where(x[:, 2:] < 1, 1 - x[:, 2:], 1), x[:, 2]])
-        )
+        if shape != "pyramid":
+            return x
+        return np.column_stack([x[:, :2] / np.where(x[:, 2:] < 1, 1 - x[:, 2:], 1), x[:, 2]])
 
     slopes = np.stack([values(cube(places), axis) for axis in range(d)], axis=2)
     functions = np.linalg.inv(values(cube(lattice / order)))

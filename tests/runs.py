@@ -1,4 +1,4 @@
-"""Which run holds which cases of a law; runs of several processes, and commands that end with an error."""
+"""Which run holds which cases of a law, tables of what is refused, and runs of several processes."""
 
 import os
 import pathlib
@@ -56,3 +56,20 @@ def all_refused(*cases) -> None:
     for call, message in cases:
         with pytest.raises(ValueError, match=message):
             call()
+
+
+def over(names: str, *cases, ids=None, **more):
+    """Parametrises a test over the cases of `runs`; several names of arguments are parted by spaces."""
+    return pytest.mark.parametrize(names.split() if " " in names else names, runs(*cases, **more), ids=ids)
+
+
+def refusals(*cases, of=tuple):
+    """Makes a test of calls, each refused in two sentences at most, in words that match; `of` makes their arguments."""
+
+    @pytest.mark.parametrize(("call", "words"), cases)
+    def refuses(call, words):
+        with pytest.raises(ValueError, match=words) as caught:
+            call(*of())
+        assert len(re.split(r"(?<=[a-z)])\. ", str(caught.value))) <= 2
+
+    return refuses

@@ -64,21 +64,10 @@ def test_faces_that_are_there_twice_are_dropped_early_or_late(kind):
     assert set(found) == {ids for ids, times in count.items() if times == 1}
 
 
-CUBE = [(x, y, z) for z in (0, 1) for x, y in ((0, 0), (1, 0), (1, 1), (0, 1))]
-SHAPES = {
-    "triangle": [(0, 0), (1, 0), (0, 1)],
-    "quad": [(0, 0), (1, 0), (1, 1), (0, 1)],
-    "tetra": [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)],
-    "pyramid": [*CUBE[:4], (0, 0, 1)],
-    "wedge": [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (0, 1, 1)],
-    "hexahedron": CUBE,
-}
-
-
-@pytest.mark.parametrize("kind", SHAPES)
+@pytest.mark.parametrize("kind", IDEAL)
 def test_the_tables_of_a_cell_type_are_those_of_its_shape(kind):
     """Faces look outwards and close it, edges are their sides, frames are right-handed and made of edges, each corner has one."""
-    points = np.array(SHAPES[kind], dtype=float)
+    points = np.array(IDEAL[kind], dtype=float)
     d, edges = points.shape[1], {frozenset(edge) for edge in EDGES[kind]}
     assert CORNERS[kind] == len(points)
     assert len(edges) == len(EDGES[kind])

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from runs import runs
+from runs import over
 
 import jaxmorph as jm
 from jaxmorph import cases
@@ -61,9 +61,7 @@ def test_horns_of_ice_grow_on_an_airfoil():
     assert least_ratio(mesh, "airfoil", straight(np.stack([-0.8 * horn, 0.6 * np.sign(y) * horn], axis=1), 5)) > 0.8
 
 
-@pytest.mark.parametrize(
-    ("degrees", "centre", "blend"), runs(nightly=[(180.0, 0.25, None), (90.0, 0.7, 0.4)]), ids=["pitch", "flap"]
-)
+@over("degrees centre blend", nightly=[(180.0, 0.25, None), (90.0, 0.7, 0.4)], ids=["pitch", "flap"])
 def test_a_wide_flap_and_a_half_turn_in_steps(degrees, centre, blend):
     """The flap's angle grows over 0.4 chord around its hinge; the whole airfoil turns on its head."""
     mesh = cases.naca0015(points=1000)

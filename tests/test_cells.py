@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from cases import BY_NAME, body, motion
-from meshes import blocks, lattice
-from runs import runs
+from meshes import blocks, lattice, sphere, turn
+from runs import over
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
@@ -45,7 +45,7 @@ def hull(points):
     return np.flatnonzero(((points < 1e-9) | (points > 1 - 1e-9)).any(axis=1))
 
 
-@pytest.mark.parametrize("kind", runs(["hexahedron"], nightly=["tetra", "pyramid", "wedge"]))
+@over("kind", ["hexahedron"], nightly=["tetra", "pyramid", "wedge"])
 def test_patch_test(kind):
     """An affine motion of the boundary moves the nodes inside alike, whatever their places and the type of their cells."""
     mesh = cases.bricks(kind, cells=3)
@@ -87,11 +87,11 @@ def slab(columns):
     return points.reshape(-1, 2), quads, ids
 
 
-@pytest.mark.parametrize(("method", "turn"), runs([(jm.Laplacian(), 0.6)], slow=[(jm.LinearElasticity(), 0.0)]))
-def test_nodes_slide_in_symmetry_planes(method, turn):
+@over("method angle", [(jm.Laplacian(), 0.6)], slow=[(jm.LinearElasticity(), 0.0)])
+def test_nodes_slide_in_symmetry_planes(method, angle):
     """A half, with a plane in any direction, moves like the half of the whole."""
     points, quads, ids = slab(3)
-    frame = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    frame = turn(angle, 2)
     u = np.stack([0.1 * np.sin(points[ids[:, 0], 0]), 0.3 * np.cos(points[ids[:, 0], 0])], axis=1)
     whole = jm.Mesh(points, {"quad": quads}, {"bottom": ids[:, 0], "top": ids[:, -1]})
     kept = np.flatnonzero(points[:, 0] > -1e-9)
@@ -106,7 +106,7 @@ def test_nodes_slide_in_symmetry_planes(method, turn):
     half_plan = jm.prepare(half, bottom, top, method=method, symmetry=plane, free=np.arange(len(kept)))
     moved = jm.deform(half_plan, u[3:] @ frame.T)
     np.testing.assert_allclose(moved, expected, rtol=0, atol=1e-11)
-    if turn == 0:  # a coarse field has to place the images of the surface, too
+    if angle == 0:  # a coarse field has to place the images of the surface, too
         coarse = jm.SurfaceReconstruction(method, jm.DelaunayGraph())
         half_plan = jm.prepare(half, bottom, top, method=coarse, symmetry=plane, free=np.arange(len(kept)))
         np.testing.assert_allclose(jm.deform(half_plan, u[3:] @ frame.T), expected, rtol=0, atol=1e-11)
@@ -184,10 +184,6 @@ def test_wrong_uses_are_told():
         jm.prepare_in_chunks(jm.Boundary(mesh, ids[:, 0], ids[:, -1], free=ids.ravel()), size=4, method=jm.Laplacian())
     with pytest.raises(ValueError, match=r"solves for all nodes at once"):
         jm.shard(planned_slab(2, jm.Laplacian()), jax.devices())
-    with pytest.raises(ValueError, match=r"`poisson` must be a real number above -1 and below 0.5, not 0.5"):
-        jm.LinearElasticity(poisson=0.5)
-    with pytest.raises(ValueError, match=r"`stiffening` must be a stiffness object such as stiffening=jm.ByVolume"):
-        jm.LinearElasticity("volume")  # pyright: ignore[reportArgumentType]
     with pytest.raises(ValueError, match=r"unknowns of LinearElasticity .* stiffness is not finite"):
         planned_slab(2, jm.LinearElasticity(jm.ByVolume(3e4)))
 
@@ -237,9 +233,7 @@ def test_thin_layers_of_hexahedra_take_few_steps(monkeypatch):
         beside, after = np.diag(b[:-1], -1), np.diag(1 / b[:-1], -1)
         return np.diag(1 / a + 1 / b) - after - after.T, (np.diag(2 * (a + b)) + beside + beside.T) / 6
 
-    (wide, wide_mass), (thin, thin_mass) = (
-        in_one_direction(each) for each in (np.full(12, 1 / 12), 1e-6 * 1.5 ** np.arange(20))
-    )
+    (wide, wide_mass), (thin, thin_mass) = map(in_one_direction, (np.full(12, 1 / 12), 1e-6 * 1.5 ** np.arange(20)))
     along = sparse.kron(wide, wide_mass) + sparse.kron(wide_mass, wide)
     matrix = (sparse.kron(thin, sparse.kron(wide_mass, wide_mass)) + sparse.kron(thin_mass, along)).tocsr()
     root = np.sqrt(matrix.diagonal())
@@ -263,13 +257,8 @@ def test_a_right_side_that_is_not_finite_changes_no_later_solve(monkeypatch):
 
 @pytest.mark.slow
 def test_a_dense_system_is_solved_without_multigrid(monkeypatch):
-    """Where a row has hundreds of entries, unknowns are far smaller than right sides: the residual alone tells the end.
-
-    Were steps to go on until the residual is as small beside the unknowns, 240 would not do.
-    """
-    row = np.arange(1000) + 0.5
-    height, turn = 1 - row / 500, np.pi * (1 + 5**0.5) * row
-    points = np.stack([np.sqrt(1 - height**2) * np.cos(turn), np.sqrt(1 - height**2) * np.sin(turn), height], axis=1)
+    """Where a row has hundreds of entries, unknowns are far smaller than right sides: the residual alone tells the end."""
+    points = sphere(1000)
     apart = np.linalg.norm(points[:, None] - points[None], axis=2) / 1.2
     matrix = np.maximum(1 - apart, 0) ** 4 * (4 * apart + 1)  # Wendland's C2 on a sphere
     right = np.sin(3 * points[:, 0])
@@ -287,9 +276,8 @@ def test_thin_layers_of_soft_and_stiff_cells_are_solved_as_by_factors(method, mo
     points[:, 2] = points[:, 2] ** 8 + 1e-4 * points[:, 2]
     mesh = jm.Mesh(points, mesh.cells, {"floor": np.flatnonzero(points[:, 2] == 0)})
     u, fixed = 0.1 * np.random.default_rng(0).normal(size=(81, 3)), np.setdiff1d(hull(points), mesh.patch("floor"))
-    factored, iterated = by_both_solvers(
-        monkeypatch, lambda: jm.deform(jm.prepare(mesh, "floor", fixed, method=method), u)
-    )
+    solved = lambda: jm.deform(jm.prepare(mesh, "floor", fixed, method=method), u)  # noqa: E731
+    factored, iterated = by_both_solvers(monkeypatch, solved)
     np.testing.assert_allclose(iterated, factored, rtol=0, atol=1e-7)
 
 
@@ -321,9 +309,7 @@ def of_triangles(method, corners, distance, cuts):
 CUTS = ((0, 1, 2), (0, 2, 3), (0, 1, 3), (1, 2, 3))
 
 
-@pytest.mark.parametrize(
-    ("make", "stiffness"), [(jm.LinearElasticity, jm.ByDistance(1.5)), (jm.Laplacian, jm.ByVolume(0.0))]
-)
+@over("make stiffness", [(jm.LinearElasticity, jm.ByDistance(1.5)), (jm.Laplacian, jm.ByVolume(0.0))])
 def test_a_quad_is_the_mean_of_both_ways_to_cut_it(make, stiffness):
     corners = jnp.array([[0.0, 0.1], [1.3, 0], [1.1, 0.9], [0.2, 0.6]])
     distance = jnp.array([0.0, 0.3, 0.7, 0.2])
@@ -336,16 +322,14 @@ def test_a_quad_is_the_mean_of_both_ways_to_cut_it(make, stiffness):
 def test_a_quad_with_two_corners_in_one_place_is_a_triangle():
     corners = jnp.array([[0.0, 0], [1, 0], [0.4, 1], [0.4, 1]])
     method = jm.LinearElasticity()
-    found, expected = (
-        entries_of(method, "quad")(corners, jnp.ones(4)),
-        of_triangles(method, corners, jnp.ones(4), CUTS[::2]),
-    )
+    found = entries_of(method, "quad")(corners, jnp.ones(4))
+    expected = of_triangles(method, corners, jnp.ones(4), CUTS[::2])
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
     slope = jax.jit(jax.grad(lambda corners: jnp.sum(method.entries("quad", corners, jnp.ones(4)) ** 2)))(corners)
     assert np.isfinite(slope).all()
 
 
-@pytest.mark.parametrize("make", runs([jm.Laplacian], nightly=[jm.LinearElasticity]))
+@over("make", [jm.Laplacian], nightly=[jm.LinearElasticity])
 def test_a_quad_with_a_straight_corner_depends_on_no_rounding(make):
     """Blocks may meet on a straight line: the triangle at such a corner has no area but round-off."""
     points, ids = lattice(np.arange(7.0), np.arange(7.0)), np.arange(49).reshape(7, 7)
@@ -353,30 +337,28 @@ def test_a_quad_with_a_straight_corner_depends_on_no_rounding(make):
     points[24] = [2.5, 2.5]  # on the line between its neighbours across one quad
     quads = blocks(ids)
     moving, fixed = np.flatnonzero(x == 0), np.flatnonzero(x == 6)
-    turn = np.array([[np.cos(0.3), -np.sin(0.3)], [np.sin(0.3), np.cos(0.3)]])
+    matrix = turn(0.3, 2)
     u = np.tile([0.0, 0.5], (len(moving), 1))
     moves = []
-    for places, here in ((points, u), (points @ turn.T + 100, u @ turn.T)):
+    for places, here in ((points, u), (points @ matrix.T + 100, u @ matrix.T)):
         mesh = jm.Mesh(places, {"quad": quads})
         plan = jm.prepare(mesh, moving, fixed, method=make(), free=[*ids[:, 0], *ids[:, -1]])
         moves.append(np.asarray(jm.deform(plan, here)) - places)
-    np.testing.assert_allclose(moves[1] @ turn, moves[0], rtol=0, atol=1e-4)
+    np.testing.assert_allclose(moves[1] @ matrix, moves[0], rtol=0, atol=1e-4)
 
 
-@pytest.mark.parametrize(
-    ("kind", "corners", "share"),
-    runs(
-        [
-            ("quad", [(0, 0), (1, 0), (1, 1), (0, 1)], 1),
-            ("tetra", [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)], 1 / 6),
-            ("wedge", [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (0, 1, 1)], 1 / 2),
-        ],
-        nightly=[
-            ("triangle", [(0, 0), (1, 0), (0, 1)], 1 / 2),
-            ("pyramid", [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1)], 1 / 3),
-            ("hexahedron", [(x, y, z) for z in (0, 1) for x, y in ((0, 0), (1, 0), (1, 1), (0, 1))], 1),
-        ],
-    ),
+@over(
+    "kind corners share",
+    [
+        ("quad", [(0, 0), (1, 0), (1, 1), (0, 1)], 1),
+        ("tetra", [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)], 1 / 6),
+        ("wedge", [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (0, 1, 1)], 1 / 2),
+    ],
+    nightly=[
+        ("triangle", [(0, 0), (1, 0), (0, 1)], 1 / 2),
+        ("pyramid", [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1)], 1 / 3),
+        ("hexahedron", [(x, y, z) for z in (0, 1) for x, y in ((0, 0), (1, 0), (1, 1), (0, 1))], 1),
+    ],
 )
 def test_shape_functions_give_volumes_and_gradients(kind, corners, share):
     """A sheared cell has its volume, and a linear field its gradient, at every point of the quadrature."""

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from cases import body, full, motion, moved_by, planned, surface_values
 from oracles import dense, wendland
-from runs import runs
+from runs import over, runs
 
 import jaxmorph as jm
 from jaxmorph import cases
@@ -67,10 +67,7 @@ def dense_matrix(sources):
     return np.block([[kernel, tail], [tail.T, np.zeros((tail.shape[1],) * 2)]])
 
 
-@pytest.mark.parametrize(
-    ("solver", "more"),
-    runs(slow=[(None, "")], nightly=[(jm.Iterative(neighbours=12, dense=12), ", or a larger `tolerance`")]),
-)
+@over("solver more", slow=[(None, "")], nightly=[(jm.Iterative(neighbours=12, dense=12), ", or a larger `tolerance`")])
 def test_what_is_told_of_two_nodes_that_nearly_coincide_helps(solver, more):
     """A fixed node 1e-9 beside a moving one, which no field follows: each hint is one that the method can follow."""
     mesh = body(2)
@@ -94,7 +91,7 @@ def test_what_is_told_of_two_nodes_that_nearly_coincide_helps(solver, more):
         prepared(jm.RBF(jm.Multiquadric(1.0), close, close, solver=solver))
 
 
-@pytest.mark.parametrize("degree", runs([0], nightly=[None]))
+@over("degree", [0], nightly=[None])
 def test_one_source(degree):
     """Its value spreads as the basis does; with a constant, everything moves alike."""
     points = np.array([[3.0, 1.0], [3.5, 1.0], [3.0, 2.0]])

@@ -15,7 +15,7 @@ import pytest
 from cases import BY_NAME, NAMES, body, motion
 from hypothesis import given as given_by
 from hypothesis import settings, strategies
-from meshes import even, half, renumbered, slit, thin
+from meshes import even, half, renumbered, slit, thin, turn
 from runs import runs
 from scipy.spatial.transform import Rotation
 
@@ -25,12 +25,7 @@ from jaxmorph._methods.base import place
 FAST = {("delaunay", 2), ("reduced", 2)}
 """Cases whose laws the fast tests hold."""
 
-WHOLE = FAST | {
-    ("default", 2),
-    ("inverse-distance", 2),
-    ("elasticity", 2),
-    ("notebook's method", 2),
-}
+WHOLE = FAST | {("default", 2), ("inverse-distance", 2), ("elasticity", 2), ("notebook's method", 2)}
 """One case for each class of fields: `.ci/run` holds all laws of these. `.ci/nightly` holds every law of every case."""
 
 CHEAP = {("default", 2), ("elasticity", 2), ("compact", 2), ("inverse-distance", 2), ("torsional", 3)}
@@ -51,6 +46,8 @@ def over(names, is_cheap=False):
 
 
 every_method, every_method_cheaply = over(NAMES), over(NAMES, is_cheap=True)
+LINEAR = [pair for pair in NAMES if BY_NAME[pair[0]].make(1.0).linear]
+every_linear, every_linear_cheaply = over(LINEAR), over(LINEAR, is_cheap=True)
 PIECES = ("default", "few-sources", "near-wall", "multiscale", "delaunay", "wendland-none", "reduced")
 every_piece = over([pair for pair in NAMES if pair[0] in PIECES and pair[1] == 2])
 
@@ -78,9 +75,7 @@ def operator(name, dimension):
 
 
 def rotation(dimension):
-    if dimension == 2:
-        return np.array([[np.cos(0.7), -np.sin(0.7)], [np.sin(0.7), np.cos(0.7)]])
-    return Rotation.from_rotvec([0.5, -0.4, 0.8]).as_matrix()
+    return turn(0.7, 2) if dimension == 2 else Rotation.from_rotvec([0.5, -0.4, 0.8]).as_matrix()
 
 
 def fields(tree):
@@ -109,9 +104,8 @@ def test_every_class_of_fields_has_a_case_with_all_laws():
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_a_few_nodes_move(name, dimension, count):
     mesh = body(dimension)
-    few = mesh.moving[
-        np.argsort(np.linalg.norm(mesh.points[mesh.moving] - mesh.points[mesh.moving[0]], axis=1))[:count]
-    ]
+    apart = np.linalg.norm(mesh.points[mesh.moving] - mesh.points[mesh.moving[0]], axis=1)
+    few = mesh.moving[np.argsort(apart)[:count]]
     plan = BY_NAME[name].prepared(mesh.points, few, np.setdiff1d(mesh.boundary, few))
     moved = np.asarray(jm.deform(plan, np.full((count, dimension), 0.01))) - mesh.points
     assert np.abs(moved).max() < 0.1
@@ -171,11 +165,9 @@ def test_nothing_moves_when_nothing_is_asked(name, dimension):
     assert (np.asarray(jm.deform(plan, np.zeros((plan.n_moving, dimension)))) == body(dimension).points).all()
 
 
-@every_method
+@over([pair for pair in NAMES if BY_NAME[pair[0]].translates])
 def test_affine_motions_of_the_whole_boundary(name, dimension):
     case, mesh = BY_NAME[name], body(dimension)
-    if not case.translates:
-        pytest.skip("claims no polynomial")
     plan = case.prepared(mesh.points, mesh.boundary)
     shift = np.array([0.3, -0.2, 0.5])[:dimension]
     motions = [np.eye(dimension)]
@@ -188,10 +180,8 @@ def test_affine_motions_of_the_whole_boundary(name, dimension):
         np.testing.assert_allclose(moved, target, rtol=0, atol=1e-10)
 
 
-@every_method_cheaply
+@every_linear_cheaply
 def test_linear_in_u(name, dimension):
-    if not BY_NAME[name].make(1.0).linear:
-        pytest.skip("is not linear")
     plan, (u, _) = planned(name, dimension), given(dimension)
     v = np.random.default_rng(2).normal(size=u.shape)
     together = jm.deform(plan, 2 * u - 3 * v) - plan.points
@@ -200,11 +190,9 @@ def test_linear_in_u(name, dimension):
     np.testing.assert_allclose(together, apart, rtol=0, atol=1e-10 * size)
 
 
-@every_method
+@every_linear
 def test_derivatives_with_respect_to_u(name, dimension):
     """Reverse and second derivatives of a nonlinear scalar, at u and at u = 0, against the operator itself."""
-    if not BY_NAME[name].make(1.0).linear:
-        pytest.skip("is not linear")
     plan, (u, w), a = planned(name, dimension), given(dimension), operator(name, dimension)
     v = np.random.default_rng(3).normal(size=u.shape)
 
@@ -224,10 +212,8 @@ def test_derivatives_with_respect_to_u(name, dimension):
         np.testing.assert_allclose(jnp.vdot(gradient, v), difference, rtol=1e-6)
 
 
-@every_method
+@every_linear
 def test_pullback_is_the_transpose(name, dimension):
-    if not BY_NAME[name].make(1.0).linear:
-        pytest.skip("is not linear")
     plan, (u, w), a = planned(name, dimension), given(dimension), operator(name, dimension)
     pulled = np.asarray(jm.pullback(plan, u, w))
     np.testing.assert_allclose(pulled.ravel(), a.T @ w.ravel(), rtol=1e-8, atol=1e-9)
@@ -401,11 +387,8 @@ def test_round_trips(name, dimension):
     eqx.tree_serialise_leaves(file, plan)
     file.seek(0)
     blank = jax.tree.map(jnp.zeros_like, plan)
-    for copy in (
-        pickle.loads(pickle.dumps(plan)),
-        jax.tree.unflatten(structure, leaves),
-        eqx.tree_deserialise_leaves(file, blank),
-    ):
+    copies = [pickle.loads(pickle.dumps(plan)), jax.tree.unflatten(structure, leaves)]
+    for copy in (*copies, eqx.tree_deserialise_leaves(file, blank)):
         assert jax.tree.structure(copy) == structure
         assert (jm.deform(copy, u) == one).all()
     assert all(isinstance(leaf, jax.Array) for leaf in leaves)
@@ -424,9 +407,8 @@ def test_blocks_agree_with_the_one_point_form(name, dimension):
 
     def one_by_one(own):
         field = method.field(surface.ids, surface.factors, surface.points, own)
-        return jax.vmap(lambda x, ids: field(x, place(method, x, ids, surface.factors, surface.points)))(
-            plan.points, plan.volume.ids
-        )
+        at = lambda x, ids: field(x, place(method, x, ids, surface.factors, surface.points))  # noqa: E731
+        return jax.vmap(at)(plan.points, plan.volume.ids)
 
     answers = [jax.jit(lambda own, form=form: jax.vjp(form, own)) for form in (blocks, one_by_one)]
     (value, pull), (expected, expected_pull) = (answer(own) for answer in answers)

@@ -3,8 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pytest
-from runs import runs
+from runs import over
 
 from jaxmorph._improve.hessian import blocks, rotations, symmetric_eigen
 from jaxmorph._quality.distortion import energy
@@ -15,14 +14,8 @@ def matrices(d, n=40):
     """Any, and the hard ones: zero, the identity, a reflection, nearly flat, of rank one, with equal singular values."""
     rng = np.random.default_rng(d)
     found = rng.normal(size=(n, d, d))
-    found[:6] = [
-        np.zeros((d, d)),
-        np.eye(d),
-        np.diag([1, -1, 1][:d]),
-        np.diag([1, 1e-9, 1][:d]),
-        np.ones((d, d)),
-        np.linalg.qr(found[5])[0],
-    ]
+    found[:3] = np.zeros((d, d)), np.eye(d), np.diag([1, -1, 1][:d])
+    found[3:6] = np.diag([1, 1e-9, 1][:d]), np.ones((d, d)), np.linalg.qr(found[5])[0]
     return found
 
 
@@ -34,7 +27,7 @@ def together(vectors):
     return np.stack([np.stack([np.asarray(c)[0] for c in vector], axis=1) for vector in vectors], axis=2)
 
 
-@pytest.mark.parametrize("d", runs([2], nightly=[3]))
+@over("d", [2], nightly=[3])
 def test_rotations_and_singular_values(d):
     stack = matrices(d)
     u, sigma, v = rotations(columns(stack))
@@ -44,12 +37,11 @@ def test_rotations_and_singular_values(d):
     np.testing.assert_allclose(np.einsum("nia,na,nja->nij", left, middle, right), stack, atol=1e-12)
     np.testing.assert_allclose(np.abs(middle), np.linalg.svd(stack, compute_uv=False), atol=1e-12)
     values, _ = symmetric_eigen([[jnp.asarray(stack + stack.mT)[None, :, i, j] for j in range(d)] for i in range(d)])
-    np.testing.assert_allclose(
-        np.sort(np.stack([np.asarray(x)[0] for x in values], axis=1)), np.linalg.eigvalsh(stack + stack.mT), atol=1e-12
-    )
+    values = np.sort(np.stack([np.asarray(x)[0] for x in values], axis=1))
+    np.testing.assert_allclose(values, np.linalg.eigvalsh(stack + stack.mT), atol=1e-12)
 
 
-@pytest.mark.parametrize(("d", "floor"), runs([(2, 0.0)], slow=[(3, 0.0)], nightly=[(3, -np.inf)]))
+@over("d floor", [(2, 0.0)], slow=[(3, 0.0)], nightly=[(3, -np.inf)])
 def test_blocks_are_the_second_derivatives(d, floor):
     stack, rng = matrices(d), np.random.default_rng(10)
     inverse = rng.normal(size=(d, d, len(stack)))
@@ -65,7 +57,6 @@ def test_blocks_are_the_second_derivatives(d, floor):
     values, vectors = np.linalg.eigh(jax.jit(jax.vmap(jax.hessian(flat)))(stack.reshape(-1, d * d)))
     hessian = np.einsum("nip,np,njp->nij", vectors, np.maximum(values, floor), vectors).reshape(-1, d, d, d, d)
     expected = np.einsum("nabef,cbn,zfn->aeczn", hessian, inverse, inverse)
-    found = jax.jit(
-        lambda: blocks(of, columns(stack), [[jnp.asarray(row[None]) for row in rows] for rows in inverse], floor)
-    )()[:, :, :, :, 0]
+    rows = [[jnp.asarray(row[None]) for row in rows] for rows in inverse]
+    found = jax.jit(lambda: blocks(of, columns(stack), rows, floor))()[:, :, :, :, 0]
     np.testing.assert_allclose(found, expected, atol=1e-11 * np.abs(expected).max())

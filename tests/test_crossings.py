@@ -4,7 +4,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from meshes import blocks, lattice
+from meshes import blocks, lattice, turn
+from runs import over
 
 import jaxmorph as jm
 from jaxmorph import cases, io
@@ -150,22 +151,17 @@ def test_a_sphere_moved_into_a_plane(ball, way, crosses):
     assert {frozenset(pair) for pair in report.patches} == ({frozenset({"ball", "floor"})} if crosses else set())
     centre = np.array([4.13, 4.21])
     assert np.allclose(report.places[:, 2], 0, atol=1e-9)
-    assert (
-        np.linalg.norm(report.places[:, :2] - centre, axis=1) <= np.sqrt(4 - (4 - way) ** 2 if crosses else 0)
-    ).all()
+    radius = np.sqrt(4 - (4 - way) ** 2 if crosses else 0)
+    assert (np.linalg.norm(report.places[:, :2] - centre, axis=1) <= radius).all()
 
 
-@pytest.mark.parametrize(
-    "make", [lambda: cases.naca4("0012", points=600, sharp=True), lambda: cases.naca0015(points=600), cases.bricks]
-)
+@over("make", [lambda: cases.naca4("0012", points=600, sharp=True), lambda: cases.naca0015(points=600), cases.bricks])
 def test_a_mesh_that_turns_as_a_whole_crosses_nothing(make):
     """Wake cuts and sharp edges have coincident nodes."""
     mesh = make()
     nodes = np.unique(np.concatenate(list(mesh.patches.values())))
     base = np.asarray(mesh.points)[nodes]
-    turn = np.eye(base.shape[1])
-    turn[:2, :2] = [[np.cos(0.7), -np.sin(0.7)], [np.sin(0.7), np.cos(0.7)]]
-    report = crossings(simplices(mesh, nodes), mesh, nodes, base @ turn.T + 1 / 3 - base)
+    report = crossings(simplices(mesh, nodes), mesh, nodes, base @ turn(0.7, base.shape[1]).T + 1 / 3 - base)
     assert report is not None
     assert not len(report)
     assert str(report) == ""
@@ -218,9 +214,8 @@ def test_the_command_line_warns(squares, tmp_path, capsys):
 def test_overlapping_boxes_are_those_of_all_pairs(d):
     """Sizes differ by four orders, as those of a wall and a far field do."""
     random = np.random.default_rng(d)
-    corners = random.uniform(size=(300, 1, d)) + 10 ** random.uniform(-4, 0, (300, 1, 1)) * random.normal(
-        size=(300, d, d)
-    )
+    sizes = 10 ** random.uniform(-4, 0, (300, 1, 1))
+    corners = random.uniform(size=(300, 1, d)) + sizes * random.normal(size=(300, d, d))
     moves = random.uniform(size=300) < 0.3
     low, high = corners.min(axis=1), corners.max(axis=1)
     overlap = ((low[:, None] <= high[None]) & (low[None] <= high[:, None])).all(axis=2) & (moves[:, None] | moves)

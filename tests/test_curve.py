@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import meshes
 import numpy as np
 import pytest
-from runs import runs
+from runs import over, refusals
 
 import jaxmorph as jm
 from jaxmorph._advice.methods import METHODS, Lengths, entry
@@ -42,12 +42,8 @@ def test_neighbours_of_all_types_share_the_nodes_of_their_faces():
     """A hexahedron with a pyramid on it, a wedge beside it and a tetrahedron on the pyramid: as many nodes as their union."""
     points = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)], float)
     points = np.concatenate([points, [(0.5, 0.5, 1.6), (1.7, 0, 0.5), (1.7, 1, 0.5), (1.5, 0.5, 1.7)]])
-    cells = {
-        "hexahedron": [range(8)],
-        "pyramid": [[4, 5, 6, 7, 8]],
-        "wedge": [[1, 9, 5, 2, 10, 6]],
-        "tetra": [[5, 11, 6, 8]],
-    }
+    cells = {"hexahedron": [range(8)], "pyramid": [[4, 5, 6, 7, 8]]}
+    cells |= {"wedge": [[1, 9, 5, 2, 10, 6]], "tetra": [[5, 11, 6, 8]]}
     mesh = jm.Mesh(points, {kind: np.array([list(row) for row in rows]) for kind, rows in cells.items()})
     assert not jm.quality(mesh).is_inverted.any()
     high = jm.elevate(mesh, 3)
@@ -55,7 +51,7 @@ def test_neighbours_of_all_types_share_the_nodes_of_their_faces():
     assert sum(map(len, jm.boundary_faces(high).values())) == 9 * sum(map(len, jm.boundary_faces(mesh).values()))
 
 
-@pytest.mark.parametrize("order", runs(slow=[3], nightly=[2]))
+@over("order", slow=[3], nightly=[2])
 def test_curved_ring_converges_to_the_circle(order):
     errors = []
     for n in (8, 16):
@@ -77,9 +73,7 @@ def test_surface_as_places_function_and_mesh():
     by_function = jm.curve(high, unit, "wall", "far").points
     by_places = jm.curve(high, unit(high.points[nodes]), "wall", "far").points
     np.testing.assert_array_equal(by_function, by_places)
-    angle = 2 * np.pi * np.arange(400) / 400
-    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    lines = jm.Mesh(circle, {"line": np.stack([np.arange(400), np.roll(np.arange(400), -1)], axis=1)})
+    lines = jm.Mesh(meshes.circle(400), {"line": np.stack([np.arange(400), np.roll(np.arange(400), -1)], axis=1)})
     by_mesh = jm.curve(high, lines, "wall", "far").points
     assert np.abs(np.linalg.norm(by_mesh[nodes], axis=1) - 1).max() <= 1.001 * (1 - np.cos(np.pi / 400))
     np.testing.assert_allclose(by_mesh, by_function, atol=1e-3)  # along the wall the normal of a line leads elsewhere
@@ -99,10 +93,7 @@ def test_inverted_sees_a_fold_between_corners():
         jm.quality(mesh, bent).raise_if_inverted()
 
 
-@pytest.mark.parametrize(
-    "method",
-    runs(slow=[jm.LinearElasticity()], nightly=[None, jm.TorsionalSprings(), jm.RBF.classic(jm.WendlandC2(4.0))]),
-)
+@over("method", slow=[jm.LinearElasticity()], nightly=[None, jm.TorsionalSprings(), jm.RBF.classic(jm.WendlandC2(4.0))])
 def test_methods_move_all_nodes_and_pass_derivatives(method):
     high = jm.curve(jm.elevate(ring(), 3), unit, "wall", "far")
     plan = jm.prepare(high, "wall", "far", method=method)
@@ -145,23 +136,21 @@ def test_wall_and_smooth_measures_of_curved_cells():
         jm.face_quality(high)
 
 
-@pytest.mark.parametrize(
-    ("call", "words"),
-    [
-        (lambda mesh, high: jm.elevate(mesh, 5), "`order` is 5; meshes of order 2, 3 and 4 can be made"),
-        (lambda mesh, high: jm.elevate(high, 3), "cannot be elevated: linear cells are needed"),
-        (lambda mesh, high: jm.curve(mesh, unit, "wall", "far"), "has linear cells alone, which stay straight"),
-        (
-            lambda mesh, high: jm.curve(high, lambda x: x + np.array([3.0, 4]), "wall", "far"),
-            r"24 of 24 nodes of the wall are farther from the surface .*5 away",
-        ),
-        (lambda mesh, high: jm.curve(high, np.zeros((3, 2)), "wall", "far"), "surface"),
-        (lambda mesh, high: jm.curve(high, lambda x: x * np.nan, "wall", "far"), "surface"),
-    ],
+test_bad_input_is_refused_in_a_sentence = refusals(
+    (lambda mesh, high: jm.elevate(mesh, 5), "`order` is 5; meshes of order 2, 3 and 4 can be made"),
+    (lambda mesh, high: jm.elevate(high, 3), "cannot be elevated: linear cells are needed"),
+    (lambda mesh, high: jm.curve(mesh, unit, "wall", "far"), "has linear cells alone, which stay straight"),
+    (
+        lambda mesh, high: jm.curve(high, lambda x: x + np.array([3.0, 4]), "wall", "far"),
+        r"24 of 24 nodes of the wall are farther from the surface .*5 away",
+    ),
+    (lambda mesh, high: jm.curve(high, np.zeros((3, 2)), "wall", "far"), "surface"),
+    (lambda mesh, high: jm.curve(high, lambda x: x * np.nan, "wall", "far"), "surface"),
+    of=lambda: (
+        ring(),
+        jm.elevate(ring(), 2),
+    ),
 )
-def test_bad_input_is_refused_in_a_sentence(call, words):
-    with pytest.raises(ValueError, match=words):
-        call(ring(), jm.elevate(ring(), 2))
 
 
 def test_a_mesh_that_is_folded_before_it_is_curved_is_told():
@@ -172,17 +161,15 @@ def test_a_mesh_that_is_folded_before_it_is_curved_is_told():
         jm.curve(high.moved(folded), unit(folded[high.patch("wall")]), "wall", "far")
 
 
-@pytest.mark.parametrize(
-    ("kind", "nodes", "words"),
-    [
-        ("triangle21", 21, "unknown cell type 'triangle21'; known are .* and of order 2 to 4 line3"),
-        ("hexahedron26", 26, "unknown cell type 'hexahedron26'"),
-        ("hexahedron27", 26, r"cells of type 'hexahedron27' have shape \(1, 26\); expected \(k, 27\)"),
-    ],
+def of_one_cell(kind, nodes):
+    return lambda: jm.Mesh(np.random.default_rng(0).normal(size=(nodes, 3)), {kind: np.arange(nodes)[None]})
+
+
+test_orders_and_cells_that_are_not_known_are_told = refusals(
+    (of_one_cell("triangle21", 21), "unknown cell type 'triangle21'; known are .* and of order 2 to 4 line3"),
+    (of_one_cell("hexahedron26", 26), "unknown cell type 'hexahedron26'"),
+    (of_one_cell("hexahedron27", 26), r"cells of type 'hexahedron27' have shape \(1, 26\); expected \(k, 27\)"),
 )
-def test_orders_and_cells_that_are_not_known_are_told(kind, nodes, words):
-    with pytest.raises(ValueError, match=words):
-        jm.Mesh(np.random.default_rng(0).normal(size=(nodes, 3)), {kind: np.arange(nodes)[None]})
 
 
 def test_a_mesh_that_is_invalid_from_the_start_is_judged_by_its_own_margin():
@@ -204,12 +191,10 @@ def test_a_mesh_that_is_invalid_from_the_start_is_judged_by_its_own_margin():
     assert int(relative.inverted) == 0
 
 
-@pytest.mark.parametrize(
+@over(
     "name",
-    runs(
-        slow=["default", "laplacian"],
-        nightly=[each.name for each in METHODS if each.name not in ("default", "laplacian")],
-    ),
+    slow=["default", "laplacian"],
+    nightly=[each.name for each in METHODS if each.name not in ("default", "laplacian")],
 )
 def test_every_method_moves_a_p2_cylinder_and_no_cell_folds_on_the_way(name):
     """High-order nodes are points like any others: four motions, proven inside of every cell at every instant."""
@@ -219,12 +204,8 @@ def test_every_method_moves_a_p2_cylinder_and_no_cell_folds_on_the_way(name):
     angle = np.arctan2(wall[:, 1], wall[:, 0])
     method = entry(name).make(Lengths(wall, np.asarray(mesh.points)[mesh.patch("far")]))
     plan = jm.prepare(mesh, "wall", "far", method=method)
-    motions = (
-        wall @ meshes.turn(np.deg2rad(20), 2).T - wall,
-        0 * wall + [0.15, 0.05],
-        wall * [0.15, -0.15],
-        0.04 * wall * np.cos(4 * angle)[:, None],
-    )
+    motions = [wall @ meshes.turn(np.deg2rad(20), 2).T - wall, 0 * wall + [0.15, 0.05], wall * [0.15, -0.15]]
+    motions.append(0.04 * wall * np.cos(4 * angle)[:, None])
     for u in motions:
         points = np.asarray(jm.deform(plan, u))
         np.testing.assert_allclose(points[nodes], wall + u, atol=1e-9)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from meshes import gmsh_session
-from runs import runs
+from runs import over
 
 import jaxmorph as jm
 from jaxmorph import io
@@ -94,9 +94,7 @@ def volumes(number: int) -> np.ndarray:
 CASES = [("triangle", 3), ("quad", 4), ("tetra", 2), ("tetra", 4), ("hexahedron", 2), ("hexahedron", 3), ("wedge", 2)]
 
 
-@pytest.mark.parametrize(
-    ("kind", "order"), runs([case for case in CASES if case != ("tetra", 4)], nightly=[("tetra", 4)])
-)
+@over("kind order", [case for case in CASES if case != ("tetra", 4)], nightly=[("tetra", 4)])
 def test_cells_are_the_curved_cells_that_gmsh_evaluates(tmp_path, kind, order):
     disc(order, kind)
     save(tmp_path / "a.msh")
@@ -119,8 +117,8 @@ def test_cells_are_the_curved_cells_that_gmsh_evaluates(tmp_path, kind, order):
     assert np.array_equal(np.asarray(report.is_inverted), bound < 0)
 
 
-@pytest.mark.parametrize(("version", "binary"), runs([(2.2, 1), (4.1, 0)], nightly=[(2.2, 0), (4.1, 1)]))
-@pytest.mark.parametrize(("kind", "order"), runs([("triangle", 3)], nightly=[("hexahedron", 2)]))
+@over("version binary", [(2.2, 1), (4.1, 0)], nightly=[(2.2, 0), (4.1, 1)])
+@over("kind order", [("triangle", 3)], nightly=[("hexahedron", 2)])
 def test_gmsh_files_move_and_come_back(tmp_path, kind, order, version, binary):
     disc(order, kind)
     save(tmp_path / "a.msh", version, binary)

@@ -125,11 +125,7 @@ def needle():
 
 @pytest.mark.parametrize(("make", "is_near"), [nightly(strip, False), nightly(needle, True)])
 def test_every_component_of_improve(make, is_near):
-    """The implicit derivative is that of the minimum by the outer nodes, and zero by the inner ones, where the search begins.
-
-    It begins on inverted cells. Places are known to about 1e-10, where the energy no longer tells them apart; differences divide
-    that by their step. In 3-D they begin at the minimum, which hides it.
-    """
+    """From inverted cells: the derivative of the minimum by the outer nodes, and zero by the inner ones, where it begins."""
     mesh, inner = make()
     points = np.array(mesh.points)
     outer = np.setdiff1d(np.arange(len(points)), inner)

@@ -13,7 +13,7 @@ import jax
 import pytest
 from documents import ROOT, blocks_and_output
 from memory import drop_compiled
-from runs import runs
+from runs import over
 
 import jaxmorph as jm
 from jaxmorph.cli._requests import COMMANDS
@@ -24,9 +24,10 @@ LONG = [page for page in WITH_CODE if pathlib.Path(page).stem != "first_ten_minu
 NUMBER = r"(?<![\w.])[+-]?\d+\.?\d*(?:e[+-]?\d+)?"
 
 
-@pytest.mark.parametrize(
+@over(
     "page",
-    runs(slow=[page for page in WITH_CODE if page not in LONG], nightly=LONG),
+    slow=[page for page in WITH_CODE if page not in LONG],
+    nightly=LONG,
     ids=lambda page: pathlib.Path(page).stem,
 )
 def test_code_runs_and_prints_what_the_page_says(page, tmp_path, monkeypatch, capsys):
@@ -82,11 +83,8 @@ def test_the_reference_names_all_that_is_public(name):
     page = (PAGES / "reference" / f"{name}.md").read_text()
     module = jm if name == "jaxmorph" else importlib.import_module(f"jaxmorph.{name}")
     assert module.__all__ if hasattr(module, "__all__") else module  # names are loaded when they are first used
-    public = {
-        key: value
-        for key in dir(module)
-        if not key.startswith("_") and not isinstance(value := getattr(module, key), types.ModuleType)
-    }
+    names = [key for key in dir(module) if not key.startswith("_")]
+    public = {key: getattr(module, key) for key in names if not isinstance(getattr(module, key), types.ModuleType)}
     functions = [key for key, value in public.items() if callable(value) and value.__module__.startswith("jaxmorph")]
     assert sorted(re.findall(rf"^::: {module.__name__}\.(\w+)$", page, flags=re.MULTILINE)) == sorted(functions)
     for constant in set(public) - set(functions):
@@ -142,6 +140,5 @@ def test_each_command_has_its_help_and_a_row():
 def test_the_page_of_commands_is_what_they_print(monkeypatch):
     pytest.importorskip("mkdocs")
     monkeypatch.syspath_prepend(ROOT / "docs")
-    assert importlib.import_module("hooks").commands() + "\n" == (PAGES / "commands.md").read_text(), (
-        "python docs/hooks.py"
-    )
+    printed = importlib.import_module("hooks").commands() + "\n"
+    assert printed == (PAGES / "commands.md").read_text(), "python docs/hooks.py"

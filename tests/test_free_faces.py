@@ -27,9 +27,8 @@ def folder(tmp_path_factory):
     nameless = {name: nodes for name, nodes in mesh.patches.items() if name != "outlet"}
     io.write(folder / "nameless.vtu", jm.Mesh(mesh.points, mesh.cells, nameless))
     inner = mesh.patch("inner")
-    (folder / "bump.dat").write_text(
-        "".join(f"{k} {dx!r} {dy!r}\n" for k, (dx, dy) in zip(inner, bump(mesh).tolist(), strict=True))
-    )
+    lines = [f"{k} {dx!r} {dy!r}\n" for k, (dx, dy) in zip(inner, bump(mesh).tolist(), strict=True)]
+    (folder / "bump.dat").write_text("".join(lines))
     return folder
 
 
@@ -49,10 +48,8 @@ def test_the_command_line_prepares_the_mesh_as_python_does(here):
     mesh = io.read("channel.su2")
     names = ("inner", ("outer", "inlet", "outlet"))
     with quickly_compiled():  # as the command line compiles for a small mesh: rounding is the same
-        plan, blind = (
-            jm.prepare(mesh, *names),
-            jm.prepare(mesh.points, *(mesh.patch(*np.atleast_1d(name)) for name in names)),
-        )
+        ids = (mesh.patch(*np.atleast_1d(name)) for name in names)
+        plan, blind = jm.prepare(mesh, *names), jm.prepare(mesh.points, *ids)
         expected, other = (np.asarray(jm.deform(each, bump(mesh))) for each in (plan, blind))
     assert np.abs(expected - other).max() > 1e-6
     assert deform("channel.su2", *CHANNEL) == 0
@@ -70,9 +67,8 @@ def test_a_patch_that_is_not_named_is_an_error_unless_it_is_free(here, capsys):
     assert "or by --free" in error
     assert len(error.splitlines()) == 1
     assert deform("channel.su2", *flags, "--free", "inlet") == 2
-    assert "8 of 40 boundary faces are neither moving, fixed nor on a symmetry plane, in patch 'outlet' (8)" in (
-        capsys.readouterr().err
-    )
+    said = "8 of 40 boundary faces are neither moving, fixed nor on a symmetry plane, in patch 'outlet' (8)"
+    assert said in capsys.readouterr().err
     assert deform("channel.su2", *flags, "--free", "inlet", "--free", "out.*", "--save-job", "job.toml") == 0
     assert capsys.readouterr().err == ""
     mesh, first = io.read("channel.su2"), np.asarray(io.read("out.su2").points)
@@ -119,10 +115,8 @@ def test_free_patches_are_not_warned_of_in_python():
         warnings.simplefilter("error")
         free = jm.prepare(mesh, "z1", "z0", free=names)
     np.testing.assert_array_equal(free.sources, plan.sources)
-    assert (
-        left_of(mesh, "z1", ("z0", "x1", "y0", "y1"), jm.Plane.through(np.asarray(mesh.points), mesh.patch("x0"))).count
-        == 0
-    )
+    plane = jm.Plane.through(np.asarray(mesh.points), mesh.patch("x0"))
+    assert left_of(mesh, "z1", ("z0", "x1", "y0", "y1"), plane).count == 0
 
 
 def left_of(mesh, moving, fixed, symmetry=()):

@@ -109,9 +109,8 @@ def test_a_step_lays_the_layer_anew():
     x = np.linspace(0, 1, 11)
     points = lattice(x, across)
     moving, fixed = np.flatnonzero(points[:, 1] == 0), np.flatnonzero(points[:, 1] == 1)
-    resting = jm.SurfaceReconstruction(
-        jm.RBF(reduction=jm.KDTree(1), fixed_reduction=jm.KDTree(1)), jm.NearWall(width=9.0)
-    )
+    coarse = jm.RBF(reduction=jm.KDTree(1), fixed_reduction=jm.KDTree(1))
+    resting = jm.SurfaceReconstruction(coarse, jm.NearWall(width=9.0))
     plan = jm.prepare(points, moving, fixed, method=resting)
     u = np.tile([0, 0.5], (len(moving), 1))
     (_, after), moved = jm.march(plan, np.stack([u, u]))

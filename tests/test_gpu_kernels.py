@@ -10,7 +10,7 @@ import pytest
 import scipy.spatial
 from jax import export
 from jax.experimental import pallas
-from runs import runs
+from runs import over
 
 import jaxmorph as jm
 from jaxmorph._kernels import gpu
@@ -37,12 +37,10 @@ def interpreted(monkeypatch):
 SIZES = {"points": (6, 700), "sources": (45, 70), "few": (3, 5)}
 
 
-@pytest.mark.parametrize(
-    ("basis", "phi", "count", "n"),
-    runs(
-        [(*BASES[0], *SIZES["points"]), (*BASES[1], *SIZES["sources"]), (*BASES[2], *SIZES["few"])],
-        nightly=[(*BASES[0], *SIZES["few"])],
-    ),
+@over(
+    "basis phi count n",
+    [(*BASES[0], *SIZES["points"]), (*BASES[1], *SIZES["sources"]), (*BASES[2], *SIZES["few"])],
+    nightly=[(*BASES[0], *SIZES["few"])],
     ids=["spline, points", "compact, sources", "gaussian, few", "spline, few"],
 )
 def test_the_sum_is_that_of_scipys_distances(interpreted, monkeypatch, basis, phi, count, n):
@@ -86,9 +84,7 @@ def test_every_operation_that_is_allowed_can_be_compiled():
     assert "gpu.triton" in program.as_text()
 
 
-@pytest.mark.parametrize(
-    ("capability", "is_enough"), [("9.0", True), ("12.1", True), ("7.5", False), ("gfx90a", False), (None, False)]
-)
+@over("capability is_enough", [("9.0", True), ("12.1", True), ("7.5", False), ("gfx90a", False), (None, False)])
 def test_old_cards_and_those_of_others_have_loops(monkeypatch, capability, is_enough):
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     monkeypatch.setattr(jax, "devices", lambda: [types.SimpleNamespace(compute_capability=capability)])

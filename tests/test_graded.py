@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from meshes import circle
-from runs import runs
+from meshes import circle, on_circle
+from runs import over
 from scipy.spatial.distance import cdist, pdist
 
 import jaxmorph as jm
@@ -94,13 +94,11 @@ def test_more_leaves_where_another_boundary_is_near():
     assert tree(wall).tolist() == jm.KDTree(2)(wall).tolist()
 
 
-@pytest.mark.parametrize(
-    "reduction", runs([jm.FarthestPoints(24)], nightly=[jm.KDTree(24, extremes=True), jm.KDTree(24, separation=0.02)])
-)
+@over("reduction", [jm.FarthestPoints(24)], nightly=[jm.KDTree(24, extremes=True), jm.KDTree(24, separation=0.02)])
 def test_a_source_and_its_mirror_image_keep_their_distance(reduction):
     """Half a body, with nodes on the plane and others just above it; all points and images, distances by brute force."""
     angle = np.concatenate([[0, 2e-4, 5e-4, np.pi - 3e-4, np.pi], np.linspace(0.01, np.pi - 0.01, 60)])
-    half = np.stack([np.cos(angle), 0.4 * np.sin(angle)], axis=1)
+    half = on_circle(angle) * [1, 0.4]
     half[np.isin(angle, [0, np.pi]), 1] = 0
     points = np.concatenate([half, 10 * half, [[3.0, 0.0], [2.0, 1.0]]])
     count = len(half)

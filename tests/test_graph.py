@@ -5,8 +5,8 @@ import pathlib
 import numpy as np
 import pytest
 from cases import body, motion
-from meshes import lattice, sphere
-from runs import runs
+from meshes import circle, lattice, sphere
+from runs import over
 from scipy.interpolate import LinearNDInterpolator
 from scipy.spatial.transform import Rotation
 
@@ -45,7 +45,7 @@ def box(cells, size=(1, 1, 1), growth=1.0):
     return points, np.concatenate([points == points.min(axis=0), points == points.max(axis=0)], axis=1)
 
 
-@pytest.mark.parametrize("dimension", runs([2], slow=[3]))
+@over("dimension", [2], slow=[3])
 def test_equals_scipys_linear_interpolation(dimension):
     rng = np.random.default_rng(dimension)
     points = np.concatenate([sphere(60)[:, :dimension] * 3, rng.uniform(-1, 1, (300, dimension))])
@@ -61,7 +61,7 @@ def test_equals_scipys_linear_interpolation(dimension):
 
 
 @pytest.mark.parametrize(("length", "shift", "allowed"), [(1, 1e6, 2e-7), (1e-6, 0, 1e-13), (1e6, -3e6, 1e-13)])
-@pytest.mark.parametrize("dimension", runs([3], nightly=[2]))
+@over("dimension", [3], nightly=[2])
 def test_units_and_distance_from_the_origin(dimension, length, shift, allowed):
     """Equal up to what float64 leaves of the coordinates: 1e-10 of a chord at 1e6 chords from the origin, over 4e-3 of height."""
     mesh = body(dimension)
@@ -73,10 +73,7 @@ def test_units_and_distance_from_the_origin(dimension, length, shift, allowed):
 
 
 @pytest.mark.parametrize("shift", [0.0, 1e3, 1e6])
-@pytest.mark.parametrize(
-    ("cells", "size", "growth"),
-    [((10, 8, 12), (1, 1, 1), 1), ((8, 8, 20), (100, 1, 0.1), 1.4), ((30, 20), (1, 1), 1.2)],
-)
+@over("cells size growth", [((10, 8, 12), (1, 1, 1), 1), ((8, 8, 20), (100, 1, 0.1), 1.4), ((30, 20), (1, 1), 1.2)])
 def test_structured_boxes(cells, size, growth, shift):
     """All surface nodes lie in planes, each cell's corners on one sphere."""
     points, sides = box(cells, size, growth)
@@ -107,21 +104,16 @@ def test_few_nodes_and_many_points_on_their_edges_and_diagonals():
 
 def test_cospherical_nodes():
     """Meridians and parallels: every facet has four corners on one circle, and the poles are named many times."""
-    polar, azimuth = np.meshgrid(
-        np.linspace(0, np.pi, 13), np.linspace(0, 2 * np.pi, 20, endpoint=False), indexing="ij"
-    )
-    unit = np.stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)], axis=-1).reshape(
-        -1, 3
-    )
+    polar, azimuth = np.meshgrid(np.linspace(0, np.pi, 13), np.pi / 10 * np.arange(20), indexing="ij")
+    unit = np.stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)], axis=-1)
+    unit = unit.reshape(-1, 3)
     surface = np.concatenate([unit, 20 * unit])
     points = np.concatenate([unit * r for r in (1.0 + 1e-6, 1.01, 3.0, 15.0)])
     check_weights(surface, points, np.arange(len(points)))
 
 
 def test_layers_of_a_millionth_over_a_far_field_at_500():
-    angle = np.linspace(0, 2 * np.pi, 120, endpoint=False)
-    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    layers = np.concatenate([circle * r for r in np.concatenate([[1], 1 + np.geomspace(1e-6, 499, 40)])])
+    layers = np.concatenate([circle(120) * r for r in np.concatenate([[1], 1 + np.geomspace(1e-6, 499, 40)])])
     inner = np.arange(120, len(layers) - 120)
     boundary = np.setdiff1d(np.arange(len(layers)), inner)
     check_weights(layers[boundary], layers, inner)

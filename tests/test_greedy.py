@@ -17,9 +17,8 @@ def sphere():
 def motions(sphere):
     """Two that bend the sphere, one of them in a small part of it alone."""
     x, _, z = sphere.T
-    return np.stack(
-        [np.stack([0 * x, np.sin(3 * x), x**2], axis=1), np.stack([0 * x, 0 * x, np.exp(-20 * (1 - z))], axis=1)]
-    )
+    wide, narrow = [0 * x, np.sin(3 * x), x**2], [0 * x, 0 * x, np.exp(-20 * (1 - z))]
+    return np.stack([np.stack(wide, axis=1), np.stack(narrow, axis=1)])
 
 
 def missed(points, sources, motions):

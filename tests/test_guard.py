@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import scipy.optimize
 from meshes import bricks
-from runs import runs
+from runs import over
 
 import jaxmorph as jm
 from jaxmorph import cases, plot, shapes
@@ -46,7 +46,7 @@ def test_the_constraint_is_below_the_smallest_ratio_and_its_derivatives_are_diff
     np.testing.assert_allclose(guard.value(p), float(jax.jit(guard)(p)), rtol=1e-9)
 
 
-@pytest.mark.parametrize("count", runs([7], nightly=[30]))
+@over("count", [7], nightly=[30])
 def test_rows_are_the_smallest_corners_and_their_slopes(airfoil, count):
     mesh, plan, motion, _ = airfoil
     guard = shapes.MeshGuard(plan, mesh, motion)
@@ -79,7 +79,7 @@ def test_cells_in_3d_count_by_their_corners():
         guard.quality_rows([0.3], 73)
 
 
-@pytest.mark.parametrize("count", runs([20], nightly=[None]))
+@over("count", [20], nightly=[None])
 def test_an_optimiser_thins_an_airfoil_and_no_flow_sees_a_broken_mesh(airfoil, count):
     mesh, plan, motion, area = airfoil
     guard, designs = shapes.MeshGuard(plan, mesh, motion), []

@@ -5,7 +5,7 @@ import pickle
 import numpy as np
 import pytest
 from meshes import lattice
-from runs import runs
+from runs import over
 
 import jaxmorph as jm
 from jaxmorph import cases, shapes
@@ -64,7 +64,7 @@ CASES = {
 """A mesh, its lists, the rest of `prepare`'s arguments, the nodes of each piece, and a displacement."""
 
 
-@pytest.mark.parametrize("name", runs(["graph"], nightly=["default", "symmetry", "multiscale", "rbf", "sliding"]))
+@over("name", ["graph"], nightly=["default", "symmetry", "multiscale", "rbf", "sliding"])
 def test_pieces_move_as_the_whole(mesh, name):
     """Whatever the splitting: places, walls, nodes that pieces share, and the sum of the pieces' gradients."""
     given, lists, options, pieces, u = CASES[name](mesh)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import scipy.optimize
 from meshes import blocks, lattice, ring, turn, unit_grid
-from runs import runs
+from runs import over, runs
 
 import jaxmorph as jm
 from jaxmorph import cases
@@ -56,23 +56,18 @@ def test_energy_is_that_of_the_singular_values(kind):
         linear, det = linear[:, [1, 0, *range(2, d)]], -det
     moved = mesh.points @ linear.T
     inverse_mean_ratio = (sigma**2).sum() / d / det ** (2 / d)
-    np.testing.assert_allclose(
-        mean_energy(mesh, moved, size_weight=0.0), inverse_mean_ratio - 1, rtol=1e-12, atol=1e-13
-    )
-    np.testing.assert_allclose(
-        mean_energy(mesh, moved, size_weight=1.0), (det + 1 / det) / 2 - 1, rtol=1e-12, atol=1e-13
-    )
+    for weight, expected in ((0.0, inverse_mean_ratio - 1), (1.0, (det + 1 / det) / 2 - 1)):
+        np.testing.assert_allclose(mean_energy(mesh, moved, size_weight=weight), expected, rtol=1e-12, atol=1e-13)
     np.testing.assert_allclose(mean_energy(mesh, 3 * moved @ linear.T, ideal=True, size_weight=0.0) >= 0, True)
     np.testing.assert_allclose(mean_energy(mesh, mesh.points, ideal=True), 0, atol=1e-12)
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_left_handed_cells_are_their_own_target(kind):
-    mirrored = cell(
-        kind, np.array(IDEAL[kind], dtype=float) * ([-1, 1] if kind in ("triangle", "quad") else [-1, 1, 1])
-    )
-    np.testing.assert_allclose(mean_energy(mirrored, mirrored.points), 0, atol=1e-12)
-    np.testing.assert_allclose(mean_energy(mirrored, mirrored.points, ideal=True), 0, atol=1e-12)
+    ideal = np.array(IDEAL[kind], dtype=float)
+    mirrored = cell(kind, ideal * np.array([-1, 1, 1])[: ideal.shape[1]])
+    for is_ideal in (False, True):
+        np.testing.assert_allclose(mean_energy(mirrored, mirrored.points, ideal=is_ideal), 0, atol=1e-12)
 
 
 @pytest.mark.parametrize("softness", [0.5, 2.0])
@@ -120,7 +115,7 @@ def test_hessian_blocks_are_those_of_the_energy_where_it_is_convex(dimension):
     assert pattern([ids], n, dimension).block.max() + 1 == len(pairs.columns)
 
 
-@pytest.mark.parametrize("dimension", runs(slow=[2], nightly=[3]))
+@over("dimension", slow=[2], nightly=[3])
 def test_it_finds_scipys_minimum_and_untangles(dimension):
     mesh = unit_grid(3, dimension)
     rng = np.random.default_rng(2)
@@ -136,7 +131,7 @@ def test_it_finds_scipys_minimum_and_untangles(dimension):
     assert "0 are now" in str(result)
     distortion, _ = prepared(mesh, jnp.float64, constraints_of(jm.Boundary(mesh, ()), mesh), False, 0.5)
     found = jnp.asarray(result.points)
-    sharp = _softened(distortion, 1e-3)
+    sharp = eqx.tree_at(lambda it: it.softness, distortion, jnp.asarray(1e-3))
     value_and_grad = jax.jit(jax.value_and_grad(lambda y: sharp(y.reshape(found.shape), found)))
     oracle = scipy.optimize.minimize(
         lambda y: [np.asarray(part) for part in value_and_grad(y)],
@@ -146,10 +141,6 @@ def test_it_finds_scipys_minimum_and_untangles(dimension):
         options={"ftol": 1e-14, "gtol": 1e-8, "maxiter": 2000},
     )
     np.testing.assert_allclose(oracle.fun, value_and_grad(jnp.zeros(found.size))[0], rtol=1e-9)
-
-
-def _softened(distortion, softness):
-    return eqx.tree_at(lambda it: it.softness, distortion, jnp.asarray(softness))
 
 
 @pytest.mark.nightly
@@ -204,12 +195,8 @@ def quarter():
     patches = {"hub": ids[0], "shroud": ids[-1], "first": ids[:, 0], "last": ids[:, -1]}
     points = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
     mesh = jm.Mesh(points, {"quad": blocks(ids)}, patches)
-    return (
-        mesh,
-        radius,
-        angle,
-        {"sliding": jm.Slide("shroud", jm.Revolution()), "periodic": jm.Periodic("first", "last")},
-    )
+    wrapped = {"sliding": jm.Slide("shroud", jm.Revolution()), "periodic": jm.Periodic("first", "last")}
+    return mesh, radius, angle, wrapped
 
 
 @pytest.mark.nightly
@@ -351,26 +338,20 @@ def test_progress_and_choice_of_fixed_nodes():
     points = mesh.points.copy()
     points[5] += 0.4
     held = np.array([5, *np.flatnonzero(np.any((points < 0.01) | (points > 0.99), axis=1))])
-    result = jm.improve(
-        jm.Boundary(mesh, (), fixed=held), points, progress=lambda *told: said.append(tuple(map(float, told)))
-    )
+    told = lambda *numbers: said.append(tuple(map(float, numbers)))  # noqa: E731
+    result = jm.improve(jm.Boundary(mesh, (), fixed=held), points, progress=told)
     jax.effects_barrier()
     assert np.array_equal(np.asarray(result.points)[5], points[5])
     assert len(said) == int(result.steps)
     assert said[-1][0] < said[0][0]
 
 
-def rotated(mesh, degrees):
-    base = mesh.points[mesh.patch("airfoil")]
-    return jm.shapes.rotate(base, -np.deg2rad(degrees), [0.25, 0]) - base
-
-
 @pytest.mark.nightly
-@pytest.mark.parametrize("degrees", [90])
-def test_an_airfoil_beyond_what_graph_mapping_bears(degrees):
+def test_an_airfoil_beyond_what_graph_mapping_bears():
     mesh = cases.naca0015(points=1500)
+    base = mesh.points[mesh.patch("airfoil")]
     plan = jm.prepare(mesh.points, mesh.patch("airfoil"), mesh.patch("farfield"), method=jm.DelaunayGraph())
-    points = jm.deform(plan, rotated(mesh, degrees))
+    points = jm.deform(plan, jm.shapes.rotate(base, -np.pi / 2, [0.25, 0]) - base)
     assert int(jm.quality(mesh, points).inverted) > 100
     result = jm.improve(mesh, points)
     assert int(result.after) == 0
@@ -381,9 +362,8 @@ def test_an_airfoil_beyond_what_graph_mapping_bears(degrees):
 
 
 def test_solid_cells_leave_boundary_elements_out():
-    assert set(solid({"triangle": np.zeros((2, 3)), "tetra": np.zeros((2, 4)), "line": np.zeros((1, 2))}, 3)) == {
-        "tetra"
-    }
+    cells = {"triangle": np.zeros((2, 3)), "tetra": np.zeros((2, 4)), "line": np.zeros((1, 2))}
+    assert set(solid(cells, 3)) == {"tetra"}
 
 
 def test_soft_maximum_of_equal_values_is_theirs_and_sharpens():
@@ -393,7 +373,7 @@ def test_soft_maximum_of_equal_values_is_theirs_and_sharpens():
     np.testing.assert_allclose(jax.grad(jm.soft_maximum)(jnp.ones(4)), 0.25)
 
 
-@pytest.mark.parametrize("kind", runs(["quad"], nightly=["triangle"]))
+@over("kind", ["quad"], nightly=["triangle"])
 def test_the_distortion_of_a_stretched_cell(kind):
     """Of a cell twice as large |T|^2 = 8 and det T = 4: half of 1 and half of 17 / 8, less 1; nothing where none has moved."""
     mesh = cell(kind)

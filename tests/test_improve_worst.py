@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from meshes import filled, reflected, unit_grid, with_folds
 from oracles import corner_areas, jacobians_inside, samples_inside
-from runs import runs
+from runs import over
 
 import jaxmorph as jm
 from jaxmorph import cases
@@ -45,14 +45,11 @@ def test_the_stiffened_energy_is_infinite_at_the_bound_on_size():
     assert np.isfinite(slope(jnp.asarray([-1.0, 0.0, 0.5, 0.6]))).all()
 
 
-@pytest.mark.parametrize(
-    "kind", runs(["quad", "tetra"], nightly=[kind for kind in IDEAL if kind not in ("quad", "tetra")])
-)
+@over("kind", ["quad", "tetra"], nightly=[kind for kind in IDEAL if kind not in ("quad", "tetra")])
 def test_a_cell_without_stiffness_and_with_none_is_the_same(kind):
     ideal = np.array(IDEAL[kind], dtype=float)
-    x = corners(
-        jnp.asarray(ideal + 0.05 * np.cos(np.arange(ideal.size)).reshape(ideal.shape)), np.arange(len(ideal))[None]
-    )
+    bent = ideal + 0.05 * np.cos(np.arange(ideal.size)).reshape(ideal.shape)
+    x = corners(jnp.asarray(bent), np.arange(len(ideal))[None])
     goal = target(kind, corners(jnp.asarray(ideal), np.arange(len(ideal))[None]), False)
     plain, none, some = (energy_of_cells(kind, x, goal, 1e-3, 0.5, s) for s in (None, Bounds(0.0), Bounds(3.0)))
     np.testing.assert_allclose(none, plain, rtol=1e-14)
@@ -189,9 +186,7 @@ def test_a_cell_that_is_invalid_from_the_start_is_told_and_judged_by_its_own_mar
     assert "but for 1 (1 of them as on the undeformed mesh or better)" in str(result)
 
 
-@pytest.mark.parametrize(
-    "kind", runs(["triangle"], slow=["quad", "tetra"], nightly=["pyramid", "wedge", "hexahedron", "triangle6", "quad9"])
-)
+@over("kind", ["triangle"], slow=["quad", "tetra"], nightly=["pyramid", "wedge", "hexahedron", "triangle6", "quad9"])
 def test_a_mesh_that_arrives_folded_is_unfolded(kind):
     """Nothing but the folded mesh is known; samples of det J of the cells, as they were before some were turned, decide."""
     mesh, cell = filled(kind), lagrange_types()[kind]

@@ -7,7 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from cases import body, motion
-from meshes import unit_grid
+from meshes import lattice, unit_grid
+from runs import refusals
 
 import jaxmorph as jm
 
@@ -28,9 +29,8 @@ def results(form):
     path = form(np.stack([half * u, u]))
     plans, marched = jm.march(plan, path)
     rows = np.arange(len(one.points) - 1)
-    mesh = jm.Mesh(
-        points, {"triangle": form(np.stack([rows[:-1], rows[1:], rows[:-1] // 2], axis=1)[2:])}, {"a": form(one.moving)}
-    )
+    triangles = np.stack([rows[:-1], rows[1:], rows[:-1] // 2], axis=1)[2:]
+    mesh = jm.Mesh(points, {"triangle": form(triangles)}, {"a": form(one.moving)})
     moved = mesh.moved(form(jm.deform(plan, form(u))))
     return {
         "deform": jm.deform(plan, form(u)),
@@ -100,25 +100,21 @@ class Nothing(jm.AbstractField):
         return jnp.zeros_like(x)
 
 
-@pytest.mark.parametrize(
-    ("dtype", "size", "says"),
-    [
-        (np.float64, 1e110, "3 of 4 points are too far out for float64, first node 1 "),
-        (np.float32, 1e14, "3 of 4 points are too far out for float32, first node 1 "),
-        (np.float64, 1e-110, r"all 4 points lie within 1e-\d+, too near each other for float64"),
-        (np.float32, 1e-14, r"all 4 points lie within 1e-\d+, too near each other for float32"),
-    ],
+CORNERS = np.array([[0.0, 0], [1, 0], [0, 1], [1, 1]])
+FAR = "3 of 4 points are too far out for float{}, first node 1 "
+NEAR = r"all 4 points lie within 1e-\d+, too near each other for float{}"
+test_points_whose_volumes_overflow_or_underflow_are_refused = refusals(
+    (lambda: jm.prepare(1e110 * CORNERS, [0, 1]), FAR.format(64)),
+    (lambda: jm.prepare((1e14 * CORNERS).astype(np.float32), [0, 1]), FAR.format(32)),
+    (lambda: jm.prepare(1e-110 * CORNERS, [0, 1]), NEAR.format(64)),
+    (lambda: jm.prepare((1e-14 * CORNERS).astype(np.float32), [0, 1]), NEAR.format(32)),
 )
-def test_points_whose_volumes_overflow_or_underflow_are_refused(dtype, size, says):
-    points = np.array([[0, 0], [1, 0], [0, 1], [1, 1]], dtype)
-    with pytest.raises(ValueError, match=says):
-        jm.prepare(dtype(size) * points, [0, 1])
 
 
 @pytest.mark.parametrize(("dtype", "size", "within"), [(np.float64, 3e-99, 1e-9), (np.float32, 3e-9, 1e-4)])
 def test_points_just_far_enough_from_each_other_move_as_larger_ones(dtype, size, within):
     points = np.random.default_rng(0).random((60, 3)).astype(dtype)
-    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [0, 1, 1], [1, 0, 1], [1, 1, 1]], dtype)
+    corners = lattice([0, 1], [0, 1], [0, 1]).astype(dtype)
     points, u = np.concatenate([corners, points]), dtype(0.2) * np.ones((1, 3), dtype)
 
     def moved(scale):
@@ -129,12 +125,11 @@ def test_points_just_far_enough_from_each_other_move_as_larger_ones(dtype, size,
 
 
 def test_limits_are_those_of_the_precision_that_jax_computes_in():
-    points = np.array([[0.0, 0], [1, 0], [0, 1], [1, 1]])
     jax.config.update("jax_enable_x64", False)
     try:
         with pytest.raises(ValueError, match="too near each other for float32"):
-            jm.prepare(1e-20 * points, [0, 1])
+            jm.prepare(1e-20 * CORNERS, [0, 1])
         with pytest.raises(ValueError, match="too far out for float32"):
-            jm.prepare(1e20 * points, [0, 1])
+            jm.prepare(1e20 * CORNERS, [0, 1])
     finally:
         jax.config.update("jax_enable_x64", True)

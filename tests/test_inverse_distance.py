@@ -5,18 +5,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from cases import body
-from runs import runs
+from meshes import turn
+from runs import over
 from scipy.spatial.transform import Rotation
 
 import jaxmorph as jm
 from jaxmorph import cases
-
-ROTATION = Rotation.from_rotvec([0.7, -1.1, 0.5]).as_matrix()
-
-
-def turned(points, angle):
-    c, s = np.cos(angle), np.sin(angle)
-    return points @ np.array([[c, s], [-s, c]]) - points
 
 
 @pytest.mark.parametrize(("far", "near"), [(3, 5), (2.5, 4.2)])
@@ -33,26 +27,17 @@ def test_the_weights_are_lukes(far, near):
     np.testing.assert_allclose(moved[mesh.inner], expected, rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("dimension", runs([3], nightly=[2]))
+@over("dimension", [3], nightly=[2])
 def test_a_turning_body_turns_the_points_near_it(dimension):
-    """Each of a body's nodes says the same rigid motion, so the mean is that motion; without rotations it is not.
-
-    In 3-D the least rotation of normals lacks the twist about them: a body whose faces twist not at all turns about its axis.
-    """
-    if dimension == 2:
-        mesh = cases.naca0015(points=1200)
-        base, moving, fixed = mesh.points, mesh.patch("airfoil"), ()
-        motion = turned(base, 0.8)
-    else:
-        mesh = cases.bricks("hexahedron", cells=3)
-        base = mesh.points
-        moving, fixed = np.flatnonzero(base[:, 2] < 1e-9), ()
-        motion = base @ Rotation.from_rotvec([0.8, 0, 0]).as_matrix().T - base
-    everything = np.arange(len(base))
+    """Each of a body's nodes says the same rigid motion, so the mean is that motion; in 3-D about an axis across its normals."""
+    mesh = cases.naca0015(points=1200) if dimension == 2 else cases.bricks("hexahedron", cells=3)
+    base, moving = mesh.points, mesh.patch("airfoil" if dimension == 2 else "floor")
+    matrix = turn(-0.8, 2) if dimension == 2 else Rotation.from_rotvec([0.8, 0, 0]).as_matrix()
+    motion = base @ matrix.T - base
     miss = []
     for rotations in (True, False):
         method = jm.InverseDistance(rotations=rotations)
-        plan = jm.prepare(mesh, moving, fixed, method=method, free=everything)
+        plan = jm.prepare(mesh, moving, method=method, free=np.arange(len(base)))
         miss.append(np.abs(jm.deform(plan, motion[moving]) - base - motion).max())
     assert miss[0] < 1e-9 < 0.1 < miss[1]
     assert not jm.InverseDistance(rotations=True).linear
@@ -75,8 +60,6 @@ def test_derivatives_of_turning_nodes_at_rest():
 
 def test_wrong_arguments_are_told():
     mesh = body(2)
-    with pytest.raises(ValueError, match=r"`near` must be a real number above 0 and finite, not -1.0"):
-        jm.InverseDistance(near=-1.0)
     with pytest.raises(ValueError, match=r"needs the boundary faces: pass the mesh"):
         jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=jm.InverseDistance(rotations=True))
 

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from runs import runs
+from runs import over
 from scipy.interpolate import RBFInterpolator
 
 import jaxmorph as jm
@@ -21,10 +21,6 @@ BASES = {
     "multiquadric": (jm.Multiquadric(0.4), "multiquadric", 1 / 0.4, 0),
     "wendland": (jm.WendlandC2(0.9), None, None, None),
 }
-every_basis = pytest.mark.parametrize("name", BASES)
-two_bases = pytest.mark.parametrize(
-    "name", runs(["thin-plate", "wendland"], slow=["gaussian"], nightly=["multiquadric"])
-)
 
 
 @functools.cache
@@ -52,9 +48,7 @@ def one_by_one(plan, u):
     return jax.vmap(lambda x: field(x, None))(plan.points)
 
 
-@pytest.mark.parametrize(
-    ("name", "dimension"), runs([("thin-plate", 2), ("multiquadric", 3)], nightly=[("gaussian", 3)])
-)
+@over("name dimension", [("thin-plate", 2), ("multiquadric", 3)], nightly=[("gaussian", 3)])
 def test_scipy_agrees(name, dimension):
     plan, u, _ = case(name, dimension)
     _, kernel, epsilon, degree = BASES[name]
@@ -66,9 +60,13 @@ def test_scipy_agrees(name, dimension):
     np.testing.assert_allclose(jm.deform(plan, u) - points, reference, rtol=0, atol=1e-8 * np.abs(reference).max())
 
 
-@pytest.mark.parametrize("name", runs(nightly=["wendland", "thin-plate", "gaussian", "multiquadric"]))
-def test_blocks_are_the_one_point_form(name):
-    plan, u, w = case(name)
+SIZES = [("thin-plate", n, 25) for n in (26, BLOCK, BLOCK + 1)]
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize(("name", "n", "s"), [*((name, 2 * BLOCK + 137, 70) for name in BASES), *SIZES])
+def test_blocks_are_the_one_point_form(name, n, s):
+    plan, u, w = case(name, n=n, s=s)
     scale = np.abs(one_by_one(plan, u)).max()
     np.testing.assert_allclose(in_blocks(plan, u), one_by_one(plan, u), rtol=0, atol=1e-11 * scale)
 
@@ -101,9 +99,8 @@ def test_every_transformation():
     second = flat.T @ (-w.ravel() * np.sin(at) * (flat @ v.ravel()))
     several = jnp.stack([u, v, -u])
     # before 0.10 JAX fails to transpose a loop by itself
-    transposed = (
-        jax.linear_transpose if jax.__version_info__ >= (0, 10) else lambda function, u: jax.vjp(function, u)[1]
-    )
+    can_transpose = jax.__version_info__ >= (0, 10)
+    transposed = jax.linear_transpose if can_transpose else lambda function, u: jax.vjp(function, u)[1]
 
     @jax.jit
     def found(u, v, w, several):
@@ -139,17 +136,7 @@ def test_every_transformation():
     np.testing.assert_allclose(jax.jit(jax.jacfwd(moved))(u), dense, rtol=1e-9, atol=1e-9)
 
 
-@pytest.mark.nightly
-@pytest.mark.parametrize("n", [BLOCK, *(pytest.param(n, marks=pytest.mark.nightly) for n in (26, BLOCK + 1))])
-def test_any_number_of_points(n):
-    plan, u, w = case("thin-plate", n=n, s=25)
-    np.testing.assert_allclose(in_blocks(plan, u), one_by_one(plan, u), rtol=0, atol=1e-11)
-    pulled = jax.vjp(lambda u: one_by_one(plan, u), jnp.asarray(u))[1](jnp.asarray(w))[0]
-    found = jax.vjp(lambda u: in_blocks(plan, u), jnp.asarray(u))[1](jnp.asarray(w))[0]
-    np.testing.assert_allclose(found, pulled, rtol=0, atol=1e-10 * np.abs(pulled).max())
-
-
-@pytest.mark.parametrize("name", runs(nightly=["thin-plate", "wendland"]))
+@over("name", nightly=["thin-plate", "wendland"])
 def test_derivatives_at_a_source_are_finite(name):
     """First and second derivatives with respect to the points, some of which are sources."""
     plan, u, w = case(name, n=BLOCK + 3, s=25)
@@ -163,14 +150,6 @@ def test_derivatives_at_a_source_are_finite(name):
     assert np.isfinite(second).all()
 
 
-def test_float32_stays_float32():
-    plan, u, w = case("thin-plate")
-    single = jm.prepare(np.asarray(plan.points, np.float32), plan.moving, method=plan.method)
-    moved = jm.deform(single, u)
-    assert moved.dtype == jm.pullback(single, u, w).dtype == jnp.float32
-    np.testing.assert_allclose(moved, jm.deform(plan, u), rtol=0, atol=2e-4 * np.abs(u).max())
-
-
 def dense_kernels(text: str, n: int, s: int) -> int:
     """How many arrays of the compiled text hold a number for every point and every source."""
     return text.count(f"[{n},{s}]") + text.count(f"[{s},{n}]")
@@ -181,12 +160,11 @@ def dense_kernels(text: str, n: int, s: int) -> int:
 def test_memory_does_not_grow_with_points_times_sources(what):
     """What the program sets aside beside its results: a few arrays of the points and one block, 40 times below n s."""
     plan, u, _ = case("thin-plate", n=40_000, s=200)
+    squares = lambda plan, u, x: jnp.sum(jm.deform(jm.refit(plan, x), u) ** 2)  # noqa: E731
     function = {
         "deform": lambda plan, u: jm.deform(plan, u),
         "gradient": lambda plan, u: jax.grad(lambda u: jnp.sum(jm.deform(plan, u) ** 2))(u),
-        "gradient by the points": lambda plan, u: jax.grad(lambda x: jnp.sum(jm.deform(jm.refit(plan, x), u) ** 2))(
-            plan.points
-        ),
+        "gradient by the points": lambda plan, u: jax.grad(squares, argnums=2)(plan, u, plan.points),
     }[what]
     arrays, static = eqx.partition(plan, eqx.is_array)
     compiled = jax.jit(lambda arrays, u: function(eqx.combine(arrays, static), u)).lower(arrays, u).compile()
@@ -220,10 +198,8 @@ def test_product_of_few_rows():
     close(jax.vmap(few_rows_times, (0, None))(many_rows, block), many_rows @ block)
     close(jax.vmap(few_rows_times, (None, 0))(rows, many_blocks), rows @ many_blocks)
     close(jax.vmap(few_rows_times)(many_rows, many_blocks), many_rows @ many_blocks)
-    close(
-        jax.vmap(jax.vmap(few_rows_times, (0, None)), (None, 0))(many_rows, many_blocks),
-        many_rows[None] @ many_blocks[:, None],
-    )
+    every = jax.vmap(jax.vmap(few_rows_times, (0, None)), (None, 0))
+    close(every(many_rows, many_blocks), many_rows[None] @ many_blocks[:, None])
     cotangent = rng.normal(size=(3, 7))
     by_rows, by_block = jax.vjp(few_rows_times, rows, block)[1](jnp.asarray(cotangent))
     close(by_rows, cotangent @ block.T)

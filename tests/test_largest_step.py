@@ -7,7 +7,7 @@ import numpy as np
 import optimistix as optx
 import pytest
 from meshes import bricks, filled, reflected, with_folds, write_ring
-from runs import runs
+from runs import over
 
 import jaxmorph as jm
 from jaxmorph._advice.largest_step import first_roots
@@ -45,9 +45,7 @@ def test_the_bound_is_met_exactly_in_the_cell_that_is_told(tmp_path, bound):
         assert jm.quality(mesh, jm.deform(plan, u + share * result.step * direction)).jacobian_ratio.min() > bound
 
 
-@pytest.mark.parametrize(
-    "kind", runs(["triangle", "quad"], slow=["tetra", "wedge", "pyramid", "hexahedron", "triangle6"])
-)
+@over("kind", ["triangle", "quad"], slow=["tetra", "wedge", "pyramid", "hexahedron", "triangle6"])
 @pytest.mark.parametrize("bound", [0.0, 0.2])
 def test_the_step_that_is_proven_proves(kind, bound):
     """However cells are numbered. A step a little longer breaks the bound: nothing is given away."""

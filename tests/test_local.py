@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from cases import body, few, motion, moved_by, planned, surface_values
-from runs import runs
+from runs import over
 
 import jaxmorph as jm
 from jaxmorph import shapes
@@ -21,7 +21,7 @@ def by_hand(mesh, values, radius):
     return ((1 - x) ** 4 * (4 * x + 1))[:, None] * values[nearest]
 
 
-@pytest.mark.parametrize("dimension", runs([2], nightly=[3]))
+@over("dimension", [2], nightly=[3])
 def test_alone_it_is_its_formula(dimension):
     mesh = body(dimension)
     u, values = surface_values(mesh)
@@ -70,7 +70,7 @@ def test_beyond_the_layer_of_near_wall_it_is_what_moves():
     assert np.abs(moved - expected).max() > 1e-4
 
 
-@pytest.mark.parametrize("correction", runs([jm.Multiscale()], nightly=[jm.LocalCorrection(0.5)]))
+@over("correction", [jm.Multiscale()], nightly=[jm.LocalCorrection(0.5)])
 def test_points_beyond_the_hull_of_the_boundary_are_moved(correction):
     """A graph would refuse them."""
     points = np.random.default_rng(0).uniform(-1, 1, (60, 2))

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from meshes import mixed
-from runs import runs
+from runs import over
 
 import jaxmorph as jm
 from jaxmorph import shapes
@@ -42,7 +42,7 @@ BREADTH = ("naca", "together", "chain", "axis")
 """Shapes of which each takes seconds to compile; the fast tests hold what they are made of."""
 
 
-@pytest.mark.parametrize("name", runs([name for name in CALLS if name not in BREADTH], nightly=BREADTH))
+@over("name", [name for name in CALLS if name not in BREADTH], nightly=BREADTH)
 def test_jit_takes_modules_and_their_methods(name):
     function, *arguments = CALLS[name]()
     expected = function(*arguments)
@@ -71,9 +71,8 @@ def test_jit_takes_methods_of_plans_and_searches():
 def test_a_module_with_other_arrays_is_another_function():
     boxes = [shapes.FreeForm([0.0, 0.0], size * np.eye(2), (3, 3)) for size in (1.0, 2.0)]
     for box in boxes:
-        np.testing.assert_allclose(
-            jax.jit(box.coordinates)(jnp.asarray(X)), box.coordinates(jnp.asarray(X)), rtol=1e-12
-        )
+        x = jnp.asarray(X)
+        np.testing.assert_allclose(jax.jit(box.coordinates)(x), box.coordinates(x), rtol=1e-12)
     assert boxes[0] != boxes[1]
     assert boxes[0] == boxes[0]
 
@@ -86,9 +85,6 @@ def test_modules_without_arrays_count_by_their_value():
 @pytest.mark.parametrize("room", [jm, shapes])
 def test_public_modules_share_the_base(room):
     public = [getattr(room, name) for name in dir(room) if not name.startswith("_")]
-    missing = [
-        each.__name__
-        for each in public
-        if isinstance(each, type) and issubclass(each, eqx.Module) and not issubclass(each, Module)
-    ]
+    modules = [each for each in public if isinstance(each, type) and issubclass(each, eqx.Module)]
+    missing = [each.__name__ for each in modules if not issubclass(each, Module)]
     assert not missing

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from cases import body, few, motion, planned, surface_values, whole_and_part
-from runs import runs
+from runs import over
 
 import jaxmorph as jm
 from jaxmorph._host.sources.hierarchy import farthest_first
@@ -70,9 +70,8 @@ def test_nothing_moves_beyond_the_radii():
     rng = np.random.default_rng(0)
     points = np.concatenate([wall, lid, rng.uniform(size=(200, 2)) * [1, 0.4]])
     coarse = jm.RBF(reduction=jm.AllPoints(), fixed_reduction=jm.AllPoints())
-    plan = jm.prepare(
-        points, np.arange(9), np.arange(9, 18), method=jm.SurfaceReconstruction(Every(coarse), jm.Multiscale())
-    )
+    method = jm.SurfaceReconstruction(Every(coarse), jm.Multiscale())
+    plan = jm.prepare(points, np.arange(9), np.arange(9, 18), method=method)
     u = np.zeros((9, 2))
     u[3, 1] = 0.1  # the others are sources
     away = np.linalg.norm(points - wall[3], axis=1)
@@ -101,11 +100,7 @@ class Every(jm.AbstractMethod):
         return jm.Control(matched=np.delete(np.sort(np.asarray(ids)), 3))
 
 
-@pytest.mark.parametrize(
-    "method",
-    runs(slow=[jm.Multiscale()], nightly=[jm.Multiscale.whole(1.0, 0.2)]),
-    ids=["alone", "whole"],
-)
+@over("method", slow=[jm.Multiscale()], nightly=[jm.Multiscale.whole(1.0, 0.2)], ids=["alone", "whole"])
 def test_mirror_images_move_alike(method):
     """The field of the whole surface, images included, is symmetric: nodes on the plane have no motion across it."""
     part, role, *_ = whole_and_part(2, 1)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from oracles import check_geometry, polydata
-from runs import runs
+from runs import over
 from scipy.spatial import cKDTree
 
 import jaxmorph as jm
@@ -70,7 +70,7 @@ def test_same_mesh_every_time(mesh):
     np.testing.assert_array_equal(again.cells["quad"], mesh.cells["quad"])
 
 
-@pytest.mark.parametrize("points", runs([300, 700, 2_000], nightly=[10_000, 150_000]))
+@over("points", [300, 700, 2_000], nightly=[10_000, 150_000])
 def test_other_numbers_of_points(points):
     mesh = cases.naca0015(points=points)
     assert len(mesh.points) == pytest.approx(points, rel=0.05 if points >= 2_000 else 0.15)

@@ -4,25 +4,18 @@ import numpy as np
 import pytest
 from meshes import cusped
 from oracles import check_geometry
-from runs import runs
+from runs import over, refusals
 from scipy.spatial import cKDTree
 
 from jaxmorph import cases
 from jaxmorph.cases._structured import c_grid
 
 # Percent of chord: station, upper and lower ordinate of the NACA 4412 as published (NACA Report 824, appendix II).
-NACA4412 = np.array(
+NACA4412 = np.column_stack(
     [
-        [1.25, 2.44, -1.43],
-        [2.5, 3.39, -1.95],
-        [5, 4.73, -2.49],
-        [10, 6.59, -2.86],
-        [20, 8.80, -2.74],
-        [30, 9.76, -2.26],
-        [40, 9.80, -1.80],
-        [60, 8.14, -1.00],
-        [80, 4.89, -0.39],
-        [95, 1.47, -0.16],
+        [1.25, 2.5, 5, 10, 20, 30, 40, 60, 80, 95],
+        [2.44, 3.39, 4.73, 6.59, 8.80, 9.76, 9.80, 8.14, 4.89, 1.47],
+        [-1.43, -1.95, -2.49, -2.86, -2.74, -2.26, -1.80, -1.00, -0.39, -0.16],
     ]
 )
 
@@ -69,10 +62,8 @@ def test_without_camber_it_is_the_papers():
     np.testing.assert_array_equal(ours.points, paper.points)
 
 
-@pytest.mark.parametrize(
-    "code", ["0006", "1408", "2412", "4412", "4424", "6409", "6612", "9312", "9412", "9912", "0040"]
-)
-@pytest.mark.parametrize("points", runs([2_000], nightly=[12_000]))
+@over("code", ["0006", "1408", "2412", "4412", "4424", "6409", "6612", "9312", "9412", "9912", "0040"])
+@over("points", [2_000], nightly=[12_000])
 def test_geometry(code, points):
     check_geometry(cases.naca4(code, points=points))
 
@@ -103,24 +94,16 @@ def crossed(t):
     return cusped(t) - np.column_stack([0 * t, np.sign(t) * 0.0016 * t**2])
 
 
-REFUSED = [
-    *((lambda code=code: cases.naca4(code), "four digits") for code in ("15", "00155", "naca", "-412", "4 12", "٤٤١٢")),
+CODES = ("15", "00155", "naca", "-412", "4 12", "٤٤١٢")
+test_what_has_no_mesh = refusals(
+    *((lambda code=code: cases.naca4(code), "four digits") for code in CODES),
     (lambda: cases.naca4("4400"), "no thickness"),
     (lambda: cases.naca4("4012"), "place of its largest camber"),
     (lambda: cases.naca4("9999"), r"cells around this section are not convex, first cell \d+ near"),
     (lambda: c_grid(crossed), "trailing edge is crossed"),
     (lambda: cases.naca0015(points=299), "`points` is 299; a C-grid needs at least 300"),
     *(
-        (
-            lambda first=first: cases.naca4("4412", first_cell=first),
-            r"`first_cell` is .* between 1e-12 and 0\.09 chords",
-        )
-        for first in (0.0, -1e-6, 1e-14, 0.1)
+        (lambda h=h: cases.naca4("4412", first_cell=h), r"is .* between 1e-12 and 0\.09")
+        for h in (0.0, -1e-6, 1e-14, 0.1)
     ),
-]
-
-
-@pytest.mark.parametrize(("make", "message"), REFUSED)
-def test_what_has_no_mesh(make, message):
-    with pytest.raises(ValueError, match=message):
-        make()
+)

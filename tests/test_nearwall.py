@@ -7,7 +7,7 @@ import pytest
 from cases import body, few
 from meshes import cusped
 from oracles import corner_areas
-from runs import runs
+from runs import over, runs
 from scipy.spatial.distance import cdist
 
 import jaxmorph as jm
@@ -107,9 +107,8 @@ def viscous_wing(span=2.0, stations=13):
     z = (1 - 0.3 * eta) * section.points[:, 1]
     points = np.stack([x, np.broadcast_to(span * eta, x.shape), z], axis=-1).reshape(-1, 3)
     hexahedra = np.concatenate([np.hstack([quads + k * n, quads + (k + 1) * n]) for k in range(stations - 1)])
-    patches = {
-        name: (section.patch(name) + n * np.arange(stations)[:, None]).ravel() for name in ("airfoil", "farfield")
-    }
+    ids = {name: section.patch(name) + n * np.arange(stations)[:, None] for name in ("airfoil", "farfield")}
+    patches = {name: nodes.ravel() for name, nodes in ids.items()}
     return jm.Mesh(points, {"hexahedron": hexahedra}, patches)
 
 
@@ -151,7 +150,7 @@ def passage(gap, columns=60, rows=40, first_cell=1e-5):
     return jm.Mesh(points, {"quad": quads}, {"lower": ids[0], "upper": ids[-1]})
 
 
-@pytest.mark.parametrize(("gap", "width"), runs([(0.08, None)], nightly=[(0.08, 1.0), (0.3, None), (0.3, 1.0)]))
+@over("gap width", [(0.08, None)], nightly=[(0.08, 1.0), (0.3, None), (0.3, 1.0)])
 def test_layers_of_close_walls_end_between_them(gap, width):
     """A bump on each wall closes the passage by 60 %, though the layers of both would reach across it."""
     mesh = passage(gap)
@@ -182,10 +181,8 @@ def test_the_formula_written_out(width):
     inner = np.column_stack([np.full(40, x[10] + 0.002), np.geomspace(1e-6, 0.9, 40)])
     points, moving, fixed = np.concatenate([wall, lid, inner]), np.arange(21), np.arange(21, 42)
     u = np.random.default_rng(0).normal(size=(21, 2))
-    alone, moved = (
-        np.asarray(jm.deform(jm.prepare(points, moving, fixed, method=method), u) - points)[42:]
-        for method in (PUBLISHED, jm.NearWall(width=width))
-    )
+    plans = [jm.prepare(points, moving, fixed, method=method) for method in (PUBLISHED, jm.NearWall(width=width))]
+    alone, moved = (np.asarray(jm.deform(plan, u) - points)[42:] for plan in plans)
     apart, gap = (cdist(points[42:], points[nodes]) for nodes in (moving, fixed))
     order = np.argsort(apart, axis=1)[:, :7]
     near = np.take_along_axis(apart, order, axis=1)

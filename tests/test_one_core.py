@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from meshes import bricks, mixed
-from runs import runs
+from runs import over
 
 from jaxmorph import cases
 from jaxmorph._advice.largest_step import Bounds
@@ -80,7 +80,7 @@ ONE = pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="nothing h
 
 
 @ONE
-@pytest.mark.parametrize("name", runs(slow=["cells"], nightly=[name for name in PROGRAMS if name != "cells"]))
+@over("name", slow=["cells"], nightly=[name for name in PROGRAMS if name != "cells"])
 def test_it_ends_on_one_core(name):
     run(PROGRAMS[name])
 
@@ -93,9 +93,7 @@ def test_it_ends_each_time(name):
         run(PROGRAMS[name])
 
 
-@pytest.mark.parametrize(
-    "mesh", [mixed(), bricks(), *(cases.bricks(kind, cells=3) for kind in ("tetra", "mixed"))], ids=str
-)
+@over("mesh", [mixed(), bricks(), *(cases.bricks(kind, cells=3) for kind in ("tetra", "mixed"))], ids=str)
 def test_the_largest_step_is_found_without_jax(mesh):
     """On the host any array that JAX makes would be waited for; the guard refuses them."""
     bounds, points = Bounds(mesh, float, 0.1), np.asarray(mesh.points)

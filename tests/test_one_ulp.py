@@ -6,8 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from meshes import blocks, bricks, lattice
-from runs import runs
+from meshes import blocks, bricks, circle, lattice
+from runs import over
 
 import jaxmorph as jm
 from jaxmorph import cases
@@ -119,8 +119,8 @@ def change(name, method, alone, seeds=(0, 1)):
     return max(np.abs(moved(noisy(points, seed)) - still).max() for seed in seeds) / np.abs(u).max()
 
 
-@pytest.mark.parametrize("alone", runs([False], nightly=[True]), ids=["mesh", "points"])
-@pytest.mark.parametrize("name", runs(["body"], slow=[name for name in MESHES if name != "body"]))
+@over("alone", [False], nightly=[True], ids=["mesh", "points"])
+@over("name", ["body"], slow=[name for name in MESHES if name != "body"])
 def test_the_default(name, alone):
     assert change(name, "default", alone) < LEAST
 
@@ -132,9 +132,7 @@ FEW = {
 }
 
 
-@pytest.mark.parametrize(
-    ("name", "method"), runs(slow=EVERY, nightly=[(name, method) for name in FEW for method in FEW[name]])
-)
+@over("name method", slow=EVERY, nightly=[(name, method) for name in FEW for method in FEW[name]])
 def test_every_choice(name, method):
     assert change(name, method, True, seeds=(0,)) < LEAST
 
@@ -179,9 +177,8 @@ def test_one_of_two_largest_gaps_decides_how_wide_the_layer_is():
     for step in (1e-8, -1e-8):
         for node in (1, 2):
             moved = layer_width(None, extent, surface.at[node, 1].add(step))[0]
-            np.testing.assert_allclose(
-                (moved - layer_width(None, extent, surface)[0]) / step, slope[node, 1], atol=1e-6
-            )
+            change = (moved - layer_width(None, extent, surface)[0]) / step
+            np.testing.assert_allclose(change, slope[node, 1], atol=1e-6)
 
 
 def test_numbers_within_the_slack_have_one_rank():
@@ -200,9 +197,7 @@ def test_places_that_coincide_by_roundoff_are_one():
 
 def test_of_equal_distances_the_first_counts():
     """On a circle all are equal, however many; on a lattice the four of a cell are."""
-    angle = np.linspace(0, 2 * np.pi, 40, endpoint=False)
-    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    assert nearest_few(np.zeros((1, 2)), circle, 3).tolist() == [[0, 1, 2]]
+    assert nearest_few(np.zeros((1, 2)), circle(40), 3).tolist() == [[0, 1, 2]]
     nodes = lattice(*[np.arange(5) / 3] * 2)
     middles = nodes + 1 / 6
     distance = np.linalg.norm(middles[:, None] - nodes[None], axis=2)

@@ -5,7 +5,7 @@ import pytest
 from cases import few, full
 from laws import check_base_derivative, check_linear, check_parts, check_steps
 from meshes import joined, lattice, sector, turn
-from runs import runs
+from runs import over
 
 import jaxmorph as jm
 from benchmarks import faults
@@ -14,7 +14,7 @@ TPS = full(jm.ThinPlateSpline(), 1)
 LOCAL = jm.SurfaceReconstruction(few(), jm.NearWall(width=0.2))
 
 
-@pytest.mark.parametrize("dimension", runs(slow=[2], nightly=[3]))
+@over("dimension", slow=[2], nightly=[3])
 def test_a_sector_moves_as_the_whole_wheel(dimension):
     """The field between all four sectors is known: the one that moves the sides of the quarter is it."""
     points, moving, fixed, sides, u = sector(dimension)
@@ -26,7 +26,7 @@ def test_a_sector_moves_as_the_whole_wheel(dimension):
     assert np.abs(moved - points)[plan.guided].max() > 1e-3
 
 
-@pytest.mark.parametrize(("dimension", "method"), runs([(2, TPS)], slow=[(3, TPS)], nightly=[(2, LOCAL)]))
+@over("dimension method", [(2, TPS)], slow=[(3, TPS)], nightly=[(2, LOCAL)])
 def test_laws_with_periodic_sides(dimension, method, tmp_path):
     points, moving, fixed, sides, u = sector(dimension)
     plan = jm.prepare(points, moving, fixed, method=method, periodic=joined(dimension, sides))
@@ -36,14 +36,13 @@ def test_laws_with_periodic_sides(dimension, method, tmp_path):
     assert (moved[fixed] == points[fixed]).all()
     assert set(plan.guided.tolist()) == set(np.concatenate(sides)) - {*moving, *fixed}
     other = check_linear(plan, u)  # a motion that is not periodic is made so
-    np.testing.assert_allclose(
-        (points + other)[sides[1]], (points + other)[sides[0]] @ turn(np.pi / 2, dimension).T, atol=1e-13
-    )
+    first, second = ((points + other)[side] for side in sides)
+    np.testing.assert_allclose(second, first @ turn(np.pi / 2, dimension).T, atol=1e-13)
     jm.save(tmp_path / "plan.npz", plan)
     assert (jm.deform(jm.load(tmp_path / "plan.npz"), u) == moved).all()
 
 
-@pytest.mark.parametrize(("dimension", "method"), runs(nightly=[(2, LOCAL), (2, TPS), (3, TPS)]))
+@over("dimension method", nightly=[(2, LOCAL), (2, TPS), (3, TPS)])
 def test_derivatives_by_the_base_with_periodic_sides(dimension, method):
     points, moving, fixed, sides, u = sector(dimension)
     plan = jm.prepare(points, moving, fixed, method=method, periodic=joined(dimension, sides))
@@ -101,7 +100,7 @@ def test_a_blade_turns_farther_between_periodic_sides():
     assert not jm.inspect(plan, u, mesh=mesh).crossings
 
 
-@pytest.mark.parametrize("method", runs(slow=[jm.RBF.classic(jm.WendlandC2(1.0))], nightly=[jm.CompactRBF(1.0)]))
+@over("method", slow=[jm.RBF.classic(jm.WendlandC2(1.0))], nightly=[jm.CompactRBF(1.0)])
 def test_where_an_image_stands_on_a_node_the_node_counts(method):
     """A wall's image falls on another wall, but for the digits of a file: the field is that of places that coincide."""
 

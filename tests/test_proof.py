@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from meshes import filled, gmsh_session, reflected, with_folds
 from oracles import cells_near_the_limit, jacobians_inside, samples_inside
-from runs import runs
+from runs import over, runs
 
 import jaxmorph as jm
 from jaxmorph._host.cells.lagrange import lagrange_types
@@ -65,20 +65,19 @@ def test_bounds_agree_with_samples(shape, order):
     check_against_samples(COMPLETE[shape, order], 60, 7)
 
 
-@pytest.mark.parametrize("order", runs(nightly=[1, 2, 3, 4]))
+@over("order", nightly=[1, 2, 3, 4])
 @pytest.mark.parametrize("shape", SHAPES)
 def test_bounds_agree_with_dense_samples_near_the_limit(shape, order):
     """10,080 cells in all, 17 samples along each direction."""
     check_against_samples(COMPLETE[shape, order], {1: 840, 2: 420, 3: 280, 4: 140}[order], 17, seed=1)
 
 
-@pytest.mark.parametrize("shape", runs([shape for shape in GMSH if shape != "hexahedron"], nightly=["hexahedron"]))
+@over("shape", [shape for shape in GMSH if shape != "hexahedron"], nightly=["hexahedron"])
 def test_gmsh_finds_the_least_value_between_the_bounds(shape):
     """gmsh bounds det J by its own Bernstein coefficients, in its own reference cell, with its own order of nodes."""
     with gmsh_session() as gmsh:
-        for order in (
-            (1, 2, 3) if shape != "pyramid" else (1,)
-        ):  # gmsh's det J of curved pyramids contradicts samples of them
+        # gmsh's det J of curved pyramids contradicts samples of them
+        for order in (1, 2, 3) if shape != "pyramid" else (1,):
             cell = COMPLETE[shape, order]
             nodes = cells_near_the_limit(cell, 40)
             if shape == "triangle":  # gmsh turns the normal of a triangle to its corners
@@ -195,9 +194,7 @@ def test_a_hexahedron_that_folds_between_its_corners_is_found():
         assert report.upper[k] == pytest.approx(value, abs=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("shape", "order", "count"), runs(slow=[("quad", 3, 200)], nightly=[("hexahedron", 2, 200), ("wedge", 2, 100)])
-)
+@over("shape order count", slow=[("quad", 3, 200)], nightly=[("hexahedron", 2, 200), ("wedge", 2, 100)])
 def test_quality_finds_the_curved_cells_that_the_bounds_call_invalid(shape, order, count):
     """Also where no sample sees the fold. What `quality` reports is a value of det J, with its derivative."""
     cell = COMPLETE[shape, order]
@@ -269,9 +266,8 @@ def test_a_mesh_that_arrives_folded_is_folded_however_its_cells_are_numbered(kin
         np.testing.assert_allclose(jm.proof(turned).margin, jm.proof(before).margin, rtol=1e-9, atol=1e-9)
         np.testing.assert_array_equal(alone.is_inverted, jm.quality(before).is_inverted)
         if cell.order == 1:
-            np.testing.assert_allclose(
-                jm.distortion(turned, mesh.points), jm.distortion(before, mesh.points), rtol=1e-6
-            )
+            other, one = (jm.distortion(each, mesh.points) for each in (turned, before))
+            np.testing.assert_allclose(other, one, rtol=1e-6)
 
 
 def test_cells_are_the_same_for_a_mesh_that_is_traced():

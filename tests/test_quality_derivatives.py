@@ -6,10 +6,9 @@ import itertools
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pytest
 from meshes import pair
 from oracles import jacobian
-from runs import runs
+from runs import over
 
 import jaxmorph as jm
 from jaxmorph._kernels.compile import UNTUNED
@@ -71,14 +70,10 @@ def by_smooth_measures(mesh, points, solid):
     return values | ({"distortion": jm.distortion(mesh, points, softness=1e-2)} if solid else {})
 
 
-@pytest.mark.parametrize("name", runs(slow=["line"], nightly=[name for name in (*SOLIDS, *SURFACES) if name != "line"]))
+@over("name", slow=["line"], nightly=[name for name in (*SOLIDS, *SURFACES) if name != "line"])
 def test_component_by_component(name):
-    """Forward, reverse and differences agree on sound and inverted cells; all are finite where there is no derivative.
-
-    Reverse mode pulls all numbers back at once: one that is not finite would spoil the others.
-    """
+    """Forward, reverse and differences agree on sound and inverted cells; all are finite where there is no derivative."""
     mesh, axis = neighbours(name)
-
     quickly = functools.partial(jax.jit, compiler_options=QUICK)
 
     def measures(points):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from cases import body, full, moved_by, planned, surface_values
 from oracles import dense, wendland
-from runs import runs
+from runs import over
 from scipy.interpolate import RBFInterpolator
 
 import jaxmorph as jm
@@ -23,9 +23,7 @@ SCIPY = [  # SciPy writes phi(epsilon r), with epsilon = 1 / R, and its multiqua
 ]
 
 
-@pytest.mark.parametrize(
-    ("basis", "degree", "options", "dimension"), runs([SCIPY[0], SCIPY[2], SCIPY[6]], nightly=[SCIPY[1], *SCIPY[3:6]])
-)
+@over("basis degree options dimension", [SCIPY[0], SCIPY[2], SCIPY[6]], nightly=[SCIPY[1], *SCIPY[3:6]])
 def test_full_interpolation_equals_scipys(basis, degree, options, dimension):
     mesh = body(dimension)
     u, values = surface_values(mesh)
@@ -34,7 +32,7 @@ def test_full_interpolation_equals_scipys(basis, degree, options, dimension):
     np.testing.assert_allclose(moved - mesh.points, expected, rtol=0, atol=1e-11)
 
 
-@pytest.mark.parametrize("degree", runs([0], nightly=[None, 1]))
+@over("degree", [0], nightly=[None, 1])
 def test_wendland_equals_a_dense_solve(degree):
     mesh = body(2)
     u, values = surface_values(mesh)
@@ -43,7 +41,7 @@ def test_wendland_equals_a_dense_solve(degree):
     np.testing.assert_allclose(moved - mesh.points, expected, rtol=0, atol=1e-11)
 
 
-@pytest.mark.parametrize("steps", runs([1], nightly=[20]))
+@over("steps", [1], nightly=[20])
 def test_refitted_steps_equal_dense_solves_on_the_moved_mesh(steps):
     """Wendland C2 without polynomial, each step fitted anew on the points that the last one left."""
     mesh = body(2)
@@ -131,7 +129,7 @@ def test_jitted_gradients_in_3d():
         np.testing.assert_allclose(np.vdot(gradient, step), difference / 2, rtol=2e-6)
 
 
-@pytest.mark.parametrize("dimension", runs([3], nightly=[2]))
+@over("dimension", [3], nightly=[2])
 def test_sources_that_do_not_span_space(dimension):
     """All in one plane (a line, in 2-D), rotated so that no coordinate is constant."""
     rng = np.random.default_rng(3)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from cases import body
 from meshes import lattice
+from runs import refusals
 from scipy.spatial.distance import cdist, pdist
 
 import jaxmorph as jm
@@ -44,12 +45,6 @@ def test_against_the_reference(search, dimension, leaves):
     points = np.random.default_rng(dimension * leaves).normal(size=(64, dimension)) ** 3  # dense in the middle
     chosen = jm.KDTree(leaves, search, separation=0.0)(points)
     assert chosen.tolist() == reference(points, leaves, LOCAL[search](dimension))
-
-
-def test_search_points():
-    assert [len(search.local(d)) for search in LOCAL for d in (2, 3)] == [1, 1, 4, 8, 4, 8]
-    for search, local in LOCAL.items():
-        np.testing.assert_allclose(sorted(map(tuple, search.local(3))), sorted(local(3)), atol=1e-15)
 
 
 def test_the_papers_source_numbers():
@@ -110,16 +105,9 @@ def test_boxes_are_split_until_small_enough():
 def test_limits_on_leaves_at_equality():
     """A box as long as `smallest_box` is whole; one as long as `largest_box`, or as full as `points_per_leaf`, is not split."""
     points = np.stack([np.linspace(0, 1, 8), np.zeros(8)], axis=1)
-    for options, leaves in [
-        ({"smallest_box": 1.0}, 1),
-        ({"smallest_box": 0.999}, 2),
-        ({"largest_box": 1.0}, 1),
-        ({"largest_box": 0.999}, 2),
-        ({"points_per_leaf": 8}, 1),
-        ({"points_per_leaf": 4}, 2),
-    ]:
-        least = {"leaves": 2} if "smallest_box" in options else {}
-        assert len(jm.KDTree(**options, **least).boxes(points)) == leaves, options
+    for name, whole, split in (("smallest_box", 1.0, 0.999), ("largest_box", 1.0, 0.999), ("points_per_leaf", 8, 4)):
+        least = {"leaves": 2} if name == "smallest_box" else {}
+        assert [len(jm.KDTree(**{name: limit}, **least).boxes(points)) for limit in (whole, split)] == [1, 2], name
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
@@ -171,16 +159,10 @@ def test_hardly_any_points(count):
         assert reduction(points).tolist() == list(range(count))
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({}, "needs `leaves`"),
-        ({"leaves": 1, "smallest_box": 2.0, "largest_box": 1.0}, "smallest_box <= largest_box"),
-    ],
+test_options_that_make_no_sense = refusals(
+    (jm.KDTree, "needs `leaves`"),
+    (lambda: jm.KDTree(1, smallest_box=2.0, largest_box=1.0), "smallest_box <= largest_box"),
 )
-def test_options_that_make_no_sense(options, message):
-    with pytest.raises(ValueError, match=message):
-        jm.KDTree(**options)
 
 
 def test_tree_with_about_so_many_sources():

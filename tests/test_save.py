@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from cases import body, extension, few, motion
-from runs import runs
+from runs import over
 
 import jaxmorph as jm
 
@@ -46,13 +46,11 @@ def planned(method, symmetry=(), dtype=np.float64):
     return jm.prepare(one.points.astype(dtype), one.moving, one.fixed, method=method, symmetry=symmetry)
 
 
+GAUSS = jm.GaussPoints()
 METHODS = {
     "default": (lambda: jm.SurfaceReconstruction(few(), jm.NearWall(width=0.2)), ()),
     "greedy": (lambda: jm.RBF(jm.WendlandC2(3), jm.Greedy(9, np.ones((2, 31, 2))), jm.AllPoints()), ()),
-    "gauss": (
-        lambda: jm.RBF(jm.Multiquadric(0.1), jm.KDTree(np.int64(4), jm.GaussPoints(), extremes=True), degree=0),
-        (),
-    ),
+    "gauss": (lambda: jm.RBF(jm.Multiquadric(0.1), jm.KDTree(np.int64(4), GAUSS, extremes=True), degree=0), ()),
     "own basis": (lambda: jm.RBF(power(), jm.AllPoints(), jm.AllPoints()), (Power, Law)),
 }
 
@@ -64,7 +62,7 @@ def method(name):
     return METHODS[name]
 
 
-@pytest.mark.parametrize("name", runs(["default", "own basis", "own method"], nightly=["greedy"]))
+@over("name", ["default", "own basis", "own method"], nightly=["greedy"])
 def test_a_loaded_plan_is_the_same_to_the_last_bit(tmp_path, name):
     make, classes = method(name)
     plan = planned(make())
@@ -72,9 +70,7 @@ def test_a_loaded_plan_is_the_same_to_the_last_bit(tmp_path, name):
     again = jm.load(tmp_path / "a.plan", classes)
     leaves, structure = jax.tree.flatten(plan)
     found, same = jax.tree.flatten(again)
-    if (
-        name != "greedy" and name != "own basis"
-    ):  # a Greedy is compared by identity, dictionaries and arrays have no hash
+    if name not in ("greedy", "own basis"):  # a Greedy is compared by identity, dictionaries and arrays have no hash
         assert same == structure
     assert str(same) == str(structure)
     for a, b in zip(leaves, found, strict=True):
@@ -121,24 +117,33 @@ def test_steps_symmetry_and_single_precision(tmp_path):
     assert again.surface.nodes is rest[0].surface.nodes
 
 
-def test_what_cannot_be_saved_says_where(tmp_path):
-    class Callable(jm.AbstractBasis):
-        phi: object = eqx.field(static=True)
+class Callable(jm.AbstractBasis):
+    phi: object = eqx.field(static=True)
 
-        def __call__(self, r2):
-            return self.phi(r2)
+    def __call__(self, r2):
+        return self.phi(r2)
 
-    plan = planned(jm.DelaunayGraph())
-    bad = eqx.tree_at(lambda plan: plan.method, plan, jm.RBF(Callable(np.exp), degree=None))
-    with pytest.raises(ValueError, match=r"plan.method.basis.phi is a ufunc, which a plan file cannot hold"):
-        jm.save(tmp_path / "a", bad)
-    WendlandC2 = type("WendlandC2", (jm.ThinPlateSpline,), {})
-    with pytest.raises(ValueError, match=r"plan.method.basis is of a class WendlandC2 that is not jaxmorph's"):
-        jm.save(tmp_path / "a", eqx.tree_at(lambda plan: plan.method, plan, jm.RBF(WendlandC2())))
-    with pytest.raises(ValueError, match=r"plan is laid over devices: save the plan that `prepare` returned"):
-        jm.save(tmp_path / "a", jm.shard(plan, jax.devices()[:1]))
-    with pytest.raises(ValueError, match=r"must be a Plan .*not a DelaunayGraph"):
-        jm.save(tmp_path / "a", plan.method)
+
+OTHER = type("WendlandC2", (jm.ThinPlateSpline,), {})
+UNSAVED = [
+    (
+        lambda plan: by(plan, jm.RBF(Callable(np.exp), degree=None)),
+        r"plan.method.basis.phi is a ufunc, which a plan file cannot",
+    ),
+    (lambda plan: by(plan, jm.RBF(OTHER())), r"plan.method.basis is of a class WendlandC2 that is not jaxmorph's"),
+    (lambda plan: jm.shard(plan, jax.devices()[:1]), r"is laid over devices: save the plan that `prepare` returned"),
+    (lambda plan: plan.method, r"must be a Plan .*not a DelaunayGraph"),
+]
+
+
+def by(plan, method):
+    return eqx.tree_at(lambda plan: plan.method, plan, method)
+
+
+@pytest.mark.parametrize(("change", "words"), UNSAVED)
+def test_what_cannot_be_saved_says_where(tmp_path, change, words):
+    with pytest.raises(ValueError, match=words):
+        jm.save(tmp_path / "a", change(planned(jm.DelaunayGraph())))
     assert os.listdir(tmp_path) == []
 
 
@@ -179,15 +184,12 @@ def test_damaged_files_are_refused(tmp_path):
     path = tmp_path / "a.npz"
     jm.save(path, planned(jm.DelaunayGraph()))
     whole = path.read_bytes()
-    for share in (0, 0.3, 0.9, 0.999):
-        path.write_bytes(whole[: int(share * len(whole))])
-        with pytest.raises(ValueError, match=r"a\.npz: not a saved plan, or a damaged one"):
-            jm.load(path)
     flipped = bytearray(whole)
     flipped[len(whole) // 2] ^= 1
-    path.write_bytes(flipped)
-    with pytest.raises(ValueError, match=r"a\.npz: not a saved plan, or a damaged one"):
-        jm.load(path)
+    for damaged in (flipped, *(whole[: int(share * len(whole))] for share in (0, 0.3, 0.9, 0.999))):
+        path.write_bytes(damaged)
+        with pytest.raises(ValueError, match=r"a\.npz: not a saved plan, or a damaged one"):
+            jm.load(path)
     with pytest.raises(FileNotFoundError):
         jm.load(tmp_path / "none")
 
@@ -217,25 +219,26 @@ def test_nothing_in_a_file_is_run(tmp_path):
     assert os.path.exists(trace)  # it does harm where it is let
 
 
-def test_classes_are_checked(tmp_path):
+@pytest.mark.parametrize(
+    ("classes", "words"),
+    [
+        ((), r"the class 'Power' is unknown; pass your own class as load\(path, classes=\(Power,\)\)"),
+        ((type("RBF", (jm.RBF,), {}),), "two classes are called RBF"),
+        ((print,), "`classes` must be a list, each a class"),
+    ],
+)
+def test_classes_are_checked(tmp_path, classes, words):
     jm.save(tmp_path / "a", planned(jm.RBF(power(), jm.AllPoints(), jm.AllPoints())))
-    with pytest.raises(
-        ValueError, match=r"the class 'Power' is unknown; pass your own class as load\(path, classes=\(Power,\)\)"
-    ):
-        jm.load(tmp_path / "a")
-    with pytest.raises(ValueError, match="two classes are called RBF"):
-        jm.load(tmp_path / "a", (type("RBF", (jm.RBF,), {}),))
-    with pytest.raises(ValueError, match="`classes` must be a list, each a class"):
-        jm.load(tmp_path / "a", (print,))
+    with pytest.raises(ValueError, match=words):
+        jm.load(tmp_path / "a", classes)
 
 
 @pytest.mark.slow
 def test_double_precision_needs_its_mode(tmp_path):
     jm.save(tmp_path / "a", planned(jm.DelaunayGraph()))
     code = "import jaxmorph as jm, sys; jm.load(sys.argv[1])"
-    done = subprocess.run(
-        [sys.executable, "-c", code, str(tmp_path / "a")], capture_output=True, text=True, check=False
-    )
+    words = [sys.executable, "-c", code, str(tmp_path / "a")]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
     assert "the plan is in float64, but JAX's x64 mode is off" in done.stderr
 
 

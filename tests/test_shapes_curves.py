@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from meshes import naca
-from runs import runs
+from runs import over, refusals
 from scipy.interpolate import BSpline, CubicSpline
 from scipy.spatial.transform import Rotation
 
@@ -31,7 +31,7 @@ def random_like(parameters, seed=1):
     return jax.tree.map(lambda leaf: jnp.asarray(rng.normal(size=leaf.shape)), parameters)
 
 
-@pytest.mark.parametrize("name", runs([name for name in LINEAR if name not in BREADTH], nightly=BREADTH))
+@over("name", [name for name in LINEAR if name not in BREADTH], nightly=BREADTH)
 def test_linear_shapes_and_their_transposes(name):
     shape = LINEAR[name]
     np.testing.assert_array_equal(shape(AIRFOIL, shape.neutral()), AIRFOIL)
@@ -142,7 +142,7 @@ def wing():
     return rng.uniform([0, -0.1, -0.1], [1, 2.1, 0.2], (50, 3))
 
 
-@pytest.mark.parametrize("cubic", runs([False], nightly=[True]))
+@over("cubic", [False], nightly=[True])
 def test_stations_are_interpolated(cubic):
     shape = shapes.ReferenceAxis(PLANFORM.points, cubic=cubic)
     x, values = wing(), np.array([0.3, -0.2, 0.5])
@@ -171,31 +171,25 @@ def test_a_planform_twists_and_scales_sections_about_its_axis():
     np.testing.assert_allclose(slope[:, 2], -arm[:, :1] * ahead, atol=1e-14)
 
 
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda: shapes.HicksHenne([0.5])(AIRFOIL, [0.1, 0.2]), "parameters have shape"),
-        (lambda: shapes.HicksHenne([0.5])(wing(), [0.1]), "a chord in 2-D"),
-        (lambda: shapes.Chord([0, 0, 0], [1, 0, 0]), "`up` is missing"),
-        (lambda: shapes.BSplineCurve(AIRFOIL[[0, 1, 1, 2]], 4), "1 nodes stand on the one before, first 2"),
-        (lambda: shapes.BSplineCurve(AIRFOIL, 3), "degree is 1 to count - 1"),
-        (lambda: LINEAR["curve"].at(AIRFOIL[:5]), "121 nodes"),
-        (lambda: shapes.Modes(AIRFOIL), "expected"),
-        (lambda: LINEAR["modes"].at(AIRFOIL[:5]), "the modes have"),
-        (lambda: shapes.Part(shapes.CST(2), [0, 1]), "True and False"),
-        (lambda: LINEAR["part"].at(AIRFOIL[:5]), "121 rows for 5"),
-        (lambda: shapes.Linked(shapes.CST(2), np.ones((3, 1))), "needs"),
-        (lambda: LINEAR["together"](AIRFOIL, (1,)), "1 sets of parameters for 2"),
-        (lambda: shapes.NACA4(0.0, 0.4, 0.1)(AIRFOIL, [0.1]), "expected camber, place, thickness"),
-        (lambda: shapes.upper_side(np.column_stack([np.linspace(0, 1, 9), np.zeros(9)])), "two sides"),
-        (lambda: shapes.fit_cst(AIRFOIL[::20], 8), "do not determine 10 numbers"),
-        (lambda: shapes.fit(shapes.CST(2), AIRFOIL, AIRFOIL[:3]), "row to row"),
-        (lambda: shapes.fit(lambda x, a: x, AIRFOIL, AIRFOIL), "a plain function has no neutral"),
-        (lambda: shapes.ReferenceAxis([[0, 0, 0], [0, 2, 0], [0, 1, 0], [0, 3, 0]]), "station 2"),
-        (lambda: PLANFORM(wing(), {"twist": [0.0, 1.0]}), "expected"),
-        (lambda: PLANFORM(wing(), {"taper": [0.0, 1.0, 1.0]}), "for any of twist, chord"),
-    ],
+test_bad_input_is_refused = refusals(
+    (lambda: shapes.HicksHenne([0.5])(AIRFOIL, [0.1, 0.2]), "parameters have shape"),
+    (lambda: shapes.HicksHenne([0.5])(wing(), [0.1]), "a chord in 2-D"),
+    (lambda: shapes.Chord([0, 0, 0], [1, 0, 0]), "`up` is missing"),
+    (lambda: shapes.BSplineCurve(AIRFOIL[[0, 1, 1, 2]], 4), "1 nodes stand on the one before, first 2"),
+    (lambda: shapes.BSplineCurve(AIRFOIL, 3), "degree is 1 to count - 1"),
+    (lambda: LINEAR["curve"].at(AIRFOIL[:5]), "121 nodes"),
+    (lambda: shapes.Modes(AIRFOIL), "expected"),
+    (lambda: LINEAR["modes"].at(AIRFOIL[:5]), "the modes have"),
+    (lambda: shapes.Part(shapes.CST(2), [0, 1]), "True and False"),
+    (lambda: LINEAR["part"].at(AIRFOIL[:5]), "121 rows for 5"),
+    (lambda: shapes.Linked(shapes.CST(2), np.ones((3, 1))), "needs"),
+    (lambda: LINEAR["together"](AIRFOIL, (1,)), "1 sets of parameters for 2"),
+    (lambda: shapes.NACA4(0.0, 0.4, 0.1)(AIRFOIL, [0.1]), "expected camber, place, thickness"),
+    (lambda: shapes.upper_side(np.column_stack([np.linspace(0, 1, 9), np.zeros(9)])), "two sides"),
+    (lambda: shapes.fit_cst(AIRFOIL[::20], 8), "do not determine 10 numbers"),
+    (lambda: shapes.fit(shapes.CST(2), AIRFOIL, AIRFOIL[:3]), "row to row"),
+    (lambda: shapes.fit(lambda x, a: x, AIRFOIL, AIRFOIL), "a plain function has no neutral"),
+    (lambda: shapes.ReferenceAxis([[0, 0, 0], [0, 2, 0], [0, 1, 0], [0, 3, 0]]), "station 2"),
+    (lambda: PLANFORM(wing(), {"twist": [0.0, 1.0]}), "expected"),
+    (lambda: PLANFORM(wing(), {"taper": [0.0, 1.0, 1.0]}), "for any of twist, chord"),
 )
-def test_bad_input_is_refused(call, message):
-    with pytest.raises(ValueError, match=message):
-        call()

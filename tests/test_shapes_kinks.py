@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from meshes import naca
-from runs import runs
+from runs import over
 
 from jaxmorph import shapes
 from jaxmorph._kernels.values import clipped
@@ -36,7 +36,7 @@ def check_border(function, x, inward):
 BOXES = {"bernstein": ((3, 4, 3), None), "bspline": ((5, 6, 4), 2)}
 
 
-@pytest.mark.parametrize("name", runs(["bspline"], nightly=["bernstein"]))
+@over("name", ["bspline"], nightly=["bernstein"])
 def test_the_border_of_a_box_has_the_derivative_of_its_inside(name):
     counts, degree = BOXES[name]
     box = shapes.FreeForm([0.0, 0.0, 0.0], np.eye(3), counts, degree=degree)
@@ -60,23 +60,21 @@ CUBIC = shapes.ReferenceAxis(AXIS.points, cubic=True)
 PLANFORM = {"twist": np.array([0.3, -0.2, 0.4]), "chord": np.array([1.2, 0.8, 0.5]), "sweep": np.array([0.1, 0.2, 0.5])}
 
 
-@pytest.mark.parametrize(
-    ("move", "x", "inward"),
-    runs(
-        [
-            (lambda x: AXIS(x, PLANFORM), [[0.7, 0, 0.1]], [[0, 1, 0]]),
-            (lambda x: shapes.twist(x, 0.5, [0, 0, 0], [0, 1, 0], 2.0), [[0.7, 0, 0.1]], [[0, 1, 0]]),
-            (lambda x: shapes.bend(x, 0.5, [0, 0], [1, 0], 2.0), [[2.0, 0.3]], [[-1, 0]]),
-            (lambda x: shapes.CST(2)(x, [0.1, 0.2, -0.1, 0.05]), [[1.0, 0.01]], [[-1, 0]]),
-        ],
-        nightly=[
-            (lambda x: AXIS(x, PLANFORM), [[0.7, 2, 0.1]], [[0, -1, 0]]),
-            (lambda x: CUBIC(x, PLANFORM), [[0.7, 0, 0.1]], [[0, 1, 0]]),
-            (lambda x: shapes.twist(x, 0.5, [0, 0, 0], [0, 1, 0], 2.0), [[0.7, 2, 0.1]], [[0, -1, 0]]),
-            (lambda x: shapes.bend(x, 0.5, [0, 0], [1, 0], 2.0), [[0.0, 0.3]], [[1, 0]]),
-            (lambda x: shapes.CST(2, (1.0, 1.5))(x, [0.1, 0.2, -0.1, 0.05]), [[0.0, 0.01]], [[1, 0]]),
-        ],
-    ),
+@over(
+    "move x inward",
+    [
+        (lambda x: AXIS(x, PLANFORM), [[0.7, 0, 0.1]], [[0, 1, 0]]),
+        (lambda x: shapes.twist(x, 0.5, [0, 0, 0], [0, 1, 0], 2.0), [[0.7, 0, 0.1]], [[0, 1, 0]]),
+        (lambda x: shapes.bend(x, 0.5, [0, 0], [1, 0], 2.0), [[2.0, 0.3]], [[-1, 0]]),
+        (lambda x: shapes.CST(2)(x, [0.1, 0.2, -0.1, 0.05]), [[1.0, 0.01]], [[-1, 0]]),
+    ],
+    nightly=[
+        (lambda x: AXIS(x, PLANFORM), [[0.7, 2, 0.1]], [[0, -1, 0]]),
+        (lambda x: CUBIC(x, PLANFORM), [[0.7, 0, 0.1]], [[0, 1, 0]]),
+        (lambda x: shapes.twist(x, 0.5, [0, 0, 0], [0, 1, 0], 2.0), [[0.7, 2, 0.1]], [[0, -1, 0]]),
+        (lambda x: shapes.bend(x, 0.5, [0, 0], [1, 0], 2.0), [[0.0, 0.3]], [[1, 0]]),
+        (lambda x: shapes.CST(2, (1.0, 1.5))(x, [0.1, 0.2, -0.1, 0.05]), [[0.0, 0.01]], [[1, 0]]),
+    ],
 )
 def test_ends_of_lines_have_the_derivative_of_their_inside(move, x, inward):
     check_border(jax.jit(move), x, inward)
@@ -95,9 +93,8 @@ def test_the_whole_naca_family_is_exact_at_its_nodes():
     codes = itertools.product(range(1, 10), range(1, 10), (6, 9, 12, 15, 18, 21, 24))
     family = [(camber / 100, place / 10, thickness / 100) for camber, place, thickness in codes]
     shape, last = shapes.NACA4(0.02, 0.4, 0.12), (0.1015, 0.1036)
-    move = jax.jit(
-        jax.vmap(lambda original, x, p: eqx.tree_at(lambda it: it.original, shape, original)(x, p), (0, 0, None))
-    )
+    replaced = lambda original: eqx.tree_at(lambda it: it.original, shape, original)  # noqa: E731
+    move = jax.jit(jax.vmap(lambda original, x, p: replaced(original)(x, p), (0, 0, None)))
     for edge, other in ((last[0], (0.04, 0.4, 0.15)), (last[1], (0.02, 0.6, 0.09))):
         sections = np.stack([naca(*given, count=41, last=edge) for given in family])
         moved = move(np.array(family), sections, np.array(other))

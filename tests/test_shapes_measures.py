@@ -3,8 +3,8 @@
 import jax
 import numpy as np
 import pytest
-from meshes import bricks, naca, sphere, write_ring
-from runs import runs
+from meshes import ball, bricks, naca, write_ring
+from runs import over, refusals
 from scipy.spatial import ConvexHull
 
 import jaxmorph as jm
@@ -17,17 +17,7 @@ LOOP = np.arange(COUNT)
 SEGMENTS = np.column_stack([LOOP, np.roll(LOOP, -1)])
 
 
-def ball():
-    """A unit sphere's convex hull, outward."""
-    points = sphere(300)
-    faces = ConvexHull(points).simplices
-    a, b, c = (points[faces[:, k]] for k in range(3))
-    inward = np.einsum("ki,ki->k", np.cross(b - a, c - a), a + b + c) < 0
-    faces[inward] = faces[inward][:, ::-1]
-    return points, faces
-
-
-BALL, FACES = ball()
+BALL, FACES = ball(300)
 on = shapes.Stations.on
 LINES = shapes.Stations.on(ELLIPSE, SEGMENTS, [[0.25, 0.0], [0.5, 0.0]], [0.0, 1.0])
 LINES3 = shapes.Stations.on(BALL, FACES, [[0.1, 0.2, 0.0]], [0.0, 0.1, 1.0])
@@ -45,10 +35,7 @@ MEASURES = {
 }
 
 
-@pytest.mark.parametrize(
-    "name",
-    runs([name for name in MEASURES if name not in ("radius", "thickness-3")], nightly=["radius", "thickness-3"]),
-)
+@over("name", [name for name in MEASURES if name not in ("radius", "thickness-3")], nightly=["radius", "thickness-3"])
 def test_derivatives_equal_differences(name):
     measure, x = MEASURES[name]
     direction = 0.1 * np.column_stack([np.sin(3 * x[:, k] + k) for k in range(x.shape[1])])
@@ -74,7 +61,6 @@ def test_closed_forms_of_an_ellipse():
 
 @pytest.mark.nightly
 def test_closed_forms_of_a_naca_airfoil():
-
     x = naca(0.0, 0.4, 0.12, count=401, last=0.1036)
     lower = np.arange(401, 801)  # from behind the nose to the tail
     loop = np.concatenate([lower, np.arange(400, -1, -1)[1:]])  # nose last; the tail of both sides is one place
@@ -115,21 +101,15 @@ def test_thickness_follows_a_moved_wall():
     np.testing.assert_allclose(shapes.thickness(moved, LINES), 1.5 * shapes.thickness(ELLIPSE, LINES), rtol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda: shapes.area(BALL, LOOP), "expected"),
-        (lambda: shapes.volume(ELLIPSE, FACES), "expected"),
-        (lambda: shapes.leading_edge_radius(ELLIPSE, LOOP, 500), "must be in the loop"),
-        (lambda: shapes.trailing_edge_angle(ELLIPSE, 3, [1, 2]), "two nodes each"),
-        (lambda: on(ELLIPSE, SEGMENTS, [[0.5, 0], [3, 0]], [0, 1]), "1 of 2 lines miss the body, first row 1"),
-        (lambda: on(ELLIPSE, SEGMENTS, [[0.5, 0]], [0, 0]), "length 0"),
-        (lambda: on(ELLIPSE, FACES, [[0.5, 0]], [0, 1]), r"walls in 2-D have \(k, 2\)"),
-        (lambda: on(ELLIPSE, SEGMENTS + 1, [[0.5, 0]], [0, 1]), "ids in `faces`"),
-        (lambda: shapes.thickness(ELLIPSE[:5], LINES), "are not in 0 to 4"),
-        (lambda: shapes.thickness(BALL, LINES), "the stations are in 2-D"),
-    ],
+test_bad_input_is_refused = refusals(
+    (lambda: shapes.area(BALL, LOOP), "expected"),
+    (lambda: shapes.volume(ELLIPSE, FACES), "expected"),
+    (lambda: shapes.leading_edge_radius(ELLIPSE, LOOP, 500), "must be in the loop"),
+    (lambda: shapes.trailing_edge_angle(ELLIPSE, 3, [1, 2]), "two nodes each"),
+    (lambda: on(ELLIPSE, SEGMENTS, [[0.5, 0], [3, 0]], [0, 1]), "1 of 2 lines miss the body, first row 1"),
+    (lambda: on(ELLIPSE, SEGMENTS, [[0.5, 0]], [0, 0]), "length 0"),
+    (lambda: on(ELLIPSE, FACES, [[0.5, 0]], [0, 1]), r"walls in 2-D have \(k, 2\)"),
+    (lambda: on(ELLIPSE, SEGMENTS + 1, [[0.5, 0]], [0, 1]), "ids in `faces`"),
+    (lambda: shapes.thickness(ELLIPSE[:5], LINES), "are not in 0 to 4"),
+    (lambda: shapes.thickness(BALL, LINES), "the stations are in 2-D"),
 )
-def test_bad_input_is_refused(call, message):
-    with pytest.raises(ValueError, match=message):
-        call()

@@ -4,21 +4,21 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from meshes import blocks, bricks, lattice
+from meshes import blocks, bricks, circle, lattice
+from runs import refusals
 
 from jaxmorph import shapes
 
 
-def circle(count=40, radius=2.0):
-    angle = 2 * np.pi * np.arange(count) / count
+def closed(count=40, radius=2.0):
     ids = np.arange(count)
-    return radius * np.column_stack([np.cos(angle), np.sin(angle)]), np.column_stack([ids, np.roll(ids, -1)])
+    return radius * circle(count), np.column_stack([ids, np.roll(ids, -1)])
 
 
 @pytest.mark.parametrize("wave", [0, 1, 5, 20])
 def test_waves_on_a_circle_shrink_by_the_discrete_eigenvalue(wave):
     """(M + l^2 K) v = M u on equal segments of length h: u = cos(k a) shrinks by 1 + l^2 (2 - 2 cos(2 pi k / n)) / h^2."""
-    points, segments = circle()
+    points, segments = closed()
     h, length = np.linalg.norm(points[1] - points[0]), 0.7
     u = np.cos(2 * np.pi * wave * np.arange(40) / 40)[:, None] * [[1.0, -2.0]]
     factor = 1 + length**2 * (2 - 2 * np.cos(2 * np.pi * wave / 40)) / h**2
@@ -45,7 +45,7 @@ def test_waves_on_a_plane_of_squares(size):
 
 
 def test_the_transpose_and_derivatives():
-    points, segments = circle()
+    points, segments = closed()
     points = points * [1, 0.3]
     smoother, rng = shapes.Smoother(points, segments, 0.5, held=[0, 7]), np.random.default_rng(0)
     u, g = rng.normal(size=(2, 40, 2))
@@ -69,16 +69,11 @@ def test_length_zero_changes_nothing_and_constants_stay():
     np.testing.assert_allclose(shapes.Smoother.on(mesh, "floor", 0.0).apply(u), u, atol=1e-14)
 
 
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda p, s: shapes.Smoother(p, s + 1, 1.0), "ids in `faces` are not in 0 to 39"),
-        (lambda p, s: shapes.Smoother(p, s[:-2], 1.0), "1 nodes are in no face, first row 39"),
-        (lambda p, s: shapes.Smoother(p[np.append(0, np.arange(39))], s, 1.0), "1 faces have no size"),
-        (lambda p, s: shapes.Smoother(p, np.ones((4, 3), int), 1.0), "have"),
-        (lambda p, s: shapes.Smoother(p, s, 1.0).at(p[:3]), "this wall has"),
-    ],
+test_bad_input_is_refused = refusals(
+    (lambda p, s: shapes.Smoother(p, s + 1, 1.0), "ids in `faces` are not in 0 to 39"),
+    (lambda p, s: shapes.Smoother(p, s[:-2], 1.0), "1 nodes are in no face, first row 39"),
+    (lambda p, s: shapes.Smoother(p[np.append(0, np.arange(39))], s, 1.0), "1 faces have no size"),
+    (lambda p, s: shapes.Smoother(p, np.ones((4, 3), int), 1.0), "have"),
+    (lambda p, s: shapes.Smoother(p, s, 1.0).at(p[:3]), "this wall has"),
+    of=closed,
 )
-def test_bad_input_is_refused(call, message):
-    with pytest.raises(ValueError, match=message):
-        call(*circle())

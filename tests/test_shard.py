@@ -51,10 +51,7 @@ print(json.dumps(found))
 
 @pytest.mark.nightly
 def test_equal_to_the_whole_with_one_all_reduce_outside_of_loops():
-    """Points bit for bit but for the order of sums; gradients as far as the solve's conditioning lets them.
-
-    One test, for one process that compiles it all.
-    """
+    """Points bit for bit but for the order of sums, gradients as far as the solve lets them: one process compiles it all."""
     flags = os.environ.get("XLA_FLAGS", "") + " --xla_force_host_platform_device_count=3"
     environment = os.environ | {"XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu"}
     done = subprocess.run([sys.executable, "-c", SHARDED], env=environment, capture_output=True, text=True, check=False)

@@ -5,7 +5,7 @@ import pathlib
 
 import numpy as np
 import pytest
-from runs import runs
+from runs import over
 
 import jaxmorph as jm
 from jaxmorph import io
@@ -82,10 +82,7 @@ def edges_at_corners(kind, x):
 
 
 @pytest.mark.parametrize("method", ["default", pytest.param("paper", marks=pytest.mark.nightly)])
-@pytest.mark.parametrize(
-    ("name", "motion"),
-    runs(slow=RUNS[:1], nightly=RUNS[1:]),
-)
+@over("name motion", slow=RUNS[:1], nightly=RUNS[1:])
 def test_no_cell_inverts(name, motion, method):
     mesh = mesh_of(name)
     moving, fixed = mesh.patch(MOVING[name]), mesh.patch(FIXED[name])

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from cases import BY_NAME, NAMES, full
 from laws import check_linear, check_parts, check_steps
-from meshes import blocks, box_with_hole, drum, lattice, ring
-from runs import runs
+from meshes import blocks, box_with_hole, drum, lattice, ring, turn
+from runs import over
 from scipy.interpolate import CubicSpline
 
 import jaxmorph as jm
@@ -27,13 +27,8 @@ AXIS = jm.Revolution((0, 0, 3))
 def wrung(points, moving, size=0.3):
     """A twist that grows along z, and a bend that does not keep any of the surfaces."""
     p = points[moving]
-    angle = size * p[:, 2]
-    turned = np.stack(
-        [p[:, 0] * np.cos(angle) - p[:, 1] * np.sin(angle), p[:, 0] * np.sin(angle) + p[:, 1] * np.cos(angle)], 1
-    )
-    u = np.zeros_like(p)
-    u[:, :2] = turned - p[:, :2] + 0.1 * size * p[:, 2:] ** 2
-    return u
+    turned = np.asarray(jm.shapes.rotate(p, size * p[:, 2], np.zeros(3), [0, 0, 1]))
+    return turned - p + 0.1 * size * p[:, 2:] ** 2 * [1, 1, 0]
 
 
 def check_derivatives(plan, u, rtol=1e-6):
@@ -77,10 +72,8 @@ def test_a_flat_patch_slides_as_its_plane_does():
     block = points[plan.moving]
     u = np.asarray(jm.shapes.rotate(block, 0.8, about=(0, 0))) + 0.5 - block
     moved = np.asarray(jm.deform(plan, u))
-    named = [jm.Slide(name, jm.Plane.through(points, mesh.patch(name))) for name in sides]
-    again = jm.prepare(
-        points, mesh.patch("hole"), sliding=[jm.Slide(mesh.patch(s.patch), s.on) for s in named], method=TPS
-    )
+    named = [jm.Slide(mesh.patch(name), jm.Plane.through(points, mesh.patch(name))) for name in sides]
+    again = jm.prepare(points, mesh.patch("hole"), sliding=named, method=TPS)
     assert (jm.deform(again, u) == moved).all()
     assert not jm.inspect(plan, 0.1 * u, mesh=mesh).warnings
 
@@ -146,8 +139,7 @@ def test_steps_along_a_shroud():
 
 def similar(points):
     """Turns, scales and shifts a base: no node has other neighbours, every wall and translation is another one."""
-    turn = np.array([[np.cos(0.4), -np.sin(0.4)], [np.sin(0.4), np.cos(0.4)]])
-    return 1.3 * points @ turn.T + np.array([0.3, -0.2])
+    return 1.3 * points @ turn(0.4, 2).T + np.array([0.3, -0.2])
 
 
 @pytest.mark.nightly
@@ -222,10 +214,8 @@ def test_a_shroud_of_faces():
     moved = np.asarray(jm.deform(plan, u))
     for name, level in (("bottom", 0), ("top", 1)):
         np.testing.assert_allclose(moved[mesh.patch(name), 2], level, rtol=0, atol=1e-13)
-    exact = np.asarray(
-        jm.deform(jm.prepare(mesh, "hub", sliding=[jm.Slide("shroud", AXIS), "bottom", "top"], method=TPS), u)
-    )
-    assert np.abs(moved - exact).max() < 0.1
+    exact = jm.prepare(mesh, "hub", sliding=[jm.Slide("shroud", AXIS), "bottom", "top"], method=TPS)
+    assert np.abs(moved - jm.deform(exact, u)).max() < 0.1
     assert (jm.deform(plan, 0 * u) == mesh.points).all()
 
 
@@ -236,11 +226,11 @@ def test_pairs_slide_along_walls_that_repeat_each_other():
     x, y = np.asarray(mesh.points).T
     arched = mesh.moved(np.stack([x, y + 0.05 * np.maximum(y, 0) * (1 - (x / 4) ** 2)], axis=1))
     short = jm.Slide(mesh.patch("top")[:-1], jm.Plane((0, 1), (0, 4)))
+    told = r"1 periodic pairs slide along walls that do not repeat.* node 8 at \(-4, 4\)"
+    ends = jm.Periodic("left", "right")
     for case, slide in ((arched, "top"), (mesh, short)):
-        with pytest.raises(
-            ValueError, match=r"1 periodic pairs slide along walls that do not repeat.* node 8 at \(-4, 4\)"
-        ):
-            jm.prepare(case, "hole", "bottom", sliding=slide, periodic=jm.Periodic("left", "right"), method=TPS)
+        with pytest.raises(ValueError, match=told):
+            jm.prepare(case, "hole", "bottom", sliding=slide, periodic=ends, method=TPS)
 
 
 @functools.cache
@@ -262,10 +252,8 @@ def test_flat_sides_follow_the_base_and_a_torn_one_is_refused():
     np.testing.assert_allclose(moved, expected, rtol=0, atol=1e-13)
     judged = jm.boundary_quality(jm.refit(plan, other.points), moved)
     assert (judged.off_plane, judged.off_surface, judged.mismatch) == (0, 0, 0)
-    for side, message in (
-        ("top", "nodes of sliding patches have left"),
-        ("bottom", "nodes have left their symmetry plane"),
-    ):
+    told = {"top": "nodes of sliding patches have left", "bottom": "nodes have left their symmetry plane"}
+    for side, message in told.items():
         torn = np.array(other.points)
         node = mesh.patch(side)[3]
         torn[node, 1] += 0.25
@@ -296,9 +284,7 @@ def test_walls_and_translations_follow_the_base():
         jm.refit(plan, torn)
 
 
-@pytest.mark.parametrize(
-    "name", runs(slow=["inverse-distance"], nightly=["default", "delaunay", "reduced", "laplacian"])
-)
+@over("name", slow=["inverse-distance"], nightly=["default", "delaunay", "reduced", "laplacian"])
 def test_methods_between_sliding_and_periodic_patches(name):
     """The wrappers keep the laws of the contract, whatever the method: exact or not, on cells or not, linear or not."""
     mesh, (left, right), wrapped = duct()
@@ -359,13 +345,13 @@ def test_methods_between_a_shroud_lids_and_periodic_sides(name, tmp_path):
     angle, radius = np.arctan2(y, x), 1 + 0.1 * (x**2 * y**2) * z
     turned = angle + 0.2 * z
     target = np.stack([radius * np.cos(turned), radius * np.sin(turned), z + 0.1 * np.sin(np.pi * z)], axis=1)
-    u, turn = target - points[hub], np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    u = target - points[hub]
 
     def check_walls(moved, levels):
         np.testing.assert_allclose(np.linalg.norm(moved[mesh.patch("shroud"), :2], axis=1), 2, rtol=0, atol=1e-14)
         for lid, level in zip(("low", "high"), levels, strict=True):
             np.testing.assert_allclose(moved[mesh.patch(lid), 2], level, rtol=0, atol=1e-15)
-        np.testing.assert_allclose(moved[last], moved[first] @ turn.T, rtol=0, atol=1e-14)
+        np.testing.assert_allclose(moved[last], moved[first] @ turn(np.pi / 2, 3).T, rtol=0, atol=1e-14)
 
     v, w = np.random.default_rng(0).normal(size=u.shape), np.random.default_rng(1).normal(size=points.shape)
     moved, nothing, h = np.asarray(tried(plan, u, w)[0]), 0 * u, 1e-5

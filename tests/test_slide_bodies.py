@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from meshes import blocks, lattice
+from meshes import blocks, circle, lattice, on_circle
 
 import jaxmorph as jm
 from benchmarks import faults
@@ -103,25 +103,20 @@ def test_a_block_behind_a_neighbour_slides_along_an_airfoil():
 
 def test_ends_of_a_wall_are_no_holes():
     """Half a ring, a cap of a sphere and a tube keep their open rims, though they move; two gaps of a floor are closed in order."""
-    angle = np.linspace(0, np.pi, 9)
-    ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     lines = np.stack([np.arange(8), np.arange(1, 9)], axis=1)
-    assert len(filled(lines, ring, np.isin(np.arange(9), [0, 8]))) == 8
+    assert len(filled(lines, on_circle(np.linspace(0, np.pi, 9)), np.isin(np.arange(9), [0, 8]))) == 8
     floor = np.stack([np.arange(12.0), 0.2 * np.sin(np.arange(12.0))], axis=1)
     lines = np.stack([np.arange(11), np.arange(1, 12)], axis=1)
     standing = np.isin(np.arange(11), [2, 3, 7])
     closed = filled(lines[~standing], floor, np.isin(np.arange(12), [2, 4, 7, 8]))
-    assert {tuple(line) for line in closed.tolist()} - {tuple(line) for line in lines[~standing].tolist()} == {
-        (2, 4),
-        (7, 8),
-    }
-    around = np.linspace(0, 2 * np.pi, 12, endpoint=False)
-    circle = np.stack([np.cos(around), np.sin(around), 0 * around], axis=1)
+    added = {*map(tuple, closed.tolist())} - {*map(tuple, lines[~standing].tolist())}
+    assert added == {(2, 4), (7, 8)}
+    rim = np.insert(circle(12), 2, 0, axis=1)
     here, after = np.arange(12), np.roll(np.arange(12), -1)
     quads = np.stack([here, after, after + 12, here + 12], axis=1)
-    tube = np.concatenate([circle, circle + np.array([0, 0, 3])])
+    tube = np.concatenate([rim, rim + np.array([0, 0, 3])])
     faces = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
     assert len(filled(faces, tube, np.ones(24, dtype=bool))) == 24
-    cap = np.concatenate([circle, [[0, 0, 0.4]]])
+    cap = np.concatenate([rim, [[0, 0, 0.4]]])
     faces = np.stack([here, after, np.full(12, 12)], axis=1)
     assert len(filled(faces, cap, np.arange(13) < 12)) == 12

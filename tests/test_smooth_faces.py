@@ -5,9 +5,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from meshes import blocks, lattice, ring
-from runs import runs
-from scipy.spatial import ConvexHull
+from meshes import ball, blocks, lattice, on_circle, ring
+from runs import over
 
 import jaxmorph as jm
 from jaxmorph._boundary.faces import Faceted, SmoothFaces, faces_around
@@ -22,7 +21,7 @@ def arc(count):
     """Nodes of uneven spacing on an open arc of 2 radians of the unit circle."""
     t = np.linspace(0, 2, count) + 0.6 / count * np.random.default_rng(0).uniform(-1, 1, count)
     lines = np.stack([np.arange(count - 1), np.arange(1, count)], axis=1)
-    return np.stack([np.cos(t), np.sin(t)], axis=1), lines, t
+    return on_circle(t), lines, t
 
 
 def reached(surface, x):
@@ -36,7 +35,7 @@ def test_an_arc_is_met_to_the_fourth_order():
     for count in (8, 16, 32):
         vertices, lines, t = arc(count)
         s = np.linspace(t[0], t[-1], 200)
-        circle = np.stack([np.cos(s), np.sin(s)], axis=1)
+        circle = on_circle(s)
         x = circle * (1 + 0.01 * np.sin(9 * s))[:, None]
         places, normals = reached(wall(SmoothFaces, vertices, lines), x)
         errors.append(np.abs(np.linalg.norm(places, axis=1) - 1).max())
@@ -64,14 +63,7 @@ def test_spheres_and_cylinders_are_met():
     """Normals are exact on a sphere whatever its triangles; the places are by the fourth power of their length."""
     errors = []
     for count in (100, 400):
-        i = np.arange(count) + 0.5
-        z, turn = 1 - 2 * i / count, np.pi * (1 + 5**0.5) * i
-        radius = np.sqrt(1 - z**2)
-        vertices = np.stack([np.cos(turn) * radius, np.sin(turn) * radius, z], axis=1)
-        faces = ConvexHull(vertices).simplices
-        a, b, c = np.moveaxis(vertices[faces], 1, 0)
-        inwards = np.sum(np.cross(b - a, c - a) * a, axis=1) < 0
-        faces[inwards] = faces[inwards][:, ::-1]
+        vertices, faces = ball(count)
         x = np.random.default_rng(1).normal(size=(200, 3))
         x /= np.linalg.norm(x, axis=1)[:, None]
         places = next(reached(wall(SmoothFaces, vertices, faces), x))
@@ -95,22 +87,19 @@ def test_spheres_and_cylinders_are_met():
 
 def slid(order):
     """A ring whose outer nodes have slid along the circle of radius 2, unevenly."""
-    mesh = (
-        jm.elevate(ring(12, (1, 1.5, 2), ("inner", "outer")), order)
-        if order > 1
-        else ring(12, (1, 1.5, 2), ("inner", "outer"))
-    )
+    mesh = ring(12, (1, 1.5, 2), ("inner", "outer"))
+    mesh = jm.elevate(mesh, order) if order > 1 else mesh
     points = np.asarray(mesh.points)
     radius, angle = np.linalg.norm(points, axis=1), np.arctan2(points[:, 1], points[:, 0])
     if order > 1:  # nodes of straight edges go onto their circles
         size = np.array([1, 1.25, 1.5, 1.75, 2])[np.abs(radius[:, None] - [1, 1.25, 1.5, 1.75, 2]).argmin(axis=1)]
-        points, radius = np.stack([np.cos(angle), np.sin(angle)], axis=1) * size[:, None], size
+        points, radius = on_circle(angle) * size[:, None], size
         mesh = mesh.moved(points)
     moved = angle + 0.15 * (radius - 1) * np.sin(2 * angle)
-    return mesh, radius, np.stack([np.cos(moved), np.sin(moved)], axis=1) * radius[:, None]
+    return mesh, radius, on_circle(moved) * radius[:, None]
 
 
-@pytest.mark.parametrize("order", runs(nightly=[1, 2]))
+@over("order", nightly=[1, 2])
 def test_improve_follows_a_circle_given_by_faces_alone(order):
     """Of 12 chords of half angle a, or of as many quadratic arcs: off the circle by the surface's own error, at a minimum.
 

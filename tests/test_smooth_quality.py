@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from meshes import pair, shaken
-from runs import runs
+from runs import over, runs
 
 import jaxmorph as jm
 
@@ -33,12 +33,9 @@ def test_they_are_near_the_exact_ones_by_the_bounds_stated(kind):
     assert np.all((above >= -slack) & (above <= terms / sharpness))
 
 
-@pytest.mark.parametrize(("kind", "size"), runs([("triangle", 0.1)], slow=[("triangle", 0.0)], nightly=[("quad", 0.0)]))
+@over("kind size", [("triangle", 0.1)], slow=[("triangle", 0.0)], nightly=[("quad", 0.0)])
 def test_derivatives_are_those_of_differences(kind, size):
-    """At the ideal cell, where every term is as large as the others and the exact measures have their kinks, too.
-
-    Solid cells: `test_quality_derivatives.py`.
-    """
+    """At the ideal cell, where the exact measures have their kinks, too. Solid cells: `test_quality_derivatives.py`."""
     mesh = pair(kind)
     points = jnp.asarray(shaken(mesh, size, 1))
     weights = np.random.default_rng(2).normal(size=(4, 2))
@@ -53,7 +50,7 @@ def test_derivatives_are_those_of_differences(kind, size):
     np.testing.assert_allclose(np.vdot(jax.grad(objective)(points), tangent), difference, rtol=1e-5, atol=1e-6)
 
 
-@pytest.mark.parametrize("kind", runs(["triangle"], nightly=["quad", "tetra"]))
+@over("kind", ["triangle"], nightly=["quad", "tetra"])
 def test_inverted_and_flat_cells_are_bad_by_a_finite_number_that_falls_as_they_turn_round(kind):
     mesh = pair(kind)
     axis = mesh.points.shape[1] - 1

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from cases import body, iterative, motion, moved_by, planned
 from meshes import lattice
-from runs import runs
+from runs import over
 
 import jaxmorph as jm
 from jaxmorph._host.sources.farthest import far_to_near
@@ -61,27 +61,23 @@ def test_the_default_tolerance_against_the_dense_solve_on_flat_sides():
     points, moving = box(9)
     u = motion(points[moving])
     weights = np.random.default_rng(0).normal(size=points.shape)
-    plans = [
-        jm.prepare(points, moving, np.arange(len(moving), len(points)), method=classic(solver))
-        for solver in (jm.Direct(), jm.Iterative(neighbours=20, dense=40))
-    ]
+    solvers, fixed = (jm.Direct(), jm.Iterative(neighbours=20, dense=40)), np.arange(len(moving), len(points))
+    plans = [jm.prepare(points, moving, fixed, method=classic(solver)) for solver in solvers]
     exact, found = (np.asarray(jm.deform(plan, u)) for plan in plans)
     np.testing.assert_allclose(found, exact, rtol=0, atol=1e-9 * np.abs(u).max())
     exact, found = (np.asarray(jm.pullback(plan, u, weights)) for plan in plans)
     np.testing.assert_allclose(found, exact, rtol=0, atol=1e-7 * np.abs(exact).max())
 
 
-@pytest.mark.parametrize(
-    ("basis", "options"),
-    runs(
-        nightly=[
-            (jm.WendlandC4(1.5), {"degree": None}),
-            (jm.ThinPlateSpline(), {"ridge": 1e-3}),
-            (jm.LinearSpline(), {"degree": 0}),
-            (jm.CubicSpline(), {}),
-            (jm.Multiquadric(0.15), {"degree": 0}),
-        ],
-    ),
+@over(
+    "basis options",
+    nightly=[
+        (jm.WendlandC4(1.5), {"degree": None}),
+        (jm.ThinPlateSpline(), {"ridge": 1e-3}),
+        (jm.LinearSpline(), {"degree": 0}),
+        (jm.CubicSpline(), {}),
+        (jm.Multiquadric(0.15), {"degree": 0}),
+    ],
 )
 def test_bases_against_the_dense_solve(basis, options):
     mesh = body(3)

@@ -5,7 +5,7 @@ import pytest
 from cases import body, few, full, motion, whole_and_part
 from laws import check_base_derivative, check_linear, check_steps
 from meshes import blocks, lattice
-from runs import runs
+from runs import over, refusals
 
 import jaxmorph as jm
 
@@ -19,7 +19,7 @@ METHODS = {
 }
 
 
-@pytest.mark.parametrize(("dimension", "planes"), runs([(2, 1)], slow=[(3, 2)], nightly=[(2, 2)]))
+@over("dimension planes", [(2, 1)], slow=[(3, 2)], nightly=[(2, 2)])
 def test_full_interpolation_equals_that_of_the_whole_mesh(dimension, planes):
     part, role, whole, whole_role, image_of, signs = whole_and_part(dimension, planes)
     assert len(whole) > 2**planes * 0.6 * len(part)
@@ -35,10 +35,7 @@ def test_full_interpolation_equals_that_of_the_whole_mesh(dimension, planes):
     np.testing.assert_allclose(moved, expected[: len(part)], rtol=0, atol=1e-11)
 
 
-@pytest.mark.parametrize(
-    ("name", "dimension", "planes"),
-    runs(slow=[("reconstruction", 2, 1)], nightly=[("multiscale", 3, 2), ("full", 3, 2)]),
-)
+@over("name dimension planes", slow=[("reconstruction", 2, 1)], nightly=[("multiscale", 3, 2), ("full", 3, 2)])
 def test_laws_with_symmetry_planes(name, dimension, planes):
     part, role, *_ = whole_and_part(dimension, planes)
     moving, fixed = np.flatnonzero(role == 1), np.flatnonzero(role == 2)
@@ -81,13 +78,12 @@ def between_planes(dimension):
     return points, np.arange(len(wall)), np.flatnonzero(np.abs(points[:, 0]) == 2)
 
 
-@pytest.mark.parametrize("dimension", runs(slow=[2], nightly=[3]))
+@over("dimension", slow=[2], nightly=[3])
 def test_two_parallel_planes(dimension):
     """Nodes stay in both planes, and none off a plane moves across it faster than half of its distance."""
     points, moving, fixed = between_planes(dimension)
     planes = [jm.Plane(np.eye(dimension)[1], np.eye(dimension)[1] * y) for y in (0.0, 1.0)]
-    method = METHODS["full"]
-    plan = jm.prepare(points, moving, fixed, method=method, symmetry=planes)
+    plan = jm.prepare(points, moving, fixed, method=METHODS["full"], symmetry=planes)
     u = 0.1 * np.random.default_rng(0).normal(size=dimension) + 0.05 * (points[moving] - points[moving].mean(axis=0))
     moved = np.asarray(jm.deform(plan, u))
     on = (points[:, 1] == 0) | (points[:, 1] == 1)
@@ -186,17 +182,12 @@ def test_a_patch_that_lies_in_several_planes():
     for name, planes in (("front and back", one_by_one[:2]), ("sides", one_by_one)):
         moved, expected = jm.deform(prepare(mesh, name), u), jm.deform(prepare(mesh, planes), u)
         np.testing.assert_allclose(moved, expected, rtol=0, atol=1e-12)
-    few = np.round(
-        points @ np.array([[1, 0, 0], [0, 0.6, -0.8], [0, 0.8, 0.6]]) + 1 / 3, 8
-    )  # inclined, as a file has it
-    planes = prepare(mesh.moved(few), "front and back").images
+    turned = points @ np.array([[1, 0, 0], [0, 0.6, -0.8], [0, 0.8, 0.6]]) + 1 / 3
+    planes = prepare(mesh.moved(np.round(turned, 8)), "front and back").images  # as a file has it
     assert planes is not None
-    assert sorted(float(abs(plane.normal @ [0, 0.6, -0.8])) for plane in planes.planes) == pytest.approx(
-        [1, 1], abs=1e-7
-    )
-    slim = jm.Mesh(
-        points[:, [1, 0, 2]][ids[:2, :, :2].ravel()], {"hexahedron": [[0, 4, 6, 2, 1, 5, 7, 3]]}, {"all": range(8)}
-    )
+    assert [abs(plane.normal @ [0, 0.6, -0.8]) for plane in planes.planes] == pytest.approx([1, 1], abs=1e-7)
+    slim = points[:, [1, 0, 2]][ids[:2, :, :2].ravel()]
+    slim = jm.Mesh(slim, {"hexahedron": [[0, 4, 6, 2, 1, 5, 7, 3]]}, {"all": range(8)})
     with pytest.raises(ValueError, match="do not lie in one plane"):
         jm.prepare(slim, [0], symmetry="all")
     bent = points.copy()
@@ -207,10 +198,8 @@ def test_a_patch_that_lies_in_several_planes():
 
 def whole(*planes):
     mesh = body(2)
-    points = np.append(mesh.points, [[0, 1.0], [0, 2.0]], axis=0)
-    return lambda: jm.prepare(
-        points, mesh.moving, mesh.fixed, method=GRAPH, symmetry=[jm.Plane(*each) for each in planes]
-    )
+    points, symmetry = np.append(mesh.points, [[0, 1.0], [0, 2.0]], axis=0), [jm.Plane(*each) for each in planes]
+    return lambda: jm.prepare(points, mesh.moving, mesh.fixed, method=GRAPH, symmetry=symmetry)
 
 
 def upper(normal, shift):
@@ -221,30 +210,17 @@ def upper(normal, shift):
     return lambda: jm.prepare(part, np.flatnonzero(role == 1), np.flatnonzero(role == 2), method=GRAPH, symmetry=plane)
 
 
-REFUSED = {
-    "no normal": (lambda: jm.Plane([0, 0], [0, 0]), "a plane needs a normal that is not zero"),
-    "two dimensions": (lambda: jm.Plane([1, 0], [0, 0, 0]), "a plane needs a normal that is not zero"),
-    "one dimension more": (whole(([0, 0, 1], [0, 0, 0])), "normal has 3 components; the mesh has 2 dimensions"),
-    "inclined to each other": (whole(([1, 0], [0, 0]), ([1, 1], [0, 0])), "parallel or at right angles"),
-    "through a body": (
-        lambda: jm.Plane.through(body(2).points, body(2).moving),
-        r"do not lie in one plane: node \d+ at",
-    ),
-    "through a node": (lambda: jm.Plane.through(body(2).points, [5]), "1 nodes do not determine a plane"),
-    "beside the mesh": (
-        upper(2, -0.01),
-        r"holds no node of the mesh: the nearest, node \d+, is 0\.01 away \(tolerance",
-    ),
-    "one node inwards": (upper(1, None), r"nodes on both sides: \d+ of \d+ lie beyond .* \S+ away"),
-    "one node inwards, reversed": (upper(-1, None), r"nodes on both sides: \d+ of \d+ lie beyond .* \S+ away"),
-}
-
-
-@pytest.mark.parametrize("name", REFUSED)
-def test_what_is_not_a_symmetry_plane(name):
-    call, message = REFUSED[name]
-    with pytest.raises(ValueError, match=message):
-        call()
+test_what_is_not_a_symmetry_plane = refusals(
+    (lambda: jm.Plane([0, 0], [0, 0]), "a plane needs a normal that is not zero"),
+    (lambda: jm.Plane([1, 0], [0, 0, 0]), "a plane needs a normal that is not zero"),
+    (whole(([0, 0, 1], [0, 0, 0])), "normal has 3 components; the mesh has 2 dimensions"),
+    (whole(([1, 0], [0, 0]), ([1, 1], [0, 0])), "parallel or at right angles"),
+    (lambda: jm.Plane.through(body(2).points, body(2).moving), r"do not lie in one plane: node \d+ at"),
+    (lambda: jm.Plane.through(body(2).points, [5]), "1 nodes do not determine a plane"),
+    (upper(2, -0.01), r"holds no node of the mesh: the nearest, node \d+, is 0\.01 away \(tolerance"),
+    (upper(1, None), r"nodes on both sides: \d+ of \d+ lie beyond .* \S+ away"),
+    (upper(-1, None), r"nodes on both sides: \d+ of \d+ lie beyond .* \S+ away"),
+)
 
 
 def test_nodes_beyond_a_plane_are_counted():

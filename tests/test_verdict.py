@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from meshes import ring, shaken, with_folds
 from oracles import corner_areas
-from runs import runs
+from runs import over, refusals
 
 import jaxmorph as jm
 
@@ -58,18 +58,15 @@ def test_a_motion_is_blamed_for_what_it_inverts_alone():
     alone = jm.judge(folded)
     assert alone.inverted == alone.spoilt == (corner_areas(folded, folded.points).min(axis=1) <= 0).sum() > 0
     assert not alone.ok
-    stays, unfolds, folds = (
-        jm.judge(folded, folded.points),
-        jm.judge(folded, mesh.points),
-        jm.judge(mesh, folded.points),
-    )
+    stays, unfolds = (jm.judge(folded, points) for points in (folded.points, mesh.points))
+    folds = jm.judge(mesh, folded.points)
     assert (stays.ok, stays.inverted, stays.spoilt) == (True, alone.inverted, 0)
     assert (unfolds.ok, unfolds.inverted, unfolds.before.inverted) == (True, 0, alone.inverted)
     assert (folds.ok, folds.inverted, folds.before.ok) == (False, alone.inverted, True)
     assert jm.judge(mesh).ok
 
 
-@pytest.mark.parametrize("size", runs([0.2], slow=[0.02]))
+@over("size", [0.2], slow=[0.02])
 def test_parts_joined_equal_the_whole_and_pass_through_pickle(size):
     """But for skewness across the cut, all numbers, places and counts."""
     mesh, points = noisy(size)
@@ -78,12 +75,8 @@ def test_parts_joined_equal_the_whole_and_pass_through_pickle(size):
     joined = jm.Verdict.together([pickle.loads(pickle.dumps(verdict)) for verdict in verdicts])
     assert joined == jm.Verdict.together(verdicts)
     for found, expected in ((joined, whole), (joined.before, whole.before)):
-        assert (found.cells, found.inverted, found.spoilt, found.ok) == (
-            expected.cells,
-            expected.inverted,
-            expected.spoilt,
-            expected.ok,
-        )
+        for name in ("cells", "inverted", "spoilt", "ok"):
+            assert getattr(found, name) == getattr(expected, name)
         assert [gate.beyond for gate in found.gates] == [gate.beyond for gate in expected.gates]
         for row, number in found.rows.items():
             if row[1] != "non_orthogonality":
@@ -110,13 +103,8 @@ def test_proven_is_a_limit():
     assert (gate.beyond, verdict.ok) == ((~valid).sum(), bool(valid.all()))
 
 
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda mesh: jm.judge(mesh, mesh.points[:-1]), "`points`"),
-        (lambda mesh: jm.Limits(max_skewness=np.nan), "`max_skewness` must be a real number"),
-    ],
+test_what_cannot_be_judged = refusals(
+    (lambda mesh: jm.judge(mesh, mesh.points[:-1]), "`points`"),
+    (lambda mesh: jm.Limits(max_skewness=np.nan), "`max_skewness` must be a real number"),
+    of=lambda: (ring(),),
 )
-def test_what_cannot_be_judged(call, message):
-    with pytest.raises(ValueError, match=message):
-        call(ring())

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from meshes import grid
+from runs import refusals
 from scipy.spatial.transform import Rotation
 
 import jaxmorph as jm
@@ -104,19 +105,16 @@ def test_derivatives_and_the_smooth_twin():
     np.testing.assert_allclose(several.max_height, [height.max(), 1], rtol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("wall", "rows", "words"),
-    [
-        ("wing", None, "no patch is called 'wing'"),
-        ([0, 2], None, "no cell has a boundary side whose nodes are all among the 2 wall nodes"),
-        ([0, 99], None, r"1 ids in `wall` are not in 0 to [0-9]+, first 99"),
-        ("floor", 3, "`points` has shape"),
-    ],
+test_bad_walls = refusals(
+    (lambda mesh: jm.wall_quality(mesh, "wing"), "no patch is called 'wing'"),
+    (
+        lambda mesh: jm.wall_quality(mesh, [0, 2]),
+        "no cell has a boundary side whose nodes are all among the 2 wall nodes",
+    ),
+    (lambda mesh: jm.wall_quality(mesh, [0, 99]), r"1 ids in `wall` are not in 0 to [0-9]+, first 99"),
+    (lambda mesh: jm.wall_quality(mesh, "floor", mesh.points[:3]), "`points` has shape"),
+    of=lambda: (plate(),),
 )
-def test_bad_walls(wall, rows, words):
-    mesh = plate()
-    with pytest.raises(ValueError, match=words):
-        jm.wall_quality(mesh, wall, mesh.points[:rows])
 
 
 def test_several_patches_are_one_wall():

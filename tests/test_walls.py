@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from runs import runs
+from meshes import circle, sphere
+from runs import over
 
 import jaxmorph as jm
 from benchmarks import faults
@@ -24,9 +25,8 @@ def parts(mesh, moving, fixed=(), with_faces=True):
     label = walls(mesh.points[nodes], len(ids), faces)
     place = dict(zip(nodes.tolist(), label.tolist(), strict=True))
     times = np.bincount(np.concatenate(list(mesh.patches.values())), minlength=len(mesh.points))
-    return {
-        name: {place[node] for node in mesh.patch(name).tolist() if times[node] == 1} for name in (*moving, *fixed)
-    }, label
+    single = {name: [node for node in mesh.patch(name).tolist() if times[node] == 1] for name in (*moving, *fixed)}
+    return {name: {place[node] for node in nodes} for name, nodes in single.items()}, label
 
 
 def mirrored(mesh):
@@ -36,9 +36,7 @@ def mirrored(mesh):
 
 
 @pytest.mark.parametrize("with_faces", [True, False])
-@pytest.mark.parametrize(
-    ("points", "stations", "span"), runs([(2000, 13, 2.0), (1000, 9, 2.0)], nightly=[(4000, 40, 6.0)])
-)
+@over("points stations span", [(2000, 13, 2.0), (1000, 9, 2.0)], nightly=[(4000, 40, 6.0)])
 def test_a_structured_wing_is_one_wall(with_faces, points, stations, span):
     mesh = cases.wing(points=points, stations=stations, span=span)
     found, _ = parts(mesh, ["wing"], ["farfield"], with_faces)
@@ -83,9 +81,8 @@ def test_an_airfoil_is_one_wall_round_its_edge(make, turn):
 
 
 def extruded(outline, stations, span):
-    return np.concatenate(
-        [np.column_stack([outline, np.full(len(outline), z)]) for z in np.linspace(0, span, stations)]
-    )
+    layers = [np.column_stack([outline, np.full(len(outline), z)]) for z in np.linspace(0, span, stations)]
+    return np.concatenate(layers)
 
 
 @pytest.mark.parametrize("stations", [2, 5, 8])
@@ -101,18 +98,15 @@ def test_blades_closer_than_their_stations_are_two_walls(stations):
 
 def test_circles_are_walls_of_their_own():
     """Without faces: in 2-D a closed curve is a whole wall, and none goes on to a curve beside it."""
-    angle = 2 * np.pi * np.arange(40)[:, None] / 40
-    circle = np.concatenate([np.cos(angle), np.sin(angle)], axis=1)
-    label = walls(np.concatenate([circle, circle + np.array([2.5, 0]), 9 * circle]), 80)
+    curve = circle(40)
+    label = walls(np.concatenate([curve, curve + np.array([2.5, 0]), 9 * curve]), 80)
     assert [len(set(each)) for each in np.split(label, [40, 80])] == [1, 1, 1]
     assert label.max() == 2
 
 
 def test_bodies_without_structure():
     """A body within a far field, both fixed, and one node of neither."""
-    i = np.arange(900) + 0.5
-    polar, azimuth = np.arccos(1 - 2 * i / 900), np.pi * (1 + 5**0.5) * i
-    ball = np.stack([np.cos(azimuth) * np.sin(polar), np.sin(azimuth) * np.sin(polar), np.cos(polar)], axis=1)
+    ball = sphere(900)
     label = walls(np.concatenate([ball[:1] * 0.1, ball, 4 * ball]), 1)
     assert [len(set(each)) for each in np.split(label, [1, 901])] == [1, 1, 1]
     assert label.max() == 2
@@ -123,11 +117,8 @@ def test_order_does_not_matter(with_faces):
     mesh = cases.wing(points=1000, stations=6)
     order = np.random.default_rng(0).permutation(len(mesh.points))
     place = np.argsort(order)
-    shuffled = jm.Mesh(
-        mesh.points[order],
-        {kind: place[corners] for kind, corners in mesh.cells.items()},
-        {name: place[nodes] for name, nodes in mesh.patches.items()},
-    )
+    cells, patches = ({name: place[ids] for name, ids in each.items()} for each in (mesh.cells, mesh.patches))
+    shuffled = jm.Mesh(mesh.points[order], cells, patches)
     one, other = (parts(each, ["wing"], ["farfield"], with_faces)[1] for each in (mesh, shuffled))
     assert sorted(np.bincount(one)) == sorted(np.bincount(other))
 

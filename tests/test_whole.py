@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from cgns import joined_polyhedra
 from foam import PATCHES, mixed, split
+from meshes import blocks, lattice
 
 import jaxmorph as jm
 from jaxmorph import cases, io
@@ -55,10 +56,8 @@ def test_polygons_of_a_2d_case_are_whole(tmp_path, capsys):
     assert main(["info", str(tmp_path / "a")]) == 0
     assert "3 quad, 1 triangle, 1 polygon\n" in capsys.readouterr().out
     assert main(["quality", str(tmp_path / "a"), "--max-skewness", "0.9"]) == 2
-    assert (
-        "1 of 5 cells are polygons, of which skewness is not defined. Limits on face skewness"
-        in capsys.readouterr().err
-    )
+    said = "1 of 5 cells are polygons, of which skewness is not defined. Limits on face skewness"
+    assert said in capsys.readouterr().err
     # the hanging node is drawn into the pentagon: not convex, but seen from its centre
     moved, node = mesh.points.copy(), int(np.flatnonzero((mesh.points == [1, 0.5]).all(axis=1))[0])
     for place, is_inverted in ((0.75, False), (-0.5, True), (1.6, True)):
@@ -160,9 +159,7 @@ def test_a_flat_corner_has_no_sign_to_lose(flat):
 
 def test_before_and_after_are_judged_alike(tmp_path, capsys):
     """A cell that is inverted from the start is so before and after; one that the motion inverts is the fault."""
-    x, y = np.meshgrid(np.arange(4.0), np.arange(3.0), indexing="ij")
-    points = np.column_stack([x.ravel(), y.ravel()])
-    quads = [[3 * i + j, 3 * i + j + 3, 3 * i + j + 4, 3 * i + j + 1] for i in range(3) for j in range(2)]
+    points, quads = lattice(np.arange(4.0), np.arange(3.0)), blocks(np.arange(12).reshape(4, 3))
     points[0] = [0.8, 0.8]  # the first cell is not convex
     mesh = jm.Mesh(points, {"quad": quads}, {"rim": [0, 1, 2, 3, 5, 6, 8, 9, 10, 11]})
     for name, place in (("a", None), ("b", [1.1, 1.05]), ("c", [2.5, 1.5])):
@@ -188,13 +185,11 @@ def test_whole_cells_are_measured_as_checkmesh_does(tmp_path, dimension):
         foam.write_case(tmp_path / "a", *split(), PATCHES)
     done, found = foam.run(tmp_path / "a", "checkMesh", "-constant"), jm.face_quality(io.read(tmp_path / "a"))
     expected = re.search(r"non-orthogonality Max: (\S+) average: (\S+)", done).groups()
-    np.testing.assert_allclose(
-        [found.non_orthogonality.max(), found.mean_non_orthogonality], [*map(float, expected)], rtol=2e-5
-    )
+    measured = [found.non_orthogonality.max(), found.mean_non_orthogonality]
+    np.testing.assert_allclose(measured, [*map(float, expected)], rtol=2e-5)
     assert f"cells:            {len(found.volume)}\n" in done
-    assert float(re.search(r"Max skewness = (\S+)", done)[1].rstrip(",")) == pytest.approx(
-        found.skewness.max(), rel=2e-5
-    )
+    skewness = float(re.search(r"Max skewness = (\S+)", done)[1].rstrip(","))
+    assert skewness == pytest.approx(found.skewness.max(), rel=2e-5)
 
 
 @pytest.mark.parametrize("build", [split, mixed])
@@ -269,9 +264,8 @@ def test_polyhedra_are_cut_alike_however_they_are_numbered():
     """Two prisms on a regular hexagon: all fans and all apexes are equally good."""
     angle = np.pi / 3 * np.arange(6)
     points = np.concatenate([np.stack([np.cos(angle), np.sin(angle), 0 * angle + z], axis=1) for z in range(3)])
-    around = [
-        [6 * c + k, 6 * c + (k + 1) % 6, 6 * c + 6 + (k + 1) % 6, 6 * c + 6 + k] for c in (0, 1) for k in range(6)
-    ]
+    starts = [(6 * c + k, 6 * c + (k + 1) % 6) for c in (0, 1) for k in range(6)]
+    around = [[here, after, after + 6, here + 6] for here, after in starts]
     sides = [[*range(6, 12)], *around, [*range(5, -1, -1)], [*range(12, 18)]]
     owner, neighbour = np.array([0, *[0] * 6, *[1] * 6, 0, 1]), np.array([1, *[-1] * 14])
     random, found = np.random.default_rng(0), []
