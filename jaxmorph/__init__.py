@@ -175,7 +175,7 @@ _NAMES = {
     "._quality.verdict": "Limits Verdict judge",
     "._quality.wall_quality": "WallQuality wall_quality",
 }
-"""Public names by module: the block above is for type checkers, this for installs without source."""
+"""Public names by module; the block above repeats them for type checkers."""
 _MODULES = dict.fromkeys(_SUBMODULES, "") | {name: module for module, names in _NAMES.items() for name in names.split()}
 
 

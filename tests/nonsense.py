@@ -37,7 +37,7 @@ CONTRACT = words("""
 __call__ altered among apply at beside boxes carry carry_place check check_surface chosen closest connect control
 coordinates dense_count entries equals evaluate field fit fixed_reduction given guarded height holds init iterative
 lattice local masses matched neutral of_surface offset once pairs place raise_if_inverted raise_if_singular raise_if_unproven
-reach reduced reduction renumbered rows RBF.through sensitivities slope sources step type_of value walls weights with_faces
+judged reach reduced reduction renumbered rows RBF.through sensitivities slope sources step type_of value walls weights with_faces
 """)
 """Methods that the driver calls, or that take no argument, or an array that `at` takes as well."""
 
@@ -126,7 +126,7 @@ GOOD: dict[str, dict[str, Any]] = {
         **{"values": np.array([1.0, 2.0]), "name": "skewness", "parameters": Lazy(BOX.neutral), "steps": 2},
         **{"patch": "wall", "x": X, "angle": 0.1, "length": 0.5, "about": np.zeros(2), "degree": 1, "tail": 2},
         **{"file": FOLDER / "a.vts", "time": 0.0, "d": 2, "dimensions": 2, "order": 3},
-        **{"methods": {"a": jm.DelaunayGraph()}, "pieces": ((MESH, np.arange(N)),)},
+        **{"methods": {"a": jm.DelaunayGraph()}},
     },
     "shapes": {"points": X, "faces": LOOP, "loop": np.arange(4), "wall": np.arange(4)},
     "plot": {"path": FOLDER / "a.png", "patch": "floor", "reduction": jm.AllPoints()},

@@ -157,6 +157,8 @@ _Content
 
 
 def test_type_checkers_see_the_public_names():
+    import jaxmorph as jm
+
     (block,) = (node for node in tree_of(ROOT / "jaxmorph" / "__init__.py").body if isinstance(node, ast.If))
     imports = [node for node in block.body if isinstance(node, ast.ImportFrom)]
     seen = {alias.name: node.module and f".{node.module}" for node in imports for alias in node.names}
