@@ -34,7 +34,7 @@ jm.WallQuality plot.SurfaceErrors shapes.Fit shapes.QualityRows shapes.Stations
 """Classes whose constructors the library alone calls."""
 
 CONTRACT = words("""
-__call__ altered among apply at beside boxes carry carry_place check check_surface chosen closest connect control
+__call__ altered among apply at beside boxes carry carry_place check check_mesh check_surface chosen closest connect control
 coordinates dense_count entries equals evaluate field fit fixed_reduction given guarded height holds init iterative
 lattice local masses matched neutral of_surface offset once pairs place raise_if_inverted raise_if_singular raise_if_unproven
 judged reach reduced reduction renumbered rows RBF.through sensitivities slope sources step type_of value walls weights with_faces
