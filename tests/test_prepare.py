@@ -161,7 +161,7 @@ def test_sources_and_offset_of_a_plan():
 
 def test_the_default_and_its_two_neighbours():
     mesh = rings()
-    assert jm.prepare(mesh, "body", "far").method == jm.SurfaceReconstruction(jm.FittedRBF(share=1))
+    assert "share 1 of the fit" in repr(jm.prepare(mesh, "body", "far"))
     published = jm.SurfaceReconstruction.published(3, 2)
     assert isinstance(published.correction, jm.DelaunayGraph)
     assert published.coarse.reduction == jm.KDTree(3)

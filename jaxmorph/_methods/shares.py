@@ -22,7 +22,7 @@ from .sparse import Interpolation
 KEPT = 0.8
 """Smallest Jacobian ratio that least squares alone leave after a trial motion."""
 
-LARGEST = 0.2
+LARGEST = {2: 0.2, 3: 0.5}
 """Largest displacement of a trial motion, relative to half of the body's length."""
 
 SHARES = {1.0: 0.82, 0.5: 0.92, 0.25: 0.92, 0.1: 0.92}
@@ -40,6 +40,9 @@ WALLS = 8
 AT_ONCE, FLAT = 8, 1e-4
 """Motions that are evaluated together; Jacobian over edges' product of a corner without a sign."""
 
+LEAN = 0.02
+"""Share of the inertia that is added along the coordinates, more along the first ones."""
+
 Cells = Mapping[str, np.ndarray]
 
 
@@ -48,14 +51,14 @@ class WallTrial:
     """Data of trial motions: the walls, and cells near them.
 
     - `surface` (b, d): the surface's rows. `vectors` extends motions (t, m, d) of the moving nodes
-      to displacements (b, t, d) of them.
+      to displacements (b, s, t, d) of them, for the fit and for least squares.
     - `moving` (m, d), `walls` (m,): the moving nodes, and the wall of each.
     - `points` (k, d), `placed`: points near the walls, and their places. `cells` have rows of them.
     - `smallest`: the smallest number of all pieces of a mesh.
     """
 
     surface: Float[Array, "b d"]
-    vectors: Callable[[Any], Float[Array, "b t d"]]
+    vectors: Callable[[Any], Float[Array, "b s t d"]]
     moving: Float[np.ndarray, "m d"]
     walls: np.ndarray
     points: Float[Array, "k d"]
@@ -64,19 +67,22 @@ class WallTrial:
     smallest: Callable[[float], float] = float
 
 
-def needs_share(method: AbstractMethod, ids: Any) -> bool:
+def has_fit(method: Any) -> bool:
+    return isinstance(method, SurfaceReconstruction) and isinstance(method.coarse, FittedRBF)
+
+
+def needs_share(method: Any, ids: Any) -> bool:
     """Checks whether the fit's share in a coarse field is open."""
-    is_fitted = isinstance(method, SurfaceReconstruction) and isinstance(method.coarse, FittedRBF)
-    return is_fitted and method.coarse.share is None and len(ids[0].edges) > 0
+    return has_fit(method) and method.coarse.share is None and len(ids[0].edges) > 0
 
 
-def share_of(method: AbstractMethod) -> float | None:
+def share_of(method: Any) -> float | None:
     """Returns the share of the fit, None where it is open, traced or the method has no fit."""
-    share = method.coarse.share if isinstance(getattr(method, "coarse", None), FittedRBF) else None
+    share = method.coarse.share if has_fit(method) else None
     return float(share) if share is not None and is_known(share) else None
 
 
-def with_share(method: Any, share: Any) -> Any:
+def share_in(method: Any, share: Any) -> Any:
     return dataclasses.replace(method, coarse=dataclasses.replace(method.coarse, share=share))
 
 
@@ -106,7 +112,7 @@ def near_cells(cells: Cells, nodes: np.ndarray, count: int) -> tuple[np.ndarray,
 
 def judged(method: AbstractMethod, ids: Any, factors: Any, trial: WallTrial) -> AbstractMethod:
     """Returns the method with the largest share that keeps enough in all trial motions."""
-    return with_share(method, _largest_share(method, ids[0], factors[0], trial))
+    return share_in(method, _largest_share(method, ids[0], factors[0], trial))
 
 
 def _largest_share(method: Any, ids: Any, factors: Any, trial: WallTrial) -> float:
@@ -124,7 +130,7 @@ def _largest_share(method: Any, ids: Any, factors: Any, trial: WallTrial) -> flo
         vectors = trial.vectors(padded)
         weights = _weights(coarse, ids, factors, trial.surface, jnp.array([1.0, 0.0]), vectors)
         field = _times(rows, np.asarray(weights))
-        offset = np.asarray(vectors)[used, None] - field[: len(used)]  # eq. (5)
+        offset = np.asarray(vectors)[used] - field[: len(used)]  # eq. (5)
         moved = field[len(used) :] + _times(matrix, offset)
         for k in range(len(u)):
             ratios = _Ratios.of(*(corners.gradients(moved[:, of, k]) for of in (0, 1)))
@@ -149,7 +155,10 @@ def motions(points: Float[np.ndarray, "m d"], walls: np.ndarray) -> Float[np.nda
     for label in labels[np.sort(np.argsort(-counts, kind="stable")[:WALLS])]:
         own = walls == label
         arms = points[own] - points[own].mean(axis=0)
-        axes = np.linalg.eigh(arms.T @ arms)[1][:, ::-1]
+        inertia = arms.T @ arms
+        # of directions in which a body is equally long, the first of the coordinates is the longest
+        inertia += LEAN * np.trace(inertia) * np.diag(np.arange(len(inertia), 0, -1))
+        axes = np.linalg.eigh(inertia)[1][:, ::-1]
         along = arms @ axes
         half = np.abs(along).max(axis=0)
         along = along / np.where(half > 0, half, 1)
@@ -242,7 +251,7 @@ class _Ratios:
 
     def size(self, sign: int) -> float:
         """Finds the size of a motion that leaves the ratio `KEPT`, or the largest size."""
-        size, terms = LARGEST, self.coefficients(0.0)
+        size, terms = LARGEST[len(self.terms)], self.coefficients(0.0)
         while len(terms[0]):
             ratios = _polynomial(terms, sign * size)
             worst = int(ratios.argmin())
@@ -283,13 +292,13 @@ def _kernel(coarse: FittedRBF, factors: Any, points: Float[Array, "k d"]) -> Flo
 
 @compiled
 def _weights(coarse: FittedRBF, ids: Any, factors: Any, surface: Array, shares: Array, vectors: Array) -> Array:
-    """Computes weights (k, s, t, d) of the field for some shares and displacements (b, t, d)."""
+    """Computes weights (k, s, t, d) of the field for shares and displacements (b, s, t, d)."""
 
     def weights(share: Float[Array, ""], vectors: Float[Array, "b d"]) -> Float[Array, "k d"]:
         field = dataclasses.replace(coarse, share=share).field(ids, factors, surface, vectors)
         return jnp.concatenate([field.beta, field.alpha], axis=1).T
 
-    return jax.vmap(jax.vmap(weights, (None, 1), 1), (0, None), 1)(shares, vectors)
+    return jax.vmap(jax.vmap(weights, (None, 1), 1), (0, 1), 1)(shares, vectors)
 
 
 def _times(matrix: Any, columns: np.ndarray) -> np.ndarray:

@@ -24,7 +24,7 @@ from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod, check_kind
 from .._methods.guiding import carrying, guiding
 from .._methods.reconstruction import SurfaceReconstruction
-from .._methods.shares import WallTrial, judged, near_cells, needs_share
+from .._methods.shares import WallTrial, has_fit, judged, near_cells, needs_share, share_in, share_of
 from .._methods.surface import Cells, Surface
 from .plan import Guide, Plan, SurfacePart, VolumePart
 from .refit import refitted
@@ -175,14 +175,29 @@ def with_share(
     walls = np.zeros(len(plan.surface.nodes), dtype=int)
     walls[np.asarray(plan.images.rows)[is_own]] = surface.walls[0][is_own]
     moving, walls = np.asarray(plan.moving_points, float), walls[: plan.n_moving]
-    rows, vectors = plan.surface.points, functools.partial(_vectors, plan)
+    rows, vectors = plan.surface.points, functools.partial(_vectors, plan, jnp.array([1.0, 0.0]))
     trial = WallTrial(rows, vectors, moving, walls, near.points, near.placed, cells, smallest)
-    return dataclasses.replace(plan, method=judged(plan.method, plan.surface.ids, plan.surface.factors, trial))
+    method = judged(plan.method, plan.surface.ids, plan.surface.factors, trial)
+    return dataclasses.replace(_guided_by(plan, share_of(method)), method=method)
+
+
+def _guided_by(plan: Plan, share: Any) -> Plan:
+    """Returns the plan whose guide has a share of the fit, too."""
+    guide = plan.surface.guide
+    if guide is None or not has_fit(guide.plan.method):
+        return plan
+    guide_plan = dataclasses.replace(guide.plan, method=share_in(guide.plan.method, share))
+    surface = dataclasses.replace(plan.surface, guide=dataclasses.replace(guide, plan=guide_plan))
+    return dataclasses.replace(plan, surface=surface)
 
 
 @compiled
-def _vectors(plan: Plan, u: Float[Array, "t m d"]) -> Float[Array, "b t d"]:
-    return jax.vmap(lambda u: plan.images.vectors(plan.of_surface(u)), out_axes=1)(u)
+def _vectors(plan: Plan, shares: Float[Array, " s"], u: Float[Array, "t m d"]) -> Float[Array, "b s t d"]:
+    def of_share(share: Float[Array, ""]) -> Float[Array, "b t d"]:
+        guided = _guided_by(plan, share)
+        return jax.vmap(lambda u: plan.images.vectors(guided.of_surface(u)), out_axes=1)(u)
+
+    return jax.vmap(of_share, out_axes=1)(shares)
 
 
 def surface_of(
