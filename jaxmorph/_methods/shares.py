@@ -12,7 +12,7 @@ from scipy.sparse import csr_array, diags_array
 
 from .._host.cells.topology import CORNERS, FRAMES, SHAPES
 from .._kernels.compile import compiled
-from .._kernels.values import is_known
+from .._kernels.values import as_jax, is_known
 from .base import AbstractMethod
 from .nearwall import WallPlace
 from .rbf.fitted import FittedRBF
@@ -121,7 +121,8 @@ def _largest_share(method: Any, ids: Any, factors: Any, trial: WallTrial) -> flo
         return 1.0
     used, coarse, smallest = np.unique(matrix.indices), method.coarse, trial.smallest
     matrix = csr_array(matrix[:, used])
-    rows = np.asarray(_kernel(coarse, factors, jnp.concatenate([trial.surface[used], trial.points])))
+    places = np.concatenate([np.asarray(trial.surface)[used], np.asarray(trial.points)])
+    rows = np.asarray(_kernel(coarse, factors, as_jax(places)))
     corners = _JudgedCorners.of(np.asarray(trial.points, float), trial.cells)
     alive, trials = dict(SHARES), motions(trial.moving, trial.walls)
     for first in range(0, len(trials), AT_ONCE):

@@ -156,7 +156,8 @@ def _plan_of(boundary: Boundary, method: AbstractMethod, guide: Guide | None = N
         method.check(plan.surface.ids, plan.surface.factors, _trial(plan))
         if boundary.cells is not None and needs_share(method, plan.surface.ids):
             nodes, cells = near_cells(boundary.cells, boundary.moving, len(points))
-            plan = with_share(plan, surface, jax.tree.map(lambda leaf: leaf[nodes], plan.volume), cells)
+            near = jax.tree.map(lambda leaf: np.asarray(leaf)[nodes], plan.volume)
+            plan = with_share(plan, surface, near, cells)
     return plan
 
 
@@ -177,7 +178,8 @@ def with_share(
     moving, walls = np.asarray(plan.moving_points, float), walls[: plan.n_moving]
     rows, vectors = plan.surface.points, functools.partial(_vectors, plan, jnp.array([1.0, 0.0]))
     trial = WallTrial(rows, vectors, moving, walls, near.points, near.placed, cells, smallest)
-    method = judged(plan.method, plan.surface.ids, plan.surface.factors, trial)
+    with quickly_compiled():  # each program runs a few times
+        method = judged(plan.method, plan.surface.ids, plan.surface.factors, trial)
     return dataclasses.replace(_guided_by(plan, share_of(method)), method=method)
 
 
