@@ -81,7 +81,7 @@ def test_the_share_is_the_largest_that_keeps_enough():
     failed = set()
     for u in motions(mesh.points[mesh.patch("body")], np.zeros(len(mesh.patch("body")), int)):
         for sign in (1, -1):
-            low, high = 0.0, LARGEST
+            low, high = 0.0, LARGEST[2]
             if ratio(mesh, jm.deform(plans[0.0], sign * high * u)) < KEPT:
                 while high - low > 1e-4 * high:
                     middle = (low + high) / 2

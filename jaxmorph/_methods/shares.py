@@ -258,9 +258,12 @@ class _Ratios:
             worst = int(ratios.argmin())
             if ratios[worst] >= KEPT - 1e-6:
                 break
-            polynomial = [sign ** (k + 1) * term[worst] for k, term in enumerate(terms)]
-            roots = np.roots([*reversed(polynomial), 1 - KEPT])
-            size = min(size * (1 - 1e-6), *(root.real for root in roots if abs(root.imag) < 1e-9 and root.real > 0))
+            low, terms_of_worst = 0.0, [term[worst] for term in terms]
+            for _ in range(40):
+                middle = (low + size) / 2
+                is_kept = _polynomial(terms_of_worst, sign * middle) >= KEPT
+                low, size = (middle, size) if is_kept else (low, middle)
+            size = low
         return size
 
 
