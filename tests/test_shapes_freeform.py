@@ -169,10 +169,10 @@ def test_many_points_are_summed_in_slabs(name):
     operator, moved = box.at(x), expected(x, np.array(origin), axes, counts, box.degrees, control)[0]
     np.testing.assert_allclose(operator(control), moved - x, atol=1e-13)
     cotangent, other = rng.normal(size=x.shape), rng.normal(size=control.shape)
-    back = jax.jit(lambda c: jax.linear_transpose(operator, control)(c)[0])(cotangent)
+    back = jax.jit(lambda c: jax.vjp(operator, control)[1](c)[0])(cotangent)
     np.testing.assert_allclose(np.vdot(operator(other), cotangent), np.vdot(other, back), rtol=1e-11)
     np.testing.assert_allclose(jax.jvp(operator, (control,), (other,))[1], operator(other), atol=1e-13)
     several = jax.vmap(operator)(jnp.stack([control, other]))
     np.testing.assert_allclose(several[1], operator(other), atol=1e-13)
     squares = jax.jvp(jax.grad(lambda c: jnp.sum(operator(c) ** 2)), (control,), (other,))[1]
-    np.testing.assert_allclose(squares, 2 * jax.linear_transpose(operator, control)(operator(other))[0], atol=1e-11)
+    np.testing.assert_allclose(squares, 2 * jax.vjp(operator, control)[1](operator(other))[0], atol=1e-11)

@@ -41,7 +41,7 @@ class AbstractLinearShape(AbstractShape):
         """Computes the weights of positions once, to be applied to many parameters.
 
         **Returns:** a function from parameters to displacements (m, d), of which
-        `jax.linear_transpose` gives the transpose.
+        `jax.vjp` gives the transpose.
         """
 
     def __call__(self, x: Numbers, parameters: Any) -> Float[Array, "m d"]:
