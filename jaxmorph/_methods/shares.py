@@ -54,17 +54,15 @@ class WallTrial:
       to displacements (b, s, t, d) of them, for the fit and for least squares.
     - `moving` (m, d), `walls` (m,): the moving nodes, and the wall of each.
     - `points` (k, d), `placed`: points near the walls, and their places. `cells` have rows of them.
-    - `smallest`: the smallest number of all pieces of a mesh.
     """
 
     surface: Float[Array, "b d"]
     vectors: Callable[[Any], Float[Array, "b s t d"]]
     moving: Float[np.ndarray, "m d"]
     walls: np.ndarray
-    points: Float[Array, "k d"]
+    points: Float[np.ndarray, "k d"]
     placed: Any
     cells: Cells
-    smallest: Callable[[float], float] = float
 
 
 def has_fit(method: Any) -> bool:
@@ -119,9 +117,9 @@ def _largest_share(method: Any, ids: Any, factors: Any, trial: WallTrial) -> flo
     matrix = _correction(trial.placed[1], len(trial.surface))
     if matrix is None:
         return 1.0
-    used, coarse, smallest = np.unique(matrix.indices), method.coarse, trial.smallest
+    used, coarse = np.unique(matrix.indices), method.coarse
     matrix = csr_array(matrix[:, used])
-    places = np.concatenate([np.asarray(trial.surface)[used], np.asarray(trial.points)])
+    places = np.concatenate([np.asarray(trial.surface)[used], trial.points])
     rows = np.asarray(_kernel(coarse, factors, as_jax(places)))
     corners = _JudgedCorners.of(np.asarray(trial.points, float), trial.cells)
     alive, trials = dict(SHARES), motions(trial.moving, trial.walls)
@@ -136,10 +134,10 @@ def _largest_share(method: Any, ids: Any, factors: Any, trial: WallTrial) -> flo
         for k in range(len(u)):
             ratios = _Ratios.of(*(corners.gradients(moved[:, of, k]) for of in (0, 1)))
             for sign in (1, -1):
-                size = sign * smallest(ratios.size(sign))
-                least = smallest(ratios.least(0.0, size))
+                size = sign * ratios.size(sign)
+                least = ratios.least(0.0, size)
                 for share, enough in list(alive.items()):
-                    if smallest(ratios.least(share, size)) < enough * least:
+                    if ratios.least(share, size) < enough * least:
                         del alive[share]
             if not alive:
                 return 0.0
@@ -258,10 +256,10 @@ class _Ratios:
             worst = int(ratios.argmin())
             if ratios[worst] >= KEPT - 1e-6:
                 break
-            low, terms_of_worst = 0.0, [term[worst] for term in terms]
+            low, terms_of_worst = 0.0, [term[[worst]] for term in terms]
             for _ in range(40):
                 middle = (low + size) / 2
-                is_kept = _polynomial(terms_of_worst, sign * middle) >= KEPT
+                is_kept = _polynomial(terms_of_worst, sign * middle).item() >= KEPT
                 low, size = (middle, size) if is_kept else (low, middle)
             size = low
         return size

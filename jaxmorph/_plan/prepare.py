@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import jax
@@ -166,18 +166,14 @@ def with_share(
     surface: Surface,
     near: VolumePart,
     cells: Mapping[str, np.ndarray],
-    smallest: Callable[[float], float] = float,
 ) -> Plan:
-    """Judges the share of the fit by `cells` between points `near` the walls.
-
-    `smallest` returns the smallest number of all pieces of a mesh.
-    """
+    """Judges the share of the fit by `cells` between points `near` the walls."""
     is_own = np.asarray(plan.images.kind) == 0
     walls = np.zeros(len(plan.surface.nodes), dtype=int)
     walls[np.asarray(plan.images.rows)[is_own]] = surface.walls[0][is_own]
     moving, walls = np.asarray(plan.moving_points, float), walls[: plan.n_moving]
     rows, vectors = plan.surface.points, functools.partial(_vectors, plan, jnp.array([1.0, 0.0]))
-    trial = WallTrial(rows, vectors, moving, walls, near.points, near.placed, cells, smallest)
+    trial = WallTrial(rows, vectors, moving, walls, np.asarray(near.points), near.placed, cells)
     with quickly_compiled():  # each program runs a few times
         method = judged(plan.method, plan.surface.ids, plan.surface.factors, trial)
     return dataclasses.replace(_guided_by(plan, share_of(method)), method=method)
