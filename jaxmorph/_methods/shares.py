@@ -1,6 +1,7 @@
 """The share of the fit in a coarse field: the largest that trial motions of the walls allow."""
 
 import dataclasses
+import itertools
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
@@ -11,6 +12,7 @@ from jaxtyping import Array, Float
 from scipy.sparse import csr_array, diags_array
 
 from .._host.cells.topology import CORNERS, FRAMES, SHAPES
+from .._host.linear.products import cofactors
 from .._kernels.compile import compiled
 from .._kernels.values import as_jax, is_known
 from .base import AbstractMethod
@@ -123,10 +125,9 @@ def _largest_share(method: Any, ids: Any, factors: Any, trial: WallTrial) -> flo
     rows = np.asarray(_kernel(coarse, factors, as_jax(places)))
     corners = _JudgedCorners.of(np.asarray(trial.points, float), trial.cells)
     alive, trials = dict(SHARES), motions(trial.moving, trial.walls)
-    for first in range(0, len(trials), AT_ONCE):
-        u = trials[first : first + AT_ONCE]
-        padded = np.concatenate([u, np.zeros((AT_ONCE - len(u), *u.shape[1:]))])
-        vectors = trial.vectors(padded)
+    while u := list(itertools.islice(trials, AT_ONCE)):
+        rest = [np.zeros_like(trial.moving)] * (AT_ONCE - len(u))  # one shape, so one program
+        vectors = trial.vectors(np.stack([*u, *rest]))
         weights = _weights(coarse, ids, factors, trial.surface, jnp.array([1.0, 0.0]), vectors)
         field = _times(rows, np.asarray(weights))
         offset = np.asarray(vectors)[used] - field[: len(used)]  # eq. (5)
@@ -144,13 +145,12 @@ def _largest_share(method: Any, ids: Any, factors: Any, trial: WallTrial) -> flo
     return max(alive)
 
 
-def motions(points: Float[np.ndarray, "m d"], walls: np.ndarray) -> Float[np.ndarray, "t m d"]:
-    """Lists trial motions of each wall: powers, waves and bumps along the axes of its inertia.
+def motions(points: Float[np.ndarray, "m d"], walls: np.ndarray) -> Iterator[Float[np.ndarray, "m d"]]:
+    """Yields trial motions of each wall: powers, waves and bumps along the axes of its inertia.
 
     They are as large as half of the wall's length.
     """
     labels, counts = np.unique(walls, return_counts=True)
-    found = []
     for label in labels[np.sort(np.argsort(-counts, kind="stable")[:WALLS])]:
         own = walls == label
         arms = points[own] - points[own].mean(axis=0)
@@ -164,8 +164,7 @@ def motions(points: Float[np.ndarray, "m d"], walls: np.ndarray) -> Float[np.nda
         for height, axis in _shapes(along):
             u = np.zeros_like(points)
             u[own] = height[:, None] * axes[:, axis] * half.max()
-            found.append(u)
-    return np.array(found).reshape(-1, *points.shape)
+            yield u
 
 
 def _shapes(x: Float[np.ndarray, "m d"]) -> Iterator[tuple[np.ndarray, int]]:
@@ -229,8 +228,7 @@ class _Ratios:
             return np.trace(a) * np.trace(b) - (a * b.swapaxes(0, 1)).sum(axis=(0, 1))
 
         def cube(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-            cofactors = np.stack([np.cross(b[k - 2], b[k - 1], axis=0) for k in range(3)])
-            return (a * cofactors).sum(axis=(0, 1))
+            return (a * np.array(cofactors([*b]))).sum(axis=(0, 1))
 
         terms = [[np.trace(plain), np.trace(fit)], [square(plain, plain) / 2, square(plain, fit), square(fit, fit) / 2]]
         if len(fit) == 3:
