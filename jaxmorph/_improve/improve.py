@@ -78,7 +78,7 @@ class Improvement(Module):
 
 
 @dataclasses.dataclass(frozen=True)
-class Options:
+class ImproveOptions:
     ideal: bool = False
     size_weight: float = 0.5
     worst: bool = False
@@ -93,10 +93,10 @@ def improve(
     points: Real[ArrayLike, "n d"] | Sequence[Any],
     *,
     ideal: bool = False,
-    size_weight: float = Options.size_weight,
-    worst: bool = Options.worst,
-    tolerance: float = Options.tolerance,
-    max_steps: int = Options.max_steps,
+    size_weight: float = ImproveOptions.size_weight,
+    worst: bool = ImproveOptions.worst,
+    tolerance: float = ImproveOptions.tolerance,
+    max_steps: int = ImproveOptions.max_steps,
     progress: Callable[[float, float], None] | None = None,
 ) -> Improvement:
     """Moves inner nodes to where cells are least distorted, and untangles inverted cells.
@@ -148,7 +148,7 @@ def improve(
     **Raises:** `ValueError` for a mesh without cells of its dimension, another shape of `points`, a
     boundary of points alone, and a `size_weight` that is not in 0 to 1.
     """
-    options = Options(ideal, size_weight, worst, tolerance, max_steps, progress)
+    options = ImproveOptions(ideal, size_weight, worst, tolerance, max_steps, progress)
     with jax.ensure_compile_time_eval():  # not folded into the caller's program
         boundary = mesh if isinstance(mesh, Boundary) else Boundary(mesh, ())
     if boundary.mesh is None:
@@ -168,10 +168,10 @@ def improve(
 
 def improve_of(plan: Plan, mesh: Mesh, points: Float[Array, "n d"]) -> Improvement:
     """Improves a plan's deformed mesh; its surface stays, or moves along walls and in pairs."""
-    return _improved(mesh, points, constraints_of(plan.boundary, mesh), Options())
+    return _improved(mesh, points, constraints_of(plan.boundary, mesh), ImproveOptions())
 
 
-def _improved(mesh: Mesh, start: Array, constraints: Constraints, options: Options) -> Improvement:
+def _improved(mesh: Mesh, start: Array, constraints: Constraints, options: ImproveOptions) -> Improvement:
     base = start.astype(jnp.promote_types(start.dtype, jnp.result_type(float)))
     with jax.ensure_compile_time_eval():
         distortion, blocks = prepared(mesh, base.dtype, constraints, options.ideal, options.size_weight)

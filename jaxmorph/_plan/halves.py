@@ -8,13 +8,13 @@ from typing import Any
 
 import jax
 import numpy as np
-from jaxtyping import Array, Int, Integer, PyTree, Real
+from jaxtyping import Array, ArrayLike, Int, Integer, PyTree, Real
 
 from .._boundary.boundary import Boundary, changed, with_faces
 from .._boundary.names import checked_points
 from .._boundary.outer_faces import OuterFaces
 from .._host.cells.topology import solid
-from .._host.package.arguments import as_array, checked, whole
+from .._host.package.arguments import as_array, checked, rows_of, whole
 from .._host.package.errors import MeshError
 from .._host.package.rounding import roundoff
 from .._host.surface.skin import has_free_sides
@@ -69,6 +69,20 @@ class SurfaceHalf:
     def surface_nodes(self) -> Int[np.ndarray, " o"]:
         """Ids of the surface's nodes in the whole mesh: moving, fixed, then guided."""
         return self.nodes[np.asarray(self.plan.surface_nodes)]
+
+    @checked
+    def rows(self, nodes: Integer[ArrayLike, " k"] | Sequence[int]) -> Int[np.ndarray, " k"]:
+        """Finds the row of `u` (k,) that moves each of these nodes, ids in the whole mesh.
+
+        **Raises:** `ValueError` for a node that does not move.
+        """
+        ids, moving = rows_of("nodes", nodes, 2**62), self.moving
+        order = np.argsort(moving, kind="stable")
+        rows = order[np.minimum(np.searchsorted(moving, ids, sorter=order), len(order) - 1)]
+        wrong = moving[rows] != ids
+        if wrong.any():
+            raise ValueError(f"{wrong.sum()} of {len(ids)} nodes do not move, first {ids[wrong][0]}.")
+        return rows
 
     @checked
     def attach(

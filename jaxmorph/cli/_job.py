@@ -2,13 +2,14 @@
 
 import argparse
 import dataclasses
+import json
 import os
 import reprlib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, get_args
 
-from jaxmorph._host.package.text import read, written
+from jaxmorph._host.package.text import read
 
 from ._parser import Fields, flags_of, is_switch, made, meant, settings_of, values_of
 from ._requests import BoundaryFlags, Deform, MethodFlags, MotionFlags, SensitivityRequest, Speech, table
@@ -184,3 +185,15 @@ def _said(keys: Mapping[str, Key], values: Mapping[str, Any], folder: Path) -> I
     for name, key in keys.items():
         if key.is_said(values[name]):
             yield key.in_toml(values[name], folder)
+
+
+def written(value: Any) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, int | float):
+        return repr(value)
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(written, value))}]"
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{json.dumps(key)} = {written(entry)}" for key, entry in value.items()) + " }"
+    return json.dumps(str(value), ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -13,9 +13,8 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 import jaxmorph as jm
+from jaxmorph.extend import checked, complete, finite_array, output_path, rows_of, whole
 
-from .._host.package.arguments import checked, finite_array, rows_of, whole
-from .._host.package.files import complete, output_path
 from . import _plane
 from ._outside import outlines, outside
 from ._plane import Axes, Figure, plt, round_numbers, to_hex

@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 import jaxmorph as jm
+from jaxmorph.extend import checked, finite_array
 
-from .._host.package.arguments import checked, finite_array
 from ._outside import lines_of
 from ._plane import ROOM, Axes, Window, given_or_new, in_dimension, legend_above, show, whole
 from ._space import add_legend, aim, aim_again, new_plotter

@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Float
 
 import jaxmorph as jm
+from jaxmorph.extend import checked
 
-from .._host.package.arguments import checked
 from ._outside import NOTHING, grid_of, near_plane, outlines, outside, pyvista, skin
 from ._plane import ROOM, TextPath, findfont, plt, round_numbers
 from ._style import BLUE, DARK, GREY, ORANGE, STILL, Limits, Values, bodies, scale_of

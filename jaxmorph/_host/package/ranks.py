@@ -28,6 +28,8 @@ class Ranks(Protocol):
 
 
 class Alone:
+    """The communicator of one process, for code that also runs under MPI."""
+
     rank, size = 0, 1
 
     def allgather(self, value: Any) -> list[Any]:
