@@ -381,3 +381,15 @@ def test_the_distortion_of_a_stretched_cell(kind):
     np.testing.assert_allclose(jm.distortion(mesh, 2 * mesh.points), 0.5 + 0.5 * 17 / 8 - 1, rtol=1e-6)
     with pytest.raises(ValueError, match="not defined"):
         jm.distortion(jm.Mesh(np.zeros((4, 3)), {"triangle": [[0, 1, 2]]}))
+
+
+@pytest.mark.parametrize(("row", "count"), [(7, 0), (12, 1)], ids=["beside", "across"])
+def test_repeated_points_count_where_they_fold_a_cell(row, count):
+    """On an unmoved mesh: a quadrilateral without one side is none that is inverted, one folded onto its diagonal is."""
+    mesh = unit_grid(4)
+    points = np.array(mesh.points)
+    points[row] = points[6]
+    mesh = jm.Mesh(points, mesh.cells)
+    improved = jm.improve(mesh, points)
+    assert (int(improved.before), int(improved.after)) == (count, 0)
+    assert int(jm.quality(mesh).inverted) == count

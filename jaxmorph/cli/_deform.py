@@ -233,17 +233,14 @@ def _advice(attempt: Attempt, out: Output) -> str:
         return ""
     if out.seconds > PATIENCE or not request.dry_run:
         return " No other flags were tried."
-    trials, worked = _trials(attempt), ""
+    trials = _trials(attempt)
     with out.progress("trying others") as stage:
-        for k, cure in enumerate(trials):
-            if _works(attempt, cure):
-                worked = _flags(attempt, cure)
-                break
-            stage.done((k + 1) / len(trials))
+        worked = next((_flags(attempt, cure) for cure in stage.over(trials) if _works(attempt, cure)), "")
     out.say(suggestion=worked)
-    if worked or not trials:
-        return worked and f" {worked} works."
-    return f" A dry run with each of {', '.join(_flags(attempt, cure) for cure in trials)} does not cure it."
+    if worked:
+        return f" {worked} works."
+    tried = ", ".join(_flags(attempt, cure) for cure in trials)
+    return f" A dry run with each of {tried} does not cure it." if tried else ""
 
 
 def _trials(attempt: Attempt) -> list[jm.Cure]:

@@ -290,10 +290,9 @@ def _on_sides(
     if foreign or not set(table) & set(SIDES):
         listed, known = ", ".join(table) or "nothing", ", ".join((more, *CHORD))
         raise ValueError(f"--{flag}: upper or lower expected, and perhaps {known}; found {listed}.")
-    numbers = {side: _numbers(flag, table, side, shape) for side in SIDES if side in table}
     chord = _chord(flag, table, patch)
     upper = shapes.wall_normals(patch.mesh, *patch.group.patches) @ np.asarray(chord.up) >= 0
-    made = {side: make(rows, table, chord) for side, rows in numbers.items()}
+    made = {side: make(_numbers(flag, table, side, shape), table, chord) for side in SIDES if side in table}
     masks = {"upper": upper, "lower": ~upper}
     chain = shapes.Chain({side: shapes.Part(part, masks[side]) for side, (part, _) in made.items()})
     return chain, {side: values for side, (_, values) in made.items()}

@@ -109,9 +109,9 @@ def mesh(
         raise ValueError(f"there are no `values` that are {label!r}.")
     every = None if values is None else cell_values(mesh, values)
     drawn = cells.drawn(window)
-    window = _bodies(mesh, points) if window is None else window
+    window = _window(window, mesh, points)
     seen, shown = cells.inside(window), np.zeros(len(cells.ids)) if every is None else every
-    colours, ends, below, above = scale_of(shown[seen], cells.areas[seen], limits)
+    colours, ends, *beyond = scale_of(shown[seen], cells.areas[seen], limits)
     ax = show(given_or_new(ax, window, bar=bar and values is not None), window)
     if every is not None:
         faces = fill(ax, cells.outlines[drawn], cmap=colours)
@@ -119,7 +119,7 @@ def mesh(
         faces.set_array(every[drawn])
         faces.set_clim(*ends)
         if bar:
-            extend = ("neither", "min", "max", "both")[below + 2 * above]
+            extend = ("neither", "min", "max", "both")[beyond[0] + 2 * beyond[1]]
             ax.figure.colorbar(faces, cax=ax.inset_axes((1.02, 0, 0.03, 1)), label=label or "", extend=extend)
     draw_lines(ax, cells, drawn, window, DARK, least=0 if every is None else NARROW)
     draw_walls(ax, cells, DARK)
@@ -136,7 +136,7 @@ def before_after(
     """
     before, after = PlaneCells.of(mesh, None), PlaneCells.of(mesh, points)
     old, new = before.drawn(window), after.drawn(window)
-    window = _bodies(mesh, None, points) if window is None else window
+    window = _window(window, mesh, None, points)
     ax = show(given_or_new(ax, window, above=0.35), window)
     ax.set_facecolor(LIGHT)  # where there was no mesh
     fill(ax, before.outlines[old], facecolors="white")
@@ -238,7 +238,7 @@ class PlaneCells:
         return seen_in(self.outlines, window)
 
     def drawn(self, window: Window | None) -> Int[np.ndarray, " s"]:
-        """Lists the cells in a given window; else all, for films and views that move."""
+        """Lists the cells in a given window; else all, for views that move."""
         return np.arange(len(self.ids)) if window is None else self.inside(window)
 
     def edges(self, cells: Int[np.ndarray, " s"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -377,7 +377,9 @@ def whole(points: Float[Any, "n 2"]) -> Window:
     return (left, right), (bottom, top)
 
 
-def _bodies(mesh: jm.Mesh, *states: Any) -> Window:
+def _window(given: Window | None, mesh: jm.Mesh, *states: Any) -> Window:
+    if given is not None:
+        return given
     base = np.asarray(mesh.points)
     states = tuple(base if points is None else np.asarray(points) for points in states)
     everything, nodes = np.concatenate(states), bodies(base, mesh.patches)
