@@ -50,6 +50,8 @@ _MODULES = {name: module for module, names in _NAMES.items() for name in names.s
 
 
 def __getattr__(name: str) -> typing.Any:
+    if name == "__all__":
+        return list(_MODULES)
     if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     value = globals()[name] = getattr(importlib.import_module(f".{_MODULES[name]}", __package__), name)

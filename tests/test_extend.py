@@ -13,6 +13,9 @@ from jaxmorph import extend
 def test_each_name_is_documented_and_found():
     for name in dir(extend):
         assert getattr(extend, name).__doc__, name
+    star = {}
+    exec("from jaxmorph.extend import *", star)
+    assert {*dir(extend)} <= {*star}
     with pytest.raises(AttributeError, match="has no attribute 'nothing'"):
         extend.nothing  # noqa: B018
 
@@ -34,7 +37,7 @@ def test_an_extension_checks_its_arguments(tmp_path):
     with pytest.raises(ValueError, match="`factor` must be a real number above 0"):
         scaled([1.0], -1.0)
     with pytest.raises(ValueError, match="1 of 2 numbers of `values` are not finite"):
-        scaled([1.0, np.nan])
+        scaled([1.0, np.inf])
 
 
 def test_warnings_name_the_line_of_the_caller():

@@ -26,7 +26,7 @@ def test_pieces_fill_their_cells(kind, order):
     np.testing.assert_allclose(of_cells, np.asarray(jm.quality(mesh).volume), rtol=1e-9)
     assert len(np.unique(np.round(fine.points, 9), axis=0)) == len(fine.points)
     closed = np.concatenate([*jm.boundary_faces(jm.Mesh(fine.points, fine.cells)).values()], axis=None)
-    assert np.isin(fine.points[closed], [0, 1]).any(axis=1).all()
+    assert np.isin(np.round(fine.points[closed], 9), [0, 1]).any(axis=1).all()
 
 
 def test_pieces_follow_curved_edges():
@@ -72,3 +72,17 @@ def test_cells_of_lower_dimension_have_no_skin():
     assert np.array_equal(more.skin().cell_ids, mesh.skin().cell_ids + 1)
     with pytest.raises(ValueError, match="`steps` must be a whole number of at least 1"):
         mesh.refined(0)
+
+
+def test_polyhedra_have_faces_of_their_own():
+    """Pieces of a polyhedron meet the whole cell beside it in no common face."""
+    pyvista = pytest.importorskip("pyvista")
+    angles = np.linspace(0, 2 * np.pi, 6)[:5]
+    ring = np.column_stack([np.cos(angles), np.sin(angles)])
+    points = np.concatenate([np.insert(ring, 2, z, axis=1) for z in (0, 1)])
+    sides = [[k, (k + 1) % 5, (k + 1) % 5 + 5, k + 5] for k in range(5)]
+    faces = [[4, 3, 2, 1, 0], [5, 6, 7, 8, 9], *sides]
+    stream = [len(faces), *(entry for face in faces for entry in (len(face), *face))]
+    grid = pyvista.UnstructuredGrid(np.array([len(stream), *stream]), np.array([42], np.uint8), points)
+    with pytest.raises(ValueError, match=r"has polyhedra or polygons: jm.boundary_faces\(mesh\) lists"):
+        jm.Mesh.from_pyvista(grid).skin()

@@ -156,14 +156,18 @@ class Mesh(Module):
 
         Of `patches`, as `patch` takes names, it has the faces with all nodes in them; by default
         all. The result has the points and patches of this mesh. Its `cell_ids` number the cells
-        that have the faces, in the order of `cells`.
+        that have the faces, in the order of `cells`. Faces to other parts of a mesh are left out.
 
-        **Raises:** `ValueError` for a name without a patch.
+        **Raises:** `ValueError` for a name without a patch, and for polyhedra and polygons, whose
+        faces `boundary_faces` lists.
         """
+        if self.polyhedra is not None:
+            raise ValueError(f"{self} has polyhedra or polygons: jm.boundary_faces(mesh) lists their outer faces.")
         cells = {kind: np.asarray(ids) for kind, ids in self.cells.items()}
         inner = {kind: ids for kind, ids in cells.items() if DIMENSION[kind] == self.points.shape[1]}
         is_inner = [np.zeros(0, bool), *(np.full(len(ids), kind in inner) for kind, ids in cells.items())]
-        sides, origin = outer_sides(inner, len(self.points), self.patch(*patches) if patches else None)
+        among = self.patch(*patches) if patches else None
+        sides, origin = outer_sides(inner, len(self.points), among, self.between)
         origin = Numbering(np.flatnonzero(np.concatenate(is_inner))[origin.cell_ids])
         return Mesh(self.points, sides, self.patches, origin)
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 from jaxtyping import Float, Int
 
+from .._host.cells.adjacency import is_among
 from .._host.cells.lagrange import node_keys, of_order
 from .._host.cells.pieces import owned_sides, places_of, steps_of
 from .._host.cells.topology import CORNERS, SHAPES
@@ -20,10 +21,16 @@ class Numbering:
     cell_ids: Int[np.ndarray, " k"]
 
 
-def outer_sides(cells: Cells, n: int, among: np.ndarray | None) -> tuple[dict[str, np.ndarray], Numbering]:
-    found = owned_sides(cells, n, among)
-    owners = [found[kind][1] for kind in sorted(found)]
-    return {kind: ids for kind, (ids, _) in found.items()}, Numbering(np.concatenate([np.zeros(0, np.int64), *owners]))
+def outer_sides(
+    cells: Cells, n: int, among: np.ndarray | None, between: np.ndarray | None
+) -> tuple[dict[str, np.ndarray], Numbering]:
+    """Sides of one cell only, but those `between` parts, by type, and the cell of each."""
+    sides, owners = {}, [np.zeros(0, np.int64)]
+    for kind, (ids, owner) in sorted(owned_sides(cells, n, among).items()):
+        is_outer = np.ones(len(ids), bool) if between is None else ~is_among(ids, between)
+        sides[kind] = ids[is_outer]
+        owners.append(owner[is_outer])
+    return sides, Numbering(np.concatenate(owners))
 
 
 def refined(cells: Cells, points: Float[np.ndarray, "n d"], steps: int) -> tuple[np.ndarray, dict, Numbering]:
