@@ -354,7 +354,7 @@ def arguments(name: str) -> Iterator[tuple[str, Any, dict[str, Any]]]:
 
 
 UNCHECKED = words("""
-jm.Mesh.source ax plotter label window exponents cache_directory progress done first classes is_open start
+jm.Mesh.source ax plotter label window exponents cache_directory done first classes is_open start
 """)
 UNCHECKED |= words("jm.Periodic.about jm.Periodic.axis jm.Periodic.rotation jm.prepare_surface.faces")
 """Arguments of other packages, and those that mean something only beside others."""

@@ -333,17 +333,13 @@ def test_ideal_targets_make_a_lattice_regular_again():
 
 
 @pytest.mark.nightly
-def test_progress_and_choice_of_fixed_nodes():
-    mesh, said = unit_grid(3), []
+def test_choice_of_fixed_nodes():
+    mesh = unit_grid(3)
     points = mesh.points.copy()
     points[5] += 0.4
     held = np.array([5, *np.flatnonzero(np.any((points < 0.01) | (points > 0.99), axis=1))])
-    told = lambda *numbers: said.append(tuple(map(float, numbers)))  # noqa: E731
-    result = jm.improve(jm.Boundary(mesh, (), fixed=held), points, progress=told)
-    jax.effects_barrier()
+    result = jm.improve(jm.Boundary(mesh, (), fixed=held), points)
     assert np.array_equal(np.asarray(result.points)[5], points[5])
-    assert len(said) == int(result.steps)
-    assert said[-1][0] < said[0][0]
 
 
 @pytest.mark.nightly

@@ -1,7 +1,7 @@
 """Better cells for given boundary nodes: inner nodes where the distortion of all cells is least."""
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
@@ -84,7 +84,6 @@ class ImproveOptions:
     worst: bool = False
     tolerance: float = 0.03
     max_steps: int = 60
-    progress: Callable[[float, float], None] | None = None
 
 
 @checked
@@ -97,7 +96,6 @@ def improve(
     worst: bool = ImproveOptions.worst,
     tolerance: float = ImproveOptions.tolerance,
     max_steps: int = ImproveOptions.max_steps,
-    progress: Callable[[float, float], None] | None = None,
 ) -> Improvement:
     """Moves inner nodes to where cells are least distorted, and untangles inverted cells.
 
@@ -143,12 +141,11 @@ def improve(
     - `tolerance`: the last stage ends when the root mean square motion of the nodes, in units of
       their smallest cells, is smaller. Default 0.03.
     - `max_steps`: most Newton steps of a stage, default 60.
-    - `progress`: the host calls `progress(softness, energy)` after every step. Default: none.
 
     **Raises:** `ValueError` for a mesh without cells of its dimension, another shape of `points`, a
     boundary of points alone, and a `size_weight` that is not in 0 to 1.
     """
-    options = ImproveOptions(ideal, size_weight, worst, tolerance, max_steps, progress)
+    options = ImproveOptions(ideal, size_weight, worst, tolerance, max_steps)
     with jax.ensure_compile_time_eval():  # not folded into the caller's program
         boundary = mesh if isinstance(mesh, Boundary) else Boundary(mesh, ())
     if boundary.mesh is None:
@@ -175,7 +172,7 @@ def _improved(mesh: Mesh, start: Array, constraints: Constraints, options: Impro
     base = start.astype(jnp.promote_types(start.dtype, jnp.result_type(float)))
     with jax.ensure_compile_time_eval():
         distortion, blocks = prepared(mesh, base.dtype, constraints, options.ideal, options.size_weight)
-    search = Search(blocks, jnp.asarray(options.tolerance, base.dtype), options.max_steps, options.progress)
+    search = Search(blocks, jnp.asarray(options.tolerance, base.dtype), options.max_steps)
     plain = softened(distortion, base, search)
     found, report = _ended(mesh, start, plain, plain)
     if not options.worst:
