@@ -76,7 +76,10 @@ class Plane(Module):
         """
         outer = outer_faces(mesh)
         corners = mesh.cells if outer is None else outer.corners  # the cells of a surface mesh are faces
-        return planes_through(np.asarray(mesh.points), mesh.patch(patch), map(np.asarray, corners.values()))
+        try:
+            return planes_through(np.asarray(mesh.points), mesh.patch(patch), map(np.asarray, corners.values()))
+        except MeshError as error:
+            raise MeshError(f"the patch {patch!r}: {error.message}", error.nodes) from None
 
     def equals(self, other: "Plane", points: np.ndarray) -> bool:
         if self.normal.shape != other.normal.shape or abs(float(self.normal @ other.normal)) < 1 - 1e-12:

@@ -206,7 +206,7 @@ def say_motion(request: Deform, patches: Patches, plan: jm.Plan, u: np.ndarray, 
         out.say(wrapped(f"moving   {', '.join(names)}: {count(len(nodes), 'node')}, by up to {largest:.4g}"))
     names = ", ".join(request.boundary.fixed) or "no patch"
     out.say(wrapped(f"fixed    {names}: {count(len(patches.fixed_nodes), 'node')}"))
-    for what, names in (("symmetry", tuple(patches.symmetry)), ("sliding ", patches.sliding)):
+    for what, names in (("symmetry", patches.symmetry), ("sliding ", patches.sliding)):
         if names:
             out.say(wrapped(f"{what} {', '.join(names)}: {count(len(mesh.patch(*names)), 'node')}"))
     for pair in patches.periodic:

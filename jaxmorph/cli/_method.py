@@ -54,13 +54,13 @@ def described(request: MethodFlags, plan: jm.Plan) -> tuple[str, int]:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Patches:
-    """A mesh and the names of its patches by what they do; `symmetry` has the planes by name."""
+    """A mesh and the names of its patches, by what they do."""
 
     mesh: jm.Mesh
     request: MethodFlags
     moving: tuple[str, ...]
     fixed: tuple[str, ...]
-    symmetry: dict[str, tuple[jm.Plane, ...]]
+    symmetry: tuple[str, ...]
     sliding: tuple[str, ...]
     periodic: tuple[jm.Periodic, ...]
     free: tuple[str, ...]
@@ -77,8 +77,7 @@ class Patches:
     def boundary(self) -> jm.Boundary:
         """The boundary in working precision; `ValueError` for faces that no flag names."""
         mesh = self.mesh.moved(np.asarray(self.mesh.points).astype(self.request.dtype, copy=False))
-        planes = [plane for planes in self.symmetry.values() for plane in planes]
-        slides = {"symmetry": tuple(planes), "periodic": self.periodic, "sliding": self.sliding}
+        slides = {"symmetry": self.symmetry, "periodic": self.periodic, "sliding": self.sliding}
         with self._explaining():
             boundary = jm.Boundary(mesh, self.moving, self.fixed, free=self.free, **slides)
         if boundary.left is not None and boundary.left.patches:
@@ -126,7 +125,7 @@ def patches_of(request: Deform | ModesRequest | SensitivityRequest, mesh: jm.Mes
     """Looks up the patches that the names mean. A pattern never fixes a moving or sliding patch.
 
     Without names, symmetry patches and periodic pairs are those of the file. Raises `ValueError`
-    for patches that are missing, empty, both moving and fixed, or not flat where they slide.
+    for patches that are missing, empty, or both moving and fixed.
     """
     flags = request.boundary
     _check_names(request, mesh)
@@ -137,10 +136,10 @@ def patches_of(request: Deform | ModesRequest | SensitivityRequest, mesh: jm.Mes
     repeating = [str(side) for pair in periodic for side in (pair.patch, pair.partner)]
     elsewhere = {*moving, *symmetry, *sliding, *repeating}
     fixed = tuple(name for name in mesh.patch_names(*flags.fixed) if name in flags.fixed or name not in elsewhere)
-    planes = _planes(symmetry, mesh) | _planes_of_file(mesh, {*elsewhere, *fixed, *free})
+    symmetry += tuple(_planes_of_file(mesh, {*elsewhere, *fixed, *free}))
     if not fixed and not sliding:
-        _check_none_left(mesh, {*elsewhere, *planes, *free})
-    return Patches(mesh, request.method, moving, fixed, planes, sliding, periodic, free)
+        _check_none_left(mesh, {*elsewhere, *symmetry, *free})
+    return Patches(mesh, request.method, moving, fixed, symmetry, sliding, periodic, free)
 
 
 def _check_none_left(mesh: jm.Mesh, lists: set[str]) -> None:
@@ -162,22 +161,11 @@ def _check_names(request: Deform | ModesRequest | SensitivityRequest, mesh: jm.M
         raise ValueError(f"{request.file}: the mesh has no cells.")
 
 
-def _planes(names: tuple[str, ...], mesh: jm.Mesh) -> dict[str, tuple[jm.Plane, ...]]:
-    planes = {}
-    for name in names:
-        try:
-            planes[name] = jm.Plane.of_patch(mesh, name)
-        except ValueError as error:
-            raise ValueError(f"--symmetry {name}: {error}") from None
-    return planes
-
-
-def _planes_of_file(mesh: jm.Mesh, lists: set[str]) -> dict[str, tuple[jm.Plane, ...]]:
-    planes = {}
+def _planes_of_file(mesh: jm.Mesh, lists: set[str]) -> Iterator[str]:
     for name in (name for name in io.symmetry(mesh) if name not in lists):
         with contextlib.suppress(ValueError):  # a bent patch has no plane: its nodes do not slide
-            planes[name] = jm.Plane.of_patch(mesh, name)
-    return planes
+            jm.Plane.of_patch(mesh, name)
+            yield name
 
 
 def _periodic(names: tuple[str, ...], mesh: jm.Mesh, lists: set[str]) -> tuple[jm.Periodic, ...]:
