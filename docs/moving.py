@@ -11,6 +11,7 @@ import sys
 import jax
 import matplotlib.pyplot as plt
 import numpy as np
+from PIL import Image
 
 import jaxmorph as jm
 from jaxmorph import cases, plot, shapes
@@ -18,8 +19,8 @@ from jaxmorph import cases, plot, shapes
 sys.path.append(str(pathlib.Path(__file__).parents[1]))
 from benchmarks import agard445
 
-FRAMES, BENDING, ANGLE = 14, 0.3, 15
-"""Pictures in a period, rise of the wing's tip in semi-spans, rotation of the airfoil in degrees."""
+FRAMES, RATE, BENDING, ANGLE = 14, 8, 0.3, 15
+"""Pictures in a period and a second, rise of the wing's tip in semi-spans, rotation of the airfoil in degrees."""
 
 SIZE, PIXELS, LETTERS = (8.0, 3.9), 100, 16
 """Width and height in inches, pixels an inch, size of letters in points: a phone shows the film at two fifths."""
@@ -93,7 +94,13 @@ def main(path):
         return right
 
     phases = np.sin(2 * np.pi * np.arange(FRAMES) / FRAMES)
-    plot.animate(path, draw, phases[:, None, None], rate=8)
+    pictures = []
+    for phase in phases:
+        canvas = draw(phase).figure.canvas
+        canvas.draw()
+        pictures.append(Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3]))
+        plt.close(canvas.figure)
+    pictures[0].save(path, save_all=True, append_images=pictures[1:], duration=1000 / RATE, loop=0, optimize=True)
     size = path.stat().st_size
     print(f"{path}: {size:,} bytes")
     if size > LARGEST:

@@ -78,7 +78,7 @@ def alike(words, others):
     return numbers[0] == pytest.approx(numbers[1], rel=0.01)
 
 
-@pytest.mark.parametrize("name", ["jaxmorph", "shapes", "io", "plot", "cases"])
+@pytest.mark.parametrize("name", ["jaxmorph", "shapes", "io", "plot", "cases", "extend"])
 def test_the_reference_names_all_that_is_public(name):
     page = "\n".join(page.read_text() for page in sorted((PAGES / "reference").glob("*.md")))
     module = jm if name == "jaxmorph" else importlib.import_module(f"jaxmorph.{name}")
