@@ -15,6 +15,7 @@ from jaxmorph.integrations import su2
 from ._job import job_of
 from ._parser import flag_of, values_of
 from ._requests import (
+    AUTO,
     LIMITS,
     MOTIONS,
     SU2,
@@ -108,6 +109,8 @@ def _check_way(request: Deform) -> None:
     elif not request.file.is_dir():
         raise ValueError(f"{request.file}: no folder of an OpenFOAM case.")
     for name in ("chunk", "decomposed"):
+        if getattr(request, name) and request.steps == AUTO:
+            raise ValueError(f"--{name} needs a number of --steps: {AUTO} judges the whole mesh after each trial.")
         if getattr(request, name) and METHODS[request.method.method].needs_cells:
             raise ValueError(f"--{name} is not for {request.method.method}, which solves for all nodes at once.")
 
@@ -248,7 +251,7 @@ def _is_vector(values: Sequence[float], *counts: int) -> bool:
 
 
 CHECKS: tuple[tuple[str, Callable[[Any], Any], str], ...] = (
-    ("steps chunk zone", lambda number: number >= 1, "must be 1 or more, found {}."),
+    ("steps chunk zone", lambda number: number == AUTO or number >= 1, "must be 1 or more, found {}."),
     ("rotate bend twist", np.isfinite, "needs an angle in degrees, found {}."),
     ("scale", lambda values: _is_vector(values, 1), "needs 1, 2 or 3 numbers, found: {}."),
     ("translate about axis along", _is_vector, "needs 2 or 3 numbers, found: {}."),

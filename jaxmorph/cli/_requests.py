@@ -15,6 +15,7 @@ ZONE = "of an SU2 file with several zones the zone IZONE= N alone; all others ar
 WHAT_MOVES = 'patches that move: names, or patterns as "wing.*"'
 NAMES = [*jm.METHODS]
 
+AUTO = "auto"  # as many steps as it takes
 BAD, OUTPUT = "when cells are bad", ("--output", "-o")
 SHAPES: dict[str, Any] = {"section": "shapes", "everyday": True}
 
@@ -26,6 +27,13 @@ def table(word: str) -> Path | Table:
         return json.loads(word) if word.lstrip().startswith("{") else Path(word)
     except (json.JSONDecodeError, RecursionError) as error:
         raise argparse.ArgumentTypeError(f"not a table in JSON ({error})") from None
+
+
+def steps(word: str) -> int | str:
+    try:
+        return AUTO if word == AUTO else int(word)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"steps are a whole number or {AUTO}, found {word!r}") from None
 
 
 def _output(name: str) -> Path:
@@ -214,7 +222,14 @@ class Deform:
     boundary: BoundaryFlags = part(BoundaryFlags)
     set: tuple[tuple[str, tuple[float, ...]], ...] = flag(CHANGES_HELP, section="design variables", **CHANGES)
     method: MethodFlags = part(MethodFlags)
-    steps: int = flag("number of steps (default 1)", default=1, section="method", everyday=True)
+    steps: int | str = flag(
+        "number of steps (default 1), or auto: the fewest, up to 16, that invert no cell",
+        default=1,
+        metavar="N",
+        type=steps,
+        section="method",
+        everyday=True,
+    )
     chunk: int | None = flag(
         "prepare and move N points at a time: less memory before cells are judged, more time", section="method"
     )
