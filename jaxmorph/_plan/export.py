@@ -81,6 +81,8 @@ def export(
     moving = tape.array(place[np.asarray(plan.moving)], "i8")
     rest, own = tape.array(volume.points), [-1, 0, 1]
     if layer is not None:
+        if len({*layer.axes}) != 2 or not {*layer.axes} < {0, 1, 2} or tape.dimension != 2:
+            raise ValueError(f"`layer` of axes {layer.axes} and a plan in {tape.dimension}-D: a plane has two axes of 0, 1, 2.")
         own = [tape.array(rows_of("layer.points", layer.points, len(chosen)), "i4"), *layer.axes]
     sizes = tape.dimension, len(chosen), plan.n_moving, len(tape.arrays), len(tape.rows), len(tape.steps)
     _write(path, tape, [*sizes, first, rest, moving, *own])
