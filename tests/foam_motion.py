@@ -1,0 +1,238 @@
+"""Cases of OpenFOAM whose walls move while it runs, by its movers and by jaxmorph's, which is compiled here."""
+
+import functools
+import os
+import pathlib
+import shutil
+import subprocess
+
+import foam
+import meshes
+import numpy as np
+import pytest
+
+import jaxmorph
+from jaxmorph.cli import main
+from jaxmorph.io.openfoam.file import load, patches
+
+NATIVE = pathlib.Path(jaxmorph.__file__).parent / "native"
+LIBRARIES = ("OpenFOAM", "OSspecific/POSIX", "finiteVolume", "meshTools", "dynamicMesh")
+FLAGS = ("-Wall", "-Wextra", "-O3", "-fPIC", f"-I{NATIVE}")
+FOAM_FLAGS = (  # those of OpenFOAM's own rules
+    *("-std=c++11", "-Wold-style-cast", "-Wnon-virtual-dtor", "-Wno-unused-parameter", "-ftemplate-depth-100"),
+    *("-pthread", "-DOPENFOAM=1912", "-DWM_DP", "-DWM_LABEL_SIZE=32", "-DNoRepository"),
+)
+
+
+def build(folder):
+    """Compiles the motion solver for Debian's OpenFOAM; returns the library, and what the compilers said.
+
+    The folder src of OpenFOAM's source, in which wmakeLnInclude was run, is in JAXMORPH_OPENFOAM_SOURCE.
+    """
+    foam.need_openfoam()
+    source = os.environ.get("JAXMORPH_OPENFOAM_SOURCE")
+    if not source:
+        message = "JAXMORPH_OPENFOAM_SOURCE is not set (.ci/nightly fetches OpenFOAM's headers)"
+        if os.environ.get("JAXMORPH_OPENFOAM") == "required":
+            pytest.fail(message)
+        pytest.skip(message)
+    headers = [f"-isystem{source}/{name}/lnInclude" for name in LIBRARIES]
+    own, library = NATIVE / "openfoam", folder / "libjaxmorphMotion.so"
+    solver, plan = folder / "solver.o", folder / "jmplan.o"
+    said = [
+        _compile("gcc", "-std=c99", "-pedantic", "-c", own / "jmplan.c", "-o", plan),
+        _compile("g++", *FOAM_FLAGS, *headers, "-c", own / "jaxmorphMotionSolver.C", "-o", solver),
+        _compile("g++", "-shared", solver, plan, "-o", library, "-ldynamicMesh", "-lmeshTools", "-lOpenFOAM", "-lm"),
+    ]
+    return library, "".join(said)
+
+
+def _compile(compiler, *words):
+    command = [compiler, *FLAGS, *map(str, words)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[-3000:]
+    return done.stderr
+
+
+def write_plan(case, moving, fixed, *flags):
+    """Writes the plan of a case and of its parts."""
+    assert main(["export", str(case), "--moving", moving, "--fixed", fixed, *flags]) == 0
+
+
+AIRFOIL = ("walls", "inlet,outlet")
+WING = ("wing", "farfield", "--symmetry", "root,tip")
+BOX = ("ahead,behind", "sides")
+"""What moves in the cases below, and what is fixed."""
+
+
+def moved(case, plan=None, processes=1):
+    """Writes the plan of a case, which may first be divided in parts, and moves the mesh to the end; returns the case."""
+    if processes > 1:
+        foam.run(case, "decomposePar")
+    if plan is not None:
+        write_plan(case, *plan)
+    parallel = [] if processes == 1 else [*foam.PARALLEL, str(processes)]
+    foam.run(case, *parallel, "moveDynamicMesh", *["-parallel"][: processes - 1])
+    return case
+
+
+MOVERS = {
+    "jaxmorph": "",
+    "displacementLaplacian": "diffusivity quadratic inverseDistance ({walls});",
+    "displacementSBRStress": "diffusivity quadratic inverseDistance ({walls});",
+}
+HEAD = 'FoamFile {{ version 2.0; format ascii; class {}; object {}; }}\n'
+SCHEMES = """ddtSchemes { default Euler; } gradSchemes { default cellLimited Gauss linear 1; }
+divSchemes
+{
+    default none; div(phi,U) Gauss linearUpwind grad(U); div(phi,nuTilda) Gauss upwind; div(sigmaD) Gauss linear;
+    div((nuEff*dev2(T(grad(U))))) Gauss linear;
+}
+laplacianSchemes { default Gauss linear limited corrected 0.5; } interpolationSchemes { default linear; }
+snGradSchemes { default limited corrected 0.5; } wallDist { method meshWave; }
+"""
+SOLUTION = """solvers
+{
+    cellDisplacement { solver GAMG; smoother GaussSeidel; tolerance 1e-12; relTol 0; minIter 40; maxIter 60; }
+    "(p|pFinal|pcorr.*)" { solver GAMG; smoother GaussSeidel; tolerance 1e-8; relTol 0; }
+    "(U|nuTilda)(|Final)" { solver smoothSolver; smoother symGaussSeidel; tolerance 1e-8; relTol 0; }
+}
+PIMPLE { correctPhi yes; nOuterCorrectors 2; nCorrectors 2; nNonOrthogonalCorrectors 1; }
+relaxationFactors { equations { ".*" 1; } }
+"""
+CONTROL = """application pimpleFoam; startFrom latestTime; startTime 0; stopAt endTime; endTime {end}; deltaT {delta};
+writeControl timeStep; writeInterval {interval}; writeFormat {form}; writePrecision {digits}; timePrecision 6;
+runTimeModifiable no;
+"""
+PARTS = "numberOfSubdomains {}; method hierarchical; hierarchicalCoeffs {{ n ({} 1 1); delta 0.001; order xyz; }}\n"
+
+
+STILL = "type fixedValue; value uniform (0 0 0);"
+
+
+def write_dictionary(case, name, text, kind="dictionary"):
+    path = case / name
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(HEAD.format(kind, path.name) + text)
+
+
+def write_displacement(case, boundary, time="0"):
+    """Writes pointDisplacement: `boundary` names an entry's text for each patch."""
+    entries = "".join(f'    "{patch}" {{ {text} }}\n' for patch, text in boundary.items())
+    text = f"dimensions [0 1 0 0 0 0 0]; internalField uniform (0 0 0);\nboundaryField\n{{\n{entries}}}\n"
+    write_dictionary(case, f"{time}/pointDisplacement", text, "pointVectorField")
+
+
+def write_motion(case, mover, library, walls="walls"):
+    """Writes which mover moves the mesh."""
+    text = (
+        f'dynamicFvMesh dynamicMotionSolverFvMesh;\nmotionSolverLibs ("libfvMotionSolvers.so" "{library}");\n'
+        f"motionSolver {mover};\n{mover}Coeffs {{ {MOVERS[mover].format(walls=walls)} }}\n"
+    )
+    write_dictionary(case, "constant/dynamicMeshDict", text)
+
+
+def write_control(case, end=1, delta=0.1, form="binary", digits=17, interval=1):
+    """Writes settings with which moveDynamicMesh and pimpleFoam run."""
+    control = CONTROL.format(end=end, delta=delta, form=form, digits=digits, interval=interval)
+    write_dictionary(case, "system/controlDict", control)
+    write_dictionary(case, "system/fvSchemes", SCHEMES)
+    write_dictionary(case, "system/fvSolution", SOLUTION)
+    write_dictionary(case, "system/decomposeParDict", PARTS.format(3, 3))
+
+
+def swing(degrees):
+    """The boundary of airFoil2D: the wall has turned by this angle at the time 1, about a quarter of its chord."""
+    motion = f"axis (0 0 -1); origin (8.75 0 0); angle0 0; amplitude {np.radians(degrees)}; omega {np.pi / 2}"
+    return {
+        "walls": f"type angularOscillatingDisplacement; {motion}; value uniform (0 0 0);",
+        "inlet|outlet": STILL,
+        "frontAndBack": "type empty;",
+    }
+
+
+def airfoil(case, mover, library, degrees, **control):
+    """OpenFOAM's airFoil2D, 10,416 cells, swung by a mover."""
+    shutil.copytree(foam.EXAMPLES / "incompressible/simpleFoam/airFoil2D", case)
+    write_control(case, **control)
+    write_motion(case, mover, library)
+    write_displacement(case, swing(degrees))
+    return case
+
+
+def points_of(case, time="constant"):
+    """The points of a time."""
+    return load(pathlib.Path(case, time, "polyMesh"), "points").numbers("scalar", 3)
+
+
+def whole_points(case, time):
+    """The points of a decomposed case, after those of each part are found equal bit for bit where it shares them."""
+    ids = [load(part / "constant" / "polyMesh", "pointProcAddressing").numbers("label").ravel() for part in parts_of(case)]
+    points = np.full((max(map(np.max, ids)) + 1, 3), np.nan)
+    for part, mine in zip(parts_of(case), ids, strict=True):
+        here = points_of(part, time)
+        seen = ~np.isnan(points[mine, 0])
+        np.testing.assert_array_equal(points[mine][seen], here[seen])
+        points[mine] = here
+    assert sum(map(len, ids)) > len(points) and not np.isnan(points).any()
+    return points
+
+
+def parts_of(case):
+    return sorted(pathlib.Path(case).glob("processor*"))
+
+
+def wing(case, mover, library, rise=0.3):
+    """An elliptic wing in 9,600 hexahedra between two symmetry planes: its tip rises by this part of its span."""
+    layers = np.arctanh(0.12) + 5e-3 * (1.3 ** np.arange(21) - 1) / 0.3
+    section = np.cosh(layers[:, None] - 1j * 2 * np.pi / 40 * np.arange(40))  # confocal ellipses, from 12 % of the chord
+    stations = np.linspace(0, 6, 13)[:, None, None]
+    points = np.stack(np.broadcast_arrays(section.real, stations, section.imag), axis=-1)
+    ids = np.arange(points[..., 0].size).reshape(points.shape[:3])
+    points, closed = points.reshape(-1, 3), np.concatenate([ids, ids[:, :, :1]], axis=2)
+    ends = {"wing": ids[:, 0], "farfield": ids[:, -1], "root": ids[0], "tip": ids[-1]}
+    tests = [(name, KINDS[name], functools.partial(_all_in, set(nodes.flat))) for name, nodes in ends.items()]
+    foam.write_case(case, points, foam.hexahedra(meshes.blocks(closed)), tests)
+    write_control(case, delta=1)
+    write_motion(case, mover, library, walls="wing")
+    eta = points[met(case, "wing"), 1] / 6
+    values = "\n".join(f"(0 0 {value!r})" for value in (6 * rise * eta**2).tolist())
+    boundary = {name: f"type {kind};" for name, kind in KINDS.items()}
+    boundary["wing"] = f"type fixedValue; value nonuniform List<vector> {len(eta)}\n(\n{values}\n);"
+    write_displacement(case, boundary | {"farfield": STILL})
+    return case
+
+
+KINDS = {"wing": "wall", "farfield": "patch", "root": "symmetry", "tip": "symmetry"}
+
+
+def _all_in(nodes, face):
+    return nodes.issuperset(face)
+
+
+FLOORS = {"ahead": "type fixedValue; value uniform (0 0 0.05);", "behind": "type fixedValue; value uniform (0 0.03 0.1);"}
+
+
+def box(case, library, boundary=FLOORS, **control):
+    """A unit box of 288 bricks, its floor in two patches of other displacements, which share nodes."""
+    places = np.linspace(0, 1, 7), np.linspace(0, 1, 7), np.linspace(0, 1, 9)
+    points, ids = meshes.lattice(*places), np.arange(7 * 7 * 9).reshape(7, 7, 9)
+    tests = [
+        ("behind", "wall", lambda face: bool((points[face, 2] == 0).all() and (points[face, 0] >= 0.5).all())),
+        ("ahead", "wall", lambda face: bool((points[face, 2] == 0).all())),
+        ("sides", "patch", lambda face: True),
+    ]
+    foam.write_case(case, points, foam.hexahedra(meshes.blocks(ids)), tests)
+    write_control(case, **control)
+    write_motion(case, "jaxmorph", library)
+    write_displacement(case, {"sides": STILL, **boundary})
+    return case
+
+
+def met(case, patch):
+    """The points of a patch in OpenFOAM's order: as they are met in its faces."""
+    folder = case / "constant" / "polyMesh"
+    (entry,) = (entry for entry in patches(load(folder, "boundary")) if entry.name == patch)
+    corners, starts = load(folder, "faces").faces()
+    used = corners[starts[entry.start] : starts[entry.start + entry.count]]
+    return used[np.sort(np.unique(used, return_index=True)[1])]

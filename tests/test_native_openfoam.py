@@ -1,0 +1,174 @@
+"""The motion solver for OpenFOAM: compiled here, and run by OpenFOAM's programs beside OpenFOAM's own movers."""
+
+import re
+import shutil
+import subprocess
+
+import foam
+import foam_motion
+import numpy as np
+import pytest
+
+pytestmark = pytest.mark.nightly
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory):
+    return foam_motion.build(tmp_path_factory.mktemp("native"))
+
+
+@pytest.fixture(scope="module")
+def library(built):
+    return built[0]
+
+
+def test_it_compiles_without_a_warning(built):
+    assert built[1] == ""
+
+
+def faults(case):
+    """What checkMesh finds at each time beyond what it finds in the undeformed mesh."""
+    before = foam.verdict(case, "-time", "0")
+    return [[line for line in foam.verdict(case, "-time", time) if line not in before] for time in times(case)]
+
+
+def times(case):
+    found = [folder.name for folder in case.iterdir() if re.fullmatch(r"[\d.]+", folder.name) and folder.name != "0"]
+    return sorted(found, key=float)
+
+
+AIRFOIL = foam_motion.AIRFOIL
+OTHERS = ("displacementLaplacian", "displacementSBRStress")
+"""OpenFOAM's movers, solved until their residuals stand still."""
+
+
+def test_an_airfoil_turns_by_60_degrees(tmp_path, library):
+    """All ten meshes are sound; by OpenFOAM's movers none is, and all but the first have negative volumes."""
+    own = foam_motion.airfoil(tmp_path / "jaxmorph", "jaxmorph", library, 60)
+    assert faults(foam_motion.moved(own, foam_motion.AIRFOIL)) == [[]] * 10
+    for mover in OTHERS:
+        found = faults(foam_motion.moved(foam_motion.airfoil(tmp_path / mover, mover, library, 60)))
+        assert len(found) == 10 and all(found)
+        assert all("negative cell volume" in first for first, *_ in found[1:])
+
+
+def test_a_wing_bends_by_30_percent(tmp_path, library):
+    own = foam_motion.wing(tmp_path / "jaxmorph", "jaxmorph", library)
+    assert foam.verdict(own) == ["Mesh OK."]
+    assert faults(foam_motion.moved(own, foam_motion.WING)) == [[]]
+    for mover in OTHERS:
+        (found,) = faults(foam_motion.moved(foam_motion.wing(tmp_path / mover, mover, library)))
+        assert any("negative cell volume" in fault for fault in found)
+
+
+CASES = {
+    "airfoil": (lambda case, library: foam_motion.airfoil(case, "jaxmorph", library, 30, end=0.2), foam_motion.AIRFOIL),
+    "wing": (lambda case, library: foam_motion.wing(case, "jaxmorph", library), foam_motion.WING),
+    "box": (lambda case, library: foam_motion.box(case, library, end=0.1), foam_motion.BOX),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_parts_are_the_whole(tmp_path, library, name):
+    """Three processes give each point the place that one gives it, to the last bit.
+
+    So it is where two patches, in different processes, give other displacements to points that they share.
+    """
+    make, plan = CASES[name]
+    whole = foam_motion.moved(make(tmp_path / "whole", library), plan)
+    parts = foam_motion.moved(make(tmp_path / "parts", library), plan, processes=3)
+    end = times(whole)[-1]
+    points = foam_motion.points_of(whole, end)
+    assert np.abs(points - foam_motion.points_of(whole)).max() > 0.02
+    np.testing.assert_array_equal(foam_motion.whole_points(parts, end), points)
+
+
+def test_points_of_few_digits_move_as_far(tmp_path, library):
+    """decomposePar writes ten digits as text: parts begin there, and go as far as the whole."""
+    case = foam_motion.wing(tmp_path / "case", "jaxmorph", library)
+    exact = foam_motion.points_of(case)
+    foam_motion.write_control(case, delta=1, digits=6, form="ascii")
+    foam.run(case, "decomposePar")
+    first = foam_motion.whole_points(case, "constant")
+    assert 1e-9 < np.abs(first - exact).max() < 1e-7
+    foam_motion.write_control(case, delta=1)
+    foam_motion.write_plan(case, *foam_motion.WING)
+    foam.run(case, *foam.PARALLEL, "3", "moveDynamicMesh", "-parallel")
+    moved = foam_motion.whole_points(case, "1")
+    whole = foam_motion.points_of(foam_motion.moved(case, foam_motion.WING), "1")
+    np.testing.assert_allclose(moved - first, whole - exact, rtol=0, atol=1e-13)
+    assert (moved == first).all(axis=1).sum() == 520  # the far field
+
+
+def test_a_run_that_begins_again_is_one_run(tmp_path, library):
+    """Stopped half way, in one process and in three: the same bits at the end."""
+    straight = foam_motion.moved(foam_motion.airfoil(tmp_path / "a", "jaxmorph", library, 30, end=0.4), AIRFOIL)
+    case = foam_motion.moved(foam_motion.airfoil(tmp_path / "b", "jaxmorph", library, 30, end=0.2), AIRFOIL)
+    foam_motion.write_control(case, end=0.4)
+    foam.run(case, "decomposePar", "-latestTime")
+    foam_motion.write_plan(case, *AIRFOIL)
+    foam.run(case, "moveDynamicMesh")
+    foam.run(case, *foam.PARALLEL, "3", "moveDynamicMesh", "-parallel")
+    points = foam_motion.points_of(straight, "0.4")
+    assert np.abs(points - foam_motion.points_of(case, "0.2")).max() > 0.1
+    np.testing.assert_array_equal(foam_motion.points_of(case, "0.4"), points)
+    np.testing.assert_array_equal(foam_motion.whole_points(case, "0.4"), points)
+
+
+def test_the_wall_is_where_its_displacement_says(tmp_path, library):
+    """A node of two patches follows the one that moves as a whole, and of two such the later one in the mesh."""
+    case = foam_motion.moved(foam_motion.box(tmp_path / "box", library, end=0.1), foam_motion.BOX)
+    before, after = foam_motion.points_of(case), foam_motion.points_of(case, "0.1")
+    for at, u in (((before[:, 0] > 0.5), (0, 0.03, 0.1)), (before[:, 0] <= 0.5, (0, 0, 0.05))):
+        wall = at & (before[:, 2] == 0)
+        np.testing.assert_array_equal(after[wall], before[wall] + u)
+
+
+def refused(case, *words):
+    """What a run prints that OpenFOAM ends with an error."""
+    done = subprocess.run(words or ["moveDynamicMesh"], cwd=case, env=foam.ENVIRONMENT, capture_output=True, text=True, check=False)
+    assert done.returncode != 0
+    return " ".join((done.stdout + done.stderr).split())
+
+
+def test_what_cannot_be_right_is_refused(tmp_path, library):
+    box = foam_motion.box(tmp_path / "box", library, end=0.1)
+    plan = box / "constant" / "jaxmorph.plan"
+    assert "jaxmorph.plan" in refused(box)
+    foam_motion.write_plan(box, *foam_motion.BOX)
+    whole = plan.read_bytes()
+    plan.write_bytes(whole[:-8])
+    print(refused(box)[-900:])
+    plan.write_bytes(whole)
+
+    foam_motion.write_displacement(box, {"sides": foam_motion.STILL, "ahead": "type slip;", "behind": foam_motion.STILL})
+    said = refused(box)
+    print(said[-900:])
+    assert "have no displacement" in said and "ahead, of type slip" in said and "behind, of" not in said
+    foam_motion.write_displacement(box, {**foam_motion.FLOORS, "sides": foam_motion.FLOORS["ahead"]})
+    said = refused(box)
+    print(said[-900:])
+    assert "differ by up to 0.05 on patch sides" in said
+
+    foam_motion.write_displacement(box, {**foam_motion.FLOORS, "sides": foam_motion.STILL})
+    wing = foam_motion.wing(tmp_path / "wing", "jaxmorph", library)
+    shutil.copy(plan, wing / "constant")
+    said = refused(wing)
+    print(said[-900:])
+    assert "is of 441 points, the mesh has" in said and "jaxmorph export" in said
+    foam.run(box, "transformPoints", "-scale", "(1 1 1.001)")
+    said = refused(box)
+    print(said[-900:])
+    assert "is of another mesh: points are up to 0.001 apart" in said
+
+
+def test_the_mover_takes_little_of_a_step(tmp_path, library):
+    """Of pimpleFoam's, which turns airFoil2D by 30 degrees in 20 steps."""
+    case = foam_motion.airfoil(tmp_path / "a", "jaxmorph", library, 30, end=0.1, delta=0.002, interval=1000)
+    foam_motion.write_plan(case, *AIRFOIL)
+    said = foam.run(case, "pimpleFoam")
+    spent = list(map(float, re.findall(r"mesh moved in (\S+) s", said)))
+    assert len(spent) == 50
+    total = np.diff(list(map(float, re.findall(r"ExecutionTime = (\S+) s", said))))
+    print(sum(spent[1:]), sum(total))
+    assert sum(spent[1:]) < 0.02 * sum(total)
