@@ -36,7 +36,7 @@ FLOORS = (
     ("_advice",),
     ("",),
     ("shapes",),
-    ("io", "plot", "cases", "integrations"),
+    ("io", "native", "plot", "cases", "integrations"),
     ("_demo",),
     ("cli",),
     ("__main__",),
