@@ -11,57 +11,37 @@ import meshes
 import numpy as np
 import pytest
 
-import jaxmorph
+from jaxmorph import native
 from jaxmorph.cli import main
 from jaxmorph.io.openfoam.file import load, patches
 
-NATIVE = pathlib.Path(jaxmorph.__file__).parent / "native"
-LIBRARIES = ("OpenFOAM", "OSspecific/POSIX", "finiteVolume", "meshTools", "dynamicMesh")
-FLAGS = ("-Wall", "-Wextra", "-O3", "-fPIC", f"-I{NATIVE}")
-FOAM_FLAGS = (  # those of OpenFOAM's own rules
-    *("-std=c++11", "-Wold-style-cast", "-Wnon-virtual-dtor", "-Wno-unused-parameter", "-ftemplate-depth-100"),
-    *("-pthread", "-DOPENFOAM=1912", "-DWM_DP", "-DWM_LABEL_SIZE=32", "-DNoRepository"),
-)
-
-
 def build(folder):
-    """Compiles the motion solver for Debian's OpenFOAM; returns the library, and what the compilers said.
+    """Compiles the motion solver for Debian's OpenFOAM, as users do; returns the library, and what was said.
 
-    The folder src of OpenFOAM's source, in which wmakeLnInclude was run, is in JAXMORPH_OPENFOAM_SOURCE.
+    JAXMORPH_OPENFOAM_SOURCE is a folder that native/openfoam/debian_headers.sh has filled.
     """
     foam.need_openfoam()
     source = os.environ.get("JAXMORPH_OPENFOAM_SOURCE")
     if not source:
-        message = "JAXMORPH_OPENFOAM_SOURCE is not set (.ci/nightly fetches OpenFOAM's headers)"
+        message = "JAXMORPH_OPENFOAM_SOURCE is not set: .ci/nightly fetches OpenFOAM's headers"
         if os.environ.get("JAXMORPH_OPENFOAM") == "required":
             pytest.fail(message)
         pytest.skip(message)
-    headers = [f"-isystem{source}/{name}/lnInclude" for name in LIBRARIES]
-    own, library = NATIVE / "openfoam", folder / "libjaxmorphMotion.so"
-    solver, plan = folder / "solver.o", folder / "jmplan.o"
-    said = [
-        _compile("gcc", "-std=c99", "-pedantic", "-c", own / "jmplan.c", "-o", plan),
-        _compile("g++", *FOAM_FLAGS, *headers, "-c", own / "jaxmorphMotionSolver.C", "-o", solver),
-        _compile("g++", "-shared", solver, plan, "-o", library, "-ldynamicMesh", "-lmeshTools", "-lOpenFOAM", "-lm"),
-    ]
-    return library, "".join(said)
+    shutil.copytree(native.folder, folder / "native", ignore=shutil.ignore_patterns("lnInclude", "linux*", "__pycache__"))
+    script = '. "$0/etc/bashrc"; FOAM_USER_LIBBIN=$PWD wmake native/openfoam 2>&1'
+    done = subprocess.run(["bash", "-c", script, source], cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout[-3000:]
+    return folder / "libjaxmorphMotion.so", done.stdout
 
 
-def _compile(compiler, *words):
-    command = [compiler, *FLAGS, *map(str, words)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr[-3000:]
-    return done.stderr
-
-
-def write_plan(case, moving, fixed, *flags):
+def write_plan(case, *flags):
     """Writes the plan of a case and of its parts."""
-    assert main(["export", str(case), "--moving", moving, "--fixed", fixed, *flags]) == 0
+    assert main(["export", str(case), *flags]) == 0
 
 
-AIRFOIL = ("walls", "inlet,outlet")
-WING = ("wing", "farfield", "--symmetry", "root,tip")
-BOX = ("ahead,behind", "sides")
+AIRFOIL = ("--moving", "walls", "--fixed", "inlet", "outlet")
+WING = ("--moving", "wing", "--fixed", "farfield", "--symmetry", "root", "tip")
+BOX = ("--moving", "ahead", "behind", "--fixed", "sides")
 """What moves in the cases below, and what is fixed."""
 
 
