@@ -7,6 +7,7 @@ from typing import Any
 
 import jax
 import numpy as np
+import scipy.linalg
 from scipy.sparse import csr_array, vstack
 
 from .base import AbstractMethod
@@ -23,7 +24,7 @@ from .reconstruction import SurfaceReconstruction
 from .sparse import Interpolation
 
 CODES = (
-    "add", "shift", "take", "put", "sparse", "dense", "cholesky", "lu", "kernel", "mean", "plane", "turn", "pair",
+    "add", "shift", "take", "put", "sparse", "dense", "cholesky", "ldl", "kernel", "mean", "plane", "turn", "pair",
     "copy", "forward",
 )  # fmt: skip
 """Names of steps: the first has the code 1 in the file."""
@@ -51,7 +52,7 @@ U, POINTS = 0, 1
 """Registers of the displacement and of the points."""
 
 FLAT, TURNED, MINUS = 1, 2, 4
-"""Flags of a product: the components of all rows are one vector; by the transpose; subtracted."""
+"""Flags: the components of all rows are one vector; by the transpose; subtracted."""
 
 
 @dataclasses.dataclass
@@ -93,10 +94,17 @@ class Tape:
         """Adds a matrix times a register; `flags` are `FLAT`, `TURNED` and `MINUS`."""
         self.step("dense", out, source, self.array(matrix), number=flags)
 
-    def cholesky(self, out: int, lower: np.ndarray, size: Any = None, flags: int = 0) -> None:
-        size = np.ones(len(lower)) if size is None else size
+    def cholesky(self, out: int, lower: np.ndarray, size: np.ndarray, flags: int = 0) -> None:
+        """Solves in place by the factor of a matrix with rows and columns multiplied by `size`."""
         packed = lower[np.tril_indices(len(lower))]
         self.step("cholesky", out, -1, self.array(packed), self.array(size), number=flags)
+
+    def ldl(self, out: int, matrix: np.ndarray) -> None:
+        """Solves by Bunch and Kaufman's factors of a symmetric matrix, in place."""
+        lower, blocks, order = scipy.linalg.ldl(matrix)
+        packed = lower[order][np.tril_indices(len(lower))]
+        diagonals = np.diagonal(blocks), np.append(np.diagonal(blocks, -1), 0.0)
+        self.step("ldl", out, -1, self.array(packed), *map(self.array, diagonals), self.array(order, "i4"))
 
     def rows_in_place(self, name: str, out: int, is_chosen: np.ndarray, matrix: Any) -> None:
         """A step "plane" with its normal, or "turn" with its matrix, for the chosen rows."""
@@ -204,6 +212,14 @@ def _(method: NearWall, tape, ids, factors, rows) -> Field:
     return add
 
 
+def _system_of(factors: RBFFactors) -> np.ndarray:
+    """Multiplies the factors of eq. (3) again: half of a symmetric matrix's factors is enough."""
+    lu, order = np.asarray(factors.lu), np.asarray(factors.order)
+    matrix = np.empty_like(lu)
+    matrix[order] = (np.tril(lu, -1) + np.eye(len(lu))) @ np.triu(lu)
+    return (matrix + matrix.T) / 2
+
+
 def _interpolated(values: int) -> Field:
     return lambda tape, out, places: tape.sparse(out, values, _matrix(places, tape.rows[values]))
 
@@ -248,7 +264,7 @@ def _expansion(expansion: Expansion, tape: Tape, factors: RBFFactors, values: in
         raise ValueError("RBF with Iterative() cannot be exported: take fewer sources, or jm.RBF(solver=jm.Direct()).")
     if kind not in FUNCTIONS:
         raise ValueError(f"the basis {kind.__name__} cannot be exported: jmplan.h has jaxmorph's own bases.")
-    tape.step("lu", values, -1, tape.array(factors.lu), tape.array(factors.order, "i4"))
+    tape.ldl(values, _system_of(factors))
     scale, basis = float(factors.scale), expansion.basis
     radius = float(getattr(basis, "radius", getattr(basis, "support_radius", 1.0)))
     factor = 1.0 if basis.scale_free else 1 / (scale * radius) ** 2
@@ -294,7 +310,7 @@ class _Fit:
             return _expansion(self.method.rbf.expansion, tape, factors.rbf, values)
         affine, rest = tape.register(factors.polynomial.shape[1]), tape.register(count)
         tape.dense(affine, u, factors.polynomial, TURNED)
-        tape.cholesky(affine, factors.moments)
+        tape.cholesky(affine, factors.moments, np.ones(len(factors.moments)))
         tape.step("add", rest, u, number=1)
         tape.dense(rest, affine, factors.polynomial, MINUS)
         for share, solved in self._solved(rest, affine):
@@ -322,20 +338,20 @@ class _Fit:
         tape.step("take", at_nodes, rest, tape.array(ids.nodes, "i4"))
         of_affine, solved = factors.polynomial[ids.fixed[held]], []
         if share > 0:
-            fitted = tape.register(moving)
+            fitted, outer = tape.register(moving), factors.outer
             solved.append((share, fitted))
             tape.sparse(along, rest, _chosen(ids.edges[:, 1], count) - _chosen(ids.edges[:, 0], count))
             tape.dense(fitted, at_nodes, factors.nodes, TURNED)
             tape.dense(fitted, along, factors.edges, TURNED)
-            tape.dense(fitted, outside, factors.outer[..., others], FLAT | MINUS)
-            tape.dense(fitted, affine, factors.outer[..., held] @ of_affine, FLAT)
+            tape.dense(fitted, outside, outer[..., others], FLAT | MINUS)
+            tape.dense(fitted, affine, outer[..., held] @ of_affine, FLAT)
             tape.cholesky(fitted, factors.lower, factors.scale, FLAT)
         if share < 1:
-            plain = tape.register(moving)
+            plain, outer = tape.register(moving), factors.outside
             solved.append((1 - share, plain))
             tape.dense(plain, at_nodes, factors.nodes, TURNED)
-            tape.dense(plain, outside, factors.outside[:, others], MINUS)
-            tape.dense(plain, affine, factors.outside[:, held] @ of_affine)
+            tape.dense(plain, outside, outer[:, others], MINUS)
+            tape.dense(plain, affine, outer[:, held] @ of_affine)
             tape.cholesky(plain, factors.squares, factors.size)
         return solved
 

@@ -75,7 +75,7 @@ enum {
     JM_SPARSE,       /* out += A in; rows array 0, columns array 1, weights array 2 */
     JM_DENSE,        /* out += A in; array 0; `number` has the flags JM_FLAT, JM_TURNED, JM_MINUS */
     JM_CHOLESKY,     /* out = S (L L^T)^-1 S out; packed L array 0, S array 1; JM_FLAT */
-    JM_LU,           /* out = (L U)^-1 P out; array 0, order array 1 */
+    JM_LDL,          /* out = P^T (L D L^T)^-1 P out; packed L, diagonal and next diagonal of D, order: arrays 0 to 3 */
     JM_KERNEL,       /* out += radial functions at array 0; see jm_kernel */
     JM_MEAN,         /* out += means weighted by inverse distance; see jm_mean */
     JM_PLANE,        /* out[i] -= (out[i] n) n for i in array 0, ascending; n array 1 */
@@ -142,17 +142,21 @@ static void jm_cholesky(const double *lower, const double *size, int64_t n, doub
     for (int64_t i = 0; i < n; i++) x[i] *= size[i];
 }
 
-static void jm_lu(const double *lu, const int32_t *order, int64_t n, double *x, double *right, int turned) {
-    if (!turned) {
-        memcpy(right, x, (size_t)n * sizeof(double));
-        for (int64_t i = 0; i < n; i++) x[i] = right[order[i]] - jm_dot(lu + i * n, x, i);
-        for (int64_t i = n - 1; i >= 0; i--) x[i] = (x[i] - jm_dot(lu + i * n + i + 1, x + i + 1, n - 1 - i)) / lu[i * n + i];
-        return;
+/* D has blocks of one and, where the next diagonal is not zero, of two rows. */
+static void jm_ldl(const double *lower, const double *diagonal, const double *next, const int32_t *order, int64_t n, double *x, double *y) {
+    const double *row = lower;
+    for (int64_t i = 0; i < n; i++) { y[i] = x[order[i]] - jm_dot(row, y, i); row += i + 1; }
+    for (int64_t i = 0; i < n; i++) {
+        if (i + 1 < n && next[i] != 0) {
+            const double a = diagonal[i] / next[i], b = diagonal[i + 1] / next[i], first = y[i], second = y[i + 1];
+            y[i] = (b * first - second) / (a * b - 1) / next[i];
+            y[i + 1] = (a * second - first) / (a * b - 1) / next[i];
+            i++;
+        }
+        else y[i] /= diagonal[i];
     }
-    for (int64_t i = 0; i < n; i++) { x[i] /= lu[i * n + i]; jm_axpy(-x[i], lu + i * n + i + 1, x + i + 1, n - 1 - i); }
-    for (int64_t i = n - 1; i >= 0; i--) jm_axpy(-x[i], lu + i * n, x, i);
-    memcpy(right, x, (size_t)n * sizeof(double));
-    for (int64_t i = 0; i < n; i++) x[order[i]] = right[i];
+    for (int64_t i = n - 1; i >= 0; i--) { row -= i + 1; jm_axpy(-y[i], row, y, i); }
+    for (int64_t i = 0; i < n; i++) x[order[i]] = y[i];
 }
 
 /* ---------------------------------------------------------------- radial functions */
@@ -351,15 +355,15 @@ static int jm_product(const jm_plan *q, const jm_step *s, const double *source, 
     return 0;
 }
 
-/* A solve in place, on columns. Returns 1 without memory. */
-static int jm_solve(const jm_plan *q, const jm_step *s, double *out, int turned) {
+/* A solve in place, on columns: symmetric, so its own transpose. Returns 1 without memory. */
+static int jm_solve(const jm_plan *q, const jm_step *s, double *out) {
     const int64_t d = q->d, r = q->rows[s->out], flat = s->number & JM_FLAT, tall = flat ? r * d : r;
     double *x = (double *)malloc((size_t)(r * (d + 1) + 1) * sizeof(double));
     if (!x) return 1;
     jm_columns(out, r, d, x);
     for (int64_t k = 0; k < (flat ? 1 : d); k++) {
-        if (s->code == JM_LU) jm_lu(jm_real(q, s->array[0]), jm_int(q, s->array[1]), r, x + k * r, x + r * d, turned);
-        else jm_cholesky(jm_real(q, s->array[0]), jm_real(q, s->array[1]), tall, x + k * tall);   /* symmetric */
+        if (s->code == JM_CHOLESKY) jm_cholesky(jm_real(q, s->array[0]), jm_real(q, s->array[1]), tall, x + k * tall);
+        else jm_ldl(jm_real(q, s->array[0]), jm_real(q, s->array[1]), jm_real(q, s->array[2]), jm_int(q, s->array[3]), r, x + k * r, x + r * d);
     }
     memset(out, 0, (size_t)(r * d) * sizeof(double));
     jm_add_columns(1, x, r, d, out);
@@ -448,7 +452,7 @@ static int jm_apply(const jm_plan *q, const jm_step *s, int64_t first, int64_t l
     case JM_PAIR: case JM_COPY: jm_pair(q, s, out, 0); return 0;
     case JM_FORWARD: jm_forward(q, s, out, 0); return 0;
     case JM_DENSE: return jm_product(q, s, in, out, 0);
-    default: return jm_solve(q, s, out, 0);
+    default: return jm_solve(q, s, out);
     }
 }
 
@@ -471,7 +475,7 @@ static int jm_turn(const jm_plan *q, const jm_step *s, int64_t first, int64_t la
     case JM_PAIR: case JM_COPY: jm_pair(q, s, out, 1); return 0;
     case JM_FORWARD: jm_forward(q, s, out, 1); return 0;
     case JM_DENSE: return jm_product(q, s, out, bar, 1);
-    default: return jm_solve(q, s, out, 1);
+    default: return jm_solve(q, s, out);
     }
 }
 
@@ -511,6 +515,11 @@ static int jm_is_matrix(const jm_plan *q, int64_t array, int64_t a, int64_t b) {
     return a < 1 || b < 1 ? jm_length(q, array) == 0 : jm_length(q, array) / a == b && jm_length(q, array) % a == 0;
 }
 
+/* Whether an array is a packed triangle of n rows. */
+static int jm_is_packed(const jm_plan *q, int64_t array, int64_t n) {
+    return n < 2000000000 && jm_has(q, array, JM_REAL, n * (n + 1) / 2);
+}
+
 static int jm_is_pair(const jm_plan *q, const jm_step *s, int64_t r) {
     return jm_ids(q, s->array[0], -1, r, 0) && jm_ids(q, s->array[1], jm_length(q, s->array[0]), r, 0)
            && jm_has(q, s->array[2], JM_REAL, s->code == JM_COPY ? q->d : q->d * q->d);
@@ -528,8 +537,8 @@ static int jm_is_field(const jm_plan *q, const jm_step *s, int64_t r, int64_t c)
 
 static int jm_is_step(const jm_plan *q, const jm_step *s, int is_last) {
     const int64_t d = q->d, flat = s->number & JM_FLAT ? d : 1;
-    int64_t r, c, t;
-    const int in_place = s->code == JM_SHIFT || s->code == JM_CHOLESKY || s->code == JM_LU || (s->code >= JM_PLANE && s->code <= JM_FORWARD);
+    int64_t r, c;
+    const int in_place = s->code == JM_SHIFT || s->code == JM_CHOLESKY || s->code == JM_LDL || (s->code >= JM_PLANE && s->code <= JM_FORWARD);
     if (s->out < 1 || s->out >= q->registers || (s->out == 1) != is_last) return 0;
     if (in_place ? s->in != -1 : s->in < 0 || s->in >= q->registers || s->in == 1 || s->in == s->out) return 0;
     r = q->rows[s->out];
@@ -542,9 +551,10 @@ static int jm_is_step(const jm_plan *q, const jm_step *s, int is_last) {
     case JM_SPARSE: return jm_is_sparse(q, s, r, c);
     case JM_DENSE: return !is_last && s->number >= 0 && s->number < 8 && jm_is_matrix(q, s->array[0], r * flat, c * flat);
     case JM_CHOLESKY:
-        t = r * flat;
-        return !is_last && jm_is_matrix(q, s->array[0], t % 2 ? t : t + 1, t % 2 ? (t + 1) / 2 : t / 2) && jm_has(q, s->array[1], JM_REAL, t);
-    case JM_LU: return !is_last && jm_is_matrix(q, s->array[0], r, r) && jm_ids(q, s->array[1], r, r, 0);
+        return !is_last && jm_is_packed(q, s->array[0], r * flat) && jm_has(q, s->array[1], JM_REAL, r * flat);
+    case JM_LDL:
+        return !is_last && jm_is_packed(q, s->array[0], r) && jm_has(q, s->array[1], JM_REAL, r) && jm_has(q, s->array[2], JM_REAL, r)
+               && jm_ids(q, s->array[3], r, r, 0);
     case JM_KERNEL: case JM_MEAN: return jm_is_field(q, s, r, c);
     case JM_PLANE: return jm_ids(q, s->array[0], -1, r, 1) && jm_has(q, s->array[1], JM_REAL, d);
     case JM_TURN: return jm_ids(q, s->array[0], -1, r, 1) && jm_has(q, s->array[1], JM_REAL, d * d);
