@@ -42,6 +42,7 @@ def write_plan(case, *flags):
 AIRFOIL = ("--moving", "walls", "--fixed", "inlet", "outlet")
 WING = ("--moving", "wing", "--fixed", "farfield", "--symmetry", "root", "tip")
 BOX = ("--moving", "ahead", "behind", "--fixed", "sides")
+STRIP = ("--moving", "hole", "--fixed", "far")
 """What moves in the cases below, and what is fixed."""
 
 
@@ -123,7 +124,7 @@ def write_control(case, end=1, delta=0.1, form="binary", digits=17, interval=1):
 
 def swing(degrees):
     """The boundary of airFoil2D: the wall has turned by this angle at the time 1, about a quarter of its chord."""
-    motion = f"axis (0 0 -1); origin (8.75 0 0); angle0 0; amplitude {np.radians(degrees)}; omega {np.pi / 2}"
+    motion = f"axis (0 0 -1); origin (-8.75 0 0); angle0 0; amplitude {np.radians(degrees)}; omega {np.pi / 2}"
     return {
         "walls": f"type angularOscillatingDisplacement; {motion}; value uniform (0 0 0);",
         "inlet|outlet": STILL,
@@ -194,11 +195,11 @@ FLOORS = {"ahead": "type fixedValue; value uniform (0 0 0.05);", "behind": "type
 
 
 def box(case, library, boundary=FLOORS, **control):
-    """A unit box of 288 bricks, its floor in two patches of other displacements, which share nodes."""
+    """A unit box of 288 bricks, its floor in two patches of other displacements, which share nodes at x = 2/3."""
     places = np.linspace(0, 1, 7), np.linspace(0, 1, 7), np.linspace(0, 1, 9)
     points, ids = meshes.lattice(*places), np.arange(7 * 7 * 9).reshape(7, 7, 9)
     tests = [
-        ("behind", "wall", lambda face: bool((points[face, 2] == 0).all() and (points[face, 0] >= 0.5).all())),
+        ("behind", "wall", lambda face: bool((points[face, 2] == 0).all() and (points[face, 0] > 0.6).all())),
         ("ahead", "wall", lambda face: bool((points[face, 2] == 0).all())),
         ("sides", "patch", lambda face: True),
     ]
@@ -206,6 +207,16 @@ def box(case, library, boundary=FLOORS, **control):
     write_control(case, **control)
     write_motion(case, "jaxmorph", library)
     write_displacement(case, {"sides": STILL, **boundary})
+    return case
+
+
+def strip(case, library, normal=1):
+    """A flat ring in one layer of cells across an axis, its points in any order, its hole pushed aside."""
+    foam.write_case(case, *foam.strip(normal))
+    write_control(case, delta=1)
+    write_motion(case, "jaxmorph", library)
+    push = "type fixedValue; value uniform (0.05 0.03 0.02);"
+    write_displacement(case, {"sides": "type empty;", "far": STILL, "hole": push})
     return case
 
 

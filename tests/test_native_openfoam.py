@@ -61,10 +61,17 @@ def test_a_wing_bends_by_30_percent(tmp_path, library):
         assert any("negative cell volume" in fault for fault in found)
 
 
+def half_moved(case, library):
+    """A box of which one of two patches of the floor moves."""
+    return foam_motion.box(case, library, foam_motion.FLOORS | {"ahead": foam_motion.STILL}, end=0.1)
+
+
 CASES = {
-    "airfoil": (lambda case, library: foam_motion.airfoil(case, "jaxmorph", library, 30, end=0.2), foam_motion.AIRFOIL),
+    "airfoil": (lambda case, library: foam_motion.airfoil(case, "jaxmorph", library, 30, end=0.2), AIRFOIL),
+    "strip": (foam_motion.strip, foam_motion.STRIP),
     "wing": (lambda case, library: foam_motion.wing(case, "jaxmorph", library), foam_motion.WING),
     "box": (lambda case, library: foam_motion.box(case, library, end=0.1), foam_motion.BOX),
+    "half": (half_moved, ("--moving", "behind", "--fixed", "ahead", "sides")),
 }
 
 
@@ -72,7 +79,8 @@ CASES = {
 def test_parts_are_the_whole(tmp_path, library, name):
     """Three processes give each point the place that one gives it, to the last bit.
 
-    So it is where two patches, in different processes, give other displacements to points that they share.
+    So it is where two patches, in different processes, give other displacements to points that they share, and where a
+    process has points of a wall, but none of its faces.
     """
     make, plan = CASES[name]
     whole = foam_motion.moved(make(tmp_path / "whole", library), plan)
@@ -117,11 +125,27 @@ def test_a_run_that_begins_again_is_one_run(tmp_path, library):
 
 def test_the_wall_is_where_its_displacement_says(tmp_path, library):
     """A node of two patches follows the one that moves as a whole, and of two such the later one in the mesh."""
-    case = foam_motion.moved(foam_motion.box(tmp_path / "box", library, end=0.1), foam_motion.BOX)
-    before, after = foam_motion.points_of(case), foam_motion.points_of(case, "0.1")
-    for at, u in (((before[:, 0] > 0.5), (0, 0.03, 0.1)), (before[:, 0] <= 0.5, (0, 0, 0.05))):
-        wall = at & (before[:, 2] == 0)
-        np.testing.assert_array_equal(after[wall], before[wall] + u)
+    for make, ahead, between in ((CASES["box"], [0, 0, 0.05], [0, 0, 0.05]), (CASES["half"], [0, 0, 0], [0, 0.03, 0.1])):
+        case = foam_motion.moved(make[0](tmp_path / f"{between[1]}", library), make[1])
+        before, after = foam_motion.points_of(case), foam_motion.points_of(case, "0.1")
+        x, floor = before[:, 0], before[:, 2] == 0
+        for at, u in ((x < 0.6, ahead), ((x > 0.6) & (x < 0.7), between), (x > 0.7, [0, 0.03, 0.1])):
+            np.testing.assert_array_equal(after[at & floor], before[at & floor] + u)
+
+
+@pytest.mark.parametrize("normal", range(3))
+def test_a_layer_across_any_axis(tmp_path, library, normal):
+    """Its points stay in their planes; pairs stay pairs, to the last bit, and the wall is where it should be."""
+    case = foam_motion.moved(foam_motion.strip(tmp_path / "case", library, normal), foam_motion.STRIP)
+    before, after = foam_motion.points_of(case), foam_motion.points_of(case, "1")
+    np.testing.assert_array_equal(after[:, normal], before[:, normal])
+    plane = [axis for axis in range(3) if axis != normal]
+    wall = np.linalg.norm(before[:, plane], axis=1) < 1.1
+    np.testing.assert_array_equal(after[wall][:, plane], before[wall][:, plane] + np.array([0.05, 0.03, 0.02])[plane])
+    order = [points[np.lexsort(before.T[plane])][:, plane] for points in (before, after)]
+    for points in order:
+        np.testing.assert_array_equal(points[::2], points[1::2])
+    assert foam.verdict(case, "-time", "1") == ["Mesh OK."]
 
 
 def refused(case, *words):
@@ -162,7 +186,7 @@ def test_a_boundary_that_contradicts_the_plan_is_refused(tmp_path, library, para
     """A wall without values, and a displacement of what the plan holds; the patch is named."""
     box, still = foam_motion.box(tmp_path / "box", library), foam_motion.STILL
     for boundary, message in (
-        ({"sides": still, "ahead": "type slip;", "behind": still}, "10 of the 49 points .*: ahead, of type slip Give"),
+        ({"sides": still, "ahead": "type slip;", "behind": still}, "15 of the 49 points .*: ahead, of type slip Give"),
         (foam_motion.FLOORS | {"sides": "type fixedValue; value uniform (0 0 1e-6);"}, r"by up to 9.9\d*e-07 on patch sides"),
     ):
         foam_motion.write_displacement(box, boundary)
