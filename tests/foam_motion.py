@@ -133,7 +133,7 @@ def swing(degrees):
 
 
 def airfoil(case, mover, library, degrees, **control):
-    """OpenFOAM's airFoil2D, 10,416 cells, swung by a mover."""
+    """OpenFOAM's airFoil2D, 10,720 cells, swung by a mover."""
     shutil.copytree(foam.EXAMPLES / "incompressible/simpleFoam/airFoil2D", case)
     write_control(case, **control)
     write_motion(case, mover, library)
@@ -163,11 +163,11 @@ def parts_of(case):
     return sorted(pathlib.Path(case).glob("processor*"))
 
 
-def wing(case, mover, library, rise=0.3):
-    """An elliptic wing in 9,600 hexahedra between two symmetry planes: its tip rises by this part of its span."""
+def wing(case, mover, library):
+    """An elliptic wing in 9,600 hexahedra between two symmetry planes, to be bent."""
     layers = np.arctanh(0.12) + 5e-3 * (1.3 ** np.arange(21) - 1) / 0.3
     section = np.cosh(layers[:, None] - 1j * 2 * np.pi / 40 * np.arange(40))  # confocal ellipses, from 12 % of the chord
-    stations = np.linspace(0, 6, 13)[:, None, None]
+    stations = np.linspace(0, SPAN, 13)[:, None, None]
     points = np.stack(np.broadcast_arrays(section.real, stations, section.imag), axis=-1)
     ids = np.arange(points[..., 0].size).reshape(points.shape[:3])
     points, closed = points.reshape(-1, 3), np.concatenate([ids, ids[:, :, :1]], axis=2)
@@ -176,14 +176,20 @@ def wing(case, mover, library, rise=0.3):
     foam.write_case(case, points, foam.hexahedra(meshes.blocks(closed)), tests)
     write_control(case, delta=1)
     write_motion(case, mover, library, walls="wing")
-    eta = points[met(case, "wing"), 1] / 6
-    values = "\n".join(f"(0 0 {value!r})" for value in (6 * rise * eta**2).tolist())
-    boundary = {name: f"type {kind};" for name, kind in KINDS.items()}
-    boundary["wing"] = f"type fixedValue; value nonuniform List<vector> {len(eta)}\n(\n{values}\n);"
-    write_displacement(case, boundary | {"farfield": STILL})
+    bend(case, 0.3)
     return case
 
 
+def bend(case, rise, time="0"):
+    """Bends the wing to a parabola in the step after a time: its tip is up by this part of its span."""
+    eta = points_of(case)[met(case, "wing"), 1] / SPAN
+    values = "\n".join(f"(0 0 {value!r})" for value in (SPAN * rise * eta**2).tolist())
+    boundary = {name: f"type {kind};" for name, kind in KINDS.items()} | {"farfield": STILL}
+    boundary["wing"] = f"type fixedValue; value nonuniform List<vector> {len(eta)}\n(\n{values}\n);"
+    write_displacement(case, boundary, time)
+
+
+SPAN = 6.0
 KINDS = {"wing": "wall", "farfield": "patch", "root": "symmetry", "tip": "symmetry"}
 
 
