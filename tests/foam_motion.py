@@ -42,6 +42,7 @@ def write_plan(case, *flags):
 AIRFOIL = ("--moving", "walls", "--fixed", "inlet", "outlet")
 WING = ("--moving", "wing", "--fixed", "farfield", "--symmetry", "root", "tip")
 BOX = ("--moving", "ahead", "behind", "--fixed", "sides")
+CHANNEL = ("--moving", "bottomWall", "--fixed", "topWall")
 STRIP = ("--moving", "hole", "--fixed", "far")
 """What moves in the cases below, and what is fixed."""
 
@@ -223,6 +224,19 @@ def strip(case, library, normal=1):
     write_motion(case, "jaxmorph", library)
     push = "type fixedValue; value uniform (0.05 0.03 0.02);"
     write_displacement(case, {"sides": "type empty;", "far": STILL, "hole": push})
+    return case
+
+
+def channel(case, library):
+    """OpenFOAM's channel395 in 768 bricks, cyclic along and across, its floor pushed up and aside."""
+    shutil.copytree(foam.EXAMPLES / "incompressible/pimpleFoam/LES/channel395/system", case / "system")
+    dictionary = case / "system" / "blockMeshDict"
+    dictionary.write_text(dictionary.read_text().replace("(40 25 30)", "(16 8 6)"))
+    write_control(case, delta=1)
+    foam.run(case, "blockMesh")
+    write_motion(case, "jaxmorph", library)
+    push = "type fixedValue; value uniform (0.1 0.05 0.02);"
+    write_displacement(case, {"bottomWall": push, "topWall": STILL, ".*half[01]": "type cyclic;"})
     return case
 
 

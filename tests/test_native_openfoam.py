@@ -1,13 +1,16 @@
 """The motion solver for OpenFOAM: compiled here, and run by OpenFOAM's programs beside OpenFOAM's own movers."""
 
+import os
 import re
 import shutil
 import subprocess
+import sys
 
 import foam
 import foam_motion
 import numpy as np
 import pytest
+from documents import ROOT
 
 pytestmark = pytest.mark.nightly
 
@@ -80,6 +83,7 @@ CASES = {
     "strip": (foam_motion.strip, foam_motion.STRIP),
     "wing": (lambda case, library: foam_motion.wing(case, "jaxmorph", library), foam_motion.WING),
     "box": (lambda case, library: foam_motion.box(case, library, end=0.1), foam_motion.BOX),
+    "channel": (foam_motion.channel, foam_motion.CHANNEL),
     "half": (half_moved, ("--moving", "behind", "--fixed", "ahead", "sides")),
 }
 
@@ -214,3 +218,17 @@ def test_the_mover_takes_little_of_a_step(tmp_path, library):
     assert len(spent) == 20
     total = np.diff(list(map(float, re.findall(r"ExecutionTime = (\S+) s", said))))
     assert sum(spent[1:]) < 0.02 * sum(total)
+
+
+def test_what_the_page_says_works(tmp_path, library):
+    """Its commands and dictionary, on airFoil2D, in a shell with OpenFOAM's environment."""
+    page = (ROOT / "docs" / "pages" / "in_solver.md").read_text()
+    (typed,), (dictionary,) = (re.findall(rf"```{kind}\n(.*?)```", page, re.DOTALL) for kind in ("sh", r"c\+\+"))
+    case = foam_motion.airfoil(tmp_path / "case", "jaxmorph", library, 30, end=0.01, delta=0.005)
+    (case / "constant" / "dynamicMeshDict").write_text(dictionary)
+    shell = f'. "$JAXMORPH_OPENFOAM_SOURCE/etc/bashrc"\njaxmorph() {{ "{sys.executable}" -m jaxmorph "$@"; }}\n'
+    environment = os.environ | {"HOME": str(tmp_path), "PYTHONPATH": str(ROOT)}
+    command = ["bash", "-c", f"{shell}set -e\n{typed}"]
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr
+    assert done.stdout.count("mesh moved in") == 2 and done.stdout.split()[-1] == "End"
