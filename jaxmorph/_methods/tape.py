@@ -226,7 +226,7 @@ def _interpolated(values: int) -> Field:
 
 def _matrix(places: Places, columns: int) -> csr_array:
     placed: Interpolation = places.placed
-    nodes, weights = np.asarray(placed.nodes), np.asarray(placed.weights, float)
+    nodes, weights = np.array(placed.nodes), np.array(placed.weights, float)
     if placed.reached is not None:
         reached = np.asarray(placed.reached)
         weights = np.where(reached if reached.ndim == 2 else reached[:, None], weights, 0)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Int, Integer
 from scipy.sparse import eye
@@ -149,7 +150,7 @@ def _alike(tape: Tape, rows: int, pairings: Sequence[Pairing]) -> None:
 
 def _on_walls(tape: Tape, rows: int, tracks: Sequence[Track], points: np.ndarray) -> None:
     for track in tracks:
-        normals = np.asarray(track.normals(points))[0]
+        normals = np.asarray(track.normals(jnp.asarray(points)))[0]
         is_on = np.isin(np.arange(tape.rows[rows]), np.asarray(track.rows))
         tape.rows_in_place("turn", rows, is_on, np.eye(tape.dimension) - normals.T @ normals)
 
@@ -212,7 +213,9 @@ def _write(path: Path, tape: Tape, counts: Sequence[int]) -> None:
     offsets = 8 * (tables + np.cumsum([0, *sizes[:-1]]))
     table = [(KINDS[array.dtype.str], array.size, offset) for array, offset in zip(tape.arrays, offsets, strict=True)]
     words = np.zeros(tables + sum(sizes), "<u8")
-    words[HEAD:tables] = np.concatenate([np.ravel(each) for each in (table, tape.rows, tape.steps)]).astype("<i8").view("<u8")
+    words[HEAD:tables] = (
+        np.concatenate([np.ravel(each) for each in (table, tape.rows, tape.steps)]).astype("<i8").view("<u8")
+    )
     words[5 : 5 + len(counts)] = np.asarray(counts, "<i8").view("<u8")
     for array, offset in zip(tape.arrays, offsets, strict=True):
         words.view(np.uint8)[offset : offset + array.nbytes] = array.view(np.uint8)

@@ -148,7 +148,9 @@ def _check_export(request: ExportRequest) -> None:
     _check_input(request.file)
     if is_folder(request.file):
         if request.output is not None:
-            raise ValueError(f"{request.output}: leave OUT out; plans of a case are {request.file}/constant/jaxmorph.plan.")
+            raise ValueError(
+                f"{request.output}: leave OUT out; plans of a case are {request.file}/constant/jaxmorph.plan."
+            )
     elif request.output is None:
         raise ValueError("OUT is missing: name the file of the plan, such as wing.plan.")
     else:

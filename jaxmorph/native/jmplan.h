@@ -86,7 +86,12 @@ enum {
 };
 /* The components of all rows are one vector; by the transpose of A; out -= A in. */
 enum { JM_FLAT = 1, JM_TURNED = 2, JM_MINUS = 4 };
-enum { JM_REAL = 1, JM_LONG = 2, JM_INT = 3, JM_HEAD = 18, JM_WORDS = 9, JM_BLOCK = 64, JM_ROWS = 512, JM_PARTS = 16 };
+enum { JM_REAL = 1, JM_LONG = 2, JM_INT = 3 };   /* kinds of arrays */
+#define JM_HEAD 18    /* words of the header, and of a step */
+#define JM_WORDS 9
+#define JM_BLOCK 64   /* points in a loop, in a block of all steps, and parts of a sum over all points */
+#define JM_ROWS 512
+#define JM_PARTS 16
 
 typedef struct jm_step { int64_t code, out, in, array[5], number; } jm_step;
 typedef struct jm_table { int64_t kind, count, offset; } jm_table;
@@ -662,7 +667,8 @@ static double *jm_register(const jm_plan *q, double *registers, int64_t k) { ret
 
 /* Doubles that a step on fields needs beside its registers: coefficients as columns, or weights of nodes. */
 static int64_t jm_room(const jm_plan *q, const jm_step *s) {
-    return s->code == JM_KERNEL || s->code == JM_MEAN ? q->rows[s->in] * q->d + 1 : 0;
+    if (s->code != JM_KERNEL && s->code != JM_MEAN) return 0;
+    return q->rows[s->in] * q->d + 1;
 }
 
 /* The registers, then for each step on the points its coefficients as columns. */
