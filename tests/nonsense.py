@@ -27,7 +27,7 @@ def each(names: str, value: Any) -> dict[str, Any]:
 
 
 BUILT = words("""
-io.Box jm.BoundaryQuality jm.Comparison jm.Control jm.FaceQuality jm.FreeFaces jm.Improvement jm.Inspection
+io.Box jm.BoundaryQuality jm.Comparison jm.Control jm.Cure jm.FaceQuality jm.FreeFaces jm.Improvement jm.Inspection
 jm.LargestStep jm.MeshError jm.Plan jm.Proof jm.QualityReport jm.SmoothQuality jm.Steps jm.Surface jm.SurfaceHalf jm.Verdict
 jm.WallQuality plot.SurfaceErrors shapes.Fit shapes.QualityRows shapes.Stations
 """)
@@ -35,7 +35,8 @@ jm.WallQuality plot.SurfaceErrors shapes.Fit shapes.QualityRows shapes.Stations
 
 CONTRACT = words("""
 __call__ altered among apply at beside boxes carry carry_place check check_mesh check_surface chosen closest connect control
-coordinates dense_count entries equals evaluate field fit fixed_reduction given guarded height holds init iterative
+coordinates dense_count DesignedMesh.points DesignedMesh.ratios
+entries equals evaluate field fit fixed_reduction given guarded height holds init iterative
 lattice local masses matched neutral of_surface offset once pairs place raise_if_inverted raise_if_singular raise_if_unproven
 judged reach reduced reduction renumbered rows RBF.through sensitivities slope sources step type_of value walls weights with_faces
 """)
@@ -141,7 +142,8 @@ GOOD: dict[str, dict[str, Any]] = {
     "jm.Plane.through": {"nodes": WALL},
     "jm.Revolution": {"axis": np.eye(3)[2], "origin": np.zeros(3), "profile": np.array([[0.0, 1.0], [1.0, 1.0]])},
     "jm.Slide": {"patch": np.array([0]), "on": jm.Plane([0.0, 1.0], [0.0, 0.0])},
-    **each("jm.boundary_faces jm.Mesh.patch jm.Mesh.patch_names", {"*": "wall"}),
+    **each("jm.boundary_faces jm.Mesh.patch jm.Mesh.patch_names jm.Mesh.skin", {"*": "wall"}),
+    "jm.inspect": {"moved": POINTS},
     "jm.compare": {"methods": {"graph": jm.DelaunayGraph()}},
     **each("jm.load jm.save", {"path": FOLDER / "a.npz"}),
     **each("jm.prepare jm.Boundary", {"mesh": POINTS, "fixed": FAR}),
@@ -198,7 +200,6 @@ GOOD: dict[str, dict[str, Any]] = {
     "shapes.varied": {"parameters": {"a": 1.0}, "changes": {"a": 1.0}},
     "shapes.volume": {"x": PLACES, "faces": np.array([[0, 1, 2]]), "plane": np.zeros(3)},
     "shapes.wall_normals": {"mesh": BRICKS, "*": "floor"},
-    "plot.animate": {"path": FOLDER / "a.gif", "draw": lambda x: plot.mesh(MESH, x), "frames": np.stack([POINTS] * 2)},
     "plot.before_after_3d": {"mesh": BRICKS, "points": PLACES},
     "plot.convergence": {"errors": {"a": plot.SurfaceErrors(np.array([3]), np.array([0.1]), np.array([0.1]))}},
     "plot.cut": SPACE | {"plane": jm.Plane([0.0, 0.0, 1.0], [0.0, 0.0, 0.3])},
@@ -214,7 +215,6 @@ GOOD: dict[str, dict[str, Any]] = {
         "plan": Lazy(lambda: jm.prepare(MESH, "wall", "far", method=jm.RBF(reduction=jm.AllPoints()))),
         **{"u": np.ones_like(U), "reductions": (jm.AllPoints(),)},
     },
-    "plot.swing": {"extreme": POINTS, "frames": 4},
     "cases.bodies": {"boxes": {"a": [-1.0, 1.0, -1.0, 1.0]}},
     "cases.bricks": {"first_cell": 0.1},
     "cases.naca4": {"code": "2412"},
@@ -354,7 +354,7 @@ def arguments(name: str) -> Iterator[tuple[str, Any, dict[str, Any]]]:
 
 
 UNCHECKED = words("""
-jm.Mesh.source ax plotter label window exponents cache_directory progress done first classes is_open start
+jm.Mesh.source ax plotter label window exponents cache_directory done first classes is_open start
 """)
 UNCHECKED |= words("jm.Periodic.about jm.Periodic.axis jm.Periodic.rotation jm.prepare_surface.faces")
 """Arguments of other packages, and those that mean something only beside others."""

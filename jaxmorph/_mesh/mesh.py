@@ -12,14 +12,15 @@ from jaxtyping import Array, ArrayLike, Float, Integer, Real
 
 from .._host.cells.lagrange import ORDERS, node_keys, of_order
 from .._host.cells.pieces import boundary_sides, linear_cells
-from .._host.cells.topology import CORNERS, SHAPES, solid
-from .._host.package.arguments import check, checked, shown
+from .._host.cells.topology import CORNERS, DIMENSION, SHAPES, solid
+from .._host.package.arguments import check, checked, shown, whole
 from .._host.package.text import similar
 from .._kernels.module import Module
 from .._kernels.values import is_known
 from . import exchange, export, vtk
 from .exchange import checked_parts, floats
 from .polyhedra import Polyhedra
+from .refined import Numbering, outer_sides, refined
 
 
 class Mesh(Module):
@@ -148,6 +149,40 @@ class Mesh(Module):
             return self
         cells = linear_cells(self.cells, np.concatenate if is_known(*self.cells.values()) else jnp.concatenate)
         return self._with("cells", {kind: cells[kind] for kind in sorted(cells)})
+
+    @checked
+    def skin(self, *patches: str) -> "Mesh":
+        """Makes a mesh of the outer faces (2-D: edges), curved where the cells are.
+
+        Of `patches`, as `patch` takes names, it has the faces with all nodes in them; by default
+        all. The result has the points and patches of this mesh. Its `cell_ids` number the cells
+        that have the faces, in the order of `cells`. Faces to other parts of a mesh are left out.
+
+        **Raises:** `ValueError` for a name without a patch, and for polyhedra and polygons, whose
+        faces `boundary_faces` lists.
+        """
+        if self.polyhedra is not None:
+            raise ValueError(f"{self} has polyhedra or polygons: jm.boundary_faces(mesh) lists their outer faces.")
+        cells = {kind: np.asarray(ids) for kind, ids in self.cells.items()}
+        inner = {kind: ids for kind, ids in cells.items() if DIMENSION[kind] == self.points.shape[1]}
+        is_inner = [np.zeros(0, bool), *(np.full(len(ids), kind in inner) for kind, ids in cells.items())]
+        among = self.patch(*patches) if patches else None
+        sides, origin = outer_sides(inner, len(self.points), among, self.between)
+        origin = Numbering(np.flatnonzero(np.concatenate(is_inner))[origin.cell_ids])
+        return Mesh(self.points, sides, self.patches, origin)
+
+    @checked
+    def refined(self, steps: int) -> "Mesh":
+        """Makes a mesh of linear cells that follow the curved ones: each edge has `steps` pieces.
+
+        The pieces share points, which are new; there are no patches. `cell_ids` number the cells
+        of which they are pieces. Serendipity cells become pieces of complete ones of their shape.
+
+        **Raises:** `ValueError` for fewer steps than 1.
+        """
+        cells = {kind: np.asarray(ids) for kind, ids in self.cells.items()}
+        points, pieces, origin = refined(cells, np.asarray(self.points), whole("steps", steps))
+        return Mesh(points, pieces, source=origin)
 
     @checked
     def moved(self, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> "Mesh":

@@ -94,7 +94,7 @@ class Tape:
         """Adds a matrix times a register; `flags` are `FLAT`, `TURNED` and `MINUS`."""
         self.step("dense", out, source, self.array(matrix), number=flags)
 
-    def cholesky(self, out: int, lower: np.ndarray, size: np.ndarray, flags: int = 0) -> None:
+    def cholesky(self, out: int, lower: Any, size: Any, flags: int = 0) -> None:
         """Solves in place by the factor of a matrix with rows and columns multiplied by `size`."""
         packed = lower[np.tril_indices(len(lower))]
         self.step("cholesky", out, -1, self.array(packed), self.array(size), number=flags)
@@ -106,7 +106,7 @@ class Tape:
         diagonals = np.diagonal(blocks), np.append(np.diagonal(blocks, -1), 0.0)
         self.step("ldl", out, -1, self.array(packed), *map(self.array, diagonals), self.array(order, "i4"))
 
-    def rows_in_place(self, name: str, out: int, is_chosen: np.ndarray, matrix: Any) -> None:
+    def rows_in_place(self, name: str, out: int, is_chosen: Any, matrix: Any) -> None:
         """A step "plane" with its normal, or "turn" with its matrix, for the chosen rows."""
         if is_chosen.any():
             self.step(name, out, -1, self.array(np.flatnonzero(is_chosen), "i4"), self.array(matrix))
@@ -130,7 +130,7 @@ Field = Callable[[Tape, int, Places], None]
 
 
 @dataclasses.dataclass(frozen=True)
-class Rows:
+class SurfaceRows:
     """The surface's rows: register of their displacement, array of their points, zero rows."""
 
     u: int
@@ -139,7 +139,7 @@ class Rows:
 
 
 @functools.singledispatch
-def recorded(method: AbstractMethod, tape: Tape, ids: Any, factors: Any, rows: Rows) -> Field:
+def recorded(method: AbstractMethod, tape: Tape, ids: Any, factors: Any, rows: SurfaceRows) -> Field:
     """Records the solve of a method as steps, as its `field` does it."""
     raise ValueError(
         f"{type(method).__name__} cannot be exported. A plan in a file is a linear map without a solve on cells: of RBF, "
@@ -154,7 +154,7 @@ def _(method: SurfaceReconstruction, tape, ids, factors, rows) -> Field:
     coarse(tape, at_surface, Places(rows.points, factors[1]))
     tape.step("add", offset, rows.u, number=1)
     tape.step("add", offset, at_surface, number=-1)  # eq. (5)
-    left = Rows(offset, rows.points, np.zeros_like(rows.is_held))
+    left = SurfaceRows(offset, rows.points, np.zeros_like(rows.is_held))
     correction = recorded(method.correction, tape, ids[2], factors[2], left)
 
     def add(tape: Tape, out: int, places: Places) -> None:
@@ -299,7 +299,7 @@ class _Fit:
     tape: Tape
     ids: WallIds
     factors: FitFactors
-    rows: Rows
+    rows: SurfaceRows
 
     def recorded(self) -> Field:
         tape, ids, factors, u = self.tape, self.ids, self.factors, self.rows.u
@@ -356,14 +356,14 @@ class _Fit:
         return solved
 
 
-def _chosen(rows: np.ndarray, columns: int) -> csr_array:
+def _chosen(rows: Any, columns: int) -> csr_array:
     return csr_array((np.ones(len(rows)), np.asarray(rows), np.arange(len(rows) + 1)), (len(rows), columns))
 
 
 def _stacked(blocks: Sequence[csr_array], rows: int) -> csr_array:
     """Stacks sparse rows, and fills up with empty ones."""
     matrix = csr_array(vstack(blocks))
-    matrix.resize((rows, matrix.shape[1]))
+    matrix.resize((rows, blocks[0].shape[1]))  # pyright: ignore[reportOptionalSubscript]
     return matrix
 
 

@@ -17,7 +17,7 @@ from .._boundary.tracks import Track
 from .._host.package.arguments import checked, rows_of
 from .._host.package.files import complete, output_path
 from .._methods.blocks import without_tables
-from .._methods.tape import POINTS, Field, Places, Rows, Tape, U, recorded
+from .._methods.tape import POINTS, Field, Places, SurfaceRows, Tape, U, recorded
 from .plan import Guide, Plan, VolumePart
 
 MAGIC, VERSION, HEAD, WORDS = b"JMPLAN\r\n", 1, 18, 9
@@ -74,7 +74,8 @@ def export(
     place = np.full(int(np.asarray(plan.surface.nodes).max(initial=0)) + count + 1, -1)
     place[chosen] = np.arange(len(chosen))
     tape = Tape(plan.points.shape[1])
-    tape.register(plan.n_moving), tape.register(len(chosen))
+    for rows in (plan.n_moving, len(chosen)):  # of the registers U and POINTS
+        tape.register(rows)
     volume = jax.tree.map(lambda leaf: np.asarray(leaf)[chosen], without_tables(plan.volume))
     first = _recorded(tape, plan, volume, place)
     moving = tape.array(place[np.asarray(plan.moving)], "i8")
@@ -187,7 +188,7 @@ def _field(tape: Tape, plan: Plan, own: int) -> Field:
         tape.rows_in_place("turn", u, np.asarray(images.kind) == kind, matrix)
     own_rows = np.asarray(images.rows)
     is_held = (own_rows >= plan.n_moving) & (own_rows < len(surface.nodes) - plan.n_guided)
-    rows = Rows(u, tape.array(surface.points), is_held)
+    rows = SurfaceRows(u, tape.array(surface.points), is_held)
     return recorded(plan.method, tape, surface.ids, surface.factors, rows)
 
 

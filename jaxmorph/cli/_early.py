@@ -1,14 +1,15 @@
 """What is sure to fail, told before JAX is imported and the mesh is read."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from jaxmorph._advice.methods import METHODS, entry
-from jaxmorph._host.package.files import check_apart, input_path, output_path
+from jaxmorph import METHODS
 from jaxmorph._host.package.text import GRADIENTS, LATTICES, SENSITIVITIES, is_folder
+from jaxmorph.extend import input_path, output_path
 from jaxmorph.integrations import su2
 
 from ._job import job_of
@@ -48,6 +49,31 @@ def check(request: Request) -> None:
         _check_sources(request.method)
 
 
+def check_apart(
+    outputs: Iterable[tuple[str, Path]], inputs: Mapping[str, Iterable[str | os.PathLike[str] | None]]
+) -> None:
+    """Raises `ValueError` for an output that is an input, and for two outputs in one file. Outputs
+    come with the names that messages give them, inputs by their role: `the mesh is`.
+    """
+    read = {_identity(file): what for what, files in inputs.items() for file in files if file is not None}
+    written: dict[Any, str] = {}
+    for name, path in outputs:
+        file = _identity(path)
+        if file in read:
+            raise ValueError(f"{name} {path}: {read[file]} read from this file; write to another one.")
+        if file in written:
+            raise ValueError(f"{name} {path} is the file of {written[file]}. Write to another file.")
+        written[file] = name
+
+
+def _identity(path: str | os.PathLike[str]) -> Any:
+    try:
+        about = os.stat(path)
+    except OSError:
+        return os.path.realpath(path)
+    return about.st_dev, about.st_ino  # those of links are the same
+
+
 def lattice_files(file: Path) -> tuple[Path, Path]:
     return file.with_stem(f"{file.stem}_before"), file.with_stem(f"{file.stem}_after")
 
@@ -82,13 +108,13 @@ def _check_way(request: Deform) -> None:
     elif not request.file.is_dir():
         raise ValueError(f"{request.file}: no folder of an OpenFOAM case.")
     for name in ("chunk", "decomposed"):
-        if getattr(request, name) and entry(request.method.method).needs_cells:
+        if getattr(request, name) and METHODS[request.method.method].needs_cells:
             raise ValueError(f"--{name} is not for {request.method.method}, which solves for all nodes at once.")
 
 
 def _check_sources(request: MethodFlags) -> None:
-    if request.sources is not None and entry(request.method).sources != "some":
-        free = " and ".join(method.name for method in METHODS if method.sources == "some")
+    if request.sources is not None and METHODS[request.method].sources != "some":
+        free = " and ".join(name for name, method in METHODS.items() if method.sources == "some")
         raise ValueError(f"--sources is for the methods {free}; {request.method} has no sources to choose.")
 
 

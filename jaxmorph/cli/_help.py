@@ -2,7 +2,7 @@
 
 import dataclasses
 
-from jaxmorph._advice.methods import METHODS
+from jaxmorph import METHODS
 
 EXAMPLES = "examples:\n"
 
@@ -31,7 +31,7 @@ class Page:
 
 
 def _methods() -> str:
-    lines = [f"  {entry.name + ' *' * entry.needs_cells:<17} {entry.sentence}" for entry in METHODS]
+    lines = [f"  {name + ' *' * entry.needs_cells:<17} {entry.sentence}" for name, entry in METHODS.items()]
     return "\n".join(["methods (* is solved on the cells):", *lines])
 
 

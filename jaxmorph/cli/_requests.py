@@ -7,14 +7,13 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import jaxmorph as jm
-from jaxmorph._advice.methods import METHODS
 
 from ._parser import Angle, Fields, flag, one_of, part, positional, several, switch
 
 MESH = "a mesh file (.su2, .vtu, .vtk, .msh, .cgns, .med, .exo, .e, .xyz, .p3d ...) or an OpenFOAM case"
 ZONE = "of an SU2 file with several zones the zone IZONE= N alone; all others are written as they are"
 WHAT_MOVES = 'patches that move: names, or patterns as "wing.*"'
-NAMES = [entry.name for entry in METHODS]
+NAMES = [*jm.METHODS]
 
 BAD, OUTPUT = "when cells are bad", ("--output", "-o")
 SHAPES: dict[str, Any] = {"section": "shapes", "everyday": True}

@@ -270,13 +270,17 @@ JM_INLINE void jm_kernel_of(int64_t d, int kind, int64_t s, int64_t p, const dou
     int64_t d, int kind, int64_t s, int64_t p, const double *sources, const double *numbers, const double *points,    \
         const double *shares, int64_t count, const double *coefficients, double *values, double *bar
 
+#define JM_KERNEL_NAMES d, kind, s, p, sources, numbers, points, shares, count, coefficients, values, bar
+
 static void jm_kernel_plain(JM_KERNEL_ARGUMENTS) { JM_KERNEL_BODY }
-#if defined(__GNUC__) && defined(__x86_64__) && !defined(__AVX2__)
-__attribute__((target("avx2,fma"))) static void jm_kernel_wide(JM_KERNEL_ARGUMENTS) { JM_KERNEL_BODY }
+#if defined(__GNUC__) && defined(__x86_64__) && !defined(__AVX512F__)
+/* Whatever the flags of the compiler: the vectors that this machine has. */
+__attribute__((target("avx2,fma"))) static void jm_kernel_4(JM_KERNEL_ARGUMENTS) { JM_KERNEL_BODY }
+__attribute__((target("avx2,fma,avx512f,avx512dq,avx512vl"))) static void jm_kernel_8(JM_KERNEL_ARGUMENTS) { JM_KERNEL_BODY }
 static void jm_kernel(JM_KERNEL_ARGUMENTS) {
-    if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma"))
-        jm_kernel_wide(d, kind, s, p, sources, numbers, points, shares, count, coefficients, values, bar);
-    else jm_kernel_plain(d, kind, s, p, sources, numbers, points, shares, count, coefficients, values, bar);
+    const int has_4 = __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma");
+    const int has_8 = has_4 && __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512vl");
+    (has_8 ? jm_kernel_8 : has_4 ? jm_kernel_4 : jm_kernel_plain)(JM_KERNEL_NAMES);
 }
 #else
 #define jm_kernel jm_kernel_plain

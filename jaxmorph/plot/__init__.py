@@ -1,15 +1,13 @@
 """Draws meshes: in 2-D with matplotlib, in 3-D with pyvista, off screen.
 
 Plots take matplotlib's axes `ax` or pyvista's `plotter`, by default a new one, and return it.
-`animate` makes a film of either, `page` an interactive page of a surface in 3-D.
+`page` makes an interactive page of a surface in 3-D.
 """
 
 from ._curves import convergence as convergence
 from ._curves import histogram as histogram
-from ._files import animate as animate
 from ._files import page as page
 from ._files import picture as picture
-from ._files import swing as swing
 from ._plane import Window as Window
 from ._plane import before_after as before_after
 from ._plane import graph as graph

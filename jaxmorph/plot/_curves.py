@@ -7,8 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 import jaxmorph as jm
-from jaxmorph._host.package.arguments import checked
-from jaxmorph._quality.report import MEASURES
+from jaxmorph.extend import checked
 from jaxmorph.shapes import History
 
 from ._plane import Axes, given_or_new, legend_above
@@ -31,8 +30,8 @@ def histogram(reports: Mapping[str, jm.QualityReport], *, measure: str = "skewne
 
     **Returns:** the axes. **Raises:** `ValueError` for an unknown measure, and no report.
     """
-    if measure not in MEASURES:
-        raise ValueError(f"no measure is called {measure!r}; there are {', '.join(MEASURES)}.")
+    if measure not in jm.QualityReport.measures:
+        raise ValueError(f"no measure is called {measure!r}; there are {', '.join(jm.QualityReport.measures)}.")
     if not reports:
         raise ValueError("`reports` is empty: give at least one, such as {'undeformed': jm.quality(mesh)}.")
     finite = {name: _of_cells(report, measure) for name, report in reports.items()}

@@ -9,12 +9,12 @@ import numpy as np
 from jaxtyping import Float, Int
 
 import jaxmorph as jm
+from jaxmorph.extend import checked, finite_array
 
-from .._host.package.arguments import checked, finite_array
 from ._outside import lines_of
 from ._plane import ROOM, Axes, Window, given_or_new, in_dimension, legend_above, show, whole
 from ._space import add_legend, aim, aim_again, new_plotter
-from ._style import BLUE, GREEN, GREY, ORANGE
+from ._style import GREEN, GREY, ORANGE
 
 FEW = 30
 """Sources up to which they are drawn as large dots, without covering each other."""
@@ -26,7 +26,6 @@ def sources(
     reduction: jm.AbstractReduction | None = None,
     *,
     fixed: bool = False,
-    search_points: bool = False,
     window: Window | None = None,
     ax: Axes | None = None,
 ) -> Axes:
@@ -37,7 +36,6 @@ def sources(
     - `surface`: a plan, with its own sources and boxes; or points (m, 2).
     - `reduction`: chooses the sources among points; not for a plan.
     - `fixed`: True shows the sources and boxes of a plan's fixed nodes too, which may be far away.
-    - `search_points`: True marks the places in each box around which a source was looked for.
     - `window`: ((left, right), (bottom, top)); all that is drawn by default.
     - `ax`: matplotlib's axes; new ones by default.
 
@@ -59,9 +57,6 @@ def sources(
     size = float(np.clip(7 * np.sqrt(FEW / max(len(picture.sources), 1)), 3.5, 7))
     ax.plot(*picture.nodes.T, ".", color=GREY, markersize=0.7 * size, label=f"{len(picture.nodes)} nodes", zorder=2)
     ax.plot(*picture.sources.T, "o", color=ORANGE, markersize=size, label=f"{len(picture.sources)} sources", zorder=3)
-    if search_points and picture.leaves:
-        style = {"color": BLUE, "markersize": 7, "markeredgewidth": 1.5, "zorder": 4}
-        ax.plot(*picture.searched.T, "+", label=f"{len(picture.searched)} search points", **style)
     legend_above(ax)
     return ax
 
@@ -72,14 +67,13 @@ def sources_3d(
     reduction: jm.AbstractReduction | None = None,
     *,
     fixed: bool = False,
-    search_points: bool = False,
     plotter: Any = None,
 ) -> Any:
     """Draws sources in 3-D: nodes as grey points, sources as orange spheres, boxes by edges.
 
     **Arguments:**
 
-    - `surface`, `reduction`, `fixed`, `search_points`: as `sources` takes them, in 3-D.
+    - `surface`, `reduction`, `fixed`: as `sources` takes them, in 3-D.
     - `plotter`: pyvista's; a new one by default. One from `plot.surface` shows the sources on the
       body.
 
@@ -94,9 +88,6 @@ def sources_3d(
     if picture.leaves:
         plotter.add_mesh(_wires(picture.boxes), color=GREEN, line_width=1.5, lighting=False)
         legend.append((f"{picture.leaves} leaves", GREEN))
-        if search_points:
-            plotter.add_points(picture.searched, color=BLUE, point_size=12, **balls)
-            legend.append((f"{len(picture.searched)} search points", BLUE))
     add_legend(plotter, legend)
     (aim if new else aim_again)(plotter)
     return plotter
@@ -104,12 +95,11 @@ def sources_3d(
 
 @dataclasses.dataclass(frozen=True)
 class _Picture:
-    """A drawing: coordinates of nodes and sources, corners of leaves' boxes, search points."""
+    """A drawing: coordinates of nodes and sources, corners of leaves' boxes."""
 
     nodes: Float[np.ndarray, "n d"]
     sources: Float[np.ndarray, "s d"]
     boxes: Float[np.ndarray, "l 2 d"]
-    searched: Float[np.ndarray, "q d"]
 
     @property
     def leaves(self) -> int:
@@ -127,14 +117,9 @@ def _picture(surface: Any, reduction: jm.AbstractReduction | None, fixed: bool, 
         points = in_dimension(surface, dimension)
         parts, chosen = [(points, reduction)], points[reduction(points)]
     nodes = in_dimension(np.concatenate([points for points, _ in parts]), dimension)
-    boxes, searched = [np.zeros((0, 2, dimension))], [np.zeros((0, dimension))]
-    for points, reduction in parts:
-        if isinstance(reduction, jm.KDTree) and len(points):
-            boxes.append(reduction.boxes(points))
-            local = reduction.search_points.local(dimension)
-            centre, half = boxes[-1].mean(axis=1), np.ptp(boxes[-1], axis=1) / 2
-            searched.append((centre[:, None] + half[:, None] * local).reshape(-1, dimension))
-    return _Picture(nodes, chosen, np.concatenate(boxes), np.concatenate(searched))
+    trees = [(tree, points) for points, tree in parts if isinstance(tree, jm.KDTree) and len(points)]
+    boxes = [np.zeros((0, 2, dimension)), *(tree.boxes(points) for tree, points in trees)]
+    return _Picture(nodes, chosen, np.concatenate(boxes))
 
 
 def radial_basis_functions(plan: jm.Plan) -> jm.RBF:

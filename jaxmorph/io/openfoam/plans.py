@@ -1,4 +1,4 @@
-"""Plans for the motion solver in `native/openfoam`: one for a case, and one for each of its parts."""
+"""Plans for the motion solver in `native/openfoam`: of a case, and of each of its parts."""
 
 import os
 import pathlib
