@@ -40,7 +40,7 @@ namespace Foam
     template<class T, class CombineOp>
     static void combine(List<T>& list, const CombineOp& op)
     {
-        #if OPENFOAM >= 2306
+        #if OPENFOAM >= 2406
         Pstream::listCombineReduce(list, op);
         #else
         Pstream::listCombineGather(list, op);
