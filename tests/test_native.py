@@ -296,8 +296,8 @@ int main(int count, char **words) {
         for (int j = next() % 3; j >= 0; j--) {        /* words of header and tables are changed more often than numbers */
             const long place = (next() % 2 ? next() % 400 : next()) % (size / 8 - 5) + 5;
             const uint64_t value = next();
-            const int64_t other = copy[value % (size / 8)];
-            const int64_t words[] = {(int64_t)value, (int64_t)(value % 64), -1, copy[place] + 1, INT64_MAX, other};
+            const int64_t other = copy[value % (size / 8)], more = (int64_t)((uint64_t)copy[place] + 1);
+            const int64_t words[] = {(int64_t)value, (int64_t)(value % 64), -1, more, INT64_MAX, other};
             copy[place] = words[next() % 6];
         }
         jm_sums(copy + 5, size / 8 - 5, sums);
