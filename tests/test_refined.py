@@ -67,6 +67,8 @@ def test_cells_of_lower_dimension_have_no_skin():
     mesh = square()
     more = jm.Mesh(mesh.points, {"line": [[0, 1]], **mesh.cells})
     assert np.array_equal(more.skin()[1], mesh.skin()[1] + 1)
+    assert not jm.Mesh(mesh.points).refined(2)[0].cells
+    assert mesh.moved(np.asarray(mesh.points, np.float32)).refined(2)[0].points.dtype == np.float32
     with pytest.raises(ValueError, match="`steps` must be a whole number of at least 1"):
         mesh.refined(0)
 

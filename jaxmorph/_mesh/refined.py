@@ -52,7 +52,7 @@ def _places(cells: Cells, points: np.ndarray, steps: int) -> tuple[np.ndarray, l
         places.append(np.einsum("sn,knd->ksd", places_of(kind, steps), points[ids]).reshape(-1, points.shape[1]))
         counts.append(len(keys[-1]))
     _, first, number = np.unique(np.concatenate(keys), axis=0, return_index=True, return_inverse=True)
-    tables = np.split(number.ravel(), np.cumsum(counts)[:-1])
-    return np.concatenate(places)[first], [
-        table.reshape(len(ids), -1) for table, ids in zip(tables, cells.values(), strict=True)
-    ]
+    number, ends = number.ravel(), np.cumsum(counts, dtype=int)
+    tables = [number[end - count : end] for count, end in zip(counts, ends, strict=True)]
+    tables = [table.reshape(len(ids), -1) for table, ids in zip(tables, cells.values(), strict=True)]
+    return np.concatenate(places)[first].astype(points.dtype), tables
