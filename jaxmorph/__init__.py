@@ -18,8 +18,8 @@ import typing
 
 if typing.TYPE_CHECKING:  # `as` makes a name public for type checkers; `_NAMES` repeats it
     # isort: off
-    from . import cases as cases, cli as cli, extend as extend, integrations as integrations, io as io, plot as plot
-    from . import shapes as shapes
+    from . import cases as cases, cli as cli, extend as extend, integrations as integrations, io as io
+    from . import native as native, plot as plot, shapes as shapes
     from ._advice.compare import Comparison as Comparison, compare as compare
     from ._advice.cures import Cure as Cure, cures as cures
     from ._advice.fewest_steps import Steps as Steps, fewest_steps as fewest_steps
@@ -98,6 +98,7 @@ if typing.TYPE_CHECKING:  # `as` makes a name public for type checkers; `_NAMES`
     from ._methods.reconstruction import SurfaceReconstruction as SurfaceReconstruction
     from ._methods.surface import Surface as Surface
     from ._plan.deform import deform as deform, pullback as pullback, velocity as velocity
+    from ._plan.export import Layer as Layer, export as export
     from ._plan.halves import (
         SurfaceHalf as SurfaceHalf,
         prepare_in_chunks as prepare_in_chunks,
@@ -127,7 +128,7 @@ if typing.TYPE_CHECKING:  # `as` makes a name public for type checkers; `_NAMES`
 __version__: str
 
 
-_SUBMODULES = ("cases", "cli", "extend", "integrations", "io", "plot", "shapes")
+_SUBMODULES = ("cases", "cli", "extend", "integrations", "io", "native", "plot", "shapes")
 _NAMES = {
     "._advice.compare": "Comparison compare",
     "._advice.cures": "Cure cures",
@@ -167,6 +168,7 @@ _NAMES = {
     "._methods.reconstruction": "SurfaceReconstruction",
     "._methods.surface": "Surface",
     "._plan.deform": "deform pullback velocity",
+    "._plan.export": "Layer export",
     "._plan.halves": "SurfaceHalf prepare_in_chunks prepare_surface",
     "._plan.judge": "BoundaryQuality boundary_quality",
     "._plan.plan": "Plan",

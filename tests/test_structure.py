@@ -36,7 +36,7 @@ FLOORS = (
     ("_advice",),
     ("", "extend"),
     ("shapes",),
-    ("io", "plot", "cases", "integrations"),
+    ("io", "native", "plot", "cases", "integrations"),
     ("_demo",),
     ("cli",),
     ("__main__",),
@@ -192,10 +192,11 @@ def test_the_host_knows_neither_jax_nor_the_rest():
 
 
 def test_the_driver_knows_no_method_but_the_abstract_one():
-    """`prepare` also asks for the default one, and for the one that guides nodes along boundaries."""
+    """`prepare` also asks for the default one, and for the one that guides nodes along boundaries; `export` records any."""
     known = {each.module for each in own_imports() if each.rooms == ("_plan", "_methods")}
     assert known <= {
-        f"jaxmorph._methods.{name}" for name in ("base", "blocks", "guiding", "reconstruction", "shares", "surface")
+        f"jaxmorph._methods.{name}"
+        for name in ("base", "blocks", "guiding", "reconstruction", "shares", "surface", "tape")
     }
 
 

@@ -20,10 +20,12 @@ from ._requests import (
     SU2,
     Deform,
     Demo,
+    ExportRequest,
     Info,
     MethodFlags,
     ModesRequest,
     MotionFlags,
+    NativeRequest,
     Quality,
     Request,
     SensitivityRequest,
@@ -43,7 +45,7 @@ OWNERS = {
 def check(request: Request) -> None:
     OF_COMMAND[type(request)](request)
     _check_values(values_of(request))
-    if isinstance(request, Deform | ModesRequest | SensitivityRequest | SU2):
+    if isinstance(request, Deform | ModesRequest | SensitivityRequest | ExportRequest | SU2):
         _check_sources(request.method)
 
 
@@ -168,6 +170,20 @@ def _check_sensitivity(request: SensitivityRequest) -> None:
         _check_sources(job.method)
 
 
+def _check_export(request: ExportRequest) -> None:
+    _check_input(request.file)
+    if is_folder(request.file):
+        if request.output is not None:
+            raise ValueError(
+                f"{request.output}: leave OUT out; plans of a case are {request.file}/constant/jaxmorph.plan."
+            )
+    elif request.output is None:
+        raise ValueError("OUT is missing: name the file of the plan, such as wing.plan.")
+    else:
+        output_path(request.output)
+        check_apart([("OUT", request.output)], {"the mesh is": [request.file]})
+
+
 def _check_su2(request: SU2) -> None:
     if request.action == "def" and request.sensitivity is not None:
         raise ValueError("--sensitivity is for su2 dot, and su2 def moves the mesh.")
@@ -200,6 +216,8 @@ OF_COMMAND: dict[Any, Callable[[Any], None]] = {
     Deform: _check_deform,
     ModesRequest: _check_modes,
     SensitivityRequest: _check_sensitivity,
+    ExportRequest: _check_export,
+    NativeRequest: lambda request: None,
     SU2: _check_su2,
     Quality: _check_quality,
     Info: lambda request: _check_input(request.file),

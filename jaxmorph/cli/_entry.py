@@ -15,7 +15,20 @@ from . import _help
 from ._job import with_job
 from ._output import Output
 from ._parser import Parser, made, meant, quoted
-from ._requests import COMMANDS, SU2, Deform, Demo, Info, ModesRequest, Quality, Request, SensitivityRequest, Speech
+from ._requests import (
+    COMMANDS,
+    SU2,
+    Deform,
+    Demo,
+    ExportRequest,
+    Info,
+    ModesRequest,
+    NativeRequest,
+    Quality,
+    Request,
+    SensitivityRequest,
+    Speech,
+)
 
 LIMIT = 256 * 2**20
 """Bytes in the cache at most; the least recently used go first."""
@@ -53,7 +66,16 @@ def answer(words: Sequence[str]) -> int:
     return out.end(2)
 
 
+def _native(request: Request, out: Output) -> int:
+    from jaxmorph import native
+
+    out.say(str(native.folder), folder=str(native.folder))
+    return 0
+
+
 def _command(request: Request) -> Callable[[Request, Output], int]:
+    if isinstance(request, NativeRequest):
+        return _native  # needs no JAX
     begin_jax()
     is_part = isinstance(request, Deform) and request.decomposed
     module, name = ("_decomposed.deform_parts" if is_part else RUNS[type(request)]).split(".")
@@ -64,6 +86,7 @@ RUNS: dict[Any, str] = {
     Deform: "_deform.deform",
     ModesRequest: "_modes.modes",
     SensitivityRequest: "_sensitivity.sensitivity",
+    ExportRequest: "_export.export",
     SU2: "_su2.run",
     Quality: "_inspect.quality",
     Info: "_inspect.info",

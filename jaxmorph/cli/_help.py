@@ -178,6 +178,30 @@ exit status: 0; 2 for bad input""",
 jaxmorph sensitivity --help-all""",
         5,
     ),
+    "export": Page(
+        "write a plan that moves the mesh inside a running solver",
+        """MESH OUT --moving NAME ... --fixed NAME ...
+           [--symmetry NAME ...] [METHOD ...]
+       jaxmorph export CASE --moving NAME ... --fixed NAME ...""",
+        """\
+Name the patches and the method as for deform. jmplan.h opens OUT and moves the
+mesh by it, from C, C++ and Fortran; jaxmorph native shows its folder. In an
+OpenFOAM case the plan is constant/jaxmorph.plan, and each processor* gets one.
+The method must be linear in the displacement, and not solved on cells.
+
+examples:
+  jaxmorph export wing.su2 wing.plan --moving wing --fixed farfield
+  jaxmorph export case --moving walls --fixed inlet outlet
+
+exit status: 0; 2 for bad input""",
+    ),
+    "native": Page(
+        "show the folder of jmplan.h and of the motion solver for OpenFOAM",
+        "",
+        """\
+example:
+  cc -O3 -I$(jaxmorph native) solver.c -lm""",
+    ),
     "su2": Page(
         "do what SU2_DEF and SU2_DOT do, from SU2's config file",
         """def CONFIG [METHOD ...]

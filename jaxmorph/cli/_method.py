@@ -13,7 +13,7 @@ import jaxmorph as jm
 from jaxmorph import io
 
 from ._output import count
-from ._requests import Deform, MethodFlags, ModesRequest, SensitivityRequest
+from ._requests import Deform, ExportRequest, MethodFlags, ModesRequest, SensitivityRequest
 
 Chunks = Iterator[tuple[Int[np.ndarray, " c"], jm.Plan]]
 
@@ -121,7 +121,7 @@ class Patches:
             return jm.prepare_surface(self.boundary, method=self.method, **known)
 
 
-def patches_of(request: Deform | ModesRequest | SensitivityRequest, mesh: jm.Mesh) -> Patches:
+def patches_of(request: Deform | ModesRequest | SensitivityRequest | ExportRequest, mesh: jm.Mesh) -> Patches:
     """Looks up the patches that the names mean. A pattern never fixes a moving or sliding patch.
 
     Without names, symmetry patches and periodic pairs are those of the file. Raises `ValueError`
@@ -147,7 +147,7 @@ def _check_none_left(mesh: jm.Mesh, lists: set[str]) -> None:
         raise ValueError(f"--fixed is missing: name the patches that stay; this mesh has: {', '.join(mesh.patches)}.")
 
 
-def _check_names(request: Deform | ModesRequest | SensitivityRequest, mesh: jm.Mesh) -> None:
+def _check_names(request: Deform | ModesRequest | SensitivityRequest | ExportRequest, mesh: jm.Mesh) -> None:
     if not request.moving:
         has = ", ".join(mesh.patches) or "none"
         raise ValueError(f"--moving is missing: name the patches that move; this mesh has: {has}.")

@@ -264,6 +264,22 @@ class SensitivityRequest:
 
 
 @dataclasses.dataclass(frozen=True)
+class ExportRequest:
+    file: Path = positional(MESH, "IN")
+    output: Path | None = positional("the plan; not given for an OpenFOAM case", "OUT", nargs="?", type=_output)
+    zone: int | None = flag(ZONE)
+    moving: tuple[str, ...] = _patches(WHAT_MOVES, section="surface", everyday=True)
+    boundary: BoundaryFlags = part(BoundaryFlags)
+    method: MethodFlags = part(MethodFlags)
+    speech: Speech = part(Speech)
+
+
+@dataclasses.dataclass(frozen=True)
+class NativeRequest:
+    """Request of `jaxmorph native`, which has no flags."""
+
+
+@dataclasses.dataclass(frozen=True)
 class SU2:
     """Request of `jaxmorph su2`: `action` is `def` or `dot`."""
 
@@ -305,9 +321,9 @@ class Demo:
     output: Path = flag("where to write (default jaxmorph-demo)", *OUTPUT, metavar="DIR", default=Path("jaxmorph-demo"))
 
 
-Request = Deform | ModesRequest | SensitivityRequest | SU2 | Quality | Info | Demo
+Request = Deform | ModesRequest | SensitivityRequest | ExportRequest | NativeRequest | SU2 | Quality | Info | Demo
 
 COMMANDS: dict[str, Fields] = {
     fields.__name__.removesuffix("Request").lower(): fields
-    for fields in (Deform, ModesRequest, SensitivityRequest, SU2, Quality, Info, Demo)
+    for fields in (Deform, ModesRequest, SensitivityRequest, ExportRequest, NativeRequest, SU2, Quality, Info, Demo)
 }
