@@ -177,7 +177,7 @@ def with_loose_node() -> jm.Mesh:
     return jm.Mesh(np.vstack([mesh.points, [[0.1, 40.0]]]), mesh.cells, mesh.patches)
 
 
-@over("name", fast=["one plane", "sliding", "periodic", "share", "a node of no cell"], slow=["parallel planes"])
+@over("name", fast=["one plane", "periodic", "share", "a node of no cell"], slow=["sliding", "parallel planes"])
 def test_boundaries(library, tmp_path, name):
     plan = BOUNDARIES[name]()
     wall = np.asarray(plan.moving_points)
@@ -326,7 +326,7 @@ int main(int count, char **words) {
 """
 
 
-@pytest.mark.parametrize("rounds", runs(fast=[200], nightly=[5000]))
+@pytest.mark.parametrize("rounds", runs(fast=[100], nightly=[5000]))
 def test_files_with_wrong_words_and_right_sums_do_no_harm(tmp_path, rounds):
     """Under the sanitizers of addresses and of undefined behaviour; most such files are refused, some are read."""
     program, source = tmp_path / "fuzz", tmp_path / "fuzz.c"
@@ -337,7 +337,7 @@ def test_files_with_wrong_words_and_right_sums_do_no_harm(tmp_path, rounds):
     )
     if built.returncode:
         pytest.skip(f"no sanitizers: {built.stderr.splitlines()[-1]}")
-    for make in (lambda file: small_plan(file), lambda file: jm.export(wing(sliding=("root", "tip")), file)):
+    for make in (small_plan, *([lambda file: jm.export(wing(sliding=("root", "tip")), file)] if rounds > 100 else [])):
         make(tmp_path / "good.plan")
         words = [program, tmp_path / "good.plan", tmp_path / "bad.plan", str(rounds)]
         done = subprocess.run(words, capture_output=True, text=True, check=False)
