@@ -29,7 +29,7 @@ def each(names: str, value: Any) -> dict[str, Any]:
 BUILT = words("""
 io.Box jm.BoundaryQuality jm.Comparison jm.Control jm.Cure jm.FaceQuality jm.FreeFaces jm.Improvement jm.Inspection
 jm.LargestStep jm.MeshError jm.Plan jm.Proof jm.QualityReport jm.SmoothQuality jm.Steps jm.Surface jm.SurfaceHalf jm.Verdict
-jm.WallQuality plot.SurfaceErrors shapes.Fit shapes.QualityRows shapes.Stations
+jm.WallQuality shapes.Fit shapes.QualityRows shapes.Stations
 """)
 """Classes whose constructors the library alone calls."""
 
@@ -201,7 +201,7 @@ GOOD: dict[str, dict[str, Any]] = {
     "shapes.volume": {"x": PLACES, "faces": np.array([[0, 1, 2]]), "plane": np.zeros(3)},
     "shapes.wall_normals": {"mesh": BRICKS, "*": "floor"},
     "plot.before_after_3d": {"mesh": BRICKS, "points": PLACES},
-    "plot.convergence": {"errors": {"a": plot.SurfaceErrors(np.array([3]), np.array([0.1]), np.array([0.1]))}},
+    "plot.convergence": {"history": history},
     "plot.cut": SPACE | {"plane": jm.Plane([0.0, 0.0, 1.0], [0.0, 0.0, 0.3])},
     "plot.graph": {"interior": False},
     "plot.histogram": {"reports": Lazy(lambda: {"a": report()})},
@@ -211,10 +211,6 @@ GOOD: dict[str, dict[str, Any]] = {
     "plot.sources": {"surface": plan},
     "plot.sources_3d": {"surface": PLACES},
     "plot.surface": SPACE,
-    "plot.surface_errors": {
-        "plan": Lazy(lambda: jm.prepare(MESH, "wall", "far", method=jm.RBF(reduction=jm.AllPoints()))),
-        **{"u": np.ones_like(U), "reductions": (jm.AllPoints(),)},
-    },
     "cases.bodies": {"boxes": {"a": [-1.0, 1.0, -1.0, 1.0]}},
     "cases.bricks": {"first_cell": 0.1},
     "cases.naca4": {"code": "2412"},
@@ -260,7 +256,7 @@ EXTRA: dict[str, dict[str, Any]] = {
     "shapes.HicksHenne.centres": {"beyond": [1.5], "twice": [0.5, 0.5]},
     "shapes.ReferenceAxis.points": {"one": np.zeros((1, 3))},
     **each("shapes.bend.axis shapes.rotate.axis", {"plane": [0.0, 0.0, 1.0]}),
-    **each("jm.replay.plans plot.surface_errors.reductions", {"empty": ()}),
+    "jm.replay.plans": {"empty": ()},
     "cases.bodies.box": {"short": [0.0, 1.0], "back": [4.0, -4.0, -4.0, 4.0]},
 }
 """Values out of range, by the name of an argument, everywhere or of one callable."""
