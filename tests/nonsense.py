@@ -136,7 +136,9 @@ GOOD: dict[str, dict[str, Any]] = {
     "jm.Mesh": {"cells": {"quad": np.asarray(MESH.cells["quad"])}, "patches": {"a": [0, 1]}},
     "jm.Mesh.from_meshio": {"mesh": Lazy(MESH.to_meshio)},
     "jm.Mesh.from_pyvista": {"grid": Lazy(MESH.to_pyvista)},
+    "jm.export": {"path": FOLDER / "a.plan", "layer": jm.Layer(np.arange(N), (0, 1))},
     "jm.KDTree": {"leaves": 4},
+    "jm.Layer": {"points": np.arange(N), "axes": (0, 1)},
     "jm.Periodic": {"patch": np.array([0]), "partner": np.array([1]), "translation": np.array([0.0, 1.0])},
     "jm.Plane": {"normal": np.array([0.0, 1.0]), "origin": np.zeros(2)},
     "jm.Plane.through": {"nodes": WALL},
@@ -150,6 +152,7 @@ GOOD: dict[str, dict[str, Any]] = {
     "jm.shard": {"devices": ()},
     "jm.Verdict.together": {"parts": Lazy(lambda: [jm.judge(MESH), jm.judge(MESH)])},
     "io.Decomposed": {"path": FOLDER / "case"},
+    "io.export_case": {"path": FOLDER / "case", "mesh": Lazy(lambda: decomposed().read(0))},
     "io.Decomposed.surface": {"sides": Lazy(lambda: [decomposed().side(k) for k in (0, 1)])},
     **each("io.Decomposed.check_output io.Decomposed.writing", {"path": FOLDER / "new"}),
     **each("io.check_gradient_output io.check_sensitivity_output", {"path": FOLDER / "a.csv"}),
@@ -357,7 +360,7 @@ UNCHECKED |= words("jm.Periodic.about jm.Periodic.axis jm.Periodic.rotation jm.p
 
 SENSE = {
     "x": "nan infinite",
-    **each("jm.curve.moving jm.curve.fixed", "beyond"),  # nodes of the elevated mesh
+    **each("jm.curve.moving jm.curve.fixed jm.Layer.points", "beyond"),  # nodes of another mesh
     **each("jm.Graded.share jm.Greedy.motions", "beyond wide short"),
     **each("jm.march.path jm.replay.path jm.judge.points shapes.project.gradient", "nan infinite"),
     **each("jm.Limits.min_jacobian_ratio", "below beyond"),
@@ -367,7 +370,7 @@ SENSE = {
     **each("jm.face_quality.points jm.refit.points jm.smooth_quality.points", "nan infinite"),
     **each("jm.proof.points jm.proven_margin.points", "nan infinite"),
     **each("jm.wall_quality.points jm.soft_maximum.values plot.values", "nan infinite number axis"),
-    **each("jm.save.path jm.soft_maximum.axis", "ending less list"),
+    **each("jm.save.path jm.export.path jm.soft_maximum.axis", "ending less list"),
     **each("jm.KDTree.with_sources.points jm.Plane.through.points", "short"),
     "jm.Mesh.points": "nan infinite short",
     **each("jm.Mesh.moved.points jm.Mesh.in_file_order.points", "nan infinite"),

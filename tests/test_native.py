@@ -241,7 +241,7 @@ def test_what_no_file_holds_is_told(tmp_path):
         (lambda: jm.export(plan, file, nodes=[999999]), "not in 0 to"),
         (lambda: jm.export(plan, tmp_path / "none" / "body.plan"), "none"),
         (lambda: jm.export(plan, file, layer=jm.Layer(np.array([len(mesh.points)]), (0, 1))), "layer.points"),
-        (lambda: jm.export(plan, file, layer=jm.Layer(np.array([0]), (0, 5))), "two axes of 0, 1, 2"),
+        (lambda: jm.Layer(np.array([0]), (0, 5)), "`axes` must be two of 0, 1, 2"),
     )
     assert not list(tmp_path.iterdir())
 

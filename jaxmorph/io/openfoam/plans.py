@@ -35,6 +35,8 @@ def export_case(path: str | os.PathLike[str], mesh: Mesh, plan: Plan) -> list[pa
     source, for a case between wedges, and for parts of another mesh.
     """
     place = pathlib.Path(path)
+    if not place.is_dir():
+        raise ValueError(f"{path}: no folder of an OpenFOAM case.")
     content = getattr(mesh.source, "content", None)
     if content is None or not hasattr(content, "plane"):
         raise ValueError("`mesh` was not read from an OpenFOAM case: use jm.export(plan, path).")
