@@ -24,7 +24,7 @@ from ._format import Format, Source, own_source, source_of, warn_of_loss
 
 FORMATS = (
     Format("SU2", "_su2"),
-    Format("VTK", "vtk.file", holds_arrays=True),
+    Format("VTK", "_vtk", holds_arrays=True),
     Format("gmsh", "gmsh.file"),
     Format("CGNS", "cgns.file"),
     Format("MFEM", "_mfem"),
