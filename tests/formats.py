@@ -4,6 +4,7 @@ import pathlib
 
 import cgns
 import exodus
+import fluent
 import foam
 import h5py
 import meshio
@@ -18,7 +19,7 @@ from jaxmorph import io
 from jaxmorph.io._registry import FORMATS
 
 ENDINGS = [".vtk", *((form.suffixes or ("",))[0] for form in FORMATS)]
-SINGLE = ["", ".cgns", ".med", ".e", ".xyz", ".vtu", ".vtk"]
+SINGLE = ["", ".cas", ".cgns", ".med", ".e", ".xyz", ".vtu", ".vtk"]
 """Endings of formats that have files in single precision."""
 
 
@@ -44,6 +45,10 @@ def write(path: pathlib.Path, mesh: jm.Mesh, *, is_single: bool = False) -> None
     elif path.suffix == ".e":
         sets = [("floor", mesh.patch("floor"))]
         exodus.write(path, points, [("box", "hexahedron", corners)], node_sets=sets, real=real)
+    elif path.suffix == ".cas":
+        fluent.write(
+            path, points, {"hexahedron": corners}, {"floor": mesh.patch("floor")}, "float" if is_single else "text"
+        )
     elif path.suffix == ".mesh":
         path.write_text(mfem_meshes.straight(mesh, "floor"))
     elif path.suffix == ".xyz":

@@ -176,7 +176,7 @@ def decide(tmp_path, capsys, mesh, moved, source, to):
         for those, these in ((back.cells, mesh.cells), (back.patches, mesh.patches)):
             lists = ({name: ids.tolist() for name, ids in each.items() if len(ids)} for each in (those, these))
             assert next(lists) == next(lists)
-    one_way = (".cgns", "", ".med", ".e", ".xyz", ".mesh")
+    one_way = (".cgns", ".cas", "", ".med", ".e", ".xyz", ".mesh")
     assert bool(refusal) == (to in one_way and source != to)
 
 

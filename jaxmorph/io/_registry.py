@@ -26,6 +26,7 @@ FORMATS = (
     Format("SU2", "_su2"),
     Format("VTK", "_vtk", holds_arrays=True),
     Format("gmsh", "gmsh.file"),
+    Format("Fluent", "_fluent", magic=(b"(", b"\x89HDF")),
     Format("CGNS", "cgns.file"),
     Format("MFEM", "_mfem"),
     Format("MED", "_med"),
@@ -48,7 +49,7 @@ def format_of(path: pathlib.Path, source: object = None) -> Format:
         found.sort(key=lambda candidate: candidate.name != source.format)
     elif len(found) > 1 and path.is_file():
         with path.open("rb") as file:
-            first = file.read(8)
+            first = file.read(64).lstrip()
         found.sort(key=lambda candidate: 1 if not candidate.magic else 2 - 2 * first.startswith(candidate.magic))
     return found[0]
 

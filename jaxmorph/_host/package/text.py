@@ -12,6 +12,7 @@ MESHES = {
     "SU2": (".su2",),
     "VTK": (".vtu", ".vtk", ".vts", ".vtp", ".pvtu", ".vtm"),
     "gmsh": (".msh",),
+    "Fluent": (".cas", ".msh", ".h5"),
     "CGNS": (".cgns",),
     "MFEM": (".mesh",),
     "MED": (".med",),

@@ -1,0 +1,96 @@
+"""Fluent's cases in HDF5 (.cas.h5): a copy of the file with other coordinates."""
+
+import pathlib
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from jaxmorph._mesh.exchange import Parts
+
+from ._fluent import INTERIOR, KINDS, NAME, PARENT, Table, Zone, mesh_of
+from ._format import FilePoints, MeshLike, faults_of, stamp_of
+from ._text import decoded
+from ._tree import Coordinates, opened, points_of, singles_of, write_points
+
+WHAT = "a Fluent case in HDF5"
+
+
+class _Columns:
+    """An array of rows (n, d) as one of columns (d, n), in which other formats have coordinates."""
+
+    def __init__(self, array: Any):
+        self.array, self.dtype, self.shape = array, array.dtype, array.shape[::-1]
+
+    def __getitem__(self, key: tuple) -> np.ndarray:
+        return self.array[key].T
+
+    def __setitem__(self, key: Any, values: np.ndarray) -> None:
+        self.array[key] = values.T
+
+
+def read(path: pathlib.Path) -> Parts:
+    with opened(path, what=WHAT) as file:
+        if "meshes" not in file:
+            raise ValueError(f"{path}: no group `meshes` in this file: it is not {WHAT}.")
+        mesh, coordinates = _mesh(file), list(_coordinates(file))
+        n, d = coordinates[-1].rows.stop, coordinates[0].array.shape[0]
+        content = FilePoints(points_of(coordinates, n, d), stamp=stamp_of(path), singles=singles_of(coordinates))
+        table, zones = _table(mesh), list(_zones(mesh["faces"]))
+        regions = _names(mesh["cells"]["zoneTopology"])
+        count = int(mesh.attrs["cellCount"].flat[0])
+    with faults_of(path):
+        return mesh_of(path, content, table, zones, count, regions)
+
+
+def write(path: pathlib.Path, mesh: MeshLike) -> None:
+    write_points(path, mesh, NAME, _coordinates, WHAT)
+
+
+def _mesh(file: Any) -> Any:
+    names = list(file["meshes"])
+    if len(names) != 1:
+        raise ValueError(f"{len(names)} meshes in the file, one is read")
+    return file["meshes"][names[0]]
+
+
+def _coordinates(file: Any) -> Iterator[Coordinates]:
+    first = 0
+    for array in _sections(_mesh(file)["nodes"]["coords"]):
+        yield Coordinates(_Columns(array), slice(first, first + len(array)), slice(None))
+        first += len(array)
+
+
+def _sections(group: Any) -> list[Any]:
+    return sorted(group.values(), key=lambda section: int(section.attrs["minId"].flat[0]))
+
+
+def _table(mesh: Any) -> Table:
+    faces = mesh["faces"]
+    sections = _sections(faces["nodes"])
+    labels = np.concatenate([section["nodes"][()].ravel() for section in sections]).astype(np.int64)
+    sizes = np.concatenate([section["nnodes"][()].ravel() for section in sections]).astype(np.int64)
+    cells = np.zeros((len(sizes), 2), np.int64)
+    for column, name in enumerate(("c0", "c1")):
+        for array in _sections(faces[name]):
+            first = int(array.attrs["minId"].flat[0]) - 1
+            cells[first : first + len(array), column] = array[()].astype(np.int64)
+    if sizes.min() < 2 or sizes.sum() != len(labels):
+        raise ValueError(f"{len(labels)} nodes of faces, {sizes.sum()} expected")
+    return Table(labels, np.append(0, np.cumsum(sizes)), cells)
+
+
+def _zones(faces: Any) -> Iterator[Zone]:
+    topology = faces["zoneTopology"]
+    columns = [topology[name][()].astype(int).tolist() for name in ("id", "zoneType", "minId", "maxId")]
+    for name, number, kind, first, last in zip(_names(topology), *columns, strict=True):
+        if kind == PARENT:
+            raise ValueError(f"the zone {name} has parents of faces: a mesh that was adapted is not read")
+        word = "interior" if kind == INTERIOR else KINDS.get(kind, f"kind_{kind}")
+        yield Zone(number, name, word, np.arange(first - 1, last))
+
+
+def _names(topology: Any) -> list[str]:
+    """Reads the names of zones, of which one text holds all."""
+    text = np.asarray(topology["name"][()]).ravel()[0]
+    return (text if isinstance(text, str) else decoded(bytes(text).rstrip(b"\0"))).split(";")
