@@ -15,7 +15,19 @@ from . import _help
 from ._job import with_job
 from ._output import Output
 from ._parser import Parser, made, meant, quoted
-from ._requests import COMMANDS, SU2, Deform, Demo, Info, ModesRequest, Quality, Request, SensitivityRequest, Speech
+from ._requests import (
+    COMMANDS,
+    SU2,
+    Convert,
+    Deform,
+    Demo,
+    Info,
+    ModesRequest,
+    Quality,
+    Request,
+    SensitivityRequest,
+    Speech,
+)
 
 LIMIT = 256 * 2**20
 """Bytes in the cache at most; the least recently used go first."""
@@ -67,6 +79,7 @@ RUNS: dict[Any, str] = {
     SU2: "_su2.run",
     Quality: "_inspect.quality",
     Info: "_inspect.info",
+    Convert: "_inspect.convert",
     Demo: "_inspect.demo",
 }
 """The function of each request's command, and its module, which imports JAX."""

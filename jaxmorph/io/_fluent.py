@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxmorph._host.package.text import ending
 from jaxmorph._mesh.exchange import Parts, Patch, checked_parts, distinct, gathered, regions_note
 from jaxmorph._mesh.faces import Faces, following
 from jaxmorph._mesh.polyhedra import Polyhedra, cells_of_faces, spread, triangles
@@ -38,7 +39,7 @@ _HEAD = re.compile(rb"\s*\(([0-9a-fA-F\s]*)\)\s*\(?")
 _ZONE = re.compile(rb"\s*\(\s*(\d+)\s+(\S+)\s+([^\s()]+)")
 
 
-class Zone(NamedTuple):
+class FaceZone(NamedTuple):
     """A zone of faces: its number, name and kind, and its faces by their places in the file."""
 
     number: int
@@ -47,7 +48,7 @@ class Zone(NamedTuple):
     rows: np.ndarray
 
 
-class Table(NamedTuple):
+class FaceTable(NamedTuple):
     """Faces: ids of nodes from 1, where faces begin in them and the end, and cells (k, 2) from 1."""
 
     labels: np.ndarray
@@ -55,7 +56,7 @@ class Table(NamedTuple):
     cells: np.ndarray
 
 
-class Nodes(NamedTuple):
+class NodeSection(NamedTuple):
     """The coordinates of nodes, the first one's number, and where they stand in the file.
 
     `kind` is the type of binary numbers, None for a text.
@@ -68,9 +69,9 @@ class Nodes(NamedTuple):
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Content(FilePoints):
+class FluentContent(FilePoints):
     text: bytes
-    parts: tuple[Nodes, ...]
+    parts: tuple[NodeSection, ...]
 
     def moved(self, points: np.ndarray) -> Iterator[bytes | memoryview]:
         """Yields the file with other points (n, d), section by section."""
@@ -87,12 +88,12 @@ class Content(FilePoints):
 
 
 @dataclasses.dataclass
-class _Found:
+class _FluentText:
     path: pathlib.Path
     dimension: int = 0
     counts: dict[int, int] = dataclasses.field(default_factory=dict)
-    nodes: list[Nodes] = dataclasses.field(default_factory=list)
-    faces: list[tuple[list[int], Table]] = dataclasses.field(default_factory=list)
+    nodes: list[NodeSection] = dataclasses.field(default_factory=list)
+    faces: list[tuple[list[int], FaceTable]] = dataclasses.field(default_factory=list)
     regions: list[int] = dataclasses.field(default_factory=list)
     names: dict[int, tuple[str, str]] = dataclasses.field(default_factory=dict)
 
@@ -126,13 +127,13 @@ class _Found:
                 raise section.error(f"{len(table.cells)} faces, {head[2] - head[1] + 1} expected")
             self.faces.append((head, table))
 
-    def _nodes(self, head: list[int], body: Section, width: int) -> Nodes:
+    def _nodes(self, head: list[int], body: Section, width: int) -> NodeSection:
         count, d = head[2] - head[1] + 1, head[4] if len(head) > 4 else self.dimension
         kind = np.dtype(f"<f{width}") if width else None
         values = body.rows(np.float64).values if kind is None else np.frombuffer(body.content, kind)
         if d not in (2, 3) or len(values) != count * d:
             raise body.error(f"{len(values)} coordinates of nodes, {count} times {d} expected")
-        return Nodes(head[1], values.reshape(count, d).astype(float), body, kind)
+        return NodeSection(head[1], values.reshape(count, d).astype(float), body, kind)
 
 
 def read(path: pathlib.Path) -> Parts:
@@ -141,7 +142,7 @@ def read(path: pathlib.Path) -> Parts:
         from . import _fluent_h5
 
         return _fluent_h5.read(path)
-    text, found = path.read_bytes(), _Found(path)
+    text, found = path.read_bytes(), _FluentText(path)
     for number, section in _sections(path, text):
         try:
             found.take(number, section)
@@ -164,15 +165,21 @@ def read(path: pathlib.Path) -> Parts:
         for part in parts
         if part.kind is not None and part.kind.itemsize == 4
     ]
-    content = Content(points, text, tuple(parts), singles=singles)
+    content = FluentContent(points, text, tuple(parts), singles=singles)
     regions = [found.names.get(number, (f"zone_{number}", ""))[0] for number in found.regions]
     with faults_of(path):
         return mesh_of(path, content, *_joined(found), found.counts.get(12), regions)
 
 
+def check(path: pathlib.Path, mesh: MeshLike) -> None:
+    is_text = isinstance(own_source(path, mesh, NAME).content, FluentContent)
+    if is_text == (ending(path) == ".h5"):
+        raise ValueError(f"{path}: this mesh is written as {'.msh or .cas' if is_text else '.cas.h5'}, as it was read.")
+
+
 def write(path: pathlib.Path, mesh: MeshLike) -> None:
     source = own_source(path, mesh, NAME)
-    if not isinstance(source.content, Content):
+    if not isinstance(source.content, FluentContent):
         from . import _fluent_h5
 
         _fluent_h5.write(path, mesh)
@@ -205,7 +212,7 @@ def _closing(text: bytes, at: int, number: int) -> int:
     return -1
 
 
-def _table(words: np.ndarray, kind: int) -> Table:
+def _table(words: np.ndarray, kind: int) -> FaceTable:
     if kind in MIXED:
         begins, at, counts = [], 0, words.tolist()
         while at < len(counts):
@@ -224,13 +231,13 @@ def _table(words: np.ndarray, kind: int) -> Table:
             raise ValueError(f"{len(words)} numbers are no faces of {kind} nodes")
         first, sizes = (kind + 2) * np.arange(rows), np.full(rows, kind)
     labels = words[spread(first, first + sizes)[0]]
-    return Table(labels, np.append(0, np.cumsum(sizes)), words[first[:, None] + sizes[:, None] + np.arange(2)])
+    return FaceTable(labels, np.append(0, np.cumsum(sizes)), words[first[:, None] + sizes[:, None] + np.arange(2)])
 
 
-def _joined(found: _Found) -> tuple[Table, list[Zone]]:
+def _joined(found: _FluentText) -> tuple[FaceTable, list[FaceZone]]:
     tables = [table for _, table in found.faces]
     sizes = np.concatenate([np.diff(table.starts) for table in tables])
-    whole = Table(
+    whole = FaceTable(
         np.concatenate([table.labels for table in tables]),
         np.append(0, np.cumsum(sizes)),
         np.concatenate([table.cells for table in tables]),
@@ -241,13 +248,18 @@ def _joined(found: _Found) -> tuple[Table, list[Zone]]:
         if kind == PARENT:
             raise ValueError(f"the zone {name} has parents of faces: a mesh that was adapted is not read.")
         kind = "interior" if kind == INTERIOR else word
-        zones.append(Zone(number, name, kind, np.arange(first, first + len(table.cells))))
+        zones.append(FaceZone(number, name, kind, np.arange(first, first + len(table.cells))))
         first += len(table.cells)
     return whole, zones
 
 
 def mesh_of(
-    path: pathlib.Path, content: FilePoints, table: Table, zones: list[Zone], count: int | None, regions: list[str]
+    path: pathlib.Path,
+    content: FilePoints,
+    table: FaceTable,
+    zones: list[FaceZone],
+    count: int | None,
+    regions: list[str],
 ) -> Parts:
     points = content.points
     faces = _outward(_checked(table, len(points), count), points)
@@ -276,11 +288,11 @@ def mesh_of(
     return checked_parts(points.copy(), cells, patches, Source(path, NAME, content, whole, cell_ids, **known))
 
 
-def _nodes_of(faces: Faces, zone: Zone) -> np.ndarray:
+def _nodes_of(faces: Faces, zone: FaceZone) -> np.ndarray:
     return faces.labels[spread(faces.starts[zone.rows], faces.starts[zone.rows + 1])[0]]
 
 
-def _checked(table: Table, n: int, count: int | None) -> Table:
+def _checked(table: FaceTable, n: int, count: int | None) -> FaceTable:
     labels, cells = table.labels, table.cells
     most = len(cells) if count is None else count
     if labels.min() < 1 or labels.max() > n:
@@ -292,7 +304,7 @@ def _checked(table: Table, n: int, count: int | None) -> Table:
     return table
 
 
-def _outward(table: Table, points: np.ndarray) -> Faces:
+def _outward(table: FaceTable, points: np.ndarray) -> Faces:
     """Makes faces that point out of their owner, the first cell unless there is none.
 
     Programs differ in the sense of faces: the signed size of the whole mesh tells it.

@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxmorph._mesh.exchange import Parts
 
-from ._fluent import INTERIOR, KINDS, NAME, PARENT, Table, Zone, mesh_of
+from ._fluent import INTERIOR, KINDS, NAME, PARENT, FaceTable, FaceZone, mesh_of
 from ._format import FilePoints, MeshLike, faults_of, stamp_of
 from ._text import decoded
 from ._tree import Coordinates, opened, points_of, singles_of, write_points
@@ -65,7 +65,7 @@ def _sections(group: Any) -> list[Any]:
     return sorted(group.values(), key=lambda section: int(section.attrs["minId"].flat[0]))
 
 
-def _table(mesh: Any) -> Table:
+def _table(mesh: Any) -> FaceTable:
     faces = mesh["faces"]
     sections = _sections(faces["nodes"])
     labels = np.concatenate([section["nodes"][()].ravel() for section in sections]).astype(np.int64)
@@ -77,17 +77,17 @@ def _table(mesh: Any) -> Table:
             cells[first : first + len(array), column] = array[()].astype(np.int64)
     if sizes.min() < 2 or sizes.sum() != len(labels):
         raise ValueError(f"{len(labels)} nodes of faces, {sizes.sum()} expected")
-    return Table(labels, np.append(0, np.cumsum(sizes)), cells)
+    return FaceTable(labels, np.append(0, np.cumsum(sizes)), cells)
 
 
-def _zones(faces: Any) -> Iterator[Zone]:
+def _zones(faces: Any) -> Iterator[FaceZone]:
     topology = faces["zoneTopology"]
     columns = [topology[name][()].astype(int).tolist() for name in ("id", "zoneType", "minId", "maxId")]
     for name, number, kind, first, last in zip(_names(topology), *columns, strict=True):
         if kind == PARENT:
             raise ValueError(f"the zone {name} has parents of faces: a mesh that was adapted is not read")
         word = "interior" if kind == INTERIOR else KINDS.get(kind, f"kind_{kind}")
-        yield Zone(number, name, word, np.arange(first - 1, last))
+        yield FaceZone(number, name, word, np.arange(first - 1, last))
 
 
 def _names(topology: Any) -> list[str]:

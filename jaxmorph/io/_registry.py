@@ -5,6 +5,7 @@ import dataclasses
 import os
 import pathlib
 from collections.abc import Iterator, Sequence
+from typing import Any
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -17,7 +18,7 @@ from jaxmorph._host.package import files
 from jaxmorph._host.package.arguments import checked
 from jaxmorph._host.package.errors import place_of, warn
 from jaxmorph._host.package.files import complete, output_path
-from jaxmorph._host.package.text import is_folder
+from jaxmorph._host.package.text import ending, is_folder, plugin
 from jaxmorph._mesh.exchange import Parts, numbers_of_cells
 
 from ._format import Format, Source, own_source, source_of, warn_of_loss
@@ -32,6 +33,9 @@ FORMATS = (
     Format("MED", "_med"),
     Format("Exodus", "_exodus", magic=(b"CDF", b"\x89HDF")),
     Format("PLOT3D", "_plot3d"),
+    Format("Medit", "_others", magic=(b"MeshVersion", b"#")),
+    Format("Abaqus", "_others", magic=(b"*",)),
+    *(Format(name, "_others") for name in ("I-deas", "Nastran", "XDMF", "AFLR", "Netgen")),
     Format("OpenFOAM", "openfoam.case", is_folder=True),
 )
 
@@ -44,7 +48,10 @@ def format_of(path: pathlib.Path, source: object = None) -> Format:
     """
     if is_folder(path):  # it raises for unknown endings
         return next(candidate for candidate in FORMATS if candidate.is_folder)
-    found = [candidate for candidate in FORMATS if path.suffix.lower() in candidate.suffixes]
+    found = [candidate for candidate in FORMATS if ending(path) in candidate.suffixes]
+    if not found:
+        point = plugin(path)
+        return Format(point.name, _Plugin(point.name, point.load()))
     if isinstance(source, Source):
         found.sort(key=lambda candidate: candidate.name != source.format)
     elif len(found) > 1 and path.is_file():
@@ -54,8 +61,39 @@ def format_of(path: pathlib.Path, source: object = None) -> Format:
     return found[0]
 
 
+@dataclasses.dataclass(frozen=True)
+class _Plugin:
+    """A format that another package brings: an object that has `read(path)` and may have `write(path, mesh)`."""
+
+    name: str
+    codec: Any
+
+    def read(self, path: pathlib.Path) -> Parts:
+        mesh = self.codec.read(path)
+        if not isinstance(mesh, Mesh):
+            raise ValueError(
+                f"{path}: the format {self.name} of another package returned {type(mesh).__name__}, no Mesh."
+            )
+        return Parts(mesh.points, dict(mesh.cells), dict(mesh.patches), Source(path, self.name, mesh.source))
+
+    def check(self, path: pathlib.Path, mesh: Mesh) -> None:
+        if not hasattr(self.codec, "write"):
+            raise ValueError(f"{path}: files of the format {self.name} are read, and not written; write .vtu.")
+
+    def write(self, path: pathlib.Path, mesh: Mesh) -> None:
+        source = source_of(mesh, self.name)
+        self.codec.write(path, Mesh(mesh.points, mesh.cells, mesh.patches, source and source.content))
+
+
 def file_mesh(path: pathlib.Path) -> Parts:
-    mesh = format_of(path).codec().read(path)
+    with files.unpacked(path) as file:
+        try:
+            mesh = format_of(file).codec().read(file)
+        except ValueError as error:
+            raise ValueError(str(error).replace(str(file), str(path))) from error
+    if file != path and getattr(mesh.source.content, "stamp", None) is not None:
+        raise ValueError(f"{path}: files of {mesh.source.format} are copied when they are written: unpack it first.")
+    mesh = mesh._replace(source=dataclasses.replace(mesh.source, path=path))
     check_nodes(path, mesh)
     notes = (*mesh.source.notes, *_hidden_groups(mesh))
     source = dataclasses.replace(mesh.source, cells=numbers_of_cells(mesh.cells), notes=notes)
@@ -164,8 +202,8 @@ def write(
             f"{path}: {chosen.name} files hold no arrays; write .vtu to keep {', '.join([*arrays[0], *arrays[1]])}."
         )
     as_written(path, mesh)
-    with contextlib.nullcontext(path) if chosen.is_folder else complete(path) as target:
-        chosen.codec().write(target, mesh, *arrays[: 2 * chosen.holds_arrays])
+    with contextlib.nullcontext(path) if chosen.is_folder else complete(path) as target, files.packed(target) as file:
+        chosen.codec().write(file, mesh, *arrays[: 2 * chosen.holds_arrays])
 
 
 @checked
@@ -215,7 +253,7 @@ def _checked(name: str | os.PathLike[str], mesh: Mesh) -> Format:
         raise ValueError(f"{path}: the mesh was read from this file; write to another one.")
     codec = chosen.codec()
     if hasattr(codec, "check"):
-        codec.check(path, mesh)
+        codec.check(path.with_suffix("") if path.suffix.lower() == ".gz" else path, mesh)
     else:
         own_source(path, mesh, chosen.name)
     finite = np.asarray(np.isfinite(np.asarray(mesh.points)).all(axis=1))
@@ -224,6 +262,30 @@ def _checked(name: str | os.PathLike[str], mesh: Mesh) -> Format:
             f"{path}: {(~finite).sum()} of {len(finite)} points are not finite, first node {np.argmin(finite)}."
         )
     return chosen
+
+
+@checked
+def losses(path: str | os.PathLike[str], mesh: Mesh) -> tuple[str, ...]:
+    """Lists what a mesh and its file know, and a file at `path` will not have.
+
+    **Arguments:**
+
+    - `path`, `mesh`: as `write` takes them.
+
+    **Returns:** sentences; none where the file goes back to its own format.
+
+    **Raises:** `ValueError` as `check_output` does.
+    """
+    chosen, source = _checked(path, mesh), mesh.source
+    if not isinstance(source, Source) or source_of(mesh, chosen.name) is not None:
+        return ()
+    kinds = dict.fromkeys(mesh.kinds.values())
+    told = [f"kinds of patches are lost: {', '.join(kinds)}."] * bool(kinds)
+    told += [f"groups of patches are lost: {', '.join(mesh.groups)}."] * bool(mesh.groups)
+    told += [f"periodic pairs of patches are lost: {len(source.periodic)}."] * bool(source.periodic)
+    told += ["whole polyhedra are lost; they are cut."] * (source.polyhedra is not None)
+    told += [f"arrays of the {source.format} file are lost."] * (source.format in ("VTK", "XDMF"))
+    return (*told, *source.notes)
 
 
 @checked

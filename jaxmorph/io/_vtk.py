@@ -2,12 +2,9 @@
 
 import dataclasses
 import json
-import multiprocessing.spawn
 import os
 import pathlib
 import re
-import signal
-import subprocess
 import tempfile
 import urllib.parse
 from typing import Any
@@ -19,6 +16,7 @@ from jaxmorph._mesh import vtk
 from jaxmorph._mesh.exchange import PREFIX, Parts
 from jaxmorph._mesh.export import to_vtk
 
+from ._apart import run_apart
 from ._format import EVERYTHING, Arrays, FilePoints, MeshLike, Source, content_of, faults_of
 
 NAME = "VTK"
@@ -28,9 +26,6 @@ GRIDS = {".vtu": "vtkUnstructuredGrid", ".vts": "vtkStructuredGrid", ".vtp": "vt
 
 FILES_OF_FILES = (".pvtu", ".vtm")
 """Files that name pieces and blocks in other files."""
-
-SMALL, UNPACKED = 4 * 10**8, 200
-"""Bytes of memory that any file may need, and that a byte of it may need."""
 
 TOLD = re.compile(r"(?:ERROR|Warning): In .*\n(?:\w+ \(0x[0-9a-f]+\): )?((?:.+\n)+)")
 """An error or a warning of VTK, and its sentence."""
@@ -155,7 +150,7 @@ def _read(path: pathlib.Path) -> Content:
     if path.suffix.lower() in FILES_OF_FILES:
         named = [path.parent / os.fsdecode(file) for file in re.findall(rb'(?:Source|file)="([^"]+)"', raw)]
     size = len(raw) + sum(file.stat().st_size for file in named if file.is_file())
-    data_sets = _read_apart(path, SMALL + UNPACKED * size)
+    data_sets = _read_apart(path, size)
     if named:
         return Content(_joined(data_sets), Encoding())
     ((_, data),) = data_sets
@@ -164,25 +159,14 @@ def _read(path: pathlib.Path) -> Content:
     return Content(data, _encoding(raw))
 
 
-def _read_apart(path: pathlib.Path, most: int) -> list[tuple[str, Any]]:
+def _read_apart(path: pathlib.Path, size: int) -> list[tuple[str, Any]]:
     """Reads data sets and their names in another process, which a damaged file may end."""
-    generic, script = (
-        vtk.vtk("vtkIOXML").vtkXMLGenericDataObjectReader,
-        pathlib.Path(__file__).with_name("_vtk_apart.py"),
-    )
+    generic = vtk.vtk("vtkIOXML").vtkXMLGenericDataObjectReader
     with tempfile.TemporaryDirectory(prefix="jaxmorph-") as folder:
-        words = [os.fsdecode(multiprocessing.spawn.get_executable()), "-P", script, path.absolute(), folder, str(most)]
-        done = subprocess.run(words, capture_output=True, stdin=subprocess.DEVNULL, check=False)
-        if done.returncode < 0:
-            why = f"VTK ended by {signal.Signals(-done.returncode).name}, or would have taken {most / 1e6:.0f} MB"
-            raise ValueError(f"a damaged file ({why}).")
-        names, said = json.loads(done.stdout) if done.returncode == 0 else ([], "")
+        names, said = json.loads(run_apart("_vtk_apart.py", size, path.absolute(), folder))
         errors = [" ".join(sentence.split())[:200] for sentence in TOLD.findall(said)]
-        if errors:
-            raise ValueError(f"a damaged file, or one cut short ({errors[0]}).")
-        if not names:
-            why = done.stderr.decode(errors="replace").strip().split("\n")[-1]
-            raise ValueError(f"no mesh in this file, or a damaged one ({why[:300]}).")
+        if errors or not names:
+            raise ValueError(f"a damaged file, or one cut short ({(errors or ['it holds nothing'])[0]}).")
         found = []
         for k, name in enumerate(names):
             reader = generic()
