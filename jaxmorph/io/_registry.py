@@ -202,7 +202,10 @@ def write(
             f"{path}: {chosen.name} files hold no arrays; write .vtu to keep {', '.join([*arrays[0], *arrays[1]])}."
         )
     as_written(path, mesh)
-    with contextlib.nullcontext(path) if chosen.is_folder else complete(path) as target, files.packed(target) as file:
+    with (
+        contextlib.nullcontext(path) if chosen.is_folder else complete(path) as target,
+        files.packed(target, path.stem) as file,
+    ):
         chosen.codec().write(file, mesh, *arrays[: 2 * chosen.holds_arrays])
 
 

@@ -131,13 +131,13 @@ def unpacked(path: pathlib.Path) -> Iterator[pathlib.Path]:
 
 
 @contextlib.contextmanager
-def packed(path: pathlib.Path) -> Iterator[pathlib.Path]:
-    """Yields a file to write, which is packed into `path` where this ends in .gz."""
+def packed(path: pathlib.Path, name: str) -> Iterator[pathlib.Path]:
+    """Yields a file to write: `path`, or where it ends in .gz a file that is packed into it."""
     if path.suffix.lower() != ".gz":
         yield path
         return
     with tempfile.TemporaryDirectory(prefix="jaxmorph-") as folder:
-        plain = pathlib.Path(folder, path.stem)
+        plain = pathlib.Path(folder, name)
         yield plain
         with plain.open("rb") as file, path.open("wb") as out, gzip.GzipFile("", "wb", mtime=0, fileobj=out) as target:
             shutil.copyfileobj(file, target)
