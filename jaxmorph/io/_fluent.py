@@ -13,10 +13,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxmorph._host.cells.topology import SIDE_TYPES
 from jaxmorph._host.package.text import ending
 from jaxmorph._mesh.exchange import Parts, Patch, checked_parts, distinct, gathered, regions_note
 from jaxmorph._mesh.faces import Faces, following
-from jaxmorph._mesh.polyhedra import Polyhedra, cells_of_faces, spread, triangles
+from jaxmorph._mesh.polyhedra import cells_of_faces, spread
 
 from ._format import FilePoints, MeshLike, Source, faults_of, own_source
 from ._text import Section, decoded, replaced
@@ -49,10 +50,10 @@ class FaceZone(NamedTuple):
 
 
 class FaceTable(NamedTuple):
-    """Faces: ids of nodes from 1, where faces begin in them and the end, and cells (k, 2) from 1."""
+    """Faces: ids of nodes from 1, their number in each face, and cells (k, 2) from 1."""
 
     labels: np.ndarray
-    starts: np.ndarray
+    sizes: np.ndarray
     cells: np.ndarray
 
 
@@ -101,19 +102,16 @@ class _FluentText:
         kind, width = number % 1000, {2: 4, 3: 8}.get(number // 1000, 0)
         if number == 2:
             self.dimension = int(section.content)
-        elif kind in (45, 39) and (zone := _ZONE.match(section.content)):
+        elif kind in (45, 39) and (zone := _ZONE.match(section.text, section.start)):
             self.names[int(zone[1])] = decoded(zone[3]), zone[2].decode(errors="replace")
         elif kind in (58, 59):
-            raise section.error(
-                "a mesh that was adapted, with parents of cells: Fluent writes none after coarsening it"
-            )
-        elif kind in (10, 12, 13) and (head := _HEAD.match(section.content)):
-            self._mesh(kind, [int(word, 16) for word in head[1].split()], section, head.end(), width)
+            raise section.error("a mesh that was adapted, with parents of cells, is not read.")
+        elif kind in (10, 12, 13) and (head := _HEAD.match(section.text, section.start)):
+            stop = section.stop if width else section.text.rfind(b")", head.end(), section.stop)
+            body = dataclasses.replace(section, start=head.end(), stop=max(stop, head.end()))
+            self._mesh(kind, [int(word, 16) for word in head[1].split()], body, width)
 
-    def _mesh(self, kind: int, head: list[int], section: Section, size: int, width: int) -> None:
-        body = dataclasses.replace(section, start=section.start + size)
-        if not width:
-            body = dataclasses.replace(body, stop=max(body.text.rfind(b")", body.start, body.stop), body.start))
+    def _mesh(self, kind: int, head: list[int], body: Section, width: int) -> None:
         if head[0] == 0:
             self.counts[kind] = head[2]
         elif kind == 12:
@@ -124,7 +122,7 @@ class _FluentText:
             words = np.frombuffer(body.content, "<i4") if width else [int(word, 16) for word in body.content.split()]
             table = _table(np.asarray(words, np.int64), head[4] if len(head) > 4 else 0)
             if len(table.cells) != head[2] - head[1] + 1:
-                raise section.error(f"{len(table.cells)} faces, {head[2] - head[1] + 1} expected")
+                raise body.error(f"{len(table.cells)} faces, {head[2] - head[1] + 1} expected")
             self.faces.append((head, table))
 
     def _nodes(self, head: list[int], body: Section, width: int) -> NodeSection:
@@ -231,26 +229,17 @@ def _table(words: np.ndarray, kind: int) -> FaceTable:
             raise ValueError(f"{len(words)} numbers are no faces of {kind} nodes")
         first, sizes = (kind + 2) * np.arange(rows), np.full(rows, kind)
     labels = words[spread(first, first + sizes)[0]]
-    return FaceTable(labels, np.append(0, np.cumsum(sizes)), words[first[:, None] + sizes[:, None] + np.arange(2)])
+    return FaceTable(labels, sizes, words[first[:, None] + sizes[:, None] + np.arange(2)])
 
 
 def _joined(found: _FluentText) -> tuple[FaceTable, list[FaceZone]]:
-    tables = [table for _, table in found.faces]
-    sizes = np.concatenate([np.diff(table.starts) for table in tables])
-    whole = FaceTable(
-        np.concatenate([table.labels for table in tables]),
-        np.append(0, np.cumsum(sizes)),
-        np.concatenate([table.cells for table in tables]),
-    )
     zones, first = [], 0
     for (number, _, _, kind, *_), table in found.faces:
         name, word = found.names.get(number, (f"zone_{number}", KINDS.get(kind, f"kind_{kind}")))
-        if kind == PARENT:
-            raise ValueError(f"the zone {name} has parents of faces: a mesh that was adapted is not read.")
-        kind = "interior" if kind == INTERIOR else word
-        zones.append(FaceZone(number, name, kind, np.arange(first, first + len(table.cells))))
+        word = KINDS[kind] if kind in (INTERIOR, PARENT) else word
+        zones.append(FaceZone(number, name, word, np.arange(first, first + len(table.cells))))
         first += len(table.cells)
-    return whole, zones
+    return FaceTable(*map(np.concatenate, zip(*(table for _, table in found.faces), strict=True))), zones
 
 
 def mesh_of(
@@ -262,46 +251,41 @@ def mesh_of(
     regions: list[str],
 ) -> Parts:
     points = content.points
-    faces = _outward(_checked(table, len(points), count), points)
-    whole = None
-    if points.shape[1] == 3:
-        blocks, polyhedra = cells_of_faces(faces, points)
-    else:
-        blocks, polyhedra = _plane_cells(faces, points)
+    if any(zone.kind == KINDS[PARENT] for zone in zones):
+        raise ValueError("a mesh that was adapted, with parents of faces, is not read.")
+    _check(table, len(points), count)
+    faces = _outward(table, points)
+    blocks, whole = cells_of_faces(faces, points) if points.shape[1] == 3 else (_plane_cells(faces), None)
     cells = gathered((kind, corners) for kind, corners, _ in blocks)
     ids = gathered((kind, cell) for kind, _, cell in blocks)
-    whole = polyhedra if len(polyhedra.cut) else None
-    # cells of a type ascend in the mesh, types as JAX sorts them
-    cell_ids = np.concatenate([ids[kind] for kind in sorted(ids)])
-    outer = [zone for zone in zones if zone.kind != "interior"]
-    patches, notes = distinct(Patch(zone.name, f"zone_{zone.number}", _nodes_of(faces, zone)) for zone in outer)
-    kinds = dict(zip(patches, (zone.kind for zone in outer), strict=False)) if len(patches) == len(outer) else {}
+    outer = [zone for zone in zones if zone.kind != KINDS[INTERIOR]]
+    nodes = (faces.labels[spread(faces.starts[zone.rows], faces.starts[zone.rows + 1])[0]] for zone in outer)
+    named = [Patch(zone.name, f"zone_{zone.number}", patch) for zone, patch in zip(outer, nodes, strict=True)]
+    patches, notes = distinct(named)
+    kinds = {zone.name: zone.kind for zone in outer}
     notes += tuple(regions_note(regions if len(regions) > 1 else ()))
     periodic = [zone.name for zone in outer if zone.kind.startswith("periodic")]
     notes += (f"the periodic zones {', '.join(periodic)} are patches, and are not paired.",) * bool(periodic)
     known: Mapping[str, Any] = {
+        "polyhedra": whole if whole is not None and len(whole.cut) else None,
+        "cell_ids": np.concatenate([ids[kind] for kind in sorted(ids)]),  # as JAX sorts types
         "kinds": kinds,
         "symmetry": tuple(name for name, kind in kinds.items() if kind in ("symmetry", "axis")),
         "notes": notes,
-        **content.known,
     }
-    return checked_parts(points.copy(), cells, patches, Source(path, NAME, content, whole, cell_ids, **known))
+    return checked_parts(points.copy(), cells, patches, Source(path, NAME, content, **known, **content.known))
 
 
-def _nodes_of(faces: Faces, zone: FaceZone) -> np.ndarray:
-    return faces.labels[spread(faces.starts[zone.rows], faces.starts[zone.rows + 1])[0]]
-
-
-def _checked(table: FaceTable, n: int, count: int | None) -> FaceTable:
+def _check(table: FaceTable, n: int, count: int | None) -> None:
     labels, cells = table.labels, table.cells
     most = len(cells) if count is None else count
     if labels.min() < 1 or labels.max() > n:
         raise ValueError(f"a face names node {labels.max()}, but there are {n}.")
     if cells.min() < 0 or cells.max() > min(most, len(cells)) or (cells.max(axis=1) == 0).any():
         raise ValueError(f"a face is between cells {cells.min()} to {cells.max()}, but there are {most}; 0 is none.")
-    if count is not None and len(np.unique(cells[cells > 0])) != count:
-        raise ValueError(f"{len(np.unique(cells[cells > 0]))} of {count} cells have faces: a damaged file.")
-    return table
+    found = len(np.unique(cells[cells > 0]))
+    if found != (cells.max() if count is None else count):
+        raise ValueError(f"{found} of {most} cells have faces: a damaged file.")
 
 
 def _outward(table: FaceTable, points: np.ndarray) -> Faces:
@@ -310,7 +294,7 @@ def _outward(table: FaceTable, points: np.ndarray) -> Faces:
     Programs differ in the sense of faces: the signed size of the whole mesh tells it.
     """
     first, second = table.cells.T - 1
-    starts, labels = table.starts, table.labels - 1
+    starts, labels = np.append(0, np.cumsum(table.sizes)), table.labels - 1
     labels = _reversed(labels, starts, first < 0)
     faces = Faces(labels, starts, np.where(first < 0, second, first), np.where(first < 0, -1, second))
     if points.shape[1] == 2 and (faces.sizes != 2).any():
@@ -332,12 +316,11 @@ def _reversed(labels: np.ndarray, starts: np.ndarray, chosen: np.ndarray) -> np.
     return labels[np.where(chosen[which], back, rows)]
 
 
-def _plane_cells(faces: Faces, points: np.ndarray) -> tuple[list[tuple[str, np.ndarray, np.ndarray]], Polyhedra]:
-    """Makes triangles and quads of edges that have their cell on the left; cuts other polygons."""
+def _plane_cells(faces: Faces) -> list[tuple[str, np.ndarray, np.ndarray]]:
+    """Makes triangles and quads of edges that have their cell on the left."""
     ordered, begins = faces.of_cells()
-    ends = faces.labels.reshape(-1, 2)[np.where(ordered < 0, ~ordered, ordered)]
-    ends = np.where((ordered < 0)[:, None], ends[:, ::-1], ends)
-    blocks, cut = [], [np.zeros(0, np.int64)]
+    ends = faces.corners(ordered, 2)
+    blocks = []
     for size in np.unique(np.diff(begins)).tolist():
         cells = np.flatnonzero(np.diff(begins) == size)
         edges = ends[begins[cells][:, None] + np.arange(size)]
@@ -345,18 +328,10 @@ def _plane_cells(faces: Faces, points: np.ndarray) -> tuple[list[tuple[str, np.n
         for k in range(1, size):
             at = edges[:, :, 0] == corners[:, k - 1, None]
             corners[:, k] = edges[np.arange(len(cells)), at.argmax(axis=1), 1]
-        is_open = (np.sort(corners, axis=1) != np.sort(edges[:, :, 0], axis=1)).any(axis=1)
-        is_open |= (np.diff(np.sort(corners, axis=1), axis=1) == 0).any(axis=1)
-        if size < 3 or is_open.any():
-            raise ValueError(
-                f"edges of {max(is_open.sum(), 1)} cells do not close, first cell {cells[is_open.argmax()]}."
-            )
-        if size > 4:
-            polygons = Faces(corners.ravel(), size * np.arange(len(cells) + 1), cells, np.full(len(cells), -1))
-            in_space = np.column_stack([points, np.zeros(len(points))])
-            pieces, place = triangles(polygons, np.arange(len(cells)), in_space)
-            blocks.append(("triangle", pieces, cells[place]))
-            cut.append(cells)
-        else:
-            blocks.append(({3: "triangle", 4: "quad"}[size], corners, cells))
-    return blocks, Polyhedra(faces, np.concatenate(cut))
+        ordered_corners = np.sort(corners, axis=1)
+        is_open = (ordered_corners != np.sort(edges[:, :, 0], axis=1)).any(axis=1)
+        is_open |= (np.diff(ordered_corners, axis=1) == 0).any(axis=1)
+        if size not in (3, 4) or is_open.any():
+            raise ValueError(f"{len(cells)} cells of {size} edges (first cell {cells[is_open.argmax()]}) are not read.")
+        blocks.append((SIDE_TYPES[size], corners, cells))
+    return blocks

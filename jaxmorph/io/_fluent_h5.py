@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxmorph._mesh.exchange import Parts
 
-from ._fluent import INTERIOR, KINDS, NAME, PARENT, FaceTable, FaceZone, mesh_of
+from ._fluent import KINDS, NAME, FaceTable, FaceZone, mesh_of
 from ._format import FilePoints, MeshLike, faults_of, stamp_of
 from ._text import decoded
 from ._tree import Coordinates, opened, points_of, singles_of, write_points
@@ -77,17 +77,14 @@ def _table(mesh: Any) -> FaceTable:
             cells[first : first + len(array), column] = array[()].astype(np.int64)
     if sizes.min() < 2 or sizes.sum() != len(labels):
         raise ValueError(f"{len(labels)} nodes of faces, {sizes.sum()} expected")
-    return FaceTable(labels, np.append(0, np.cumsum(sizes)), cells)
+    return FaceTable(labels, sizes, cells)
 
 
 def _zones(faces: Any) -> Iterator[FaceZone]:
     topology = faces["zoneTopology"]
     columns = [topology[name][()].astype(int).tolist() for name in ("id", "zoneType", "minId", "maxId")]
     for name, number, kind, first, last in zip(_names(topology), *columns, strict=True):
-        if kind == PARENT:
-            raise ValueError(f"the zone {name} has parents of faces: a mesh that was adapted is not read")
-        word = "interior" if kind == INTERIOR else KINDS.get(kind, f"kind_{kind}")
-        yield FaceZone(number, name, word, np.arange(first - 1, last))
+        yield FaceZone(number, name, KINDS.get(kind, f"kind_{kind}"), np.arange(first - 1, last))
 
 
 def _names(topology: Any) -> list[str]:

@@ -4,6 +4,7 @@ gmsh holds one model in a process, and prints. The arrays are those of `_others.
 """
 
 import sys
+from typing import Any
 
 import gmsh
 import numpy as np
@@ -16,12 +17,13 @@ def main(file: str, out: str) -> None:
         gmsh.open(file)
     except Exception as error:
         raise SystemExit(str(error)) from error
-    np.savez(out, **arrays())
+    values: dict[str, Any] = arrays()
+    np.savez(out, **values)
 
 
 def arrays() -> dict[str, np.ndarray]:
     """Points by their numbers, and the elements of each entity: type, ids of nodes, names."""
-    found, places, _ = gmsh.model.mesh.getNodes()
+    found, places, _ = map(np.asarray, gmsh.model.mesh.getNodes())
     tags, result = np.sort(found), {"points": places.reshape(-1, 3)[np.argsort(found)]}
     for level, entity in gmsh.model.getEntities():
         groups = gmsh.model.getPhysicalGroupsForEntity(level, entity)

@@ -119,7 +119,7 @@ class Codec:
         is_binary = [ending(each) == ".meshb" for each in (path, source.path)]
         if source.content.place is not None and is_binary[0] == is_binary[1]:
             with path.open("wb") as file:
-                file.writelines(_moved(source.content, self.kind, values))
+                file.writelines(_moved(source.content.raw, source.content.place, self.kind, values))
         else:
             moved = to_meshio(Parts(mesh.points, mesh.cells, {}, mesh.source), None, None)
             options = {"data_format": "XML"} if self.name == "XDMF" else {}  # else arrays are in another file
@@ -132,12 +132,12 @@ def _form(path: pathlib.Path) -> str:
     return words[-2] if ending(path) == ".ugrid" and re.fullmatch("l?[br][48]l?", words[-2]) else ""
 
 
-def _moved(content: OtherContent, kind: LibraryKind, values: np.ndarray) -> Iterator[Any]:
-    start, stop, dtype, at, nodes = content.place
-    raw, values = content.raw, values[slice(None) if nodes is None else nodes].ravel()
+def _moved(raw: bytes, place: Place, kind: LibraryKind, values: np.ndarray) -> Iterator[Any]:
+    start, stop, dtype, at, nodes = place
+    values = values[slice(None) if nodes is None else nodes].ravel()
     if dtype is not None:
         return iter((raw[:start], values.astype(dtype).tobytes(), raw[stop:]))
-    if kind.is_fixed:
+    if kind.is_fixed and at is not None:
         return iter((raw[:start], _in_columns(raw[start:stop], at, values), raw[stop:]))
     return replaced(raw, slice(start, stop), values, at=at, plain=_plain)
 

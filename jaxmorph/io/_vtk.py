@@ -140,9 +140,8 @@ def _encoding(raw: bytes) -> Encoding:
     modes = {*re.findall(rb'format="(\w+)"', raw)}
     mode = next((mode for mode in ("appended", "binary") if mode.encode() in modes), "ascii")
     compressor = re.sub("^vtk|DataCompressor$", "", said.get("compressor", "None"))
-    known = {"compressor": compressor} | {key: said[key] for key in ("header_type", "byte_order") if key in said}
-    known.setdefault("header_type", "UInt32")
-    return Encoding(mode=mode, is_raw=b'encoding="raw"' in raw, **known)
+    header, order = said.get("header_type", "UInt32"), said.get("byte_order", "LittleEndian")
+    return Encoding(False, mode, b'encoding="raw"' in raw, compressor, header, order)
 
 
 def _read(path: pathlib.Path) -> Content:

@@ -16,19 +16,12 @@ from typing import Any
 from vtkmodules import vtkCommonCore, vtkIOLegacy, vtkIOXML
 from vtkmodules.vtkCommonDataModel import vtkCompositeDataSet, vtkDataSet
 
-TYPES_OF_MESHIO = {
-    **{b"vtktypeint8": b"signed_char", b"vtktypeuint8": b"unsigned_char", b"vtktypeint16": b"short"},
-    **{b"vtktypeuint16": b"unsigned_short", b"vtktypeint32": b"int", b"vtktypeuint32": b"unsigned_int"},
-}
-"""Names of types that meshio writes into legacy files, and VTK's own."""
-
-KINDS = {
-    **{"UNSTRUCTURED_GRID": "UnstructuredGrid", "STRUCTURED_GRID": "StructuredGrid", "POLYDATA": "PolyData"},
-    **{"STRUCTURED_POINTS": "StructuredPoints", "RECTILINEAR_GRID": "RectilinearGrid"},
-}
 HEAD = re.compile(rb"# vtk DataFile[^\n]*\n[^\n]*\n\s*\w+\s+DATASET\s+(\w+)", re.IGNORECASE)
+KINDS = {name.upper().replace(" ", "_"): name.replace(" ", "") for name in ("Unstructured Grid", "Structured Grid")}
+KINDS |= {"POLYDATA": "PolyData", "STRUCTURED_POINTS": "StructuredPoints", "RECTILINEAR_GRID": "RectilinearGrid"}
 
-MESHIO = re.compile(rb"(?<=\s)vtktypeu?int(?:8|16|32)(?=\s)")
+MESHIO = {b"int8": b"signed_char", b"int16": b"short", b"int32": b"int"}
+"""Types that meshio writes into legacy files behind `vtktype`, and `vtktypeu`, and VTK's words."""
 
 
 def main(path: pathlib.Path, folder: pathlib.Path, most: int) -> None:
@@ -59,10 +52,14 @@ def read(path: pathlib.Path) -> Any:
         reader = vtkIOXML.vtkXMLGenericDataObjectReader()
         reader.SetFileName(str(path))
     else:
-        raw = path.read_bytes()
-        if b"vtktype" in raw:
-            raw = MESHIO.sub(lambda match: TYPES_OF_MESHIO[match[0]], raw)
-        reader = getattr(vtkIOLegacy, f"vtk{KINDS[kind_of(raw)]}Reader")()
+        raw, head = path.read_bytes(), HEAD.match(path.read_bytes())
+        if head is None:
+            raise SystemExit("not a .vtk file; `# vtk DataFile Version` and three lines more are expected first")
+        kind = head[1].decode(errors="replace").upper()
+        if kind not in KINDS:
+            raise SystemExit(f"{kind} in it is no mesh; read are {', '.join(KINDS)}")
+        raw = re.sub(rb"(?<=\s)vtktype(u?)(int8|int16|int32)(?=\s)", own_type, raw)
+        reader = getattr(vtkIOLegacy, f"vtk{KINDS[kind]}Reader")()
         for name in ("Scalars", "Vectors", "Normals", "Tensors", "ColorScalars", "TCoords", "Fields"):
             getattr(reader, f"ReadAll{name}On")()
         reader.ReadFromInputStringOn()
@@ -81,40 +78,31 @@ def check_counts(raw: bytes, data: Any) -> None:
     found = sum(field.GetNumberOfArrays() for field in fields)
     if found < announced:
         raise SystemExit(f"{announced} arrays are announced, and {found} are found")
-    expected = {rb"<Points>\s*<DataArray[^>]*": 3 * data.GetNumberOfPoints()}
+    counts = {rb"<Points>\s*<DataArray[^>]*": 3 * data.GetNumberOfPoints()}
     if data.IsA("vtkUnstructuredGrid"):
-        expected |= {rb'<DataArray[^>]*Name="types"[^>]*': data.GetNumberOfCells()}
-        expected |= {rb'<DataArray[^>]*Name="offsets"[^>]*': data.GetNumberOfCells()}
-        expected |= {rb'<DataArray[^>]*Name="connectivity"[^>]*': data.GetCells().GetNumberOfConnectivityIds()}
-    for start, count in expected.items():
+        sizes = [data.GetNumberOfCells()] * 2 + [data.GetCells().GetNumberOfConnectivityIds()]
+        names = (b"types", b"offsets", b"connectivity")
+        counts |= {rb'<DataArray[^>]*Name="%s"[^>]*' % name: size for name, size in zip(names, sizes, strict=True)}
+    for start, count in counts.items():
         texts = [text for tag, text in re.findall(rb"(%s)>([^<]*)<" % start, raw) if b'"ascii"' in tag]
         words = [float(word) for text in texts for word in text.split()]  # a `ValueError` ends the script
         if texts and len(words) != count:
             raise SystemExit(f"{len(words)} numbers are found where there are {count}")
 
 
-def kind_of(raw: bytes) -> str:
-    head = HEAD.match(raw)
-    if head is None:
-        raise SystemExit("not a .vtk file; `# vtk DataFile Version` and three lines more are expected first")
-    kind = head[1].decode(errors="replace").upper()
-    if kind not in KINDS:
-        raise SystemExit(f"{kind} in it is no mesh; read are {', '.join(KINDS)}")
-    return kind
+def own_type(found: re.Match[bytes]) -> bytes:
+    name = MESHIO[found[2]]
+    return b"unsigned_" + name.removeprefix(b"signed_") if found[1] else name
 
 
 def data_sets(data: Any) -> Iterator[tuple[str, Any]]:
     if not isinstance(data, vtkCompositeDataSet):
-        if data is not None:
-            yield "", data
+        yield "", data
         return
-    blocks = data.NewIterator()
+    blocks, name = data.NewIterator(), vtkCompositeDataSet.NAME()
     while not blocks.IsDoneWithTraversal():
-        has_name = blocks.HasCurrentMetaData() and blocks.GetCurrentMetaData().Has(vtkCompositeDataSet.NAME())
-        yield (
-            blocks.GetCurrentMetaData().Get(vtkCompositeDataSet.NAME()) if has_name else "",
-            blocks.GetCurrentDataObject(),
-        )
+        about = blocks.GetCurrentMetaData() if blocks.HasCurrentMetaData() else None
+        yield about.Get(name) if about and about.Has(name) else "", blocks.GetCurrentDataObject()
         blocks.GoToNextItem()
 
 
