@@ -26,7 +26,7 @@ ENDINGS = [
     ".meshb",
 ]
 """Endings of files that are written back."""
-SINGLE = ["", ".cas", ".cgns", ".med", ".e", ".xyz", ".vtu", ".vtk"]
+SINGLE = ["", ".cas", ".h5", ".cgns", ".med", ".e", ".xyz", ".vtu", ".vtk"]
 """Endings of formats that have files in single precision."""
 
 
@@ -100,6 +100,9 @@ def write(path: pathlib.Path, mesh: jm.Mesh, *, is_single: bool = False) -> None
         exodus.write(path, points, [("box", "hexahedron", corners)], node_sets=sets, real=real)
     elif path.suffix in OTHERS:
         OTHERS[path.suffix](path, points, corners, mesh.patch("floor"))
+    elif path.suffix == ".h5":
+        real = "f4" if is_single else "f8"
+        fluent.write(path, points, {"hexahedron": corners}, {"floor": mesh.patch("floor")}, "h5", real=real)
     elif path.suffix == ".cas":
         fluent.write(
             path, points, {"hexahedron": corners}, {"floor": mesh.patch("floor")}, "float" if is_single else "text"

@@ -176,7 +176,7 @@ def decide(tmp_path, capsys, mesh, moved, source, to):
         for those, these in ((back.cells, mesh.cells), (back.patches, mesh.patches)):
             lists = ({name: ids.tolist() for name, ids in each.items() if len(ids)} for each in (those, these))
             assert next(lists) == next(lists)
-    one_way = (".cgns", ".cas", "", ".med", ".e", ".xyz", ".mesh", *OTHERS)
+    one_way = (".cgns", ".cas", ".h5", "", ".med", ".e", ".xyz", ".mesh", *OTHERS)
     assert bool(refusal) == (to in one_way and source != to and (source, to) != (".meshb", ".mesh"))  # of Medit both
 
 

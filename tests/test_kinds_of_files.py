@@ -26,6 +26,7 @@ PATCHES = {
     "VTK": "`patch:NAME`, or numbers",
     "gmsh": "physical groups",
     "Fluent": "zones of faces, with kinds",
+    "Fluent HDF5": "zones of faces, with kinds",
     "CGNS": "families or conditions, with kinds",
     "MFEM": "attributes, named sets",
     "MED": "groups of elements and of nodes",
@@ -108,7 +109,7 @@ def test_numbers_in_columns_stay_in_them(tmp_path):
     np.testing.assert_array_equal(io.read(tmp_path / "out.unv").points, np.asarray(mesh.points) / 3 - 1e-105)
 
 
-COPIED = (".cgns", ".med", ".e")
+COPIED = (".h5", ".cgns", ".med", ".e")
 
 
 @pytest.mark.parametrize("ending", [ending for ending in ENDINGS if ending])

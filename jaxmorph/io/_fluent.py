@@ -1,4 +1,4 @@
-"""Fluent's meshes and cases (.msh, .cas, text or binary; .cas.h5): the nodes alone are replaced.
+"""Fluent's meshes and cases (.msh, .cas), text or binary: the nodes alone are replaced.
 
 Sections are `(number (head)(body))`, of which nodes (10), cells (12), faces (13) and zones (45, 39)
 are read; 2010 and 3010 are nodes in binary, of 4 and 8 bytes. Numbers of heads and faces are
@@ -8,13 +8,12 @@ hexadecimal. A face is its nodes and the cells on its two sides, 0 for none.
 import dataclasses
 import pathlib
 import re
-from collections.abc import Iterator, Mapping
-from typing import Any, NamedTuple
+from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 
 from jaxmorph._host.cells.topology import SIDE_TYPES
-from jaxmorph._host.package.text import ending
 from jaxmorph._mesh.exchange import Parts, Patch, checked_parts, distinct, gathered, regions_note
 from jaxmorph._mesh.faces import Faces, following
 from jaxmorph._mesh.polyhedra import cells_of_faces, spread
@@ -136,10 +135,6 @@ class _FluentText:
 
 def read(path: pathlib.Path) -> Parts:
     """Reads points, cells and patches: the zones of faces, but inner ones, with their kinds."""
-    if path.suffix.lower() == ".h5":
-        from . import _fluent_h5
-
-        return _fluent_h5.read(path)
     text, found = path.read_bytes(), _FluentText(path)
     for number, section in _sections(path, text):
         try:
@@ -166,24 +161,13 @@ def read(path: pathlib.Path) -> Parts:
     content = FluentContent(points, text, tuple(parts), singles=singles)
     regions = [found.names.get(number, (f"zone_{number}", ""))[0] for number in found.regions]
     with faults_of(path):
-        return mesh_of(path, content, *_joined(found), found.counts.get(12), regions)
-
-
-def check(path: pathlib.Path, mesh: MeshLike) -> None:
-    is_text = isinstance(own_source(path, mesh, NAME).content, FluentContent)
-    if is_text == (ending(path) == ".h5"):
-        raise ValueError(f"{path}: this mesh is written as {'.msh or .cas' if is_text else '.cas.h5'}, as it was read.")
+        return mesh_of(Source(path, NAME, content), *_joined(found), found.counts.get(12), regions)
 
 
 def write(path: pathlib.Path, mesh: MeshLike) -> None:
-    source = own_source(path, mesh, NAME)
-    if not isinstance(source.content, FluentContent):
-        from . import _fluent_h5
-
-        _fluent_h5.write(path, mesh)
-        return
+    content: FluentContent = own_source(path, mesh, NAME).content
     with path.open("wb") as file:
-        file.writelines(source.content.moved(source.content.in_file(np.asarray(mesh.points))))
+        file.writelines(content.moved(content.in_file(np.asarray(mesh.points))))
 
 
 def _sections(path: pathlib.Path, text: bytes) -> Iterator[tuple[int, Section]]:
@@ -242,15 +226,9 @@ def _joined(found: _FluentText) -> tuple[FaceTable, list[FaceZone]]:
     return FaceTable(*map(np.concatenate, zip(*(table for _, table in found.faces), strict=True))), zones
 
 
-def mesh_of(
-    path: pathlib.Path,
-    content: FilePoints,
-    table: FaceTable,
-    zones: list[FaceZone],
-    count: int | None,
-    regions: list[str],
-) -> Parts:
-    points = content.points
+def mesh_of(source: Source, table: FaceTable, zones: list[FaceZone], count: int | None, regions: list[str]) -> Parts:
+    """Makes the mesh of all faces; `count` is the number of cells, None if it is not announced."""
+    points = source.content.points
     if any(zone.kind == KINDS[PARENT] for zone in zones):
         raise ValueError("a mesh that was adapted, with parents of faces, is not read.")
     _check(table, len(points), count)
@@ -266,14 +244,15 @@ def mesh_of(
     notes += tuple(regions_note(regions if len(regions) > 1 else ()))
     periodic = [zone.name for zone in outer if zone.kind.startswith("periodic")]
     notes += (f"the periodic zones {', '.join(periodic)} are patches, and are not paired.",) * bool(periodic)
-    known: Mapping[str, Any] = {
+    known = {
         "polyhedra": whole if whole is not None and len(whole.cut) else None,
         "cell_ids": np.concatenate([ids[kind] for kind in sorted(ids)]),  # as JAX sorts types
         "kinds": kinds,
         "symmetry": tuple(name for name, kind in kinds.items() if kind in ("symmetry", "axis")),
         "notes": notes,
     }
-    return checked_parts(points.copy(), cells, patches, Source(path, NAME, content, **known, **content.known))
+    source = dataclasses.replace(source, **known, **source.content.known)
+    return checked_parts(points.copy(), cells, patches, source)
 
 
 def _check(table: FaceTable, n: int, count: int | None) -> None:

@@ -8,11 +8,12 @@ import numpy as np
 
 from jaxmorph._mesh.exchange import Parts
 
-from ._fluent import KINDS, NAME, FaceTable, FaceZone, mesh_of
-from ._format import FilePoints, MeshLike, faults_of, stamp_of
+from ._fluent import KINDS, FaceTable, FaceZone, mesh_of
+from ._format import FilePoints, MeshLike, Source, faults_of, stamp_of
 from ._text import decoded
 from ._tree import Coordinates, opened, points_of, singles_of, write_points
 
+NAME = "Fluent HDF5"
 WHAT = "a Fluent case in HDF5"
 
 
@@ -40,7 +41,7 @@ def read(path: pathlib.Path) -> Parts:
         regions = _names(mesh["cells"]["zoneTopology"])
         count = int(mesh.attrs["cellCount"].flat[0])
     with faults_of(path):
-        return mesh_of(path, content, table, zones, count, regions)
+        return mesh_of(Source(path, NAME, content), table, zones, count, regions)
 
 
 def write(path: pathlib.Path, mesh: MeshLike) -> None:

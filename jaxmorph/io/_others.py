@@ -60,8 +60,10 @@ _WORD = re.compile(rb"^\s*[A-Za-z*#$]", re.MULTILINE)
 
 
 class Place(NamedTuple):
-    """Where the coordinates of a file stand: bytes `start` to `stop`, and a type of binary numbers,
-    or for a text the places `at` of coordinates among all words, and the `nodes` of its rows.
+    """Where the coordinates of a file stand: bytes `start` to `stop`.
+
+    Binary numbers have a type. In a text, `at` are the places of coordinates among all words there,
+    and `nodes` those of its rows.
     """
 
     start: int
@@ -158,7 +160,7 @@ def _in_columns(text: bytes, at: np.ndarray, values: np.ndarray) -> bytes:
 
 
 def _place(raw: bytes, kind: LibraryKind, points: np.ndarray) -> tuple[Place | None, np.ndarray]:
-    """Finds the points in the file, and all of their digits: meshio reads some in single precision."""
+    """Finds the points in the file, with all digits: meshio reads some in single precision."""
     for code in ("<f8", ">f8", "<f4", ">f4"):
         start = raw.find(points.astype(code).tobytes())
         if start >= 0 and np.array_equal(points.astype(code), points):

@@ -27,7 +27,8 @@ FORMATS = (
     Format("SU2", "_su2"),
     Format("VTK", "_vtk", holds_arrays=True),
     Format("gmsh", "gmsh.file"),
-    Format("Fluent", "_fluent", magic=(b"(", b"\x89HDF")),
+    Format("Fluent", "_fluent", magic=(b"(",)),
+    Format("Fluent HDF5", "_fluent_h5"),
     Format("CGNS", "cgns.file"),
     Format("MFEM", "_mfem"),
     Format("MED", "_med"),
@@ -63,7 +64,7 @@ def format_of(path: pathlib.Path, source: object = None) -> Format:
 
 @dataclasses.dataclass(frozen=True)
 class _Plugin:
-    """A format that another package brings: an object that has `read(path)` and may have `write(path, mesh)`."""
+    """A format of another package: a `codec` with `read(path)`, and perhaps `write(path, mesh)`."""
 
     name: str
     codec: Any

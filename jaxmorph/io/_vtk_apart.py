@@ -72,7 +72,7 @@ def read(path: pathlib.Path) -> Any:
 
 
 def check_counts(raw: bytes, data: Any) -> None:
-    """Refuses texts with more numbers, or fewer arrays, than announced: VTK says nothing of them."""
+    """Refuses more numbers, or fewer arrays, than announced: VTK says nothing of them."""
     fields = (data.GetPointData(), data.GetCellData(), data.GetFieldData())
     announced = sum(map(int, re.findall(rb"^FIELD \S+ (\d{1,9})\s", raw, re.MULTILINE)))
     found = sum(field.GetNumberOfArrays() for field in fields)
