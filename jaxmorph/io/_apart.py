@@ -5,22 +5,20 @@ import os
 import pathlib
 import signal
 import subprocess
-from typing import Any
 
 SMALL, UNPACKED = 4 * 10**8, 200
 """Bytes of memory that any file may need, and that a byte of it may need."""
 
 
-def run_apart(script: str, size: int, *words: Any) -> bytes:
-    """Runs a script of this package on a file of so many bytes, and returns what it prints.
+def run_apart(task: str, path: pathlib.Path, size: int, folder: str) -> bytes:
+    """Runs a task of `_apart_script.py` on a file of so many bytes, and returns what it prints.
 
-    The script's words end with the memory that it may take, in bytes. Raises `ValueError` for a
-    process that ended by a signal, or with a message.
+    Raises `ValueError` for a process that ended by a signal, or with a message.
     """
-    most = SMALL + UNPACKED * size
+    most, script = SMALL + UNPACKED * size, pathlib.Path(__file__).with_name("_apart_script.py")
     program = os.fsdecode(multiprocessing.spawn.get_executable())
-    call = [program, "-P", str(pathlib.Path(__file__).with_name(script)), *map(str, words), str(most)]
-    done = subprocess.run(call, capture_output=True, stdin=subprocess.DEVNULL, check=False)
+    words = [program, "-P", str(script), task, str(path.absolute()), folder, str(most)]
+    done = subprocess.run(words, capture_output=True, stdin=subprocess.DEVNULL, check=False)
     if done.returncode < 0:
         name = signal.Signals(-done.returncode).name
         raise ValueError(f"a damaged file (its reader ended by {name}, or would have taken {most / 1e6:.0f} MB).")

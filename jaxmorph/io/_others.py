@@ -4,10 +4,9 @@ Where the coordinates stand in the file in the order of the points, they alone a
 file is written by meshio, or not at all.
 """
 
-import contextlib
 import dataclasses
-import io
 import pathlib
+import pickle
 import re
 import tempfile
 from collections.abc import Iterator
@@ -43,8 +42,8 @@ class LibraryKind(NamedTuple):
 
 
 KINDS = {
-    "I-deas": LibraryKind("gmsh", "", rb"^\s+(?:2411|781)\s*\n", is_fixed=True),
-    "Nastran": LibraryKind("gmsh", ""),
+    "I-deas": LibraryKind("gmsh", "gmsh", rb"^\s+(?:2411|781)\s*\n", is_fixed=True),
+    "Nastran": LibraryKind("gmsh", "gmsh"),
     "Medit": LibraryKind("meshio", "medit", rb"^\s*Vertices\s+\d+", writes=True),
     "Abaqus": LibraryKind("meshio", "abaqus", rb"(?i)^\*node\b(?!\s*(?:print|file|output))[^\n]*\n", writes=True),
     "XDMF": LibraryKind("meshio", "xdmf", writes=True),
@@ -93,8 +92,7 @@ class Codec:
     def read(self, path: pathlib.Path) -> Parts:
         raw = path.read_bytes()
         with faults_of(path):
-            by = _by_gmsh if self.kind.library == "gmsh" else _by_meshio
-            grid, patches, notes = by(path, self.kind, len(raw))
+            grid, patches, notes = _found(path, self.kind, len(raw))
             if not len(grid.points):
                 raise ValueError("no nodes in this file.")
             place, points = _place(raw, self.kind, np.asarray(grid.points))
@@ -181,39 +179,28 @@ def _place(raw: bytes, kind: LibraryKind, points: np.ndarray) -> tuple[Place | N
     return None, points.astype(float)
 
 
-def _by_meshio(path: pathlib.Path, kind: LibraryKind, _: int) -> tuple[Grid, list[Patch], tuple[str, ...]]:
-    meshio = imported("meshio", "io")
-    try:
-        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
-            mesh = meshio.read(path, file_format=kind.name)
-    except (Exception, SystemExit) as error:  # meshio answers damage by a dozen classes
-        detail = " ".join(str(error).split())[:200]
-        raise ValueError(f"meshio does not read this {kind.name} file ({type(error).__name__}: {detail}).") from error
-    return of_meshio(mesh), [], ()
-
-
-def _by_gmsh(path: pathlib.Path, _: LibraryKind, size: int) -> tuple[Grid, list[Patch], tuple[str, ...]]:
-    imported("gmsh", "cases")
+def _found(path: pathlib.Path, kind: LibraryKind, size: int) -> tuple[Grid, list[Patch], tuple[str, ...]]:
+    imported(kind.library, "io" if kind.library == "meshio" else "cases")
     with tempfile.TemporaryDirectory(prefix="jaxmorph-") as folder:
-        out = pathlib.Path(folder, "mesh.npz")
-        run_apart("_gmsh_apart.py", size, path.absolute(), out)
-        with np.load(out) as found:
-            arrays = dict(found)
-    blocks, names = [], []
-    for key, nodes in arrays.items():
-        if key.startswith("nodes"):
-            _, number, kind = key.split()
-            if int(kind) not in TYPES:
-                raise ValueError(f"elements of gmsh's type {kind} are not read.")
-            blocks.append((TYPES[int(kind)], reordered(TYPES[int(kind)], nodes.astype(np.int64), GMSH, None)))
-            names.append(arrays[f"names {number}"].tolist())
-    levels = [DIMENSION.get(kind, 0) for kind, _ in blocks]
-    pairs = list(zip(blocks, names, levels, strict=True))
-    own = gathered((name, nodes.ravel()) for (_, nodes), names, level in pairs for name in names if level < max(levels))
-    regions = dict.fromkeys(name for _, names, level in pairs for name in names if level == max(levels))
-    notes = regions_note(regions if len(regions) > 1 else ())
-    return (
-        Grid(arrays["points"], blocks, {}, {}),
-        [Patch(name, name, nodes) for name, nodes in own.items()],
-        tuple(notes),
-    )
+        run_apart(kind.name, path, size, folder)
+        found = pickle.loads(pathlib.Path(folder, "mesh.pickle").read_bytes())
+    return (of_meshio(found), [], ()) if kind.library == "meshio" else _of_gmsh(*found)
+
+
+def _of_gmsh(
+    points: np.ndarray, found: list[tuple[int, np.ndarray, list[str]]]
+) -> tuple[Grid, list[Patch], tuple[str, ...]]:
+    unknown = [number for number, *_ in found if number not in TYPES]
+    if unknown or not found:
+        raise ValueError(f"elements of gmsh's types {unknown} are not read." if unknown else "no elements.")
+    kinds = [TYPES[number] for number, *_ in found]
+    blocks = [
+        (kind, reordered(kind, ids.astype(np.int64), GMSH, None))
+        for kind, (_, ids, _) in zip(kinds, found, strict=True)
+    ]
+    levels = [DIMENSION.get(kind, 0) for kind in kinds]
+    named = [(name, level, ids.ravel()) for level, (_, ids, names) in zip(levels, found, strict=True) for name in names]
+    patches = gathered((name, nodes) for name, level, nodes in named if level < max(levels))
+    regions = dict.fromkeys(name for name, level, _ in named if level == max(levels))
+    notes = tuple(regions_note(regions if len(regions) > 1 else ()))
+    return Grid(points, blocks, {}, {}), [Patch(name, name, nodes) for name, nodes in patches.items()], notes

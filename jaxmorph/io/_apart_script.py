@@ -1,20 +1,23 @@
-"""Reads a file by VTK in a process of its own: `_vtk_apart.py FILE FOLDER BYTES`.
+"""Reads a file by another library in a process of its own: `_apart_script.py TASK FILE FOLDER BYTES`.
 
-VTK trusts what a file says of itself. A damaged file may end the process, or ask for any memory. So
-this script, which imports nothing of the package, reads the file within `BYTES` of memory. It
-writes each data set into the folder, in VTK's XML, raw and uncompressed, and prints one line of
-JSON: the names of the data sets, and what VTK said.
+Libraries trust what a file says of itself. A damaged file may end the process, or ask for any
+memory. So this script, which imports nothing of the package, reads the file within `BYTES` of
+memory, and puts into the folder what is read. Tasks are
+
+- `vtk`: each data set in VTK's XML, raw and uncompressed. One line of JSON is printed: the names of
+  the data sets, and what VTK said;
+- `gmsh`: `mesh.pickle`, points in the order of their numbers, and for the elements of each entity
+  gmsh's type, ids of nodes, and names;
+- a name of meshio's formats: `mesh.pickle`, meshio's mesh.
 """
 
 import json
 import pathlib
+import pickle
 import re
 import sys
 from collections.abc import Iterator
 from typing import Any
-
-from vtkmodules import vtkCommonCore, vtkIOLegacy, vtkIOXML
-from vtkmodules.vtkCommonDataModel import vtkCompositeDataSet, vtkDataSet
 
 HEAD = re.compile(rb"# vtk DataFile[^\n]*\n[^\n]*\n\s*\w+\s+DATASET\s+(\w+)", re.IGNORECASE)
 KINDS = {name.upper().replace(" ", "_"): name.replace(" ", "") for name in ("Unstructured Grid", "Structured Grid")}
@@ -24,13 +27,56 @@ MESHIO = {b"int8": b"signed_char", b"int16": b"short", b"int32": b"int"}
 """Types that meshio writes into legacy files behind `vtktype`, and `vtktypeu`, and VTK's words."""
 
 
-def main(path: pathlib.Path, folder: pathlib.Path, most: int) -> None:
+def main(task: str, file: str, folder: str, most: str) -> None:
+    if task == "vtk":
+        by_vtk(pathlib.Path(file), pathlib.Path(folder), int(most))
+        return
+    try:
+        found = by_gmsh(file, int(most)) if task == "gmsh" else by_meshio(task, file, int(most))
+    except (Exception, SystemExit) as error:  # libraries answer damage by a dozen classes
+        raise SystemExit(f"{type(error).__name__}: {' '.join(str(error).split())[:200]}") from None
+    pathlib.Path(folder, "mesh.pickle").write_bytes(pickle.dumps(found))
+
+
+def by_meshio(kind: str, file: str, most: int) -> Any:
+    import meshio
+
+    limit_memory(most)
+    return meshio.read(file, file_format=kind)
+
+
+def by_gmsh(file: str, most: int) -> tuple[Any, list[tuple[int, Any, list[str]]]]:
+    import gmsh
+    import numpy as np
+
+    limit_memory(most)
+    gmsh.initialize(argv=["gmsh", "-noenv"], readConfigFiles=False, interruptible=False)
+    gmsh.option.setNumber("General.Terminal", 0)
+    gmsh.open(file)
+    mesh, found = gmsh.model.mesh, []
+    tags, places, _ = map(np.asarray, mesh.getNodes())
+    for level, entity in gmsh.model.getEntities():
+        groups = gmsh.model.getPhysicalGroupsForEntity(level, entity)
+        names = [gmsh.model.getPhysicalName(level, group) or f"group_{group}" for group in groups]
+        for number, _, nodes in zip(*mesh.getElements(level, entity), strict=True):
+            width = mesh.getElementProperties(number)[3]
+            ids = np.searchsorted(np.sort(tags), nodes).reshape(-1, width)
+            found.append((int(number), ids, names or [f"entity_{entity}"]))
+    return places.reshape(-1, 3)[np.argsort(tags)], found
+
+
+def by_vtk(path: pathlib.Path, folder: pathlib.Path, most: int) -> None:
+    from vtkmodules import vtkCommonCore
+
+    reader, names = vtk_reader(path), []
     limit_memory(most)
     said = vtkCommonCore.vtkStringOutputWindow()
     vtkCommonCore.vtkOutputWindow.SetInstance(said)
     vtkCommonCore.vtkLogger.SetStderrVerbosity(vtkCommonCore.vtkLogger.VERBOSITY_OFF)
-    names = []
-    for name, data in data_sets(read(path)):
+    reader.Update()
+    for name, data in data_sets(reader.GetOutputDataObject(0)):
+        if data.IsA("vtkDataSet") and path.suffix.lower() not in (".pvtu", ".vtm"):
+            check_counts(path.read_bytes(), data)
         write(folder / f"{len(names)}.xml", data)
         names.append(name)
     text = said.GetOutput()
@@ -47,28 +93,27 @@ def limit_memory(most: int) -> None:
         resource.setrlimit(resource.RLIMIT_AS, (used + most, hard))
 
 
-def read(path: pathlib.Path) -> Any:
+def vtk_reader(path: pathlib.Path) -> Any:
+    from vtkmodules import vtkIOLegacy, vtkIOXML
+
     if path.suffix.lower() != ".vtk":
         reader = vtkIOXML.vtkXMLGenericDataObjectReader()
         reader.SetFileName(str(path))
-    else:
-        raw, head = path.read_bytes(), HEAD.match(path.read_bytes())
-        if head is None:
-            raise SystemExit("not a .vtk file; `# vtk DataFile Version` and three lines more are expected first")
-        kind = head[1].decode(errors="replace").upper()
-        if kind not in KINDS:
-            raise SystemExit(f"{kind} in it is no mesh; read are {', '.join(KINDS)}")
-        raw = re.sub(rb"(?<=\s)vtktype(u?)(int8|int16|int32)(?=\s)", own_type, raw)
-        reader = getattr(vtkIOLegacy, f"vtk{KINDS[kind]}Reader")()
-        for name in ("Scalars", "Vectors", "Normals", "Tensors", "ColorScalars", "TCoords", "Fields"):
-            getattr(reader, f"ReadAll{name}On")()
-        reader.ReadFromInputStringOn()
-        reader.SetBinaryInputString(raw, len(raw))
-    reader.Update()
-    data = reader.GetOutputDataObject(0)
-    if isinstance(data, vtkDataSet):
-        check_counts(path.read_bytes(), data)
-    return data
+        return reader
+    raw = path.read_bytes()
+    head = HEAD.match(raw)
+    if head is None:
+        raise SystemExit("not a .vtk file; `# vtk DataFile Version` and three lines more are expected first")
+    kind = head[1].decode(errors="replace").upper()
+    if kind not in KINDS:
+        raise SystemExit(f"{kind} in it is no mesh; read are {', '.join(KINDS)}")
+    raw = re.sub(rb"(?<=\s)vtktype(u?)(int8|int16|int32)(?=\s)", own_type, raw)
+    reader = getattr(vtkIOLegacy, f"vtk{KINDS[kind]}Reader")()
+    for name in ("Scalars", "Vectors", "Normals", "Tensors", "ColorScalars", "TCoords", "Fields"):
+        getattr(reader, f"ReadAll{name}On")()
+    reader.ReadFromInputStringOn()
+    reader.SetBinaryInputString(raw, len(raw))
+    return reader
 
 
 def check_counts(raw: bytes, data: Any) -> None:
@@ -96,6 +141,8 @@ def own_type(found: re.Match[bytes]) -> bytes:
 
 
 def data_sets(data: Any) -> Iterator[tuple[str, Any]]:
+    from vtkmodules.vtkCommonDataModel import vtkCompositeDataSet
+
     if not isinstance(data, vtkCompositeDataSet):
         yield "", data
         return
@@ -107,6 +154,8 @@ def data_sets(data: Any) -> Iterator[tuple[str, Any]]:
 
 
 def write(path: pathlib.Path, data: Any) -> None:
+    from vtkmodules import vtkIOXML
+
     writer = vtkIOXML.vtkXMLDataObjectWriter.NewWriter(data.GetDataObjectType())
     if writer is None:
         raise SystemExit(f"{data.GetClassName()} is no mesh")
@@ -120,4 +169,4 @@ def write(path: pathlib.Path, data: Any) -> None:
 
 
 if __name__ == "__main__":
-    main(pathlib.Path(sys.argv[1]), pathlib.Path(sys.argv[2]), int(sys.argv[3]))
+    main(*sys.argv[1:])
