@@ -5,9 +5,12 @@ import importlib.metadata
 import pathlib
 import types
 
+import fluent
 import meshio
 import numpy as np
 import pytest
+from exodus import CELLS
+from foam import mixed
 from formats import ENDINGS, OTHERS, assert_same, rewritten, written
 from meshes import bricks, gmsh_session
 from plot3d import box
@@ -97,6 +100,42 @@ def test_another_reader_finds_the_moved_points(tmp_path, ending, capsys):
         before, after = (each.read_bytes().split() for each in (path, tmp_path / f"out{ending}"))
         assert len(before) == len(after)
         assert sum(a != b for a, b in zip(before, after, strict=True)) <= mesh.points.size
+
+
+SHAPES = {
+    "solids": jm.Mesh(mixed()[0], CELLS, {"low": [0, 1, 2, 3]}),
+    "flat": jm.Mesh(
+        [[0, 0.1], [1, 0], [1, 1], [0, 1], [2, 0.3]], {"quad": [[0, 1, 2, 3]], "triangle": [[1, 4, 2]]}, {"low": [0, 1]}
+    ),
+    "curved": jm.elevate(jm.Mesh(mixed()[0], {"tetra": CELLS["tetra"], "wedge": CELLS["wedge"]}), 2),
+}
+LINEAR = (".su2", ".vol", ".cas", ".h5", ".mesh", ".xdmf")  # as meshio writes them
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("ending", [".su2", ".vtu", ".vtk", ".msh", ".cas", ".h5", ".mesh", ".inp", ".xdmf", ".vol"])
+def test_every_shape_of_cells_comes_back(tmp_path, ending, shape):
+    """Cells of all types, in 2-D and 3-D, of order 1 and 2: the same nodes, none folded, and moved points to the last bit."""
+    mesh, path = SHAPES[shape], tmp_path / f"a{ending}"
+    cells = {kind: np.asarray(ids) for kind, ids in mesh.cells.items()}
+    if ending in LINEAR and shape == "curved":
+        pytest.skip("the kind has linear cells alone")
+    if ending in (".cas", ".h5"):
+        fluent.write(path, np.asarray(mesh.points), cells, {"low": [0, 1]}, "h5" if ending == ".h5" else "text")
+    elif ending in (".mesh", ".inp", ".xdmf", ".vol"):
+        try:
+            meshio.write(path, jm.Mesh(mesh.points, cells).to_meshio())
+        except (KeyError, meshio.WriteError) as error:
+            pytest.skip(f"meshio does not write it: {error}")
+    else:
+        io.write(path, mesh)
+    read = io.read(path)
+    for kind, ids in cells.items():
+        assert sorted(map(sorted, read.cells[kind].tolist())) == sorted(map(sorted, ids.tolist()))
+    np.testing.assert_array_equal(read.points, mesh.points)
+    assert not np.asarray(jm.quality(read).is_inverted).any()
+    moved = read.moved(np.asarray(read.points) / 3 + 0.123456789)
+    assert_same(rewritten(tmp_path / f"b{ending}", moved), moved)
 
 
 def test_numbers_in_columns_stay_in_them(tmp_path):

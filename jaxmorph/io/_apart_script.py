@@ -1,4 +1,4 @@
-"""Reads a file by another library in a process of its own: `_apart_script.py TASK FILE FOLDER BYTES`.
+"""Reads a file by another library, apart: `_apart_script.py TASK FILE FOLDER BYTES`.
 
 Libraries trust what a file says of itself. A damaged file may end the process, or ask for any
 memory. So this script, which imports nothing of the package, reads the file within `BYTES` of
@@ -121,8 +121,13 @@ def check_counts(raw: bytes, data: Any) -> None:
     fields = (data.GetPointData(), data.GetCellData(), data.GetFieldData())
     announced = sum(map(int, re.findall(rb"^FIELD \S+ (\d{1,9})\s", raw, re.MULTILINE)))
     found = sum(field.GetNumberOfArrays() for field in fields)
-    if found < announced:
-        raise SystemExit(f"{announced} arrays are announced, and {found} are found")
+    if found < announced or re.search(rb"_DATA\s+\d+\s*\Z", raw[-99:]):
+        raise SystemExit(f"{announced or 'some'} arrays are announced, and {found} are found")
+    first, points = raw.find(b"\nFIELD"), raw.find(b"\nPOINTS ")
+    if 0 <= points < first and b"_DATA" not in raw[points:first]:
+        raise SystemExit("a field of arrays, but neither POINT_DATA nor CELL_DATA before it")
+    if data.GetNumberOfCells() < 1:
+        raise SystemExit("no cells, the file is cut short, or damaged")
     counts = {rb"<Points>\s*<DataArray[^>]*": 3 * data.GetNumberOfPoints()}
     if data.IsA("vtkUnstructuredGrid"):
         sizes = [data.GetNumberOfCells()] * 2 + [data.GetCells().GetNumberOfConnectivityIds()]

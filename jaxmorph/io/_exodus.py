@@ -102,12 +102,9 @@ def _blocks(path: pathlib.Path, file: Mapping[str, Any], dimension: int) -> Iter
         if array is None:
             continue
         kind, corners = _text(array.attrs["elem_type"]), array[()].astype(np.int64) - 1
-        width = corners.shape[1] if corners.ndim == 2 else 0
-        letters = kind.upper()[:3]
-        shape = "triangle" if (letters, width) == ("SHE", 3) else _SHELLS.get(width, "")
-        shape = shape if letters == "SHE" else _TYPES.get(letters, "")
-        ours = shape if width == CORNERS.get(shape, 1) else f"{shape}{width}"
-        if not shape or ours not in (*NODES, "vertex"):
+        width, letters = corners.shape[-1] if corners.ndim == 2 else 0, kind.upper()[:3]
+        ours = _type_of(letters, width)
+        if ours not in (*NODES, "vertex"):
             size = f" with {width} nodes" if width else ""
             raise ValueError(
                 f"{path}: elements of type {kind[:40]}{size} are not read; of order 1 and 2 are (HEX8, HEX20, ...)."
@@ -115,9 +112,15 @@ def _blocks(path: pathlib.Path, file: Mapping[str, Any], dimension: int) -> Iter
         if ours == "hexahedron27":
             corners = np.concatenate([corners[:, :20], corners[:, 21:], corners[:, 20:21]], axis=1)
         # triangles of a mesh in space have sides as shells have, quads have not
-        is_shell = letters == "SHE" or (shape == "triangle" and dimension == 3)
-        sides = [] if ours == "vertex" else _sides(ours, is_shell and shape != "line")
+        is_shell = letters == "SHE" or (letters == "TRI" and dimension == 3)
+        sides = [] if ours == "vertex" else _sides(ours, is_shell)
         yield _Block(name, own, ours, reordered(ours, corners, _ORDER, None), sides)
+
+
+def _type_of(letters: str, width: int) -> str:
+    shape = _SHELLS.get(width, "") if letters == "SHE" else _TYPES.get(letters, "")
+    shape = "triangle" if (letters, width) == ("SHE", 3) else shape
+    return shape if width == CORNERS.get(shape, 1) else f"{shape}{width}"
 
 
 def _sides(kind: str, is_shell: bool) -> list[np.ndarray]:

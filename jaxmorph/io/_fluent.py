@@ -6,6 +6,7 @@ hexadecimal. A face is its nodes and the cells on its two sides, 0 for none.
 """
 
 import dataclasses
+import itertools
 import pathlib
 import re
 from collections.abc import Iterator
@@ -132,6 +133,21 @@ class _FluentText:
             raise body.error(f"{len(values)} coordinates of nodes, {count} times {d} expected")
         return NodeSection(head[1], values.reshape(count, d).astype(float), body, kind)
 
+    def content(self, text: bytes) -> FluentContent:
+        parts = sorted(self.nodes, key=lambda part: part.first)
+        rows = [slice(part.first - 1, part.first - 1 + len(part.points)) for part in parts]
+        if not parts or not self.faces or any(a.stop != b.start for a, b in itertools.pairwise([slice(0, 0), *rows])):
+            raise ValueError(
+                f"{self.path}: not a Fluent mesh, or a damaged one: no nodes or faces, or some are missing."
+            )
+        for kind, count in ((10, rows[-1].stop), (13, sum(len(table.cells) for _, table in self.faces))):
+            if self.counts.get(kind, count) != count:
+                what = f"{count} nodes or faces, and {self.counts[kind]} announced"
+                raise ValueError(f"{self.path}: {what}: the file is cut short.")
+        are_single = [part.kind is not None and part.kind.itemsize == 4 for part in parts]
+        singles = [(row, slice(None)) for row, is_single in zip(rows, are_single, strict=True) if is_single]
+        return FluentContent(np.concatenate([part.points for part in parts]), text, tuple(parts), singles=singles)
+
 
 def read(path: pathlib.Path) -> Parts:
     """Reads points, cells and patches: the zones of faces, but inner ones, with their kinds."""
@@ -143,22 +159,7 @@ def read(path: pathlib.Path) -> Parts:
             if str(path) in str(error):
                 raise
             raise section.error(f"a damaged section {number} ({error}).") from error
-    parts = sorted(found.nodes, key=lambda part: part.first)
-    ends = np.cumsum([1, *(len(part.points) for part in parts)]).tolist()
-    if not parts or not found.faces or [part.first for part in parts] != ends[:-1]:
-        raise ValueError(f"{path}: not a Fluent mesh, or a damaged one: no nodes, no faces, or nodes that are missing.")
-    for kind, count in ((10, ends[-1] - 1), (13, sum(len(table.cells) for _, table in found.faces))):
-        if found.counts.get(kind, count) != count:
-            raise ValueError(
-                f"{path}: {count} nodes or faces, and {found.counts[kind]} announced: the file is cut short."
-            )
-    points = np.concatenate([part.points for part in parts])
-    singles = [
-        (slice(part.first - 1, part.first - 1 + len(part.points)), slice(None))
-        for part in parts
-        if part.kind is not None and part.kind.itemsize == 4
-    ]
-    content = FluentContent(points, text, tuple(parts), singles=singles)
+    content = found.content(text)
     regions = [found.names.get(number, (f"zone_{number}", ""))[0] for number in found.regions]
     with faults_of(path):
         return mesh_of(Source(path, NAME, content), *_joined(found), found.counts.get(12), regions)
@@ -229,33 +230,33 @@ def _joined(found: _FluentText) -> tuple[FaceTable, list[FaceZone]]:
 def mesh_of(source: Source, table: FaceTable, zones: list[FaceZone], count: int | None, regions: list[str]) -> Parts:
     """Makes the mesh of all faces; `count` is the number of cells, None if it is not announced."""
     points = source.content.points
-    if any(zone.kind == KINDS[PARENT] for zone in zones):
-        raise ValueError("a mesh that was adapted, with parents of faces, is not read.")
-    _check(table, len(points), count)
+    _check(table, zones, len(points), count)
     faces = _outward(table, points)
     blocks, whole = cells_of_faces(faces, points) if points.shape[1] == 3 else (_plane_cells(faces), None)
     cells = gathered((kind, corners) for kind, corners, _ in blocks)
     ids = gathered((kind, cell) for kind, _, cell in blocks)
     outer = [zone for zone in zones if zone.kind != KINDS[INTERIOR]]
     nodes = (faces.labels[spread(faces.starts[zone.rows], faces.starts[zone.rows + 1])[0]] for zone in outer)
-    named = [Patch(zone.name, f"zone_{zone.number}", patch) for zone, patch in zip(outer, nodes, strict=True)]
-    patches, notes = distinct(named)
-    kinds = {zone.name: zone.kind for zone in outer}
-    notes += tuple(regions_note(regions if len(regions) > 1 else ()))
+    patches, notes = distinct(
+        Patch(zone.name, f"zone_{zone.number}", each) for zone, each in zip(outer, nodes, strict=True)
+    )
     periodic = [zone.name for zone in outer if zone.kind.startswith("periodic")]
     notes += (f"the periodic zones {', '.join(periodic)} are patches, and are not paired.",) * bool(periodic)
-    known = {
-        "polyhedra": whole if whole is not None and len(whole.cut) else None,
-        "cell_ids": np.concatenate([ids[kind] for kind in sorted(ids)]),  # as JAX sorts types
-        "kinds": kinds,
-        "symmetry": tuple(name for name, kind in kinds.items() if kind in ("symmetry", "axis")),
-        "notes": notes,
-    }
-    source = dataclasses.replace(source, **known, **source.content.known)
+    source = dataclasses.replace(
+        source,
+        polyhedra=whole if whole is not None and len(whole.cut) else None,
+        cell_ids=np.concatenate([ids[kind] for kind in sorted(ids)]),  # as JAX sorts types
+        kinds={zone.name: zone.kind for zone in outer},
+        symmetry=tuple(zone.name for zone in outer if zone.kind in ("symmetry", "axis")),
+        notes=(*notes, *regions_note(regions[: len(regions) * (len(regions) > 1)])),
+        **source.content.known,
+    )
     return checked_parts(points.copy(), cells, patches, source)
 
 
-def _check(table: FaceTable, n: int, count: int | None) -> None:
+def _check(table: FaceTable, zones: list[FaceZone], n: int, count: int | None) -> None:
+    if any(zone.kind == KINDS[PARENT] for zone in zones):
+        raise ValueError("a mesh that was adapted, with parents of faces, is not read.")
     labels, cells = table.labels, table.cells
     most = len(cells) if count is None else count
     if labels.min() < 1 or labels.max() > n:

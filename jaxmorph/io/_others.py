@@ -5,6 +5,7 @@ file is written by meshio, or not at all.
 """
 
 import dataclasses
+import itertools
 import pathlib
 import pickle
 import re
@@ -163,20 +164,29 @@ def _place(raw: bytes, kind: LibraryKind, points: np.ndarray) -> tuple[Place | N
         start = raw.find(points.astype(code).tobytes())
         if start >= 0 and np.array_equal(points.astype(code), points):
             return Place(start, start + np.dtype(code).itemsize * points.size, np.dtype(code)), points.astype(float)
-    n, d = points.shape
     for begin in re.finditer(kind.nodes, raw, re.MULTILINE) if kind.nodes else ():
-        start, end = begin.end(), _WORD.search(raw, begin.end())
+        end = _WORD.search(raw, begin.end())
         stop = end.start() if end else len(raw)
-        values = parse(_plain(raw[start:stop]), np.float64)
-        for width in range(d, min(len(values) // n, MOST) + 1):
-            rows = values[: n * width].reshape(n, width)
-            for first in range(width - d + 1):
-                at = width * np.arange(n)[:, None] + first + np.arange(d)
-                for order in (np.arange(n), np.argsort(rows[:, 0], kind="stable")):  # as in the file, or by number
-                    found = rows[order, first : first + d]
-                    if np.array_equal(found.astype(points.dtype), points):
-                        return Place(start, stop, None, at.ravel(), np.argsort(order)), found
+        rows = _rows(parse(_plain(raw[begin.end() : stop]), np.float64), points)
+        if rows is not None:
+            at, nodes, found = rows
+            return Place(begin.end(), stop, None, at, nodes), found
     return None, points.astype(float)
+
+
+def _rows(values: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """Finds the points in rows of a table: the places of coordinates, nodes of rows, all digits."""
+    n, d = points.shape
+    for width in range(d, min(len(values) // n, MOST) + 1):
+        rows = values[: n * width].reshape(n, width)
+        for first, order in itertools.product(
+            range(width - d + 1), (np.arange(n), np.argsort(rows[:, 0], kind="stable"))
+        ):
+            found = rows[order, first : first + d]
+            if np.array_equal(found.astype(points.dtype), points):
+                at = width * np.arange(n)[:, None] + first + np.arange(d)
+                return at.ravel(), np.argsort(order), found
+    return None
 
 
 def _found(path: pathlib.Path, kind: LibraryKind, size: int) -> tuple[Grid, list[Patch], tuple[str, ...]]:
