@@ -261,9 +261,9 @@ def _physical(grid: Grid) -> Iterator[Patch]:
 def _marked(grid: Grid) -> tuple[str, dict[str, np.ndarray]]:
     """Makes patches by the first array of `MARKERS`, and names it; on points 0 means inside."""
     for name in _markers(grid.cell_data):
-        patches = gathered(
-            (f"{name}_{number}", nodes) for level, number, nodes in _by_number(grid, grid.cell_data[name]) if level
-        )
+        found = [each for each in _by_number(grid, grid.cell_data[name]) if each[0]]
+        highest = max((level for level, *_ in found), default=0)  # edges beside faces have numbers of their own
+        patches = gathered((f"{name}_{number}", nodes) for level, number, nodes in found if level == highest)
         if patches:
             return name, patches
     for name in _markers(grid.point_data):

@@ -7,7 +7,7 @@ memory, and puts into the folder what is read. Tasks are
 - `vtk`: each data set in VTK's XML, raw and uncompressed. One line of JSON is printed: the names of
   the data sets, and what VTK said;
 - `gmsh`: `mesh.pickle`, points in the order of their numbers, and for the elements of each entity
-  gmsh's type, ids of nodes, and names;
+  gmsh's type, ids of nodes, names, and number;
 - a name of meshio's formats: `mesh.pickle`, meshio's mesh.
 """
 
@@ -45,7 +45,7 @@ def by_meshio(kind: str, file: str, most: int) -> Any:
     return meshio.read(file, file_format=kind)
 
 
-def by_gmsh(file: str, most: int) -> tuple[Any, list[tuple[int, Any, list[str]]]]:
+def by_gmsh(file: str, most: int) -> tuple[Any, list[tuple[int, Any, list[str], int]]]:
     import gmsh
     import numpy as np
 
@@ -61,7 +61,7 @@ def by_gmsh(file: str, most: int) -> tuple[Any, list[tuple[int, Any, list[str]]]
         for number, _, nodes in zip(*mesh.getElements(level, entity), strict=True):
             width = mesh.getElementProperties(number)[3]
             ids = np.searchsorted(np.sort(tags), nodes).reshape(-1, width)
-            found.append((int(number), ids, names or [f"entity_{entity}"]))
+            found.append((int(number), ids, names, entity))
     return places.reshape(-1, 3)[np.argsort(tags)], found
 
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from jaxmorph._host.cells.orders import GMSH, reordered
 from jaxmorph._host.package.text import ending
-from jaxmorph._mesh.exchange import DIMENSION, Grid, Parts, Patch, gathered, imported, of_meshio, regions_note
+from jaxmorph._mesh.exchange import DIMENSION, LEVELS, Grid, Parts, Patch, gathered, imported, of_meshio, regions_note
 from jaxmorph._mesh.export import to_meshio
 
 from ._apart import run_apart
@@ -197,20 +197,23 @@ def _found(path: pathlib.Path, kind: LibraryKind, size: int) -> tuple[Grid, list
     return (of_meshio(found), [], ()) if kind.library == "meshio" else _of_gmsh(*found)
 
 
-def _of_gmsh(
-    points: np.ndarray, found: list[tuple[int, np.ndarray, list[str]]]
-) -> tuple[Grid, list[Patch], tuple[str, ...]]:
+def _of_gmsh(points: np.ndarray, found: list[tuple]) -> tuple[Grid, list[Patch], tuple[str, ...]]:
+    """Makes a grid of what `_apart_script.py` gives, and patches of groups.
+
+    An entity without a group has gmsh's name, `surface_5`, where it is a boundary.
+    """
     unknown = [number for number, *_ in found if number not in TYPES]
     if unknown or not found:
         raise ValueError(f"elements of gmsh's types {unknown} are not read." if unknown else "no elements.")
     kinds = [TYPES[number] for number, *_ in found]
-    blocks = [
-        (kind, reordered(kind, ids.astype(np.int64), GMSH, None))
-        for kind, (_, ids, _) in zip(kinds, found, strict=True)
-    ]
     levels = [DIMENSION.get(kind, 0) for kind in kinds]
-    named = [(name, level, ids.ravel()) for level, (_, ids, names) in zip(levels, found, strict=True) for name in names]
-    patches = gathered((name, nodes) for name, level, nodes in named if level < max(levels))
-    regions = dict.fromkeys(name for name, level, _ in named if level == max(levels))
-    notes = tuple(regions_note(regions if len(regions) > 1 else ()))
-    return Grid(points, blocks, {}, {}), [Patch(name, name, nodes) for name, nodes in patches.items()], notes
+    blocks, named, top = [], [], max(levels)
+    for kind, level, (_, ids, names, entity) in zip(kinds, levels, found, strict=True):
+        blocks.append((kind, reordered(kind, ids.astype(np.int64), GMSH, None)))
+        names = names or [f"{LEVELS[level]}_{entity}"] * (level == top - 1)
+        named += [((name, level), ids.ravel()) for name in names]
+    patches = [
+        Patch(name, f"{name}_{LEVELS[level]}", ids) for (name, level), ids in gathered(named).items() if level < top
+    ]
+    regions = dict.fromkeys(name for (name, level), _ in named if level == top)
+    return Grid(points, blocks, {}, {}), patches, tuple(regions_note(regions if len(regions) > 1 else ()))
