@@ -24,5 +24,6 @@ def run_apart(task: str, path: pathlib.Path, size: int, folder: str) -> bytes:
         raise ValueError(f"a damaged file (its reader ended by {name}, or would have taken {most / 1e6:.0f} MB).")
     if done.returncode:
         why = done.stderr.decode(errors="replace").strip().split("\n")[-1]
-        raise ValueError(f"no mesh in this file, or a damaged one ({why[:300]}).")
+        reader = {"vtk": "VTK", "gmsh": "gmsh"}.get(task, "meshio")
+        raise ValueError(f"no mesh that {reader} reads, or a damaged one ({why[:300]}).")
     return done.stdout
