@@ -17,25 +17,12 @@ NAME = "Fluent HDF5"
 WHAT = "a Fluent case in HDF5"
 
 
-class _Columns:
-    """An array of rows (n, d) as one of columns (d, n), in which other formats have coordinates."""
-
-    def __init__(self, array: Any):
-        self.array, self.dtype, self.shape = array, array.dtype, array.shape[::-1]
-
-    def __getitem__(self, key: tuple) -> np.ndarray:
-        return self.array[key].T
-
-    def __setitem__(self, key: Any, values: np.ndarray) -> None:
-        self.array[key] = values.T
-
-
 def read(path: pathlib.Path) -> Parts:
     with opened(path, what=WHAT) as file:
         if "meshes" not in file:
             raise ValueError(f"{path}: no group `meshes` in this file: it is not {WHAT}.")
         mesh, coordinates = _mesh(file), list(_coordinates(file))
-        n, d = coordinates[-1].rows.stop, coordinates[0].array.shape[0]
+        n, d = coordinates[-1].rows.stop, coordinates[0].array.shape[1]
         content = FilePoints(points_of(coordinates, n, d), stamp=stamp_of(path), singles=singles_of(coordinates))
         table, zones = _table(mesh), list(_zones(mesh["faces"]))
         regions = _names(mesh["cells"]["zoneTopology"])
@@ -58,7 +45,7 @@ def _mesh(file: Any) -> Any:
 def _coordinates(file: Any) -> Iterator[Coordinates]:
     first = 0
     for array in _sections(_mesh(file)["nodes"]["coords"]):
-        yield Coordinates(_Columns(array), slice(first, first + len(array)), slice(None))
+        yield Coordinates(array, slice(first, first + len(array)), slice(None), by_rows=True)
         first += len(array)
 
 
