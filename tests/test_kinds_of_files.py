@@ -215,6 +215,9 @@ def test_convert_tells_what_is_lost(tmp_path, capsys):
     assert main(["convert", str(path), str(tmp_path / "a.vtu")]) == 0
     assert "kinds of patches are lost: wall, pressure-far-field" in capsys.readouterr().err
     assert_same(io.read(tmp_path / "a.vtu"), io.read(path))
+    io.write(tmp_path / "heat.vtu", io.read(path), cell_data={"heat": np.zeros(8)})
+    assert main(["convert", str(tmp_path / "heat.vtu"), str(tmp_path / "heat.su2")]) == 0
+    assert "arrays are lost: heat." in capsys.readouterr().err
     assert main(["convert", str(tmp_path / "a.vtu"), str(tmp_path / "b.cas")]) == 2
     assert "only a mesh that was read from a Fluent file" in capsys.readouterr().err
     assert not (tmp_path / "b.cas").exists()

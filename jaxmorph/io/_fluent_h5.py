@@ -20,7 +20,10 @@ WHAT = "a Fluent case in HDF5"
 def read(path: pathlib.Path) -> Parts:
     with opened(path, what=WHAT) as file:
         if "meshes" not in file:
-            raise ValueError(f"{path}: no group `meshes` in this file: it is not {WHAT}.")
+            kind = (
+                "a mesh of HOPR, which is not read" if "ElemInfo" in file else f"not {WHAT}: there is no group `meshes`"
+            )
+            raise ValueError(f"{path}: this is {kind}.")
         mesh, coordinates = _mesh(file), list(_coordinates(file))
         n, d = coordinates[-1].rows.stop, coordinates[0].array.shape[1]
         content = FilePoints(points_of(coordinates, n, d), stamp=stamp_of(path), singles=singles_of(coordinates))

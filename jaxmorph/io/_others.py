@@ -17,7 +17,19 @@ import numpy as np
 
 from jaxmorph._host.cells.orders import GMSH, reordered
 from jaxmorph._host.package.text import ending
-from jaxmorph._mesh.exchange import DIMENSION, LEVELS, Grid, Parts, Patch, gathered, imported, of_meshio, regions_note
+from jaxmorph._mesh.exchange import (
+    DIMENSION,
+    GROUPS,
+    LEVELS,
+    MARKERS,
+    Grid,
+    Parts,
+    Patch,
+    gathered,
+    imported,
+    of_meshio,
+    regions_note,
+)
 from jaxmorph._mesh.export import to_meshio
 
 from ._apart import run_apart
@@ -78,6 +90,11 @@ class OtherContent(FilePoints):
     raw: bytes
     place: Place | None
     content: Any
+
+    @property
+    def arrays(self) -> list[str]:
+        names = [*getattr(self.content, "point_data", ()), *getattr(self.content, "cell_data", ())]
+        return [name for name in names if name.lower() not in (*MARKERS, *GROUPS)]
 
 
 @dataclasses.dataclass(frozen=True)

@@ -293,7 +293,8 @@ def losses(path: str | os.PathLike[str], mesh: Mesh) -> tuple[str, ...]:
     told += [f"groups of patches are lost: {', '.join(mesh.groups)}."] * bool(mesh.groups)
     told += [f"periodic pairs of patches are lost: {len(source.periodic)}."] * bool(source.periodic)
     told += ["whole polyhedra are lost; they are cut."] * (source.polyhedra is not None)
-    told += [f"arrays of the {source.format} file are lost."] * (source.format in ("VTK", "XDMF"))
+    arrays = getattr(source.content, "arrays", [])
+    told += [f"arrays are lost: {', '.join(arrays)}."] * bool(arrays)
     return (*told, *source.notes)
 
 

@@ -52,6 +52,13 @@ class Content:
     data: Any
     encoding: Encoding
 
+    @property
+    def arrays(self) -> list[str]:
+        """Names of arrays, but those of patches."""
+        fields = (self.data.GetPointData(), self.data.GetCellData(), self.data.GetFieldData())
+        names = [str(field.GetArrayName(k)) for field in fields for k in range(field.GetNumberOfArrays())]
+        return [name for name in names if not name.startswith(PREFIX)]
+
     def __reduce__(self) -> tuple:
         vtk.vtk("util.pickle_support")  # teaches `pickle` VTK's data sets
         return type(self), (self.data, self.encoding)
