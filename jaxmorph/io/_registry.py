@@ -92,9 +92,12 @@ def file_mesh(path: pathlib.Path) -> Parts:
             mesh = format_of(file).codec().read(file)
         except ValueError as error:
             raise ValueError(str(error).replace(str(file), str(path))) from error
-    if file != path and getattr(mesh.source.content, "stamp", None) is not None:
-        raise ValueError(f"{path}: files of {mesh.source.format} are copied when they are written: unpack it first.")
-    mesh = mesh._replace(source=dataclasses.replace(mesh.source, path=path))
+    if file != path:
+        if getattr(mesh.source.content, "stamp", None) is not None:
+            raise ValueError(
+                f"{path}: files of {mesh.source.format} are copied when they are written: unpack it first."
+            )
+        mesh = mesh._replace(source=dataclasses.replace(mesh.source, path=path))
     check_nodes(path, mesh)
     notes = (*mesh.source.notes, *_hidden_groups(mesh))
     source = dataclasses.replace(mesh.source, cells=numbers_of_cells(mesh.cells), notes=notes)
