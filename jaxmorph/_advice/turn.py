@@ -76,7 +76,7 @@ class Turn:
         return jnp.stack([*(self.at(step / steps) for step in range(1, steps)), jnp.asarray(self.u)])
 
     def keeps(self, points: Float[np.ndarray, "k d"]) -> bool:
-        """Whether the rotation takes a surface to itself: round about the axis, or flat across it."""
+        """Whether the rotation takes a surface to itself: round about its axis, or flat across."""
         if not self.angle:
             return False
         arms = in_space(points) - self.centre

@@ -34,8 +34,9 @@ PATIENCE = 120.0
 
 @dataclasses.dataclass(frozen=True)
 class Attempt:
-    """All that an attempt needs but method and steps; `judging` runs in another thread. With
-    `reached`, the steps of the request were found: they keep the cells for this share of the motion.
+    """All that an attempt needs but method and steps; `judging` runs in another thread.
+
+    With `reached`, the steps of the request were found: they keep the cells for this share of it.
     """
 
     request: Deform

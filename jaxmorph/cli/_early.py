@@ -1,5 +1,6 @@
 """What is sure to fail, told before JAX is imported and the mesh is read."""
 
+import itertools
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -13,6 +14,7 @@ from jaxmorph.extend import input_path, output_path
 from jaxmorph.integrations import su2
 
 from ._job import job_of
+from ._names import check_names
 from ._parser import flag_of, values_of
 from ._requests import (
     AUTO,
@@ -49,6 +51,8 @@ def check(request: Request) -> None:
     _check_values(values_of(request))
     if isinstance(request, Deform | ModesRequest | SensitivityRequest | ExportRequest | SU2):
         _check_sources(request.method)
+    if isinstance(request, Deform | ModesRequest | SensitivityRequest | ExportRequest):
+        check_names(request.file, [*request.moving, *itertools.chain(*vars(request.boundary).values())])
 
 
 def check_apart(
