@@ -1,7 +1,6 @@
 """`jaxmorph deform`: one mesh, one motion, and other methods where it fails."""
 
 import dataclasses
-import functools
 import itertools
 import warnings
 from collections.abc import Callable
@@ -56,9 +55,14 @@ class Attempt:
     def path(self, steps: int = 1) -> Float[np.ndarray, "k m d"]:
         return self.motion.path(self.base[self.patches.nodes], steps)
 
-    def with_fewest_steps(self, plan: jm.Plan) -> "Attempt":
+    def with_fewest_steps(self, plan: jm.Plan, done: Callable[[float], None]) -> "Attempt":
         wall, least = self.base[self.patches.nodes], self.request.gates.min_jacobian_ratio or 0.0
-        moves = functools.partial(self.motion.at, wall)
+        solves = itertools.count(1)
+
+        def moves(share: float) -> np.ndarray:
+            done(min(next(solves) / (MOST * (MOST + 1) / 2), 1))
+            return self.motion.at(wall, share)
+
         found = jm.fewest_steps(plan, self.patches.mesh, moves, min_jacobian_ratio=least, max_steps=MOST)
         request = dataclasses.replace(self.request, steps=found.count)
         return dataclasses.replace(self, request=request, reached=found.fraction)
@@ -99,8 +103,8 @@ def _deform(request: Deform, mesh: Mesh, out: Output) -> int:
         chunks = patches.chunks(request.chunk)
         nodes, plan = next(chunks)
     if request.steps == AUTO:
-        with out.progress("seeking the fewest steps"):
-            attempt = attempt.with_fewest_steps(plan)
+        with out.progress("seeking the fewest steps") as stage:
+            attempt = attempt.with_fewest_steps(plan, stage.done)
             request = attempt.request
     n, d = mesh.points.shape
     cells = ", ".join(f"{number} {kind}" for kind, number in mesh.cell_counts.items())
