@@ -173,6 +173,10 @@ def _check_sensitivity(request: SensitivityRequest) -> None:
 
 def _check_export(request: ExportRequest) -> None:
     _check_input(request.file)
+    if request.method.dtype == "float32":
+        raise ValueError("--dtype float32: a plan in a file is in double precision. Leave the flag away.")
+    if METHODS[request.method.method].needs_cells:
+        raise ValueError(f"--method {request.method.method} solves on the cells, which a plan in a file does not hold.")
     if is_folder(request.file):
         if request.output is not None:
             raise ValueError(

@@ -267,7 +267,7 @@ class SensitivityRequest:
 class ExportRequest:
     file: Path = positional(MESH, "IN")
     output: Path | None = positional("the plan; not given for an OpenFOAM case", "OUT", nargs="?", type=_output)
-    zone: int | None = flag(ZONE)
+    zone: int | None = flag("of an SU2 file with several zones the zone IZONE= N")
     moving: tuple[str, ...] = _patches(WHAT_MOVES, section="surface", everyday=True)
     boundary: BoundaryFlags = part(BoundaryFlags)
     method: MethodFlags = part(MethodFlags)
