@@ -10,8 +10,6 @@ from _walls import bump, camber, flap, pitch, up
 
 import jaxmorph as jm
 from jaxmorph import cases
-from jaxmorph._advice import methods
-from jaxmorph._advice.methods import Lengths
 
 Motion = Callable[[np.ndarray, float], np.ndarray]
 
@@ -35,8 +33,8 @@ class Case:
         return np.asarray(self.mesh.points)[self.mesh.patch(self.moving)]
 
     @property
-    def extent(self) -> Lengths:
-        return Lengths(self.wall, np.asarray(self.mesh.points)[self.mesh.patch(*self.fixed)])
+    def extent(self) -> float:
+        return float(np.ptp(self.wall, axis=0).max())
 
 
 def thicker(base: np.ndarray, amount: float) -> np.ndarray:
@@ -160,10 +158,10 @@ def _others(mesh: jm.Mesh) -> tuple[str, ...]:
     return tuple(name for name in mesh.patches if name != _moving(mesh))
 
 
-METHODS: dict[str, Callable[[Lengths], jm.AbstractMethod]] = {
-    **{entry.title or entry.name: entry.make for entry in methods.METHODS},
-    "compact RBF": lambda wall: jm.CompactRBF(wall.size),
-    "elasticity 1/d": lambda wall: jm.LinearElasticity(jm.ByDistance(1.0)),
-    "local correction": lambda wall: jm.SurfaceReconstruction(jm.RBF(), jm.LocalCorrection()),
+METHODS: dict[str, Callable[[float], jm.AbstractMethod]] = {
+    **{entry.title or name: entry.make for name, entry in jm.METHODS.items()},
+    "compact RBF": jm.CompactRBF,
+    "elasticity 1/d": lambda size: jm.LinearElasticity(jm.ByDistance(1.0)),
+    "local correction": lambda size: jm.SurfaceReconstruction(jm.RBF(), jm.LocalCorrection()),
 }
-"""The list of methods by title, for the lengths of a boundary; then methods with parameters that the list does not have."""
+"""The list of methods by title, for the size of a wall; then methods with parameters that the list does not have."""

@@ -253,26 +253,36 @@ def ratio_to_best(row: dict, best: dict[tuple, float]) -> float:
 
 
 def draw(rows: list[dict], file: pathlib.Path) -> None:
-    """Draws methods against motions: the largest skewness over the smallest of the motion's, and where cells are inverted."""
+    """Draws methods against motions: the largest skewness over the smallest of the motion's, and where cells are inverted.
+
+    It is read at half of its size on a phone, so letters are large, and the name of a case stands above its motions.
+    """
     names = [name for name, *_ in compared(rows)]
-    motions = list(dict.fromkeys((each["case"], each["motion"]) for each in rows))
-    skewness = np.full((len(names), len(motions)), np.nan)
+    motions = dict.fromkeys((each["case"], each["motion"]) for each in rows)
+    cases = dict.fromkeys(case for case, _ in motions)
+    lines = [line for case in cases for line in ((case, None), *(each for each in motions if each[0] == case))]
+    skewness = np.full((len(lines), len(names)), np.nan)
     for each in rows:
         if each["inverted"] == 0:
-            skewness[names.index(each["method"]), motions.index((each["case"], each["motion"]))] = each["max_skewness"]
-    least = np.nanmin(np.where(np.isnan(skewness).all(axis=0), 1, skewness), axis=0)
-    figure, ax = plt.subplots(figsize=(8, 10), layout="constrained")
-    ax.set_facecolor("#444444")
-    image = ax.imshow((skewness / least).T, cmap="YlOrRd", vmin=1, vmax=2, aspect="auto")
-    for i, j in np.argwhere(skewness == least):
-        ax.text(i, j, "1", ha="center", va="center", fontsize=9)
-    starts = [j for j, (case, _) in enumerate(motions) if j and case != motions[j - 1][0]]
-    for start in starts:
-        ax.axhline(start - 0.5, color="black", linewidth=1)
-    ax.set_xticks(range(len(names)), names, rotation=90)
+            skewness[lines.index((each["case"], each["motion"])), names.index(each["method"])] = each["max_skewness"]
+    least = np.nanmin(np.where(np.isnan(skewness).all(axis=1, keepdims=True), 1, skewness), axis=1, keepdims=True)
+    figure, ax = plt.subplots(figsize=(7.2, 16.5), layout="constrained")
+    ax.set_facecolor("#9a9a9a")
+    image = ax.imshow(skewness / least, cmap="YlOrBr", vmin=1, vmax=2, aspect="auto")
+    for j, i in np.argwhere(skewness == least):
+        ax.text(i, j, "1", ha="center", va="center", fontsize=13)
+    for j, (case, motion) in enumerate(lines):
+        if motion is None:
+            ax.axhspan(j - 0.5, j + 0.5, color="white")
+            ax.text(-0.4, j, case, va="center", fontsize=13, weight="bold")
+    ax.set_xticks(range(len(names)), names, rotation=90, fontsize=13)
     ax.xaxis.tick_top()
-    ax.set_yticks(range(len(motions)), [f"{case}: {motion}" for case, motion in motions], fontsize=9)
-    figure.colorbar(image, extend="max", aspect=50, label="largest skewness / the motion's best")
+    ax.set_yticks(range(len(lines)), [motion or "" for _, motion in lines], fontsize=13)
+    ax.tick_params(length=0)
+    ax.spines[:].set_visible(False)
+    bar = figure.colorbar(image, extend="max", aspect=40, location="bottom", pad=0.01)
+    bar.set_label("largest skewness / the motion's best", fontsize=13)
+    bar.ax.tick_params(labelsize=13)
     figure.savefig(file, dpi=100)
 
 

@@ -1,7 +1,8 @@
 """Adds to the pages what the project keeps elsewhere: its documents, its notebooks, the help of its commands, equations.
 
 - README.md, CONTRIBUTING.md, CHANGELOG.md and benchmarks/README.md are pages as they stand.
-- Each notebook is a page with its pictures, as it ran. The first page ends with a small picture of each.
+- Each notebook is a page with its pictures, as it ran. Cells tagged `hide-input` are folded. The first page ends with a
+  small picture of each.
 - `python docs/hooks.py` writes `pages/commands.md`: what `jaxmorph --help` and the help of each command print.
 - A link of a page to a file of the project leads to the page made from that file. The same link works on a code host.
 - A fenced block `math` becomes MathML, which browsers draw without a script.
@@ -39,9 +40,9 @@ DOCUMENTS = {
 def on_config(config):
     """Lists the notebooks after the first in the navigation, watches the sources, and sets how equations are written."""
     notebooks = [f"notebooks/{file.stem}.md" for file in sorted((ROOT / "notebooks").glob("*.ipynb"))[1:]]
-    for entry in config.nav:
-        if isinstance(entry, dict) and "Notebooks" in entry:
-            entry["Notebooks"] = notebooks
+    entries = [entry for group in config.nav for entries in group.values() for entry in entries]
+    (entry,) = [entry for entry in entries if isinstance(entry, dict) and "Notebooks" in entry]
+    entry["Notebooks"] = notebooks
     config.watch += [str(ROOT / name) for name in (*DOCUMENTS, "jaxmorph", "notebooks")]
     fences = config.mdx_configs.setdefault("pymdownx.superfences", {}).setdefault("custom_fences", [])
     fences.append({"name": "math", "class": "math", "format": mathml})
@@ -97,6 +98,7 @@ def notebook(file: pathlib.Path) -> dict[str, str | bytes]:
     exporter = MarkdownExporter(preprocessors=["nbconvert.preprocessors.CoalesceStreamsPreprocessor"])
     cells = nbformat.read(file, as_version=4)
     films: dict[str, str | bytes] = {}
+    folded = [cell.source for cell in cells.cells if "hide-input" in cell.metadata.get("tags", [])]
     for cell in cells.cells:
         if cell.cell_type == "markdown":
             cell.source = linked(cell.source, f"notebooks/{file.name}", f"notebooks/{file.stem}.md")
@@ -109,6 +111,11 @@ def notebook(file: pathlib.Path) -> dict[str, str | bytes]:
     title, text = body.strip().split("\n", 1)
     body = f"{title}\n\n*`notebooks/{file.name}`, as it ran.*\n{text}"
     body = re.sub(r"!\[(?:png|jpeg|gif)\]", "![Output of the cell above]", body)
+    for source in folded:
+        code = f"```python\n{source}\n```"
+        lines = source.count("\n") + 1
+        summary = f"<details markdown>\n<summary>Code, {lines} lines</summary>\n\n{code}\n\n</details>"
+        body = body.replace(code, summary)
     return {f"{file.stem}.md": body} | outputs["outputs"] | films
 
 

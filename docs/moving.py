@@ -11,6 +11,7 @@ import sys
 import jax
 import matplotlib.pyplot as plt
 import numpy as np
+from PIL import Image
 
 import jaxmorph as jm
 from jaxmorph import cases, plot, shapes
@@ -18,11 +19,14 @@ from jaxmorph import cases, plot, shapes
 sys.path.append(str(pathlib.Path(__file__).parents[1]))
 from benchmarks import agard445
 
-FRAMES, BENDING, ANGLE = 14, 0.3, 15
-"""Pictures in a period, rise of the wing's tip in semi-spans, rotation of the airfoil in degrees."""
+FRAMES, RATE, BENDING, ANGLE = 14, 8, 0.3, 15
+"""Pictures in a period and a second, rise of the wing's tip in semi-spans, rotation of the airfoil in degrees."""
 
-SIZE, PIXELS = (8.0, 3.3), 100
-"""Width and height in inches, pixels an inch."""
+SIZE, PIXELS, LETTERS = (8.0, 3.9), 100, 16
+"""Width and height in inches, pixels an inch, size of letters in points: a phone shows the film at two fifths."""
+
+CHANGE, SKEWNESS = (0, 12), (0, 0.3)
+"""Ends of the colours: change of a cell's volume in %, skewness."""
 
 LARGEST = 900_000
 """Bytes of the picture at most."""
@@ -38,14 +42,14 @@ def wing():
 
     def draw(phase):
         points = mesh.points + phase * (moved - mesh.points)  # `deform` is linear
-        change = np.abs(jm.quality(mesh, points).volume_ratio - 1)
+        change = 100 * np.abs(jm.quality(mesh, points).volume_ratio - 1)
         plane = jm.Plane((0, 1, 0), (0, -0.4, 0))
-        plotter = plot.cut(mesh, points * left, plane=plane, values=change, limits=(0, 0.15), bar=False)
+        plotter = plot.cut(mesh, points * left, plane=plane, values=change, limits=CHANGE, bar=False)
         plot.surface(mesh, points * left, patch="wing", plotter=plotter)
         plotter.hide_axes()
-        plotter.window_size = 1000, 900
-        plotter.camera_position = [(-1.45, -3.72, 2.62), (0.67, -0.54, 0.07), (0, 0, 1)]
-        plotter.camera.parallel_projection, plotter.camera.view_angle = False, 12.5
+        plotter.window_size = 1000, 760
+        plotter.camera_position = [(-1.45, -3.72, 2.62), (0.69, -0.52, 0.06), (0, 0, 1)]
+        plotter.camera.parallel_projection, plotter.camera.view_angle = False, 10.9
         pixels = plotter.screenshot(return_img=True)
         plotter.close()
         return pixels
@@ -62,30 +66,41 @@ def airfoil():
     def draw(phase, ax):
         u = shapes.rotate(wall, -np.deg2rad(ANGLE * phase), about=(0.25, 0)) - wall
         points = jm.deform(plan, u)
-        colours = {"values": jm.quality(mesh, points).skewness, "limits": (0, 0.3), "bar": False}
-        plot.mesh(mesh, points, **colours, window=((-0.3, 1.3), (-0.6, 0.6)), ax=ax)
+        colours = {"values": jm.quality(mesh, points).skewness, "limits": SKEWNESS, "bar": False}
+        plot.mesh(mesh, points, **colours, window=((-0.25, 1.25), (-0.57, 0.57)), ax=ax)
+        ax.set(xticks=[], yticks=[], xlabel="", ylabel="")
 
     return draw
 
 
 def main(path):
     jax.config.update("jax_enable_x64", True)
+    plt.rcParams["font.size"] = LETTERS
     draw_wing, draw_airfoil = wing(), airfoil()
 
     def draw(phase):
-        _figure, (left, right) = plt.subplots(
-            1, 2, figsize=SIZE, dpi=PIXELS, layout="constrained", width_ratios=(0.9, 1)
-        )
+        figure, (left, right) = plt.subplots(1, 2, figsize=SIZE, dpi=PIXELS, layout="constrained")
         left.imshow(draw_wing(phase.item()))
         left.set_axis_off()
-        left.set_title("volume of cells, changed by 0 (pale) to 15 %", fontsize=10)
-        right.set_title("skewness of cells, 0 (pale) to 0.3", fontsize=10)
         draw_airfoil(phase.item(), right)
-        right.set(xlabel="x / chord", ylabel="y / chord")
+        for ax, limits, label in (
+            (left, CHANGE, "change of a cell's volume, %"),
+            (right, SKEWNESS, "skewness of a cell"),
+        ):
+            colours = plt.cm.ScalarMappable(plt.Normalize(*limits), plot.COLOURS)
+            figure.colorbar(
+                colours, ax=ax, label=label, location="bottom", aspect=40, pad=0.02, ticks=np.linspace(*limits, 4)
+            )
         return right
 
     phases = np.sin(2 * np.pi * np.arange(FRAMES) / FRAMES)
-    plot.animate(path, draw, phases[:, None, None], rate=8)
+    pictures = []
+    for phase in phases:
+        canvas = draw(phase).figure.canvas
+        canvas.draw()
+        pictures.append(Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3]))
+        plt.close(canvas.figure)
+    pictures[0].save(path, save_all=True, append_images=pictures[1:], duration=1000 / RATE, loop=0, optimize=True)
     size = path.stat().st_size
     print(f"{path}: {size:,} bytes")
     if size > LARGEST:

@@ -18,12 +18,19 @@ import typing
 
 if typing.TYPE_CHECKING:  # `as` makes a name public for type checkers; `_NAMES` repeats it
     # isort: off
-    from . import cases as cases, cli as cli, integrations as integrations, io as io, plot as plot, shapes as shapes
+    from . import cases as cases, cli as cli, extend as extend, integrations as integrations, io as io
+    from . import native as native, plot as plot, shapes as shapes
     from ._advice.compare import Comparison as Comparison, compare as compare
+    from ._advice.cures import Cure as Cure, cures as cures
     from ._advice.fewest_steps import Steps as Steps, fewest_steps as fewest_steps
     from ._advice.inspect import inspect as inspect
     from ._advice.inspection import Inspection as Inspection
-    from ._advice.largest_step import LargestStep as LargestStep, largest_step as largest_step
+    from ._advice.largest_step import (
+        DesignedMesh as DesignedMesh,
+        LargestStep as LargestStep,
+        largest_step as largest_step,
+    )
+    from ._advice.methods import METHODS as METHODS
     from ._advice.valid_steps import ValidSteps as ValidSteps
     from ._boundary.boundary import Boundary as Boundary
     from ._boundary.outer_faces import FreeFaces as FreeFaces, boundary_faces as boundary_faces
@@ -91,6 +98,7 @@ if typing.TYPE_CHECKING:  # `as` makes a name public for type checkers; `_NAMES`
     from ._methods.reconstruction import SurfaceReconstruction as SurfaceReconstruction
     from ._methods.surface import Surface as Surface
     from ._plan.deform import deform as deform, pullback as pullback, velocity as velocity
+    from ._plan.export import Layer as Layer, export as export
     from ._plan.halves import (
         SurfaceHalf as SurfaceHalf,
         prepare_in_chunks as prepare_in_chunks,
@@ -120,13 +128,15 @@ if typing.TYPE_CHECKING:  # `as` makes a name public for type checkers; `_NAMES`
 __version__: str
 
 
-_SUBMODULES = ("cases", "cli", "integrations", "io", "plot", "shapes")
+_SUBMODULES = ("cases", "cli", "extend", "integrations", "io", "native", "plot", "shapes")
 _NAMES = {
     "._advice.compare": "Comparison compare",
+    "._advice.cures": "Cure cures",
     "._advice.fewest_steps": "Steps fewest_steps",
     "._advice.inspect": "inspect",
     "._advice.inspection": "Inspection",
-    "._advice.largest_step": "LargestStep largest_step",
+    "._advice.largest_step": "DesignedMesh LargestStep largest_step",
+    "._advice.methods": "METHODS",
     "._advice.valid_steps": "ValidSteps",
     "._boundary.boundary": "Boundary",
     "._boundary.outer_faces": "FreeFaces boundary_faces",
@@ -158,6 +168,7 @@ _NAMES = {
     "._methods.reconstruction": "SurfaceReconstruction",
     "._methods.surface": "Surface",
     "._plan.deform": "deform pullback velocity",
+    "._plan.export": "Layer export",
     "._plan.halves": "SurfaceHalf prepare_in_chunks prepare_surface",
     "._plan.judge": "BoundaryQuality boundary_quality",
     "._plan.plan": "Plan",

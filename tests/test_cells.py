@@ -21,9 +21,9 @@ UNIFORM = jm.LinearElasticity(jm.ByVolume(0.0))
 
 @pytest.fixture(autouse=True)
 def no_factors_of_other_tests():
-    linear._kept.clear()
+    linear.inverse_of.cache_clear()
     yield
-    linear._kept.clear()
+    linear.inverse_of.cache_clear()
 
 
 def planned_slab(columns, method):
@@ -36,7 +36,7 @@ def by_both_solvers(monkeypatch, solved):
     pytest.importorskip("pyamg")
     for direct in (10**6, 10):
         monkeypatch.setattr(solves, "DIRECT", direct)
-        linear._kept.clear()
+        linear.inverse_of.cache_clear()
         yield solved()
 
 
@@ -206,7 +206,7 @@ def test_a_solve_that_does_not_converge_is_factored_or_no_answer(monkeypatch):
     system = pairs, values, np.broadcast_to(9 * np.eye(3), (3, 3, 3)), np.zeros(0), free
     expected = np.linalg.solve(dense(3, 3, *system[:3]), right.ravel()).reshape(3, 3)
     np.testing.assert_allclose(linear.solve(*system, right), expected, rtol=0, atol=1e-14)
-    linear._kept.clear()
+    linear.inverse_of.cache_clear()
     monkeypatch.setattr(linear, "RESORT", 0)
     assert np.isnan(linear.solve(*system, right)).all()
 

@@ -320,7 +320,7 @@ def test_a_symmetry_patch_that_is_not_plane(tmp_path, capsys):
     io.write(tmp_path / "bent.su2", mesh.moved(bent))
     arguments = ["--moving", "z0", "--fixed", "z1", "--symmetry", "x0", "--translate", "0", "0", "0.1"]
     words = ["deform", str(tmp_path / "bent.su2"), str(tmp_path / "out.su2"), *arguments]
-    refused(capsys, words, "--symmetry x0: these 25 nodes do not lie in one plane: node")
+    refused(capsys, words, "the patch 'x0': these 25 nodes do not lie in one plane: node")
     assert file.read_text() == text
 
 

@@ -161,7 +161,7 @@ def test_nodes_slide_on_curved_faces_in_3d(kind):
 @pytest.mark.slow
 def test_pictures_draw_the_curved_cells():
     """Fills and edges of a ring of order 3 lie on its circles, where chords between the nodes are not; also in 3-D."""
-    cells_of = pytest.importorskip("jaxmorph.plot._plane").Cells
+    cells_of = pytest.importorskip("jaxmorph.plot._plane").PlaneCells
     mesh = circles(6, 3)
     cells = cells_of.of(mesh, None)
     np.testing.assert_allclose(cells.areas, jm.quality(mesh).volume, rtol=2e-3)

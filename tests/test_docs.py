@@ -78,9 +78,9 @@ def alike(words, others):
     return numbers[0] == pytest.approx(numbers[1], rel=0.01)
 
 
-@pytest.mark.parametrize("name", ["jaxmorph", "shapes", "io", "plot", "cases"])
+@pytest.mark.parametrize("name", ["jaxmorph", "shapes", "io", "plot", "cases", "extend"])
 def test_the_reference_names_all_that_is_public(name):
-    page = (PAGES / "reference" / f"{name}.md").read_text()
+    page = "\n".join(page.read_text() for page in sorted((PAGES / "reference").glob("*.md")))
     module = jm if name == "jaxmorph" else importlib.import_module(f"jaxmorph.{name}")
     assert module.__all__ if hasattr(module, "__all__") else module  # names are loaded when they are first used
     names = [key for key in dir(module) if not key.startswith("_")]

@@ -197,3 +197,14 @@ def test_parts_march_by_a_method_that_is_not_exact():
     assert len(parts) == 3
     for nodes, plan in parts:
         np.testing.assert_allclose(jm.march(plan, path)[1], whole[nodes], rtol=0, atol=1e-12)
+
+
+def test_rows_name_the_displacement_of_each_node():
+    points, moving, fixed = brick()
+    numbers = np.random.default_rng(0).permutation(100)[: len(points)]
+    half = jm.prepare_surface(jm.Boundary(points, moving, fixed), nodes=numbers, method=jm.InverseDistance())
+    some = half.moving[[4, 0, 2]]
+    np.testing.assert_array_equal(half.rows(some), [4, 0, 2])
+    np.testing.assert_array_equal(half.moving[half.rows(numbers[moving])], numbers[moving])
+    with pytest.raises(ValueError, match=f"1 of 2 nodes do not move, first {numbers[30]}"):
+        half.rows([half.moving[0], numbers[30]])

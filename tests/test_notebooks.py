@@ -10,9 +10,6 @@ import pytest
 
 FOLDER = pathlib.Path(__file__).parents[1] / "notebooks"
 
-OPTIMISED = "03_shape_optimisation.ipynb"
-"""It takes twice as long where compiled code is not optimised (`.ci/run`); the others compile most of the time."""
-
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
 LARGEST = 640 * 1024
 """Bytes, pictures included."""
@@ -80,15 +77,6 @@ def check_extension(said):
     check_equal(said, r"direction (-?[0-9.]+), central difference (-?[0-9.]+)", 1e-6)
 
 
-def check_optimisation(said):
-    """The gradient is that of differences, and leads further than one without the mesh's sensitivity; no cell is inverted."""
-    assert float(re.search(r"from central differences: (\S+)", said)[1]) < 1e-5
-    rows = re.findall(r"(right|blind) gradient: .* ([0-9.]+) times smaller, .*inverted cells (\d+)", said)
-    assert [name for name, *_ in rows] == ["right", "blind"]
-    assert float(rows[0][1]) > 2 * float(rows[1][1])
-    assert {inverted for *_, inverted in rows} == {"0"}
-
-
 def check_sweep(said):
     """One call and a loop agree, and so does the sum of two fields."""
     assert "9 displacements, 0 of them invert a cell" in said
@@ -150,6 +138,8 @@ def check_coupling(said):
 def check_wave_drag(said):
     """The gradient is that of differences, and the drag falls at the wanted lift and first area; no cell nearly inverts."""
     assert float(re.search(r"largest relative difference (\S+)", said)[1]) < 1e-5
+    off = re.findall(r"by the wall's nodes alone: .* (\d+) degrees off", said)
+    assert min(map(int, off)) > 3
     rows = re.findall(r"step +\d+: drag (\S+), lift (\S+), area (\S+) of the first, Jacobian ratio (\S+)", said)
     assert len(rows) > 2
     assert min(float(ratio) for *_, ratio in rows) >= 0.1
@@ -184,18 +174,6 @@ def check_wing_openmdao(said):
     assert "6592 nodes, 0 inverted cells" in said
 
 
-def check_blade_passage(said):
-    """Nodes stay on the shroud and sides match; boundaries that are held cost cells; the gradient is the difference."""
-    rows = re.findall(r"(\d+) degrees, (held|slides, repeats) +(\d+) inverted, smallest Jacobian ratio (\S+)", said)
-    ratio = {(int(degrees), name): float(smallest) for degrees, name, _, smallest in rows}
-    for degrees, name, inverted, _ in rows:
-        if name != "held":
-            assert inverted == "0"
-            assert ratio[int(degrees), name] > ratio[int(degrees), "held"]
-    assert max(numbers(said, r"off the shroud (\S+), sides differ by (\S+)")) < 1e-12
-    check_equal(said, r"\(degree\): (\S+), central difference (\S+)", 1e-4)
-
-
 def check_curved(said):
     """All cells are proven, straight and moved, at the end and on the way; the derivative is the difference."""
     cells, proven = map(int, re.search(r"(\d+) cells: (\d+) proven valid, 0 invalid, 0 unknown", said).groups())
@@ -211,7 +189,6 @@ CASES = {
     "00_first_steps.ipynb": ({"points": 1200}, check_first_steps),
     "01_airfoil.ipynb": ({"points": 2000}, check_airfoil),
     "02_wing.ipynb": ({"points": 6500}, check_wing),
-    "03_shape_optimisation.ipynb": ({"points": 1500, "steps": 8}, check_optimisation),
     "04_mode_sweep.ipynb": ({"points": 6500, "side": 3}, check_sweep),
     "05_fsi.ipynb": ({"points": 6500, "steps": 20}, check_coupling),
     "06_external_solver.ipynb": ({"points": 2000}, check_chain),
@@ -220,7 +197,6 @@ CASES = {
     "09_wave_drag.ipynb": ({"around": 52, "layers": 16, "steps": 3, "refined": ()}, check_wave_drag),
     "10_flap.ipynb": ({"size": 0.008, "deflections": 4}, check_flap),
     "11_wing_openmdao.ipynb": ({"points": 6500, "steps": 8}, check_wing_openmdao),
-    "12_blade_passage.ipynb": ({"gap": 0.02, "angles": (10, 20)}, check_blade_passage),
     "13_curved.ipynb": ({"points": 500}, check_curved),
 }
 """Parameters for the tests, put in place of those that the cell tagged `parameters` sets, and what the output has to say."""
@@ -230,9 +206,7 @@ CASES = {
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.nightly
 @pytest.mark.parametrize("name", sorted(CASES))
-def test_notebook_runs(name, monkeypatch):
-    if name == OPTIMISED:
-        monkeypatch.delenv("JAX_DISABLE_MOST_OPTIMIZATIONS", raising=False)
+def test_notebook_runs(name):
     CASES[name][1](said_by(name))
 
 

@@ -13,7 +13,7 @@ from meshes import bricks, mixed
 from runs import over
 
 from jaxmorph import cases
-from jaxmorph._advice.largest_step import Bounds
+from jaxmorph._advice.largest_step import CornerBounds
 from jaxmorph._kernels.callback import host_call
 
 LIMIT = 300
@@ -96,7 +96,7 @@ def test_it_ends_each_time(name):
 @over("mesh", [mixed(), bricks(), *(cases.bricks(kind, cells=3) for kind in ("tetra", "mixed"))], ids=str)
 def test_the_largest_step_is_found_without_jax(mesh):
     """On the host any array that JAX makes would be waited for; the guard refuses them."""
-    bounds, points = Bounds(mesh, float, 0.1), np.asarray(mesh.points)
+    bounds, points = CornerBounds(mesh, float, 0.1), np.asarray(mesh.points)
     turned = points.copy()
     turned[0] = 3 * points.mean(axis=0) - 2 * points[0]
     with jax.transfer_guard("disallow_explicit"):

@@ -96,7 +96,7 @@ def test_the_surface_is_that_of_the_whole(divided):
     for name in whole.patches:
         np.testing.assert_array_equal(ids[surface.patch(name)], whole.patch(name))
     named = jm.Boundary(surface, "floor", "roof", free="sides")
-    named = with_faces(named, surface, OuterFaces.numbered(surface.cells))
+    named = with_faces(named, OuterFaces.numbered(surface.cells))
     expected = jm.Boundary(whole, "floor", "roof", free="sides")
     np.testing.assert_array_equal(ids[named.nodes], expected.nodes)
     assert named.is_open == expected.is_open

@@ -11,7 +11,7 @@ from meshes import naca
 from runs import over
 
 from jaxmorph import shapes
-from jaxmorph._kernels.values import clipped
+from jaxmorph.shapes._arguments import clipped
 
 STEP = 1e-6
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from cases import body, few, full, motion, whole_and_part
 from laws import check_base_derivative, check_linear, check_steps
-from meshes import blocks, lattice
+from meshes import blocks, lattice, unit_box
 from runs import over, refusals
 
 import jaxmorph as jm
@@ -254,3 +254,16 @@ def test_a_symmetry_plane_of_a_float32_mesh():
     plan = jm.prepare(points, moving, fixed, method=METHODS["full"], symmetry=plane)
     moved = jm.deform(plan, (u @ turn.T).astype(np.float32))
     np.testing.assert_allclose(moved, exact @ turn.T + np.atleast_2d(shift), rtol=0, atol=1e-4)
+
+
+def test_the_planes_of_a_patch_hold_its_nodes():
+    """One side of a box is one plane, two sides that face each other are two."""
+    box = unit_box()
+    ends = {"both": np.union1d(box.patch("z0"), box.patch("z1"))}
+    mesh = jm.Mesh(box.points, box.cells, {**box.patches, **ends})
+    (plane,) = jm.Plane.of_patch(mesh, "y1")
+    np.testing.assert_allclose([*np.abs(plane.normal), plane.origin[1]], [0, 1, 0, 1], atol=1e-12)
+    both = jm.Plane.of_patch(mesh, "both")
+    assert sorted(round(float(plane.origin[2]), 9) for plane in both) == [0, 1]
+    with pytest.raises(ValueError, match="no patch is called"):
+        jm.Plane.of_patch(mesh, "nowhere")

@@ -26,7 +26,7 @@ from .._plan.plan import Plan
 from .._plan.prepare import plan_of
 from .._quality.quality import quality
 from .._quality.wall_quality import wall_quality
-from .methods import METHODS, MOST_POINTS, Lengths
+from .methods import METHODS, MOST_POINTS
 
 MOST_PAIRS = 300_000_000  # points times nodes of the surface up to which inverse distances are tried
 
@@ -140,8 +140,8 @@ def _checked_motions(motions: Any, expected: tuple[int, int]) -> np.ndarray:
 
 def _makers(boundary: Boundary, methods: Mapping[str, AbstractMethod] | None) -> dict[str, Any]:
     if methods is None:
-        wall = Lengths(boundary.points[boundary.moving], boundary.points[boundary.fixed])
-        makers = {entry.name: functools.partial(entry.make, wall) for entry in METHODS if entry.is_tried}
+        size = float(np.ptp(boundary.points[boundary.moving], axis=0).max())
+        makers = {name: functools.partial(entry.make, size) for name, entry in METHODS.items() if entry.is_tried}
         makers = {name: functools.partial(_small_enough, make, boundary) for name, make in makers.items()}
         interpolated = functools.partial(SurfaceReconstruction, RBF(reduction=KDTree(64, extremes=True)))
         return {"default": SurfaceReconstruction, "interpolated": interpolated} | makers

@@ -6,10 +6,11 @@ import warnings
 from collections.abc import Iterator
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import ArrayLike, Float, Real
 from scipy.spatial.transform import Rotation
 
-from .._boundary.boundary import with_cells
+from .._boundary.boundary import Boundary, with_cells
+from .._host.package.arguments import checked, finite_array
 from .._mesh.mesh import Mesh
 from .._plan.deform import deform
 from .._plan.plan import Plan
@@ -17,7 +18,7 @@ from .._plan.prepare import plan_of, prepare
 from .._plan.steps import march
 from .._quality.quality import quality
 from .largest_step import largest_step
-from .methods import METHODS, MOST_POINTS, Lengths, entry
+from .methods import METHODS, MOST_POINTS
 
 STEPS = 2, 4, 8  # numbers of steps that are tried
 ROUND = 1e-3  # largest change of radius, or of place along the axis, over the radius, of a round patch
@@ -26,7 +27,12 @@ TURNS = 0.1  # angle of a motion in radians from which on its path turns, and ro
 
 @dataclasses.dataclass(frozen=True)
 class Cure:
-    """A change of a call: fixed patches that slide, more steps, or another method by name."""
+    """A change of a call: fixed patches that slide, more steps, or another method by name.
+
+    - `sliding`: names of patches that slide in place of staying; often none.
+    - `steps`: the number of steps; 1 for no change.
+    - `method`: a name of `METHODS`, or "" for no change.
+    """
 
     sliding: tuple[str, ...] = ()
     steps: int = 1
@@ -35,7 +41,7 @@ class Cure:
     def __str__(self) -> str:
         if self.sliding:
             return f"sliding={[*self.sliding]} in place of `fixed`"
-        return f"{self.steps} steps" if self.steps > 1 else f"jm.{entry(self.method).path.rsplit('.', 1)[-1]}()"
+        return f"{self.steps} steps" if self.steps > 1 else f"jm.{METHODS[self.method].path}()"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -78,23 +84,41 @@ def in_space(points: Float[np.ndarray, "k d"]) -> Float[np.ndarray, "k 3"]:
     return np.pad(points.astype(float), ((0, 0), (0, 3 - points.shape[1])))
 
 
-def cures(
-    mesh: Mesh, moving: Int[np.ndarray, " m"], fixed: Int[np.ndarray, " f"], u: Float[np.ndarray, "m d"]
-) -> Iterator[Cure]:
-    """Cures of a motion `u` that folds cells, the surest first; none for a large mesh."""
+@checked
+def cures(boundary: Boundary, u: Real[ArrayLike, "m d"]) -> Iterator[Cure]:
+    """Lists changes that may keep a motion from folding cells, the surest first; none is tried.
+
+    Fixed patches that are round about the axis of the motion may slide. More steps help where the
+    motion is large, methods on cells where it is not. `inspect` tries all by the number of inverted
+    cells; a caller with limits of its own, such as `jaxmorph deform`, tries them by these.
+
+    **Arguments:**
+
+    - `boundary`: a boundary of a `Mesh`.
+    - `u`: displacements (m, d) of the moving nodes.
+
+    **Returns:** an iterator of `Cure`; an empty one for meshes so large that trials take minutes.
+    **Raises:** `ValueError` for a boundary without a mesh, and a `u` of another shape.
+    """
+    if boundary.mesh is None:
+        raise ValueError("`boundary` is of points alone: there are no cells to fold. Pass jm.Boundary(mesh, ...).")
+    return _cures(boundary, boundary.mesh, finite_array("u", u, boundary.points[boundary.moving].shape))
+
+
+def _cures(boundary: Boundary, mesh: Mesh, u: Float[np.ndarray, "m d"]) -> Iterator[Cure]:
     points, dimension = in_space(np.asarray(mesh.points)), mesh.points.shape[1]
     if len(points) > MOST_POINTS[dimension]:
         return
-    turn = Turn.of(points[moving], in_space(u))
+    turn = Turn.of(points[boundary.moving], in_space(u))
     names = tuple(
         name
         for name, nodes in mesh.patches.items()
-        if len(nodes) and np.isin(nodes, fixed).all() and turn.keeps(points[nodes], dimension)
+        if len(nodes) and np.isin(nodes, boundary.fixed).all() and turn.keeps(points[nodes], dimension)
     )
     if names:
         yield Cure(sliding=names)
     yield from (Cure(steps=steps) for steps in STEPS)
-    yield from (Cure(method=method.name) for method in METHODS if method.is_cure)
+    yield from (Cure(method=name) for name, method in METHODS.items() if method.is_cure)
 
 
 def advice_on_folds(plan: Plan, mesh: Mesh, u: Float[np.ndarray, "m d"], count: int) -> str:
@@ -102,7 +126,7 @@ def advice_on_folds(plan: Plan, mesh: Mesh, u: Float[np.ndarray, "m d"], count: 
     said, tried = f"one step folds {count} cells", []
     if plan.is_linear:
         said += f", the first after {100 * largest_step(plan, np.zeros_like(u), u, mesh).step:.3g} % of the motion"
-    for cure in cures(mesh, np.asarray(plan.moving), np.asarray(plan.fixed), u):
+    for cure in _cures(plan.boundary, mesh, u):
         if _folds_none(plan, mesh, u, cure):
             how = ""
             if cure.steps > 1:
@@ -134,6 +158,6 @@ def _moved(plan: Plan, mesh: Mesh, u: np.ndarray, cure: Cure) -> np.ndarray:
         others, planes = np.setdiff1d(fixed, mesh.patch(*cure.sliding)), plan.images.planes
         cured = prepare(mesh, moving, others, method=plan.method, symmetry=planes, sliding=cure.sliding)
     else:
-        method = entry(cure.method).make(Lengths(points[moving], points[fixed]))
+        method = METHODS[cure.method].make(float(np.ptp(points[moving], axis=0).max()))
         cured = plan_of(with_cells(plan.boundary, mesh), method)
     return np.asarray(deform(cured, u))

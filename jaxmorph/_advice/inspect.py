@@ -11,7 +11,7 @@ from scipy.spatial.distance import cdist
 
 from .._boundary.outer_faces import outer_faces
 from .._host.cells.adjacency import parts_of
-from .._host.package.arguments import checked, rows_of
+from .._host.package.arguments import checked, finite_array, rows_of
 from .._host.package.cores import Beside
 from .._host.package.errors import MeshError
 from .._host.package.rounding import Tree, roundoff
@@ -45,6 +45,7 @@ def inspect(
     *,
     mesh: Mesh | None = None,
     nodes: Integer[ArrayLike, " n"] | None = None,
+    moved: Float[ArrayLike, "n d"] | None = None,
 ) -> Inspection:
     """Checks a surface displacement on the host, and the motion that the mesh would make.
 
@@ -63,22 +64,25 @@ def inspect(
     - `u`: displacements (m, d) of the moving nodes, in the mesh's unit.
     - `mesh`: the mesh that the plan was made for. Default: none.
     - `nodes`: the mesh's ids of the plan's points, where the plan is of a part of it
-      (`prepare_in_chunks`). Default: all.
+      (`prepare_in_chunks`). Default: all. No cures are tried for a part.
+    - `moved`: what `deform(plan, u)` returned, where it is at hand. Default: computed where needed.
 
     **Returns:** an `Inspection`, which names nodes of the mesh. **Raises:** `ValueError` for a `u`
     that is not (m, d) or not finite, and for a mesh with another number of points than the plan.
     """
+    if moved is not None:
+        moved = finite_array("moved", moved, plan.points.shape)
     if mesh is None or nodes is not None:
-        return inspected(plan, u, mesh, nodes)
-    moved = np.asarray(deform(plan, u))
-    inspection = inspected(plan, u, mesh, nodes, moved)
+        return _inspected(plan, u, mesh, nodes, moved)
+    moved = np.asarray(deform(plan, u)) if moved is None else moved
+    inspection = _inspected(plan, u, mesh, nodes, moved)
     count = int(quality(mesh, moved).inverted)
     if not count:
         return inspection
     return dataclasses.replace(inspection, folds=advice_on_folds(plan, mesh, np.asarray(u, dtype=float), count))
 
 
-def inspected(plan: Plan, u: Any, mesh: Mesh | None, nodes: Any, moved: np.ndarray | None = None) -> Inspection:
+def _inspected(plan: Plan, u: Any, mesh: Mesh | None, nodes: Any, moved: np.ndarray | None = None) -> Inspection:
     plan.check_surface("inspect")
     if nodes is None and mesh is not None:
         plan.check_mesh(mesh)

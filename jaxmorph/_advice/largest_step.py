@@ -86,7 +86,7 @@ def largest_step(
         return np.asarray(places(mesh, deform(plan, jnp.asarray(u) + step * jnp.asarray(direction))))
 
     start, end = at(0.0), at(max_step)
-    bounds = Bounds(mesh, plan.points.dtype, min_jacobian_ratio, proven)
+    bounds = CornerBounds(mesh, plan.points.dtype, min_jacobian_ratio, proven)
     found = bounds.largest_share(start, end)
     step, less = found.step * max_step, float(np.finfo(plan.points.dtype).eps)
     # the points at the step have a round-off of their own
@@ -131,7 +131,7 @@ def _jacobians(kind: str, points: Any, ids: Any) -> Any:
     return measures.jacobians(kind, measures.relative_corners(corners(points, ids))[0])[0]
 
 
-class Bounds:
+class CornerBounds:
     """Bounds at corners, with `proven` of whole cells; hashed by identity for compilation."""
 
     def __init__(self, mesh: Mesh, dtype: Any, min_jacobian_ratio: float, proven: bool = False):
@@ -199,26 +199,57 @@ class Bounds:
 
 
 class DesignedMesh(Module):
-    """A mesh that design variables move, with bounds on its corners. `displacement` takes the
-    variables, and returns `u` (m, d). Raises `ValueError` for a bound outside of 0 to 1, and for a
-    mesh that is not the plan's.
+    """A mesh that design variables move, with a bound on the Jacobian ratios at its corners.
+
+    `ValidSteps` and `shapes.MeshGuard` are made of it; a constraint of your own can be, too. Its
+    functions are traced.
+
+        design = jm.DesignedMesh(plan, mesh, lambda variables: operator(variables))
+        smallest = design.ratios(variables).min()
+
+    **Arguments:**
+
+    - `plan`: from `prepare`.
+    - `mesh`: whose `points` are the plan's.
+    - `displacement`: takes the design variables and returns `u` (m, d).
+    - `min_jacobian_ratio`: bound on `QualityReport.jacobian_ratio`. Default 0, where cells invert.
+    - `proven`: whether whole cells have a bound too, as in `largest_step`. Default False.
+
+    **Raises:** `ValueError` for a bound outside of 0 to 1, and for a mesh that is not the plan's.
+    With `proven`, also for undeformed cells that are not proven valid.
     """
 
     plan: Plan
     displacement: Callable[[Any], Float[Array, "m d"]]
-    bounds: Bounds = eqx.field(static=True)
+    bounds: CornerBounds = eqx.field(static=True)
 
-    def __init__(self, plan: Plan, mesh: Mesh, displacement: Callable, min_jacobian_ratio: float, proven: bool = False):
+    @checked
+    def __init__(
+        self,
+        plan: Plan,
+        mesh: Mesh,
+        displacement: Callable[[Any], Any],
+        min_jacobian_ratio: float = 0.0,
+        *,
+        proven: bool = False,
+    ):
         between("min_jacobian_ratio", min_jacobian_ratio, 0, 1, "[)")
         places(mesh, plan.points)
         self.plan, self.displacement = plan, displacement
-        self.bounds = Bounds(mesh, plan.points.dtype, min_jacobian_ratio, proven)
+        self.bounds = CornerBounds(mesh, plan.points.dtype, min_jacobian_ratio, proven)
 
     def points(self, design: Any) -> Float[Array, "n d"]:
+        """Moves the mesh by design variables."""
         return deform(self.plan, self.displacement(design))
 
     def ratios(self, design: Any) -> Float[Array, " s"]:
+        """Computes the Jacobian ratio at each corner; infinity at corners without a bound."""
         return self.bounds.ratios(self.points(design))
+
+    @property
+    def cells(self) -> Int[np.ndarray, " s"]:
+        """The cell of each ratio, in the order of `quality`; -1 at corners without a bound."""
+        return self.bounds.cells
 
 
 def least_undeformed(mesh: Mesh) -> Float[np.ndarray, " k"]:

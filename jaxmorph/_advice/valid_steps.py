@@ -8,18 +8,22 @@ import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array, Bool, PyTree, Scalar
 
-from .._host.package.arguments import between, checked
+from .._host.package.arguments import checked
 from .._kernels.callback import host_call
 from .._kernels.module import Module
 from .._mesh.mesh import Mesh
 from .._plan.plan import Plan
 from .largest_step import DesignedMesh
 
+SHARE = 0.9  # of the way to the bound that is tried
+SLOPE = 0.1  # part of the linear gain that Armijo's rule asks for
+DECREASE = 0.5  # factor of a step that gains too little
+
 
 class ValidSteps(Module, optx.AbstractSearch):
     """Searches along a line by backtracking; a step that would invert a cell is shortened.
 
-    The way ends where `largest_step` finds it, and `share` of the way is tried next. Other steps
+    The way ends where `largest_step` finds it, and nine tenths of it are tried next. Other steps
     end by Armijo's rule. The search suits descents whose change is a multiple of the step, such as
     `optimistix.NewtonDescent` and `optimistix.SteepestDescent`.
 
@@ -36,18 +40,11 @@ class ValidSteps(Module, optx.AbstractSearch):
     - `min_jacobian_ratio`: bound on `QualityReport.jacobian_ratio`. Default 0, where cells invert.
     - `proven`: judge whole cells on the straight way to each step that is accepted, as
       `largest_step(proven=True)` does. Default False. `holds` and `guarded` look at corners alone.
-    - `share`: part of the way to the bound that is tried, above 0 and below 1. Default 0.9.
-    - `slope`: part of the linear gain that Armijo's rule asks for. Default 0.1.
-    - `decrease`: factor of a step that gains too little. Default 0.5.
 
-    **Raises:** `ValueError` for numbers outside of these ranges. With `proven`, also for undeformed
-    cells that are not proven valid.
+    **Raises:** `ValueError` as `DesignedMesh` does.
     """
 
     mesh: DesignedMesh
-    share: float
-    slope: float
-    decrease: float
 
     @checked
     def __init__(
@@ -58,14 +55,8 @@ class ValidSteps(Module, optx.AbstractSearch):
         *,
         min_jacobian_ratio: float = 0.0,
         proven: bool = False,
-        share: float = 0.9,
-        slope: float = 0.1,
-        decrease: float = 0.5,
     ):
-        for name, value in (("share", share), ("slope", slope), ("decrease", decrease)):
-            between(name, value, 0, 1)
-        self.mesh = DesignedMesh(plan, mesh, displacement, min_jacobian_ratio, proven)
-        self.share, self.slope, self.decrease = share, slope, decrease
+        self.mesh = DesignedMesh(plan, mesh, displacement, min_jacobian_ratio, proven=proven)
 
     def holds(self, y: PyTree) -> Bool[Array, ""]:
         """Checks whether every corner of the mesh of these variables keeps its bound."""
@@ -97,9 +88,9 @@ class ValidSteps(Module, optx.AbstractSearch):
         way = host_call(share, jax.ShapeDtypeStruct((), before.dtype), before, after)
         fits = (way >= 1) & bounds.hold(after)
         gain = f_info.compute_grad_dot(jax.tree.map(jnp.subtract, y_eval, y))
-        falls = f_eval_info.as_min() - f_info.as_min() <= self.slope * gain
+        falls = f_eval_info.as_min() - f_info.as_min() <= SLOPE * gain
         accept = first_step | (fits & falls & (gain <= 0))
-        shorter = jnp.where(fits, self.decrease, jnp.minimum(self.share * way, self.share))
+        shorter = jnp.where(fits, DECREASE, jnp.minimum(SHARE * way, SHARE))
         step = jnp.where(accept, 1.0, shorter * state)
         blocked = ~accept & (way <= 0)
         result = optx.RESULTS.where(blocked, optx.RESULTS.nonlinear_divergence, optx.RESULTS.successful)

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import ArrayLike, Int, Integer, Real
+from jaxtyping import ArrayLike, Bool, Int, Integer, Real
 
 from .._host.cells.topology import solid
 from .._host.package.arguments import rows_of
@@ -92,7 +92,7 @@ class Boundary:
     ):
         patches = mesh if isinstance(mesh, Mesh) else None
         points = checked_points(mesh.points if isinstance(mesh, Mesh) else mesh)
-        if all(isinstance(argument, tuple) and not argument for argument in (fixed, symmetry, sliding, free)):
+        if nothing_in(fixed, symmetry, sliding, free):
             periodic = several("periodic", periodic, Periodic, PAIRS)
             fixed, symmetry = by_kinds(mesh, moving, periodic)
         check_named_once(sliding, fixed=fixed, symmetry=symmetry)
@@ -111,7 +111,7 @@ class Boundary:
         guided = _guided(pairings, tracks, moving, fixed, points)
         lists = {"moving": moving, "fixed": fixed, "free": free, "guided": guided}
         made = boundary_of_lists(points, mesh=patches, planes=planes, pairings=pairings, tracks=tracks, **lists)
-        self._fill(vars(made if patches is None or outer is None else with_cells(made, patches, outer)))
+        self._fill(vars(made if patches is None else with_cells(made, patches, outer)))
 
     def _fill(self, fields: Mapping[str, Any]) -> None:
         for name, value in fields.items():
@@ -126,6 +126,11 @@ class Boundary:
     def of_cells(self) -> np.ndarray:
         """Coordinates of all nodes but the loose ones."""
         return np.delete(self.points, self.loose, axis=0) if len(self.loose) else self.points
+
+    @property
+    def on_planes(self) -> Bool[np.ndarray, "n p"]:
+        """Marks the points on each symmetry plane."""
+        return np.array([plane.holds(self.points) for plane in self.planes], bool).reshape(-1, len(self.points)).T
 
     @property
     def nodes(self) -> np.ndarray:
@@ -167,6 +172,11 @@ class Boundary:
         return changed(self, mesh=None, points=self.points[nodes], faces=faces, cells=None, **lists)
 
 
+def nothing_in(*lists: Any) -> bool:
+    """Checks whether all lists are as by default: an array without an id is a choice."""
+    return all(isinstance(named, tuple) and not named for named in lists)
+
+
 def changed(boundary: Boundary, **fields: Any) -> Boundary:
     """Copies a boundary with other fields, which are not checked."""
     return boundary_of_lists(**(vars(boundary) | fields))
@@ -187,7 +197,7 @@ def with_cells(boundary: Boundary, mesh: Mesh, outer: OuterFaces | None = None) 
     cells = {kind: np.asarray(corners) for kind, corners in solid(mesh.linear.cells, boundary.points.shape[1]).items()}
     loose = np.setdiff1d(of_no_cell(mesh), boundary.nodes) if cells else boundary.loose
     hidden, outer = _without_bodies(boundary, mesh, cells, outer)
-    return with_faces(changed(boundary, mesh=mesh, cells=cells, loose=loose, hidden=hidden), mesh, outer)
+    return with_faces(changed(boundary, mesh=mesh, cells=cells, loose=loose, hidden=hidden), outer)
 
 
 def _without_bodies(
@@ -209,12 +219,11 @@ def _without_bodies(
     return (hidden, outer_faces(Mesh(mesh.points, left)) or outer) if len(hidden) else (_NONE, outer)
 
 
-def with_faces(boundary: Boundary, mesh: Mesh, outer: OuterFaces) -> Boundary:
+def with_faces(boundary: Boundary, outer: OuterFaces) -> Boundary:
     """Adds boundary faces, and finds those in no list."""
-    is_listed = np.zeros(len(boundary.points), dtype=bool)
+    is_listed, mesh = np.zeros(len(boundary.points), dtype=bool), boundary.mesh or Mesh(boundary.points)
     is_listed[boundary.nodes] = True
-    for plane in boundary.planes:
-        is_listed |= plane.holds(boundary.points)
+    is_listed |= boundary.on_planes.any(axis=1)
     is_open = has_free_faces(boundary.points, outer.corners, is_listed)
     is_listed[boundary.free] = True
     return changed(boundary, faces=outer.corners, left=free_faces(mesh, outer, is_listed), is_open=is_open)

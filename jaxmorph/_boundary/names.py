@@ -1,6 +1,6 @@
 """Checked names of a caller: points, node ids, patches, planes and slides."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import jax
@@ -10,10 +10,9 @@ from jaxtyping import Int
 from .._host.package.arguments import real_array, rows_of, shown
 from .._host.package.errors import MeshError, warn
 from .._mesh.mesh import Mesh
-from .outer_faces import outer_faces
 from .periodic import Periodic
 from .slide import Slide
-from .symmetry import Plane, check_planes, planes_through
+from .symmetry import Plane, check_planes
 
 USE = 'prepare(mesh, "airfoil", "farfield") with a Mesh, or prepare(points, moving_ids, fixed_ids)'
 
@@ -97,18 +96,9 @@ def several(name: str, value: Any, kinds: type | tuple[type, ...], example: str)
 def planes_named(symmetry: Any, points: np.ndarray, mesh: Mesh | None) -> tuple[Plane, ...]:
     planes: list[Plane] = []
     for entry in several("symmetry", symmetry, Plane if mesh is None else (Plane, str), PLANES):
-        of_entry = (entry,) if isinstance(entry, Plane) or mesh is None else planes_of(mesh, entry)
+        of_entry = (entry,) if isinstance(entry, Plane) or mesh is None else Plane.of_patch(mesh, entry)
         planes += [new for new in of_entry if not any(new.equals(plane, points) for plane in planes)]
     return tuple(planes)
-
-
-def planes_of(mesh: Mesh, name: str) -> tuple[Plane, ...]:
-    def faces() -> Iterator[np.ndarray]:
-        outer = outer_faces(mesh)
-        corners = mesh.cells if outer is None else outer.corners  # the cells of a surface mesh are faces
-        yield from map(np.asarray, corners.values())
-
-    return planes_through(np.asarray(mesh.points), mesh.patch(name), faces())
 
 
 def slides(sliding: Any) -> list[Slide]:
@@ -170,7 +160,7 @@ def _in_planes(mesh: Mesh, names: list[str]) -> list[str]:
     flat, planes = [], []
     for name in names:
         try:
-            more = [*planes, *planes_of(mesh, name)]
+            more = [*planes, *Plane.of_patch(mesh, name)]
             check_planes(more, np.asarray(mesh.points))
         except ValueError:
             continue

@@ -6,10 +6,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from .._host.linear.products import normals
-from .._host.package.arguments import finite_array, rows_of
+from .._host.package.arguments import checked, finite_array, rows_of
 from .._host.package.errors import MeshError, place_of, worst_first
 from .._host.package.rounding import roundoff
 from .._kernels.module import Module
+from .._mesh.mesh import Mesh
+from .outer_faces import outer_faces
 
 TOLERANCE = 1e-8  # distance from a plane, relative to the mesh's extent, within which a node lies on it
 
@@ -64,6 +66,20 @@ class Plane(Module):
                 nodes[order],
             )
         return Plane(normal, origin)
+
+    @staticmethod
+    @checked
+    def of_patch(mesh: Mesh, patch: str) -> tuple["Plane", ...]:
+        """Finds the planes of a patch by its faces: one, or several such as front and back.
+
+        **Raises:** `ValueError` for a patch that is bent, and for a name without a patch.
+        """
+        outer = outer_faces(mesh)
+        corners = mesh.cells if outer is None else outer.corners  # the cells of a surface mesh are faces
+        try:
+            return planes_through(np.asarray(mesh.points), mesh.patch(patch), map(np.asarray, corners.values()))
+        except MeshError as error:
+            raise MeshError(f"the patch {patch!r}: {error.message}", error.nodes) from None
 
     def equals(self, other: "Plane", points: np.ndarray) -> bool:
         if self.normal.shape != other.normal.shape or abs(float(self.normal @ other.normal)) < 1 - 1e-12:
@@ -156,7 +172,9 @@ def check_planes(planes: Sequence[Plane], points: np.ndarray) -> None:
     normals = np.stack([plane.normal for plane in planes])
     cosines = np.abs(normals @ normals.T)
     if np.minimum(cosines, np.abs(cosines - 1)).max() > 1e-9:
-        raise ValueError("several symmetry planes must be parallel or at right angles to each other.")
+        raise ValueError(
+            "several symmetry planes must be parallel or at right angles to each other: hold the others in `fixed`."
+        )
     for plane in planes:
         _check_bounds(plane, points)
 

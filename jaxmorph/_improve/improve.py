@@ -1,7 +1,7 @@
 """Better cells for given boundary nodes: inner nodes where the distortion of all cells is least."""
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
@@ -78,13 +78,12 @@ class Improvement(Module):
 
 
 @dataclasses.dataclass(frozen=True)
-class Options:
+class ImproveOptions:
     ideal: bool = False
     size_weight: float = 0.5
     worst: bool = False
     tolerance: float = 0.03
     max_steps: int = 60
-    progress: Callable[[float, float], None] | None = None
 
 
 @checked
@@ -93,11 +92,10 @@ def improve(
     points: Real[ArrayLike, "n d"] | Sequence[Any],
     *,
     ideal: bool = False,
-    size_weight: float = Options.size_weight,
-    worst: bool = Options.worst,
-    tolerance: float = Options.tolerance,
-    max_steps: int = Options.max_steps,
-    progress: Callable[[float, float], None] | None = None,
+    size_weight: float = ImproveOptions.size_weight,
+    worst: bool = ImproveOptions.worst,
+    tolerance: float = ImproveOptions.tolerance,
+    max_steps: int = ImproveOptions.max_steps,
 ) -> Improvement:
     """Moves inner nodes to where cells are least distorted, and untangles inverted cells.
 
@@ -143,12 +141,11 @@ def improve(
     - `tolerance`: the last stage ends when the root mean square motion of the nodes, in units of
       their smallest cells, is smaller. Default 0.03.
     - `max_steps`: most Newton steps of a stage, default 60.
-    - `progress`: the host calls `progress(softness, energy)` after every step. Default: none.
 
     **Raises:** `ValueError` for a mesh without cells of its dimension, another shape of `points`, a
     boundary of points alone, and a `size_weight` that is not in 0 to 1.
     """
-    options = Options(ideal, size_weight, worst, tolerance, max_steps, progress)
+    options = ImproveOptions(ideal, size_weight, worst, tolerance, max_steps)
     with jax.ensure_compile_time_eval():  # not folded into the caller's program
         boundary = mesh if isinstance(mesh, Boundary) else Boundary(mesh, ())
     if boundary.mesh is None:
@@ -168,14 +165,14 @@ def improve(
 
 def improve_of(plan: Plan, mesh: Mesh, points: Float[Array, "n d"]) -> Improvement:
     """Improves a plan's deformed mesh; its surface stays, or moves along walls and in pairs."""
-    return _improved(mesh, points, constraints_of(plan.boundary, mesh), Options())
+    return _improved(mesh, points, constraints_of(plan.boundary, mesh), ImproveOptions())
 
 
-def _improved(mesh: Mesh, start: Array, constraints: Constraints, options: Options) -> Improvement:
+def _improved(mesh: Mesh, start: Array, constraints: Constraints, options: ImproveOptions) -> Improvement:
     base = start.astype(jnp.promote_types(start.dtype, jnp.result_type(float)))
     with jax.ensure_compile_time_eval():
         distortion, blocks = prepared(mesh, base.dtype, constraints, options.ideal, options.size_weight)
-    search = Search(blocks, jnp.asarray(options.tolerance, base.dtype), options.max_steps, options.progress)
+    search = Search(blocks, jnp.asarray(options.tolerance, base.dtype), options.max_steps)
     plain = softened(distortion, base, search)
     found, report = _ended(mesh, start, plain, plain)
     if not options.worst:

@@ -1,7 +1,6 @@
 """Stages of `improve`, each a minimum by Newton's method: first a barrier, then a bound."""
 
 import dataclasses
-import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -33,7 +32,6 @@ class Search(NamedTuple):
     blocks: Pattern
     tolerance: Float[Array, ""]
     max_steps: int
-    progress: Callable[[float, float], None] | None
 
     def enough(self, last: bool) -> Float[Array, "2"]:
         loose = jnp.maximum(self.tolerance, 0.3)
@@ -106,19 +104,13 @@ def _climbed(distortion: Distortion, y, base, search: Search):
     return stiff(now), y, count
 
 
+def _silent(**report: Any) -> None: ...
+
+
 @compiled
 def _minimise(distortion: Distortion, y, base, search: Search, end: Any):
     wanted, (relative, absolute) = end
-    blocks, _, max_steps, progress = search
-
-    def tell(told: Callable, softness: Any, energy: Any) -> None:
-        told(float(softness), float(energy))  # numbers: work with JAX arrays may wait for the program
-
-    def report_step(**report):
-        if progress is not None:
-            on_host = functools.partial(tell, progress)
-            jax.debug.callback(on_host, distortion.softness, report["loss_this_step"][1])
-
+    blocks, _, max_steps = search
     solver = ProjectedNewton(
         rtol=relative,
         atol=absolute,
@@ -126,7 +118,7 @@ def _minimise(distortion: Distortion, y, base, search: Search, end: Any):
         distortion=distortion,
         base=jax.lax.stop_gradient(base),
         pattern=blocks,
-        verbose=report_step,
+        verbose=_silent,
     )
     adjoint = optx.ImplicitAdjoint(HessianSolver(distortion, solver.base, blocks))
     tags = frozenset({lx.positive_semidefinite_tag})

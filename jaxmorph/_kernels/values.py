@@ -100,16 +100,6 @@ def _largest_jvp(axis, primals, tangents):
     return top, jnp.sum(share, axis=axis)
 
 
-def slack(dtype: Any) -> float:
-    """The share beyond an interval's ends that counts as inside: more than round-off."""
-    return float(jnp.finfo(dtype).eps) ** 0.75
-
-
-def clipped(values: Float[Array, "*shape"], low: Any, high: Any) -> Float[Array, "*shape"]:
-    """Clips values to an interval, ends inside, where `jnp.clip` halves the derivative."""
-    beyond = slack(values.dtype) * (high - low)
-    return jnp.where(values < low - beyond, low, jnp.where(values > high + beyond, high, values))
-
-
 def is_known(*values: Any) -> bool:
+    """Checks whether values are known now: none is traced, so that Python may look at them."""
     return not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(values))

@@ -12,14 +12,15 @@ from jaxtyping import Array, ArrayLike, Float, Integer, Real
 
 from .._host.cells.lagrange import ORDERS, node_keys, of_order
 from .._host.cells.pieces import boundary_sides, linear_cells
-from .._host.cells.topology import CORNERS, SHAPES, solid
-from .._host.package.arguments import check, checked, shown
+from .._host.cells.topology import CORNERS, DIMENSION, SHAPES, solid
+from .._host.package.arguments import check, checked, shown, whole
 from .._host.package.text import similar
 from .._kernels.module import Module
 from .._kernels.values import is_known
 from . import exchange, export, vtk
 from .exchange import checked_parts, floats
 from .polyhedra import Polyhedra
+from .refined import outer_sides, refined
 
 
 class Mesh(Module):
@@ -148,6 +149,43 @@ class Mesh(Module):
             return self
         cells = linear_cells(self.cells, np.concatenate if is_known(*self.cells.values()) else jnp.concatenate)
         return self._with("cells", {kind: cells[kind] for kind in sorted(cells)})
+
+    @checked
+    def skin(self, *patches: str) -> tuple["Mesh", Integer[np.ndarray, " k"]]:
+        """Makes a mesh of the outer faces (2-D: edges), curved where the cells are.
+
+        Of `patches`, as `patch` takes names, it has the faces with all nodes in them; by default
+        all. Faces to other parts of a mesh are left out.
+
+        **Returns:** the mesh, with the points and patches of this one, and the number (k,) of the
+        cell that has each face, in the order of `cells`.
+
+        **Raises:** `ValueError` for a name without a patch, and for polyhedra and polygons, whose
+        faces `boundary_faces` lists.
+        """
+        if self.polyhedra is not None:
+            raise ValueError(f"{self} has polyhedra or polygons: jm.boundary_faces(mesh) lists their outer faces.")
+        cells = {kind: np.asarray(ids) for kind, ids in self.cells.items()}
+        inner = {kind: ids for kind, ids in cells.items() if DIMENSION[kind] == self.points.shape[1]}
+        is_inner = [np.zeros(0, bool), *(np.full(len(ids), kind in inner) for kind, ids in cells.items())]
+        among = self.patch(*patches) if patches else None
+        sides, owner = outer_sides(inner, len(self.points), among, self.between)
+        return Mesh(self.points, sides, self.patches), np.flatnonzero(np.concatenate(is_inner))[owner]
+
+    @checked
+    def refined(self, steps: int) -> tuple["Mesh", Integer[np.ndarray, " k"]]:
+        """Makes a mesh of linear cells that follow the curved ones: each edge has `steps` pieces.
+
+        The pieces share points, which are new; there are no patches.
+
+        **Returns:** the mesh, and the number (k,) of the cell of which each of its cells is a
+        piece, in the order of `cells`.
+
+        **Raises:** `ValueError` for fewer steps than 1.
+        """
+        cells = {kind: np.asarray(ids) for kind, ids in self.cells.items()}
+        points, pieces, owner = refined(cells, np.asarray(self.points), whole("steps", steps))
+        return Mesh(points, pieces), owner
 
     @checked
     def moved(self, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> "Mesh":

@@ -115,6 +115,7 @@ class AbstractPlacing(AbstractMethod):
     In `place` and `carry_place`, `ids` is the result of `connect` for the point. The field gets the
     point's place as its `ids`. `carry` and `carry_place` adapt to the mesh after a step of `march`.
     By default the solve is new and points keep their places: a graph stands on the undeformed mesh.
+    A method of your own around one that places points is an `AbstractPlacing`, too.
     """
 
     @abc.abstractmethod

@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.sparse import csr_array, diags_array
 
-from .._host.cells.topology import CORNERS, FRAMES, SHAPES
-from .._host.linear.products import cofactors
+from .._host.cells.topology import CORNERS, DIMENSION, FRAMES, SHAPES
+from .._host.linear.products import FLAT, cofactors
 from .._kernels.compile import compiled
 from .._kernels.values import as_jax, is_known
 from .base import AbstractMethod
@@ -39,8 +39,8 @@ CELLS = {2: 20_000, 3: 6_000}
 WALLS = 8
 """Most walls that get trial motions of their own."""
 
-AT_ONCE, FLAT = 8, 1e-4
-"""Motions that are evaluated together; Jacobian over edges' product of a corner without a sign."""
+AT_ONCE = 8
+"""Motions that are evaluated together."""
 
 LEAN = 0.02
 """Share of the inertia that is added along the coordinates, more along the first ones."""
@@ -88,26 +88,34 @@ def share_in(method: Any, share: Any) -> Any:
 
 def near_cells(cells: Cells, nodes: np.ndarray, count: int) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Selects cells near some of `count` nodes, layer by layer: their nodes, and rows of these."""
-    linear = {
-        kind: np.asarray(ids)[:, : CORNERS[SHAPES[kind]]] for kind, ids in cells.items() if SHAPES[kind] in FRAMES
-    }
-    most = CELLS[max((len(FRAMES[SHAPES[kind]][0]) - 1 for kind in linear), default=2)]
-    is_near, chosen = np.zeros(count, dtype=bool), {}
+    linear = {kind: np.asarray(ids)[:, : CORNERS[SHAPES[kind]]] for kind, ids in cells.items()}
+    is_near = np.zeros(count, dtype=bool)
     is_near[nodes] = True
     if not is_near.any():  # a piece far from the walls
         is_near[[ids[0, 0] for ids in linear.values() if len(ids)][:1]] = True
-    while True:
-        layer = {kind: ids[is_near[ids].any(axis=1)] for kind, ids in linear.items()}
-        size, before = sum(map(len, layer.values())), sum(map(len, chosen.values()))
-        if size > most and not chosen:
-            chosen = {kind: ids[:: -(-size // most)] for kind, ids in layer.items()}
-        if size > most or size == before:
-            break
-        chosen = layer
-        for ids in layer.values():
-            is_near[ids] = True
+    chosen = _layers(linear, is_near, CELLS[max(map(DIMENSION.__getitem__, cells), default=2)])
     used = np.unique(np.concatenate([np.zeros(0, int), *(ids.ravel() for ids in chosen.values())]))
     return used, {SHAPES[kind]: np.searchsorted(used, ids) for kind, ids in chosen.items()}
+
+
+def _layers(cells: Cells, is_near: np.ndarray, most: int) -> Cells:
+    """Adds layers of cells to `is_near`, while all are `most` cells at most, or thins the first."""
+
+    def layer() -> Cells:
+        return {kind: ids[is_near[ids].any(axis=1)] for kind, ids in cells.items()}
+
+    def size(cells: Cells) -> int:
+        return sum(map(len, cells.values()))
+
+    chosen, grown = {}, layer()
+    if size(grown) > most:
+        return {kind: ids[:: -(-size(grown) // most)] for kind, ids in grown.items()}
+    while size(chosen) < size(grown) <= most:
+        chosen = grown
+        for ids in chosen.values():
+            is_near[ids] = True
+        grown = layer()
+    return chosen
 
 
 def judged(method: AbstractMethod, ids: Any, factors: Any, trial: WallTrial) -> AbstractMethod:

@@ -8,13 +8,13 @@ from typing import Any
 
 import jax
 import numpy as np
-from jaxtyping import Array, Int, Integer, PyTree, Real
+from jaxtyping import Array, ArrayLike, Int, Integer, PyTree, Real
 
 from .._boundary.boundary import Boundary, changed, with_faces
 from .._boundary.names import checked_points
 from .._boundary.outer_faces import OuterFaces
 from .._host.cells.topology import solid
-from .._host.package.arguments import as_array, checked, whole
+from .._host.package.arguments import as_array, checked, rows_of, whole
 from .._host.package.errors import MeshError
 from .._host.package.rounding import roundoff
 from .._host.surface.skin import has_free_sides
@@ -69,6 +69,20 @@ class SurfaceHalf:
     def surface_nodes(self) -> Int[np.ndarray, " o"]:
         """Ids of the surface's nodes in the whole mesh: moving, fixed, then guided."""
         return self.nodes[np.asarray(self.plan.surface_nodes)]
+
+    @checked
+    def rows(self, nodes: Integer[ArrayLike, " k"] | Sequence[int]) -> Int[np.ndarray, " k"]:
+        """Finds the row of `u` (k,) that moves each of these nodes, ids in the whole mesh.
+
+        **Raises:** `ValueError` for a node that does not move.
+        """
+        ids, moving = rows_of("nodes", nodes, 2**62), self.moving
+        order = np.argsort(moving, kind="stable")
+        rows = order[np.minimum(np.searchsorted(moving, ids, sorter=order), len(order) - 1)]
+        wrong = moving[rows] != ids
+        if wrong.any():
+            raise ValueError(f"{wrong.sum()} of {len(ids)} nodes do not move, first {ids[wrong][0]}.")
+        return rows
 
     @checked
     def attach(
@@ -151,8 +165,11 @@ class SurfaceHalf:
         cells = {kind: np.concatenate([own[kind] for _, _, own in pieces if kind in own]) for kind in kinds}
         cells = {kind: np.searchsorted(ids, corners) for kind, corners in cells.items()}
         near, cells = near_cells(cells, np.flatnonzero(np.isin(ids, self.moving)), len(ids))
+        return self._with_share(points[near], np.where(ids[near] < 0, -1, ids[near]), cells)
+
+    def _with_share(self, points: np.ndarray, nodes: np.ndarray, cells: Mapping[str, np.ndarray]) -> "SurfaceHalf":
         try:
-            part = self.attach(points[near], np.where(ids[near] < 0, -1, ids[near]))
+            part = self.attach(points, nodes)
         except ValueError:  # pieces that do not fit are told of when they are attached
             return self
         return dataclasses.replace(self, plan=with_share(self.plan, self._surface[0], part.volume, cells))
@@ -246,8 +263,7 @@ def prepare_surface(
     check_kind(method, AbstractMethod, "method", "jm.RBF()", optional=True)
     count = len(boundary.points)
     if faces is not None:
-        mesh = boundary.mesh or Mesh(boundary.points)
-        boundary = with_faces(boundary, mesh, OuterFaces.numbered(Mesh(mesh.points, dict(faces)).cells))
+        boundary = with_faces(boundary, OuterFaces.numbered(Mesh(boundary.points, dict(faces)).cells))
     ids = np.arange(count) if nodes is None else _unique_ids(nodes, count)
     boundary = boundary if is_open is None else changed(boundary, is_open=is_open)
     method = default_for(boundary) if method is None else method
@@ -266,7 +282,8 @@ def prepare_surface(
         raise error.renumbered(rows) from None
     if boundary.cells is None or not needs_share(method, half.plan.surface.ids):
         return half
-    return half._judged([half._near(boundary.cells, boundary.points, ids)])
+    near, cells = near_cells(boundary.cells, boundary.moving, count)
+    return half._with_share(boundary.points[near], ids[near], cells)
 
 
 def _unique_ids(nodes: Any, count: int) -> np.ndarray:

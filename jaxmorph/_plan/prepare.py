@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Real
 
-from .._boundary.boundary import Boundary, Nodes, changed
+from .._boundary.boundary import Boundary, Nodes, changed, nothing_in
 from .._boundary.images import Images, images_of
 from .._boundary.periodic import Periodic, across_one_layer, check_pairings
 from .._boundary.slide import Slide
@@ -67,7 +67,7 @@ def prepare(
     lists = {"symmetry": symmetry, "periodic": periodic, "sliding": sliding, "free": free}
     if not isinstance(mesh, Boundary):
         return plan_of(Boundary(mesh, () if moving is None else moving, fixed, **lists), method)
-    if moving is not None or any(not isinstance(named, tuple) or named for named in (fixed, *lists.values())):
+    if moving is not None or not nothing_in(fixed, *lists.values()):
         raise ValueError("a Boundary has its lists of nodes: call prepare(boundary, method=...), and name them there.")
     return plan_of(mesh, method)
 
@@ -209,9 +209,7 @@ def surface_of(
     points, nodes, planes, moving = boundary.points, boundary.nodes, boundary.planes, len(boundary.moving)
     faces = boundary.surface_faces
     order = ordered_rows(points[nodes], moving, faces) if order is None else order
-    on_plane = (
-        np.stack([plane.holds(points) for plane in planes], axis=1) if planes else np.zeros((len(points), 0), bool)
-    )
+    on_plane = boundary.on_planes
     images, copies = images_of(planes, boundary.pairings, on_plane, nodes, moving, points, order)
     place, own = np.argsort(order), order[copies.rows]
     faces = None if faces is None else {kind: copies.faces(place[corners]) for kind, corners in faces.items()}

@@ -12,7 +12,7 @@ from .._host.linear.products import cross, dot
 from .._host.package.arguments import checked
 from .._mesh.mesh import Mesh
 from .report import Report
-from .sides import Block, Group, Sides
+from .sides import FaceBlock, Group, Sides
 
 Vectors = Float[np.ndarray, "_d _f"]
 
@@ -199,7 +199,7 @@ def _turns(mesh: Mesh, volume: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k
     return turn
 
 
-def _centre_and_area(points: Vectors, block: Block) -> tuple[Vectors, Vectors]:
+def _centre_and_area(points: Vectors, block: FaceBlock) -> tuple[Vectors, Vectors]:
     """Centres and area vectors of faces; an edge is its own area, turned."""
     x = points.take(block.corners, axis=1)  # (d, corners, f)
     if len(points) == 2:
@@ -214,7 +214,7 @@ def _centre_and_area(points: Vectors, block: Block) -> tuple[Vectors, Vectors]:
     return middle - moment / (3 * np.maximum(weights.sum(axis=0), FLOOR)), normals.sum(axis=1) / 2
 
 
-def _pyramids(centres: Vectors, areas: Vectors, means: Vectors, block: Block) -> list[tuple[np.ndarray, Vectors]]:
+def _pyramids(centres: Vectors, areas: Vectors, means: Vectors, block: FaceBlock) -> list[tuple[np.ndarray, Vectors]]:
     """d volumes (b,) and first moments of pyramids, as each view sees the faces."""
     d, parts = len(means), []
     centre, area = centres[:, block.rows], areas[:, block.rows]
@@ -232,7 +232,7 @@ class _Across(NamedTuple):
     heights: list[np.ndarray]
 
 
-def _across(centres: Vectors, areas: Vectors, middle: Vectors, points: Vectors, block: Block) -> _Across:
+def _across(centres: Vectors, areas: Vectors, middle: Vectors, points: Vectors, block: FaceBlock) -> _Across:
     centre, area, inside = centres[:, block.rows], areas[:, block.rows], block.behind >= 0
     arm, size = centre - middle.take(block.owner, axis=1), _size(area)
     across = middle.take(block.behind, axis=1) - middle.take(block.owner, axis=1)  # anything without a cell behind

@@ -11,6 +11,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int, Real
 
 from .._host.cells.adjacency import handedness, neighbours
 from .._host.cells.topology import CORNERS, DIMENSION, FACES, SHAPES, solid
+from .._host.linear.products import FLAT
 from .._host.package.arguments import checked
 from .._kernels.callback import host_call
 from .._kernels.values import Either, array, as_jax, constant, is_known, largest, namespace, smallest
@@ -19,8 +20,6 @@ from . import measures
 from .proof.search import has_least, least_jacobian
 from .report import QualityReport
 from .vector import ByType, Vector, by_place, by_type, joined, mean, stack
-
-FLAT = 1e-4  # sine of a corner's angle up to which it is flat; 3-D: Jacobian over its edges' product
 
 
 @checked

@@ -36,20 +36,20 @@ class Group:
     shared: int
     is_between: Bool[np.ndarray, " f"]
 
-    def blocks(self) -> Iterator["Block"]:
+    def blocks(self) -> Iterator["FaceBlock"]:
         """Yields all faces, some at a time; a block has only shared faces or none."""
         count = len(self.owner)
         for start, end in ((0, self.shared), (self.shared, count)):
             for at in range(start, end, BLOCK):
-                yield Block(self, slice(at, min(at + BLOCK, end)), end <= self.shared)
+                yield FaceBlock(self, slice(at, min(at + BLOCK, end)), end <= self.shared)
 
-    def measured(self, function: Callable[["Block"], T]) -> Iterator[tuple["Block", T]]:
+    def measured(self, function: Callable[["FaceBlock"], T]) -> Iterator[tuple["FaceBlock", T]]:
         """Yields all blocks in order, each with its `function`, which all cores compute."""
         return in_order(lambda block: (block, function(block)), self.blocks())
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Block:
+class FaceBlock:
     group: Group
     rows: slice
     is_shared: bool

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 import jaxmorph as jm
+from jaxmorph.extend import between, checked, finite_array
 
-from .._host.package.arguments import between, checked, finite_array
 from ._structured import REFERENCE_POINTS, c_grid, cut, geometric, hexahedra, ids_of
 
 # Corners of a hexahedron, in VTK's order, of the cells into which it is divided; 8 is its middle.

@@ -7,8 +7,7 @@ import numpy as np
 from scipy.optimize import brentq, isotonic_regression
 
 import jaxmorph as jm
-
-from .._host.package.arguments import between
+from jaxmorph.extend import between
 
 # A section of unit chord: t in [-1, 1] -> (k, 2), from the lower trailing edge (-1) round the nose
 # (0) to the upper.

@@ -11,8 +11,7 @@ from jaxtyping import Float
 
 import jaxmorph as jm
 from jaxmorph import io
-from jaxmorph._host.package.ranks import Alone, Ranks, together
-from jaxmorph._host.package.rounding import rows_in
+from jaxmorph.extend import Alone, together
 
 from ._deform import check, say_motion, write_job
 from ._method import patches_of
@@ -68,7 +67,7 @@ def deform_parts(request: Deform, out: Output) -> int:
     return 1 if bad else 0
 
 
-def _moved(parts: "MovingParts", case: io.Decomposed, ranks: Ranks, writer: Any, stage: Stage) -> jm.Verdict:
+def _moved(parts: "MovingParts", case: io.Decomposed, ranks: Any, writer: Any, stage: Stage) -> jm.Verdict:
     verdicts: dict[int, jm.Verdict] = {}
     for first in range(0, len(case), ranks.size):
         k = first + ranks.rank if first + ranks.rank < len(case) else None
@@ -86,7 +85,7 @@ def _by_part(shares: Iterable[dict[int, T]]) -> list[T]:
     return [joined[k] for k in sorted(joined)]
 
 
-def _say_warnings_of_all(out: Output, ranks: Ranks) -> None:
+def _say_warnings_of_all(out: Output, ranks: Any) -> None:
     """Prints the warnings of the silent processes of an MPI run, each warning once."""
     printed = out.facts.get("warnings", [])
     for warning in dict.fromkeys(warning for share in ranks.gather(printed) or () for warning in share):
@@ -94,7 +93,7 @@ def _say_warnings_of_all(out: Output, ranks: Ranks) -> None:
             out.complain(warning, "warnings")
 
 
-def _ranks() -> Ranks:
+def _ranks() -> Any:
     if not any(name in os.environ for name in STARTED):
         return Alone()
     count = next((os.environ[name] for name in COUNTS if name in os.environ), "")
@@ -168,7 +167,7 @@ class MovingParts:
         except jm.MeshError as error:
             raise ValueError(f"{name}: {error.renumbered(rows)}") from None
         here = np.flatnonzero(np.isin(ids, half.moving))
-        path = self.path[:, rows_in(half.moving, ids[here])]
+        path = self.path[:, half.rows(ids[here])]
         ends = [
             in_double(base, np.asarray(points)[: len(ids)], here, u, plan.method.exact)
             for u, points in zip(path, followed(plan, self.path), strict=True)

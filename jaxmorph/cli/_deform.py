@@ -4,6 +4,7 @@ import dataclasses
 import itertools
 import warnings
 from collections.abc import Callable
+from concurrent.futures import Future
 from typing import Any
 
 import numpy as np
@@ -11,18 +12,14 @@ from jaxtyping import Float
 
 import jaxmorph as jm
 from jaxmorph import Mesh, io
-from jaxmorph._advice.cures import Cure, cures
-from jaxmorph._advice.inspect import inspected
-from jaxmorph._host.package.cores import Beside
-from jaxmorph._host.package.files import complete
-from jaxmorph._kernels.compile import quickly_compiled
+from jaxmorph.extend import complete, quickly_compiled
 
 from ._job import text_of
 from ._method import Chunks, Patches, described, mesh_of, patches_of
 from ._motion import Motion, motion
 from ._output import Output, coordinates, count, title, wrapped
 from ._requests import Deform
-from ._way import Way, faults, followed, in_double, is_kept, say_verdict, writing
+from ._way import Way, faults, followed, in_background, in_double, is_kept, say_verdict, writing
 
 SMALL = 10_000
 """Points, times steps, below which compile time dominates."""
@@ -38,7 +35,7 @@ class Attempt:
     request: Deform
     patches: Patches
     motion: Motion
-    judging: Beside[jm.Verdict]
+    judging: Future[jm.Verdict]
 
     @property
     def before(self) -> jm.Verdict:
@@ -80,7 +77,7 @@ def deform(request: Deform, out: Output) -> int:
 
 def _deform(request: Deform, mesh: Mesh, out: Output) -> int:
     check(request, mesh)
-    judging = Beside(jm.judge, mesh, None, request.gates.limits)
+    judging = in_background(jm.judge, mesh, None, request.gates.limits)
     patches = patches_of(request, mesh)
     attempt = Attempt(request, patches, motion(request, mesh, patches.nodes), judging)
     with out.progress("preparing"):
@@ -99,7 +96,7 @@ def _deform(request: Deform, mesh: Mesh, out: Output) -> int:
 
 def _written(attempt: Attempt, way: Way, nodes: np.ndarray, plan: jm.Plan, out: Output) -> int:
     """Inspects and judges the motion beside writing the mesh; `nodes` are those of `plan`."""
-    request, judging = attempt.request, Beside(attempt.judge, way)
+    request, judging = attempt.request, in_background(attempt.judge, way)
     with writing(way.write, judging.result) as finish:
         inspection, boundary = _inspected(attempt, nodes, plan, way.stored, out)
         with out.progress("judging the cells"):
@@ -122,7 +119,7 @@ def _inspected(
 ) -> tuple[jm.Inspection, jm.BoundaryQuality]:
     with out.progress("inspecting the motion"):
         moved = points[nodes] if attempt.request.steps == 1 and plan.points.dtype == points.dtype else None
-        inspection = inspected(plan, attempt.path()[-1], attempt.patches.mesh, nodes, moved)
+        inspection = jm.inspect(plan, attempt.path()[-1], mesh=attempt.patches.mesh, nodes=nodes, moved=moved)
         for warning in inspection.warnings:
             out.warn(warning)
         return inspection, jm.boundary_quality(plan, points[nodes]).renumbered(nodes)
@@ -209,7 +206,7 @@ def say_motion(request: Deform, patches: Patches, plan: jm.Plan, u: np.ndarray, 
         out.say(wrapped(f"moving   {', '.join(names)}: {count(len(nodes), 'node')}, by up to {largest:.4g}"))
     names = ", ".join(request.boundary.fixed) or "no patch"
     out.say(wrapped(f"fixed    {names}: {count(len(patches.fixed_nodes), 'node')}"))
-    for what, names in (("symmetry", tuple(patches.symmetry)), ("sliding ", patches.sliding)):
+    for what, names in (("symmetry", patches.symmetry), ("sliding ", patches.sliding)):
         if names:
             out.say(wrapped(f"{what} {', '.join(names)}: {count(len(mesh.patch(*names)), 'node')}"))
     for pair in patches.periodic:
@@ -236,35 +233,32 @@ def _advice(attempt: Attempt, out: Output) -> str:
         return ""
     if out.seconds > PATIENCE or not request.dry_run:
         return " No other flags were tried."
-    trials, worked = _trials(attempt), ""
+    trials = _trials(attempt)
     with out.progress("trying others") as stage:
-        for k, cure in enumerate(trials):
-            if _works(attempt, cure):
-                worked = _flags(attempt, cure)
-                break
-            stage.done((k + 1) / len(trials))
+        worked = next((_flags(attempt, cure) for cure in stage.over(trials) if _works(attempt, cure)), "")
     out.say(suggestion=worked)
-    if worked or not trials:
-        return worked and f" {worked} works."
-    return f" A dry run with each of {', '.join(_flags(attempt, cure) for cure in trials)} does not cure it."
+    if worked:
+        return f" {worked} works."
+    tried = ", ".join(_flags(attempt, cure) for cure in trials)
+    return f" A dry run with each of {tried} does not cure it." if tried else ""
 
 
-def _trials(attempt: Attempt) -> list[Cure]:
+def _trials(attempt: Attempt) -> list[jm.Cure]:
     """Lists cures in the order in which they are tried: the default method first."""
     patches, request = attempt.patches, attempt.request
-    found = [Cure(method="default")]
-    found += cures(patches.mesh, patches.nodes, patches.fixed_nodes, attempt.path()[-1])
+    found = [jm.Cure(method="default")]
+    found += jm.cures(patches.boundary, attempt.path()[-1])
     found = [dataclasses.replace(cure, steps=cure.steps * request.steps) for cure in found]
     return [cure for cure in found if cure.method != request.method.method]
 
 
-def _flags(attempt: Attempt, cure: Cure) -> str:
+def _flags(attempt: Attempt, cure: jm.Cure) -> str:
     flags = [f"--sliding {' '.join(cure.sliding)} in place of --fixed"] if cure.sliding else []
     flags += [f"--method {cure.method}"] if cure.method else []
     return " ".join([*flags, *([f"--steps {cure.steps}"] if cure.steps != attempt.request.steps else [])])
 
 
-def _works(attempt: Attempt, cure: Cure) -> bool:
+def _works(attempt: Attempt, cure: jm.Cure) -> bool:
     patches = attempt.patches
     patches = dataclasses.replace(
         patches,

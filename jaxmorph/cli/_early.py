@@ -1,14 +1,15 @@
 """What is sure to fail, told before JAX is imported and the mesh is read."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from jaxmorph._advice.methods import METHODS, entry
-from jaxmorph._host.package.files import check_apart, input_path, output_path
+from jaxmorph import METHODS
 from jaxmorph._host.package.text import GRADIENTS, LATTICES, SENSITIVITIES, is_folder
+from jaxmorph.extend import input_path, output_path
 from jaxmorph.integrations import su2
 
 from ._job import job_of
@@ -20,10 +21,12 @@ from ._requests import (
     Convert,
     Deform,
     Demo,
+    ExportRequest,
     Info,
     MethodFlags,
     ModesRequest,
     MotionFlags,
+    NativeRequest,
     Quality,
     Request,
     SensitivityRequest,
@@ -43,8 +46,33 @@ OWNERS = {
 def check(request: Request) -> None:
     OF_COMMAND[type(request)](request)
     _check_values(values_of(request))
-    if isinstance(request, Deform | ModesRequest | SensitivityRequest | SU2):
+    if isinstance(request, Deform | ModesRequest | SensitivityRequest | ExportRequest | SU2):
         _check_sources(request.method)
+
+
+def check_apart(
+    outputs: Iterable[tuple[str, Path]], inputs: Mapping[str, Iterable[str | os.PathLike[str] | None]]
+) -> None:
+    """Raises `ValueError` for an output that is an input, and for two outputs in one file. Outputs
+    come with the names that messages give them, inputs by their role: `the mesh is`.
+    """
+    read = {_identity(file): what for what, files in inputs.items() for file in files if file is not None}
+    written: dict[Any, str] = {}
+    for name, path in outputs:
+        file = _identity(path)
+        if file in read:
+            raise ValueError(f"{name} {path}: {read[file]} read from this file; write to another one.")
+        if file in written:
+            raise ValueError(f"{name} {path} is the file of {written[file]}. Write to another file.")
+        written[file] = name
+
+
+def _identity(path: str | os.PathLike[str]) -> Any:
+    try:
+        about = os.stat(path)
+    except OSError:
+        return os.path.realpath(path)
+    return about.st_dev, about.st_ino  # those of links are the same
 
 
 def lattice_files(file: Path) -> tuple[Path, Path]:
@@ -81,13 +109,13 @@ def _check_way(request: Deform) -> None:
     elif not request.file.is_dir():
         raise ValueError(f"{request.file}: no folder of an OpenFOAM case.")
     for name in ("chunk", "decomposed"):
-        if getattr(request, name) and entry(request.method.method).needs_cells:
+        if getattr(request, name) and METHODS[request.method.method].needs_cells:
             raise ValueError(f"--{name} is not for {request.method.method}, which solves for all nodes at once.")
 
 
 def _check_sources(request: MethodFlags) -> None:
-    if request.sources is not None and entry(request.method).sources != "some":
-        free = " and ".join(method.name for method in METHODS if method.sources == "some")
+    if request.sources is not None and METHODS[request.method].sources != "some":
+        free = " and ".join(name for name, method in METHODS.items() if method.sources == "some")
         raise ValueError(f"--sources is for the methods {free}; {request.method} has no sources to choose.")
 
 
@@ -143,6 +171,20 @@ def _check_sensitivity(request: SensitivityRequest) -> None:
         _check_sources(job.method)
 
 
+def _check_export(request: ExportRequest) -> None:
+    _check_input(request.file)
+    if is_folder(request.file):
+        if request.output is not None:
+            raise ValueError(
+                f"{request.output}: leave OUT out; plans of a case are {request.file}/constant/jaxmorph.plan."
+            )
+    elif request.output is None:
+        raise ValueError("OUT is missing: name the file of the plan, such as wing.plan.")
+    else:
+        output_path(request.output)
+        check_apart([("OUT", request.output)], {"the mesh is": [request.file]})
+
+
 def _check_su2(request: SU2) -> None:
     if request.action == "def" and request.sensitivity is not None:
         raise ValueError("--sensitivity is for su2 dot, and su2 def moves the mesh.")
@@ -181,6 +223,8 @@ OF_COMMAND: dict[Any, Callable[[Any], None]] = {
     Deform: _check_deform,
     ModesRequest: _check_modes,
     SensitivityRequest: _check_sensitivity,
+    ExportRequest: _check_export,
+    NativeRequest: lambda request: None,
     SU2: _check_su2,
     Quality: _check_quality,
     Info: lambda request: _check_input(request.file),

@@ -21,8 +21,10 @@ from ._requests import (
     Convert,
     Deform,
     Demo,
+    ExportRequest,
     Info,
     ModesRequest,
+    NativeRequest,
     Quality,
     Request,
     SensitivityRequest,
@@ -65,7 +67,16 @@ def answer(words: Sequence[str]) -> int:
     return out.end(2)
 
 
+def _native(request: Request, out: Output) -> int:
+    from jaxmorph import native
+
+    out.say(str(native.folder), folder=str(native.folder))
+    return 0
+
+
 def _command(request: Request) -> Callable[[Request, Output], int]:
+    if isinstance(request, NativeRequest):
+        return _native  # needs no JAX
     begin_jax()
     is_part = isinstance(request, Deform) and request.decomposed
     module, name = ("_decomposed.deform_parts" if is_part else RUNS[type(request)]).split(".")
@@ -76,6 +87,7 @@ RUNS: dict[Any, str] = {
     Deform: "_deform.deform",
     ModesRequest: "_modes.modes",
     SensitivityRequest: "_sensitivity.sensitivity",
+    ExportRequest: "_export.export",
     SU2: "_su2.run",
     Quality: "_inspect.quality",
     Info: "_inspect.info",

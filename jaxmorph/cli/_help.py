@@ -2,7 +2,7 @@
 
 import dataclasses
 
-from jaxmorph._advice.methods import METHODS
+from jaxmorph import METHODS
 
 EXAMPLES = "examples:\n"
 
@@ -31,7 +31,7 @@ class Page:
 
 
 def _methods() -> str:
-    lines = [f"  {entry.name + ' *' * entry.needs_cells:<17} {entry.sentence}" for entry in METHODS]
+    lines = [f"  {name + ' *' * entry.needs_cells:<17} {entry.sentence}" for name, entry in METHODS.items()]
     return "\n".join(["methods (* is solved on the cells):", *lines])
 
 
@@ -177,6 +177,30 @@ exit status: 0; 2 for bad input""",
         """Methods, other values of design variables, output for machines:
 jaxmorph sensitivity --help-all""",
         5,
+    ),
+    "export": Page(
+        "write a plan that moves the mesh inside a running solver",
+        """MESH OUT --moving NAME ... --fixed NAME ...
+           [--symmetry NAME ...] [METHOD ...]
+       jaxmorph export CASE --moving NAME ... --fixed NAME ...""",
+        """\
+Name the patches and the method as for deform. jmplan.h opens OUT and moves the
+mesh by it, from C, C++ and Fortran; jaxmorph native shows its folder. In an
+OpenFOAM case the plan is constant/jaxmorph.plan, and each processor* gets one.
+The method must be linear in the displacement, and not solved on cells.
+
+examples:
+  jaxmorph export wing.su2 wing.plan --moving wing --fixed farfield
+  jaxmorph export case --moving walls --fixed inlet outlet
+
+exit status: 0; 2 for bad input""",
+    ),
+    "native": Page(
+        "show the folder of jmplan.h and of the motion solver for OpenFOAM",
+        "",
+        """\
+example:
+  cc -O3 -I$(jaxmorph native) solver.c -lm""",
     ),
     "su2": Page(
         "do what SU2_DEF and SU2_DOT do, from SU2's config file",

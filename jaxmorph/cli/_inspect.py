@@ -7,7 +7,6 @@ import numpy as np
 
 import jaxmorph as jm
 from jaxmorph import Mesh, _demo, io
-from jaxmorph._boundary.boundary import of_no_cell
 
 from ._method import mesh_of
 from ._output import Output, count, some, title, wrapped
@@ -83,11 +82,16 @@ def _facts(mesh: Mesh) -> dict[str, Any]:
         "high": high,
         "patches": {patch: len(nodes) for patch, nodes in mesh.patches.items()},
         "kinds": dict(mesh.kinds),
-        "of_no_cell": of_no_cell(mesh).tolist(),
+        "of_no_cell": _of_no_cell(mesh).tolist(),
         "groups": {group: list(names) for group, names in mesh.groups.items()},
         "boxes": {box.name: [number - 1 for number in box.shape.counts] for box in io.boxes(mesh)},
         "notes": list(getattr(mesh.source, "notes", ())),
     }
+
+
+def _of_no_cell(mesh: Mesh) -> np.ndarray:
+    ids = [*mesh.cells.values(), *([] if mesh.polyhedra is None else [mesh.polyhedra.faces.labels])]
+    return np.setdiff1d(np.arange(len(mesh.points)), np.concatenate([[], *map(np.ravel, ids)]))
 
 
 def _lines(name: str, mesh: Mesh, facts: dict[str, Any]) -> Iterator[str]:

@@ -2,13 +2,15 @@
 
 import argparse
 import dataclasses
+import itertools
+import json
 import os
 import reprlib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, get_args
 
-from jaxmorph._host.package.text import read, written
+from jaxmorph._host.package.text import read
 
 from ._parser import Fields, flags_of, is_switch, made, meant, settings_of, values_of
 from ._requests import BoundaryFlags, Deform, MethodFlags, MotionFlags, SensitivityRequest, Speech, table
@@ -94,21 +96,22 @@ def with_job(command: str, words: Sequence[str]) -> tuple[list[str], argparse.Na
     For `sensitivity` there are no values, and the mesh of the job comes first. Raises `ValueError`
     for a bad job.
     """
-    if command not in ("deform", "sensitivity"):
-        return list(words), argparse.Namespace()
-    finder = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
-    finder.add_argument("--job", type=Path, nargs="?")
-    path = finder.parse_known_args(words)[0].job
+    path = _job_in(words)
     if path is None:
         return list(words), argparse.Namespace()
-    values = read_job(path)
-    first = next((k for k, word in enumerate(words) if word.startswith("-")), len(words))
-    if "file" not in values and (command == "sensitivity" or (first == 0 and "output" in values)):
+    values, given = read_job(path), list(itertools.takewhile(lambda word: not word.startswith("-"), words))
+    if "file" not in values and (command == "sensitivity" or ("output" in values and not given)):
         raise ValueError(f"{path}: file is missing: the mesh that the job moves.")
-    files = [str(values.pop(name)) for name in ("file", "output") if name in values]
     if command == "sensitivity":
-        return [files[0], *words], argparse.Namespace()
-    return [*(words[:first] or files), *words[first:]], argparse.Namespace(**values)
+        return [str(values["file"]), *words], argparse.Namespace()
+    files = [str(values.pop(name)) for name in ("file", "output") if name in values]
+    return [*(given or files), *words[len(given) :]], argparse.Namespace(**values)
+
+
+def _job_in(words: Sequence[str]) -> Path | None:
+    finder = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
+    finder.add_argument("--job", type=Path, nargs="?")
+    return finder.parse_known_args(words)[0].job
 
 
 def read_job(path: Path) -> dict[str, Any]:
@@ -184,3 +187,15 @@ def _said(keys: Mapping[str, Key], values: Mapping[str, Any], folder: Path) -> I
     for name, key in keys.items():
         if key.is_said(values[name]):
             yield key.in_toml(values[name], folder)
+
+
+def written(value: Any) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, int | float):
+        return repr(value)
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(written, value))}]"
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{json.dumps(key)} = {written(entry)}" for key, entry in value.items()) + " }"
+    return json.dumps(str(value), ensure_ascii=False).replace("\x7f", "\\u007f")

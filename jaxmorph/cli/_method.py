@@ -11,12 +11,9 @@ from jaxtyping import Int
 
 import jaxmorph as jm
 from jaxmorph import io
-from jaxmorph._advice.methods import Lengths, entry
-from jaxmorph._boundary.names import planes_of
-from jaxmorph._boundary.symmetry import check_planes
 
 from ._output import count
-from ._requests import Deform, MethodFlags, ModesRequest, SensitivityRequest
+from ._requests import Deform, ExportRequest, MethodFlags, ModesRequest, SensitivityRequest
 
 Chunks = Iterator[tuple[Int[np.ndarray, " c"], jm.Plan]]
 
@@ -30,14 +27,14 @@ def mesh_of(path: Path, zone: int | None = None) -> jm.Mesh:
     return meshes[zone - 1]
 
 
-def method_of(request: MethodFlags, wall: np.ndarray, fixed: np.ndarray) -> jm.AbstractMethod | None:
-    """Makes the method for moving (m, d) and fixed points (f, d); None for the default."""
+def method_of(request: MethodFlags, wall: np.ndarray) -> jm.AbstractMethod | None:
+    """Makes the method for moving points (m, d); None for the default."""
     d = wall.shape[1]
     if request.sources is not None and request.sources <= d:
         raise ValueError(f"--sources must be {d + 1} or more in {d}-D, found {request.sources}.")
     if request.method == "default" and request.sources is None:
         return None
-    method = entry(request.method).make(Lengths(wall, fixed))
+    method = jm.METHODS[request.method].make(float(np.ptp(wall, axis=0).max()))
     if request.sources is None or not isinstance(method, jm.SurfaceReconstruction):
         return method
     is_all = request.sources >= len(wall)
@@ -48,7 +45,7 @@ def method_of(request: MethodFlags, wall: np.ndarray, fixed: np.ndarray) -> jm.A
 
 def described(request: MethodFlags, plan: jm.Plan) -> tuple[str, int]:
     is_carrying = request.method == "default" and isinstance(plan.method, jm.InverseDistance)
-    listed = entry("turning" if is_carrying else request.method)
+    listed = jm.METHODS["turning" if is_carrying else request.method]
     sources = plan.n_moving * (listed.sources == "all")
     if listed.sources == "some":
         sources = int(np.isin(plan.sources, plan.moving).sum())
@@ -57,13 +54,13 @@ def described(request: MethodFlags, plan: jm.Plan) -> tuple[str, int]:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Patches:
-    """A mesh and the names of its patches by what they do; `symmetry` has the planes by name."""
+    """A mesh and the names of its patches, by what they do."""
 
     mesh: jm.Mesh
     request: MethodFlags
     moving: tuple[str, ...]
     fixed: tuple[str, ...]
-    symmetry: dict[str, tuple[jm.Plane, ...]]
+    symmetry: tuple[str, ...]
     sliding: tuple[str, ...]
     periodic: tuple[jm.Periodic, ...]
     free: tuple[str, ...]
@@ -80,8 +77,7 @@ class Patches:
     def boundary(self) -> jm.Boundary:
         """The boundary in working precision; `ValueError` for faces that no flag names."""
         mesh = self.mesh.moved(np.asarray(self.mesh.points).astype(self.request.dtype, copy=False))
-        planes = [plane for planes in self.symmetry.values() for plane in planes]
-        slides = {"symmetry": tuple(planes), "periodic": self.periodic, "sliding": self.sliding}
+        slides = {"symmetry": self.symmetry, "periodic": self.periodic, "sliding": self.sliding}
         with self._explaining():
             boundary = jm.Boundary(mesh, self.moving, self.fixed, free=self.free, **slides)
         if boundary.left is not None and boundary.left.patches:
@@ -102,8 +98,7 @@ class Patches:
 
     @property
     def method(self) -> jm.AbstractMethod | None:
-        points = np.asarray(self.mesh.points)
-        return method_of(self.request, points[self.nodes], points[self.fixed_nodes])
+        return method_of(self.request, np.asarray(self.mesh.points)[self.nodes])
 
     def chunks(self, size: int | None = None) -> Chunks:
         """Cuts the mesh into chunks of `size` inner nodes; yields the nodes and plan of each chunk.
@@ -126,11 +121,11 @@ class Patches:
             return jm.prepare_surface(self.boundary, method=self.method, **known)
 
 
-def patches_of(request: Deform | ModesRequest | SensitivityRequest, mesh: jm.Mesh) -> Patches:
+def patches_of(request: Deform | ModesRequest | SensitivityRequest | ExportRequest, mesh: jm.Mesh) -> Patches:
     """Looks up the patches that the names mean. A pattern never fixes a moving or sliding patch.
 
     Without names, symmetry patches and periodic pairs are those of the file. Raises `ValueError`
-    for patches that are missing, empty, both moving and fixed, or not flat where they slide.
+    for patches that are missing, empty, or both moving and fixed.
     """
     flags = request.boundary
     _check_names(request, mesh)
@@ -141,10 +136,10 @@ def patches_of(request: Deform | ModesRequest | SensitivityRequest, mesh: jm.Mes
     repeating = [str(side) for pair in periodic for side in (pair.patch, pair.partner)]
     elsewhere = {*moving, *symmetry, *sliding, *repeating}
     fixed = tuple(name for name in mesh.patch_names(*flags.fixed) if name in flags.fixed or name not in elsewhere)
-    planes = _planes(symmetry, mesh) | _planes_of_file(request.file, mesh, {*elsewhere, *fixed, *free})
+    symmetry += tuple(_planes_of_file(mesh, {*elsewhere, *fixed, *free}))
     if not fixed and not sliding:
-        _check_none_left(mesh, {*elsewhere, *planes, *free})
-    return Patches(mesh, request.method, moving, fixed, planes, sliding, periodic, free)
+        _check_none_left(mesh, {*elsewhere, *symmetry, *free})
+    return Patches(mesh, request.method, moving, fixed, symmetry, sliding, periodic, free)
 
 
 def _check_none_left(mesh: jm.Mesh, lists: set[str]) -> None:
@@ -152,7 +147,7 @@ def _check_none_left(mesh: jm.Mesh, lists: set[str]) -> None:
         raise ValueError(f"--fixed is missing: name the patches that stay; this mesh has: {', '.join(mesh.patches)}.")
 
 
-def _check_names(request: Deform | ModesRequest | SensitivityRequest, mesh: jm.Mesh) -> None:
+def _check_names(request: Deform | ModesRequest | SensitivityRequest | ExportRequest, mesh: jm.Mesh) -> None:
     if not request.moving:
         has = ", ".join(mesh.patches) or "none"
         raise ValueError(f"--moving is missing: name the patches that move; this mesh has: {has}.")
@@ -166,30 +161,11 @@ def _check_names(request: Deform | ModesRequest | SensitivityRequest, mesh: jm.M
         raise ValueError(f"{request.file}: the mesh has no cells.")
 
 
-def _planes(names: tuple[str, ...], mesh: jm.Mesh) -> dict[str, tuple[jm.Plane, ...]]:
-    planes = {}
-    for name in names:
-        try:
-            planes[name] = planes_of(mesh, name)
-        except ValueError as error:
-            raise ValueError(f"--symmetry {name}: {error}") from None
-    return planes
-
-
-def _planes_of_file(file: Path, mesh: jm.Mesh, lists: set[str]) -> dict[str, tuple[jm.Plane, ...]]:
-    planes = {}
+def _planes_of_file(mesh: jm.Mesh, lists: set[str]) -> Iterator[str]:
     for name in (name for name in io.symmetry(mesh) if name not in lists):
         with contextlib.suppress(ValueError):  # a bent patch has no plane: its nodes do not slide
-            planes[name] = planes_of(mesh, name)
-    if planes:
-        try:
-            check_planes([plane for several in planes.values() for plane in several], np.asarray(mesh.points))
-        except ValueError as error:
-            names = " ".join(planes)
-            raise ValueError(
-                f"{file} has the symmetry patches {names}: {error} Hold them by --fixed {names}."
-            ) from None
-    return planes
+            jm.Plane.of_patch(mesh, name)
+            yield name
 
 
 def _periodic(names: tuple[str, ...], mesh: jm.Mesh, lists: set[str]) -> tuple[jm.Periodic, ...]:

@@ -11,8 +11,8 @@ from jaxtyping import Float
 
 import jaxmorph as jm
 from jaxmorph import Mesh, io
-from jaxmorph._host.package.files import check_apart
 
+from ._early import check_apart
 from ._method import described, patches_of
 from ._output import Output, count, title
 from ._requests import ModesRequest

@@ -12,12 +12,11 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxmorph import Mesh, io, shapes
-from jaxmorph._host.package.errors import place_of, worst_first
-from jaxmorph._host.package.files import input_path
 from jaxmorph._host.package.text import read
+from jaxmorph.extend import input_path
 
 from ._early import is_given, lattice_files
-from ._output import some
+from ._output import coordinates, some
 from ._parser import flag_of
 from ._requests import MOTIONS, Deform, MotionFlags, Table
 
@@ -137,12 +136,13 @@ def _check_agreement(
         alone = Motion(shapes.Chain(own), {key: made.parameters[key] for key in own})
         u, other = (way.path(points, 1)[-1] for way in (made, alone))
         off = np.linalg.norm(u[rows] - other[rows], axis=1)
-        wrong = rows[worst_first(off, 1e-9 * np.abs(u).max() + 1e-13 * np.abs(points).max())]
+        order = np.argsort(-off, kind="stable")
+        wrong = rows[order[off[order] > 1e-9 * np.abs(u).max() + 1e-13 * np.abs(points).max()]]
         if len(wrong):
             first = next(owner for owner in sides if nodes[wrong[0]] in owner.own)
             raise ValueError(
                 f"{first.flags(groups)} and {side.flags(groups)} move {len(wrong)} common nodes differently, by up to "
-                f"{off.max():.3g}: nodes {some(nodes[wrong])}, the first near ({place_of(points[wrong[0]])}). Name both "
+                f"{off.max():.3g}: nodes {some(nodes[wrong])}, the first near {coordinates(points[wrong[0]])}. Name both "
                 "patches after one --moving, or take the common nodes out of one of the patches."
             )
 
@@ -290,10 +290,9 @@ def _on_sides(
     if foreign or not set(table) & set(SIDES):
         listed, known = ", ".join(table) or "nothing", ", ".join((more, *CHORD))
         raise ValueError(f"--{flag}: upper or lower expected, and perhaps {known}; found {listed}.")
-    numbers = {side: _numbers(flag, table, side, shape) for side in SIDES if side in table}
     chord = _chord(flag, table, patch)
     upper = shapes.wall_normals(patch.mesh, *patch.group.patches) @ np.asarray(chord.up) >= 0
-    made = {side: make(rows, table, chord) for side, rows in numbers.items()}
+    made = {side: make(_numbers(flag, table, side, shape), table, chord) for side in SIDES if side in table}
     masks = {"upper": upper, "lower": ~upper}
     chain = shapes.Chain({side: shapes.Part(part, masks[side]) for side, (part, _) in made.items()})
     return chain, {side: values for side, (_, values) in made.items()}

@@ -8,9 +8,11 @@ import sys
 import textwrap
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
+
+T = TypeVar("T")
 
 PATIENCE = 2.0
 """Seconds after which a stage is announced."""
@@ -24,6 +26,11 @@ class Stage:
 
     def done(self, share: float) -> None:
         self.share = share
+
+    def over(self, entries: Sequence[T]) -> Iterator[T]:
+        for k, entry in enumerate(entries, start=1):
+            yield entry
+            self.done(k / len(entries))
 
     @property
     def seconds(self) -> float:

@@ -7,14 +7,13 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import jaxmorph as jm
-from jaxmorph._advice.methods import METHODS
 
 from ._parser import Angle, Fields, flag, one_of, part, positional, several, switch
 
 MESH = "a mesh file (.su2, .vtu, .vtk, .msh, .cgns, .med, .exo, .e, .xyz, .p3d ...) or an OpenFOAM case"
 ZONE = "of an SU2 file with several zones the zone IZONE= N alone; all others are written as they are"
 WHAT_MOVES = 'patches that move: names, or patterns as "wing.*"'
-NAMES = [entry.name for entry in METHODS]
+NAMES = [*jm.METHODS]
 
 BAD, OUTPUT = "when cells are bad", ("--output", "-o")
 SHAPES: dict[str, Any] = {"section": "shapes", "everyday": True}
@@ -265,6 +264,22 @@ class SensitivityRequest:
 
 
 @dataclasses.dataclass(frozen=True)
+class ExportRequest:
+    file: Path = positional(MESH, "IN")
+    output: Path | None = positional("the plan; not given for an OpenFOAM case", "OUT", nargs="?", type=_output)
+    zone: int | None = flag(ZONE)
+    moving: tuple[str, ...] = _patches(WHAT_MOVES, section="surface", everyday=True)
+    boundary: BoundaryFlags = part(BoundaryFlags)
+    method: MethodFlags = part(MethodFlags)
+    speech: Speech = part(Speech)
+
+
+@dataclasses.dataclass(frozen=True)
+class NativeRequest:
+    """Request of `jaxmorph native`, which has no flags."""
+
+
+@dataclasses.dataclass(frozen=True)
 class SU2:
     """Request of `jaxmorph su2`: `action` is `def` or `dot`."""
 
@@ -313,9 +328,22 @@ class Demo:
     output: Path = flag("where to write (default jaxmorph-demo)", *OUTPUT, metavar="DIR", default=Path("jaxmorph-demo"))
 
 
-Request = Deform | ModesRequest | SensitivityRequest | SU2 | Quality | Info | Convert | Demo
+Request = (
+    Deform | ModesRequest | SensitivityRequest | ExportRequest | NativeRequest | SU2 | Quality | Info | Convert | Demo
+)
 
 COMMANDS: dict[str, Fields] = {
     fields.__name__.removesuffix("Request").lower(): fields
-    for fields in (Deform, ModesRequest, SensitivityRequest, SU2, Quality, Info, Convert, Demo)
+    for fields in (
+        Deform,
+        ModesRequest,
+        SensitivityRequest,
+        ExportRequest,
+        NativeRequest,
+        SU2,
+        Quality,
+        Info,
+        Convert,
+        Demo,
+    )
 }

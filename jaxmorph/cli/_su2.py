@@ -8,11 +8,11 @@ import numpy as np
 
 import jaxmorph as jm
 from jaxmorph import io, shapes
-from jaxmorph._host.package.files import check_apart
-from jaxmorph._kernels.compile import quickly_compiled
+from jaxmorph.extend import quickly_compiled
 from jaxmorph.integrations import su2
 
 from ._deform import SMALL
+from ._early import check_apart
 from ._method import described, method_of
 from ._output import Output, count, steepest, title
 from ._requests import SU2
@@ -90,8 +90,7 @@ def _deform(request: SU2, config: su2.Config, out: Output) -> int:
 def _plan(request: SU2, config: su2.Config, dtype: str = "float64") -> jm.Plan:
     mesh, points = config.mesh, np.asarray(config.mesh.points)
     moving = mesh.patch(*config.moving)
-    fixed = mesh.patch(*config.fixed) if config.fixed else np.zeros(0, dtype=int)
-    method = method_of(request.method, points[moving], points[np.setdiff1d(fixed, moving)])
+    method = method_of(request.method, points[moving])
     mesh = mesh.moved(points.astype(dtype, copy=False))
     return jm.prepare(mesh, config.moving, config.fixed, method=method, symmetry=config.symmetry)
 

@@ -1,12 +1,13 @@
 """A motion of a mesh: its points step by step, the verdict on them, and their file."""
 
 import contextlib
+import contextvars
 import dataclasses
 import functools
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
 import numpy as np
@@ -14,13 +15,23 @@ from jaxtyping import ArrayLike, Float, Int
 
 import jaxmorph as jm
 from jaxmorph import Mesh, io
-from jaxmorph._host.package.cores import Beside, cores
-from jaxmorph._host.package.files import appearing_if
+from jaxmorph.extend import appearing_if
 
 from ._output import Output, wrapped
 from ._parser import flag_of
 
 PROVEN = "min_proven_margin"
+
+
+T = TypeVar("T")
+
+
+def in_background(function: Callable[..., T], *arguments: Any) -> "Future[T]":
+    """Calls a function in a thread, in the context of the caller."""
+    pool = ThreadPoolExecutor(1)
+    future = pool.submit(contextvars.copy_context().run, function, *arguments)
+    pool.shutdown(wait=False)
+    return future
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -88,11 +99,11 @@ def in_double(
 def writing(write: Callable[..., None], *arguments: Any) -> Iterator[Callable[[], None]]:
     """Writes a file beside the block; it appears when the yielded function is called.
 
-    With one core all is written then. A block that ends without that call leaves no file.
+    A block that ends without that call leaves no file.
     """
     is_wanted: Future[bool] = Future()
     with appearing_if(is_wanted.result):
-        call = Beside(write, *arguments)
+        call = in_background(write, *arguments)
 
     def finish() -> None:
         is_wanted.set_result(True)
@@ -103,9 +114,8 @@ def writing(write: Callable[..., None], *arguments: Any) -> Iterator[Callable[[]
     finally:
         if not is_wanted.done():
             is_wanted.set_result(False)
-        if cores() > 1:
-            with contextlib.suppress(Exception):  # a fault of a file that nobody wants, or that `finish` has told
-                call.result()
+        with contextlib.suppress(Exception):  # a fault of a file that nobody wants, or that `finish` has told
+            call.result()
 
 
 def faults(verdict: jm.Verdict) -> list[str]:

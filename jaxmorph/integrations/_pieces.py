@@ -1,28 +1,26 @@
 """Pieces of a mesh in the processes of an MPI run: shared nodes, and the boundary of the whole."""
 
+import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 import jaxmorph as jm
-from jaxmorph._host.cells.topology import CORNERS, solid
-from jaxmorph._host.package.arguments import finite_array as finite_array
-from jaxmorph._host.package.arguments import real_array as real_array
-from jaxmorph._host.package.arguments import rows_of as rows_of
-from jaxmorph._host.package.arguments import shown
-from jaxmorph._host.package.ranks import Agreement as Agreement
-from jaxmorph._host.package.ranks import together as together
-from jaxmorph._host.package.rounding import rows_in as rows_in
-from jaxmorph._host.package.rounding import spacing as spacing
-from jaxmorph._host.surface.gaps import closest as closest
-from jaxmorph._host.surface.gaps import fans as fans
-from jaxmorph._kernels.compile import float64_mode as float64_mode
+from jaxmorph.extend import lagrange_types, together
 
 
 def check_comm(comm: Any) -> None:
     if not hasattr(comm, "allgather"):
-        raise ValueError(f"`comm` must be a communicator of mpi4py, MPI.COMM_WORLD for example, not {shown(comm)}.")
+        raise ValueError(
+            f"`comm` must be a communicator of mpi4py, MPI.COMM_WORLD for example, not a {type(comm).__name__}."
+        )
+
+
+def solid(mesh: jm.Mesh) -> dict[str, Any]:
+    """Selects the cells that fill the space, without boundary elements and empty types."""
+    cells, dimension = lagrange_types(), mesh.points.shape[1]
+    return {kind: ids for kind, ids in mesh.cells.items() if cells[kind].dimension == dimension and len(ids)}
 
 
 def faces_of(comm: Any, mesh: jm.Mesh | None, nodes: np.ndarray, is_shared: np.ndarray) -> dict[str, np.ndarray] | None:
@@ -34,7 +32,7 @@ def faces_of(comm: Any, mesh: jm.Mesh | None, nodes: np.ndarray, is_shared: np.n
     # a ghost cell counts in the first piece that has it; a face that two pieces then have lies
     # between them
     cells = {}
-    for kind, ids, is_first, _ in _marked(comm, solid(mesh.linear.cells, mesh.points.shape[1]), nodes, is_shared):
+    for kind, ids, is_first, _ in _marked(comm, solid(mesh.linear), nodes, is_shared):
         cells[kind] = ids[is_first]
 
     def outer() -> dict[str, np.ndarray]:
@@ -54,8 +52,9 @@ def _marked(
     comm: Any, cells: Mapping[str, Any], nodes: np.ndarray, is_shared: np.ndarray
 ) -> Iterator[tuple[str, np.ndarray, np.ndarray, np.ndarray]]:
     """Yields cells or faces by type with two marks: first in this piece, also in others."""
-    for kind in sorted(set().union(*comm.allgather(list(cells)))):
-        corners = np.asarray(cells.get(kind, np.zeros((0, CORNERS[kind]), dtype=np.int64)))
+    widths = comm.allgather({kind: np.shape(ids)[1] for kind, ids in cells.items()})
+    for kind, width in sorted({pair for share in widths for pair in share.items()}):
+        corners = np.asarray(cells.get(kind, np.zeros((0, width), dtype=np.int64)))
         rows = np.flatnonzero(is_shared[corners].all(axis=1))
         is_first, is_twice = np.ones(len(corners), dtype=bool), np.zeros(len(corners), dtype=bool)
         is_first[rows], is_twice[rows] = owned(comm, np.sort(nodes[corners[rows]], axis=1))
@@ -81,15 +80,34 @@ def owned(comm: Any, keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return marks[:, 0], marks[:, 1]
 
 
-def surface_of(
-    comm: Any, boundary: jm.Boundary, ids: np.ndarray, faces: dict[str, np.ndarray] | None
-) -> tuple[np.ndarray, np.ndarray, int, int, int]:
-    """Gathers the points that the surface's half needs, and their ids.
+@dataclasses.dataclass(frozen=True)
+class WholeSurface:
+    """The points (k, d) that the surface's half needs, and their `names`, ids in the whole mesh.
 
-    `boundary` is that of this piece, whose points have the `ids` (n,). The first m points move,
-    those up to `count` are fixed, those up to `total` are on parallel planes or on the boundary's
-    `faces`. The outermost points, with id -1, are last. All processes get equal results, and raise
-    together.
+    The first `moving` points move, those up to `listed` are fixed, those up to `known` are on
+    parallel planes or on boundary faces. The outermost points, with id -1, are last.
+    """
+
+    points: np.ndarray
+    names: np.ndarray
+    moving: int
+    listed: int
+    known: int
+
+    def boundary(self, symmetry: Any, is_open: bool) -> jm.Boundary:
+        free = np.arange(self.listed, self.known if is_open else self.listed)
+        moving, fixed = np.split(np.arange(self.listed), [self.moving])
+        return jm.Boundary(self.points, moving, fixed, symmetry=symmetry, free=free)
+
+    def rows(self, ids: np.ndarray) -> np.ndarray:
+        order = np.argsort(self.names, kind="stable")
+        return order[np.searchsorted(self.names, ids, sorter=order)]
+
+
+def surface_of(comm: Any, boundary: jm.Boundary, ids: np.ndarray, faces: dict[str, np.ndarray] | None) -> WholeSurface:
+    """Gathers the surface of all pieces; of this one `boundary`, whose points have the `ids` (n,).
+
+    All processes get equal results, and raise together.
     """
     x, planes = boundary.points, boundary.planes
     ends = np.unique([x.argmin(axis=0), x.argmax(axis=0)])
@@ -109,7 +127,7 @@ def surface_of(
     everything = np.concatenate([at_moving, at_fixed[rest], at_further[others], outermost])
     names = np.concatenate([moving, fixed[rest], further[others], np.full(len(outermost), -1)])
     count = len(moving) + int(rest.sum())
-    return everything, names, len(moving), count, count + int(others.sum())
+    return WholeSurface(everything, names, len(moving), count, count + int(others.sum()))
 
 
 def _union(shares: Sequence[Any]) -> tuple[np.ndarray, np.ndarray]:

@@ -15,8 +15,9 @@ import numpy as np
 from jaxtyping import ArrayLike, Bool, Float, Int, Real
 
 import jaxmorph as jm
+from jaxmorph.extend import Agreement, real_array, together
 
-from ._pieces import Agreement, check_comm, faces_of, owned, real_array, rows_in, surface_of, together
+from ._pieces import check_comm, faces_of, owned, surface_of
 
 
 @dataclasses.dataclass(frozen=True)
@@ -141,29 +142,26 @@ def prepare(
     own, ids = together(comm, lambda: _own(points, nodes, moving, fixed, symmetry))
     marks = owned(comm, ids)
     faces = faces_of(comm, mesh, ids, marks[1])
-    everything, names, m, count, total = surface_of(comm, own, ids, faces)
-    whole = comm.gather(faces)
+    surface, shares = surface_of(comm, own, ids, faces), comm.gather(faces)
 
     def half() -> jm.SurfaceHalf | None:
         if comm.rank:
             return None
-        free = np.arange(count, total if is_open else count)
         known: dict[str, Any] = {"is_open": is_open}
         if faces is not None:
-            known = {"faces": {kind: rows_in(names, np.concatenate([part[kind] for part in whole])) for kind in faces}}
+            known = {"faces": {kind: surface.rows(np.concatenate([own[kind] for own in shares])) for kind in faces}}
         try:
-            boundary = jm.Boundary(everything, np.arange(m), np.arange(m, count), symmetry=symmetry, free=free)
-            return jm.prepare_surface(boundary, nodes=names, method=method, **known)
+            boundary = surface.boundary(symmetry, is_open)
+            return jm.prepare_surface(boundary, nodes=surface.names, method=method, **known)
         except jm.MeshError as error:
-            raise error.renumbered(names) from None
+            raise error.renumbered(surface.names) from None
 
-    shared = comm.bcast(together(comm, half))
-    assert shared is not None
-    shared = (
-        shared.judged([(mesh, ids)] if mesh is not None and mesh.cells else [], comm) if faces is not None else shared
-    )
+    shared: Any = comm.bcast(together(comm, half))
+    if mesh is not None:
+        shared = shared.judged([(mesh, ids)] if mesh.cells else [], comm)
     plan = together(comm, lambda: shared.attach(own.points, ids))
-    return Piece(comm, plan, ids, own.moving, np.searchsorted(names[:m], ids[own.moving]), *marks)
+    rows = np.searchsorted(surface.names[: surface.moving], ids[own.moving])
+    return Piece(comm, plan, ids, own.moving, rows, *marks)
 
 
 def _own(points: Any, nodes: Any, moving: Any, fixed: Any, symmetry: Any) -> tuple[jm.Boundary, np.ndarray]:
@@ -203,4 +201,4 @@ def attach(
 
     plan, ids = together(comm, attached), np.asarray(nodes)
     moving = np.flatnonzero(np.isin(ids, half.moving))
-    return Piece(comm, plan, ids, moving, rows_in(half.moving, ids[moving]), *owned(comm, ids))
+    return Piece(comm, plan, ids, moving, half.rows(ids[moving]), *owned(comm, ids))

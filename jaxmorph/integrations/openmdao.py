@@ -16,9 +16,9 @@ from jaxtyping import Array, ArrayLike, Float, PyTree
 
 import jaxmorph as jm
 from jaxmorph import shapes
-from jaxmorph._host.cells.topology import solid
-from jaxmorph._host.package.arguments import shown
-from jaxmorph._host.package.errors import warn
+from jaxmorph.extend import warn
+
+from ._pieces import solid
 
 Values = dict[str, Any]
 Traced = Callable[[Values], Any]
@@ -103,7 +103,7 @@ class MovedMesh(TracedComponent):
             raise ValueError(
                 f"`mesh` has points {tuple(mesh.points.shape)}, the plan {tuple(plan.points.shape)}: pass the mesh that it is of."
             )
-        judged = jm.Mesh(mesh.points, solid(mesh.cells, mesh.points.shape[1]))
+        judged = jm.Mesh(mesh.points, solid(mesh))
         self._is_inverted = jax.jit(lambda points: jm.inverted(judged, points).any())
 
     def judge(self, value: Array) -> None:
@@ -192,7 +192,7 @@ class ShapeDisplacement(TracedComponent):
 
 def first_parameters(shape: Any, parameters: PyTree) -> PyTree:
     if isinstance(shape, type) or not callable(shape):
-        raise ValueError(f"`shape` must be a shape or a function of positions and parameters, not {shown(shape)}.")
+        raise ValueError(f"`shape` must be a shape or a function of positions and parameters, not {shape!r}.")
     if parameters is None and not hasattr(shape, "neutral"):
         raise ValueError("`parameters` is missing: a plain function does not tell its own. Or take `shapes.Function`.")
     shapes.names(parameters)  # refuses leaves that are no numbers

@@ -27,3 +27,4 @@ from ._su2 import write_zones as write_zones
 from ._surface import read_surface as read_surface
 from .openfoam.parts import Decomposed as Decomposed
 from .openfoam.parts import global_nodes as global_nodes
+from .openfoam.plans import export_case as export_case

@@ -1,18 +1,16 @@
-"""Curves: histograms of quality, and the error on the surface by the number of sources."""
+"""Curves: histograms of quality, and the progress of an optimisation."""
 
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 import jaxmorph as jm
-from jaxmorph._host.package.arguments import checked
-from jaxmorph._quality.report import MEASURES
+from jaxmorph.extend import checked
 from jaxmorph.shapes import History
 
 from ._plane import Axes, given_or_new, legend_above
-from ._sources import SurfaceErrors
 from ._style import BLUE, DARK, GREEN, GREY, ORANGE, RULE
 
 
@@ -31,8 +29,8 @@ def histogram(reports: Mapping[str, jm.QualityReport], *, measure: str = "skewne
 
     **Returns:** the axes. **Raises:** `ValueError` for an unknown measure, and no report.
     """
-    if measure not in MEASURES:
-        raise ValueError(f"no measure is called {measure!r}; there are {', '.join(MEASURES)}.")
+    if measure not in jm.QualityReport.measures:
+        raise ValueError(f"no measure is called {measure!r}; there are {', '.join(jm.QualityReport.measures)}.")
     if not reports:
         raise ValueError("`reports` is empty: give at least one, such as {'undeformed': jm.quality(mesh)}.")
     finite = {name: _of_cells(report, measure) for name, report in reports.items()}
@@ -55,48 +53,19 @@ def _of_cells(report: jm.QualityReport, measure: str) -> Float[np.ndarray, " k"]
 
 
 @checked
-def convergence(errors: Mapping[str, SurfaceErrors] | History, *, ax: Axes | None = None) -> Axes:
-    """Draws an optimisation's progress, or the error on the surface by the number of sources.
-
-    Of a `History` the objective over its first value is drawn against the iterations, with its
-    constraints and measures. Errors belong to families of reductions, by name: `{"k-d tree": ...}`.
-    The largest error is a line, the mean is dashed, both on logarithmic scales.
+def convergence(history: History, *, ax: Axes | None = None) -> Axes:
+    """Draws an optimisation's progress: the objective over its first value against the iterations,
+    with its constraints and measures.
 
     **Arguments:**
 
-    - `errors`: a `shapes.History`; or what `surface_errors` returned, by the names for the legend.
+    - `history`: a `shapes.History`.
     - `ax`: matplotlib's axes; new ones by default.
 
     **Returns:** the axes. **Raises:** `ValueError` where there is nothing to draw.
     """
-    if isinstance(errors, History):
-        return _iterations(errors, ax)
-    if not errors:
-        raise ValueError("`errors` is empty: give at least one, such as {'k-d tree': plot.surface_errors(...)}.")
-    ax = given_or_new(ax)
-    colours, markers = (BLUE, ORANGE, GREEN, DARK, GREY), "osD^v"
-    for k, (name, error) in enumerate(errors.items()):
-        order, style = np.argsort(error.sources, kind="stable"), {"color": colours[k % 5], "marker": markers[k % 5]}
-        ax.loglog(error.sources[order], error.largest[order], "-", label=name, **style)
-        ax.loglog(error.sources[order], error.mean[order], "--", fillstyle="none", **style)
-    for line, marks, name in (("-", "full", "largest"), ("--", "none", "mean")):
-        ax.plot([], [], f"o{line}", color=GREY, fillstyle=marks, label=name)
-    ticks = _round_numbers(np.concatenate([error.sources for error in errors.values()]))
-    ax.set_xticks(ticks, [f"{tick}" for tick in ticks])
-    ax.set_xticks([], minor=True)
-    low, high = np.log10(ax.get_ylim())
-    ax.set_ylim(10 ** np.floor(low), 10 ** np.ceil(high))  # whole decades: a tick at each
-    ax.set_xlabel("sources")
-    ax.set_ylabel("error on the surface /\nlargest displacement")
-    ax.grid(color=RULE)
-    ax.set_axisbelow(True)
-    legend_above(ax)
-    return ax
-
-
-def _iterations(history: History, ax: Axes | None) -> Axes:
     if not len(history):
-        raise ValueError(f"`errors`: {history.path} has no iteration yet.")
+        raise ValueError(f"`history`: {history.path} has no iteration yet.")
     ax, steps, values = given_or_new(ax), np.arange(len(history)), history.values
     first = values[0] if np.isfinite(values[0]) and values[0] else 1.0
     ax.plot(steps, values / first, "o-", color=ORANGE, label="objective over the first" if first != 1 else "objective")
@@ -113,12 +82,3 @@ def _iterations(history: History, ax: Axes | None) -> Axes:
     ax.set_axisbelow(True)
     legend_above(ax)
     return ax
-
-
-def _round_numbers(numbers: Int[np.ndarray, " k"]) -> list[int]:
-    """Returns 1, 2 and 5 times powers of ten among numbers; one more at each end if few."""
-    rounded = np.array([factor * 10**power for power in range(10) for factor in (1, 2, 5)])
-    first, last = np.searchsorted(rounded, numbers.min()), np.searchsorted(rounded, numbers.max(), side="right")
-    if last - first < 2:
-        first, last = max(first - 1, 0), last + 1
-    return rounded[first:last].tolist()

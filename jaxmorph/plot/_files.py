@@ -1,4 +1,4 @@
-"""Files: a picture of what became of a mesh, a page to turn and deform it, films."""
+"""Files: a picture of what became of a mesh, and a page to turn and deform it."""
 
 import importlib
 import io
@@ -6,31 +6,18 @@ import json
 import os
 import pathlib
 import re
-from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Float, Int
 
 import jaxmorph as jm
+from jaxmorph.extend import checked, complete, output_path, rows_of
 
-from .._host.package.arguments import checked, finite_array, rows_of, whole
-from .._host.package.files import complete, output_path
 from . import _plane
 from ._outside import outlines, outside
-from ._plane import Axes, Figure, plt, round_numbers, to_hex
-from ._space import (
-    AIMED,
-    before_after_3d,
-    content,
-    fitted_window,
-    margins,
-    set_view,
-    view_axes,
-    view_of,
-    viewer_of,
-    whole_view,
-)
+from ._plane import Figure, plt, round_numbers, to_hex
+from ._space import before_after_3d, view_axes, viewer_of
 from ._style import DARK, DISPLACEMENT, Limits, Values, colour_scale, finite
 
 SLIDER = """
@@ -253,133 +240,3 @@ def _camera(shown: Float[np.ndarray, "k 3"], viewer: np.ndarray) -> list[float]:
     target = (low + high) / 2 @ axes
     away = (high - low)[0] / 2 + SEEN * max((high - low)[1:]) / 2 / HALF_VIEW
     return [*(target + away * axes[0]).tolist(), *target.tolist(), 0.0, 0.0, 1.0]
-
-
-@checked
-def swing(points: Float[Any, "n d"], extreme: Float[Any, "n d"], *, frames: int = 24) -> Float[np.ndarray, "f n d"]:
-    """Computes a period of a mode: nodes go to `extreme` and back through it, as a sine of time.
-
-    `deform` is linear in the displacement, so these are the meshes of the mode at each amplitude.
-
-    **Arguments:**
-
-    - `points`, `extreme`: points (n, d), undeformed and at the largest displacement.
-    - `frames`: meshes in a period, 2 or more. Default 24.
-
-    **Returns:** points (frames, n, d), for `animate`.
-
-    **Raises:** `ValueError` where the shapes differ, and for fewer than 2 frames.
-    """
-    points = finite_array("points", points, (None, 2), (None, 3))
-    extreme = finite_array("extreme", extreme, points.shape)
-    whole("frames", frames, 2)
-    phases = np.sin(2 * np.pi * np.arange(frames) / frames)
-    return points + phases[:, None, None] * (extreme - points)
-
-
-@checked
-def animate(
-    path: str | os.PathLike,
-    draw: Callable[[Float[np.ndarray, "n d"]], Any],
-    frames: Float[Any, "f n d"] | Sequence[Float[Any, "n d"]],
-    *,
-    rate: float | int = 12,
-) -> pathlib.Path:
-    """Makes a film (.gif) of a mesh that moves, one picture for each frame; it repeats for ever.
-
-    An example is `animate("mode.gif", lambda points: plot.surface(mesh, points, patch="wing"),
-    plot.swing(mesh.points, extreme))`. All frames have the view of the first, with room for the
-    others unless `draw` is given a window or places the camera. The size is that of the first
-    figure or window.
-
-    **Arguments:**
-
-    - `path`: the file to write, ending in .gif.
-    - `draw`: makes the picture of points (n, d), and returns its axes or plotter.
-    - `frames`: points (n, d) at successive times, as `swing` or `march` give them; 2 or more.
-    - `rate`: frames a second. Default 12.
-
-    **Returns:** the path of the file, which is there whole or not at all.
-
-    **Raises:** `ValueError` for another ending, a missing folder, a rate that is not positive,
-    fewer than 2 frames, and frames of different shapes.
-    """
-    path = output_path(path, ".gif")
-    frames = [np.asarray(points) for points in frames]
-    shapes = sorted({points.shape for points in frames})
-    if len(frames) < 2 or len(shapes) > 1 or len(shapes[0]) != 2:
-        raise ValueError(f"`frames` should be 2 or more of one shape (n, d); found {len(frames)} of shapes {shapes}.")
-    if not 0 < rate < np.inf:
-        raise ValueError(f"`rate` is in frames a second, not {rate}.")
-    drawn = draw(frames[0])
-    view = _view(drawn, draw, frames)
-    pictures = [_pixels(drawn, view), *(_pixels(draw(points), view) for points in frames[1:])]
-    with complete(path) as partial:
-        _write_gif(partial, pictures, rate)
-    return path
-
-
-def _view(first: Any, draw: Callable, frames: list[np.ndarray]) -> Any:
-    """Chooses the view of all frames: the first one's, with room for the farthest nodes."""
-    if isinstance(first, Axes):
-        ends = [_ends(first), *(_ends(axes) for axes in _farthest(draw, frames))]
-        way = np.sign(ends[0][:, 1] - ends[0][:, 0])[:, None]  # an axis may be turned round
-        low, high = (way * choose([way * each for each in ends], axis=0) for choose in (np.min, np.max))
-        figure: Any = first.get_figure(root=True)
-        return np.column_stack([low[:, 0], high[:, 1]]), figure.get_size_inches(), figure.dpi
-    if not hasattr(first, "screenshot"):
-        raise ValueError(f"`draw` should return the axes or the plotter that it drew on, not {type(first).__name__}.")
-    view, window = view_of(first), first.window_size
-    aimed, viewer, fitted = AIMED.get(first, (None, None, None))
-    if not np.array_equal(view, aimed):
-        return view, first.camera.parallel_projection, window  # `draw` placed the camera
-    every = np.concatenate([content(first), *(content(other) for other in _farthest(draw, frames))])
-    window = fitted_window(first, every, viewer) if window == fitted else window
-    return whole_view(every, window, viewer, margins(first)), True, window
-
-
-def _ends(axes: Axes) -> np.ndarray:
-    return np.array([axes.get_xlim(), axes.get_ylim()])
-
-
-def _farthest(draw: Callable, frames: list[np.ndarray]) -> Iterator[Any]:
-    away = np.stack([points - frames[0] for points in frames])
-    for k in sorted({*away.max(axis=1).argmax(axis=0).tolist(), *away.min(axis=1).argmin(axis=0).tolist()} - {0}):
-        drawn = draw(frames[k])
-        yield drawn
-        _close(drawn)
-
-
-def _close(drawn: Any) -> None:
-    if isinstance(drawn, Axes):
-        plt.close(drawn.get_figure(root=True))
-    else:
-        drawn.close()
-
-
-def _pixels(drawn: Any, view: Any) -> UInt8[np.ndarray, "h w 3"]:
-    if isinstance(drawn, Axes):
-        (xlim, ylim), size, dpi = view
-        drawn.set(xlim=xlim, ylim=ylim)
-        figure: Any = drawn.get_figure(root=True)
-        figure.set(dpi=dpi, size_inches=size)
-        figure.canvas.draw()
-        pixels = np.asarray(figure.canvas.buffer_rgba())
-    else:
-        *camera, drawn.window_size = view
-        set_view(drawn, *camera)
-        pixels = np.asarray(drawn.screenshot(return_img=True))
-    pixels = pixels[..., :3].copy()
-    _close(drawn)
-    return pixels
-
-
-def _write_gif(path: pathlib.Path, pictures: list[UInt8[np.ndarray, "h w 3"]], rate: float | int) -> None:
-    """Writes a GIF with one palette for all frames, so that what does not move does not flicker."""
-    from PIL import Image  # comes with matplotlib
-
-    some = np.concatenate(pictures[:: max(1, len(pictures) // 6)])
-    palette = Image.fromarray(some).quantize(256, Image.Quantize.FASTOCTREE)
-    images = [Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
-    duration = max(20, round(100 / rate) * 10)  # in a GIF time goes by hundredths of a second
-    images[0].save(path, save_all=True, append_images=images[1:], duration=duration, loop=0, optimize=True)

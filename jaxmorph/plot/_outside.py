@@ -1,16 +1,12 @@
 """The outside of 3-D meshes, and their cells near a plane, for pyvista; curved cells in pieces."""
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
 
 import jaxmorph as jm
+from jaxmorph.extend import lagrange_types
 
-from .._host.cells.lagrange import lagrange_types, node_keys, of_order
-from .._host.cells.pieces import owned_sides, places_of, steps_of
-from .._host.cells.topology import CORNERS, DIMENSION, SHAPES, solid
 from ._style import SEGMENTS, cell_values, finite
 
 PIECES = 1_000_000
@@ -46,7 +42,7 @@ def outside(mesh: jm.Mesh, points: Any, values: Any, patch: str | None) -> Any:
     """Returns outer faces, of all or a patch; `whole` is the face of a piece of a curved one."""
     on_patch = None if patch is None else mesh.patch(patch)
     if mesh.is_curved:
-        faces = _curved_faces(mesh, points, values, on_patch)
+        faces = _curved_faces(mesh, points, values, patch)
     else:
         grid = grid_of(mesh, points, values)
         faces = skin(grid) if mesh.polyhedra is None else _polygons(mesh.polyhedra.faces, grid, mesh.cell_ids)
@@ -98,17 +94,14 @@ def grid_of(mesh: jm.Mesh, points: Any, values: Any) -> Any:
     return grid
 
 
-def _curved_faces(mesh: jm.Mesh, points: Any, values: Any, on_patch: np.ndarray | None) -> Any:
+def _curved_faces(mesh: jm.Mesh, points: Any, values: Any, patch: str | None) -> Any:
     """Returns outer faces of curved cells in pieces, all or those with all nodes on a patch."""
-    x, cells = _places(mesh, points), solid(mesh.cells, 3)
-    found = owned_sides({kind: np.asarray(ids) for kind, ids in cells.items()}, len(x), on_patch)
-    owner = np.concatenate([owner for _, owner in found.values()])
-    if not len(owner):
+    surface, owner = mesh.moved(_places(mesh, points)).skin(*([] if patch is None else [patch]))
+    if not sum(map(len, surface.cells.values())):
         return pyvista().PolyData()
-    grid = _refined({kind: ids for kind, (ids, _) in found.items()}, x)
+    grid = _refined(surface)
     if values is not None:
-        inside = np.concatenate([np.full(len(ids), kind in cells) for kind, ids in mesh.cells.items()])
-        grid.cell_data["values"] = cell_values(mesh, values)[inside][owner][grid.cell_data["whole"]]
+        grid.cell_data["values"] = cell_values(mesh, values)[owner][grid.cell_data["whole"]]
     return skin(grid)
 
 
@@ -118,43 +111,24 @@ def near_plane(mesh: jm.Mesh, points: Any, values: Any, normal: np.ndarray, orig
     for kind, ids in mesh.cells.items():
         low, high = above[ids].min(axis=1), above[ids].max(axis=1)
         room = (high - low) / 2  # a curved cell goes beyond its nodes
-        rows = np.flatnonzero((low - room <= 0) & (high + room >= 0) & (DIMENSION[kind] == 3))
-        chosen[kind] = np.asarray(ids)[rows]
-        number.append(first + rows)
+        is_met = (low - room <= 0) & (high + room >= 0) & (lagrange_types()[kind].dimension == 3)
+        chosen[kind] = np.asarray(ids)[is_met]
+        number.append(first + np.flatnonzero(is_met))
         first += len(ids)
     if not sum(map(len, chosen.values())):
         raise ValueError(NOTHING)
-    grid = _refined(chosen, x)
+    grid = _refined(jm.Mesh(x, chosen))
     if values is not None:
         grid.cell_data["values"] = cell_values(mesh, values)[np.concatenate(number)][grid.cell_data["whole"]]
     return grid
 
 
-def _refined(cells: Mapping[str, Int[np.ndarray, "_k _s"]], points: Float[np.ndarray, "n 3"]) -> Any:
+def _refined(mesh: jm.Mesh) -> Any:
     """Cuts curved cells into linear pieces, which share points; `whole` is the cell of each."""
-    types = [(lagrange_types()[kind], len(ids)) for kind, ids in cells.items()]
+    types = [(lagrange_types()[kind], len(ids)) for kind, ids in mesh.cells.items() if len(ids)]
     order, dimension = max(cell.order for cell, _ in types), max(cell.dimension for cell, _ in types)
     count = sum(number * cell.order**cell.dimension for cell, number in types)
-    m = order * int(np.clip((PIECES / max(count, 1)) ** (1 / dimension), 1, SEGMENTS))  # pieces of an edge
-    # a point is known by the corners around it and their weights, as in `elevate`
-    kinds = {kind: (np.asarray(ids), of_order(SHAPES[kind], m)) for kind, ids in cells.items() if len(ids)}
-    keys, places = [], []
-    for kind, (ids, lattice) in kinds.items():
-        corners = ids[:, : CORNERS[SHAPES[kind]]]
-        own = np.zeros((*corners.shape, 16), np.int64)
-        own[:, :, -2], own[:, :, -1] = corners, 1
-        keys.append(np.concatenate([own, node_keys(corners, lattice)], axis=1).reshape(-1, 16))
-        places.append(np.einsum("sn,knd->ksd", places_of(kind, m), points[ids]).reshape(-1, 3))
-    _, first, number = np.unique(np.concatenate(keys), axis=0, return_index=True, return_inverse=True)
-    number, found, start, cell = number.ravel(), {}, 0, 0
-    for ids, lattice in kinds.values():
-        table = number[start : start + len(ids) * len(lattice.lattice)].reshape(len(ids), -1)
-        start += table.size
-        for shape, rows in steps_of(lattice.shape, m).items():
-            owner = np.repeat(np.arange(cell, cell + len(ids)), len(rows))
-            found.setdefault(shape, []).append((table[:, rows].reshape(-1, rows.shape[1]), owner))
-        cell += len(ids)
-    joined = {shape: [np.concatenate(part) for part in zip(*found[shape], strict=True)] for shape in sorted(found)}
-    grid = jm.Mesh(np.concatenate(places)[first], {shape: ids for shape, (ids, _) in joined.items()}).to_pyvista()
-    grid.cell_data["whole"] = np.concatenate([owner for _, owner in joined.values()])
+    fine, owner = mesh.refined(order * int(np.clip((PIECES / max(count, 1)) ** (1 / dimension), 1, SEGMENTS)))
+    grid = fine.to_pyvista()
+    grid.cell_data["whole"] = owner
     return grid

@@ -9,9 +9,8 @@ from jaxtyping import Float, Int
 from scipy.spatial import Delaunay
 
 import jaxmorph as jm
+from jaxmorph.extend import checked, finite_array, lagrange_types
 
-from .._host.cells.lagrange import lagrange_types, values
-from .._host.package.arguments import checked, finite_array
 from ._style import (
     BLUE,
     BODY,
@@ -105,14 +104,14 @@ def mesh(
     **Raises:** `ValueError` for a mesh in 3-D, points of another shape, a number of values that is
     not that of the cells, and a `label` without values.
     """
-    cells = Cells.of(mesh, points)
+    cells = PlaneCells.of(mesh, points)
     if values is None and label is not None:
         raise ValueError(f"there are no `values` that are {label!r}.")
     every = None if values is None else cell_values(mesh, values)
     drawn = cells.drawn(window)
-    window = _bodies(mesh, points) if window is None else window
+    window = _window(window, mesh, points)
     seen, shown = cells.inside(window), np.zeros(len(cells.ids)) if every is None else every
-    colours, ends, below, above = scale_of(shown[seen], cells.areas[seen], limits)
+    colours, ends, *beyond = scale_of(shown[seen], cells.areas[seen], limits)
     ax = show(given_or_new(ax, window, bar=bar and values is not None), window)
     if every is not None:
         faces = fill(ax, cells.outlines[drawn], cmap=colours)
@@ -120,7 +119,7 @@ def mesh(
         faces.set_array(every[drawn])
         faces.set_clim(*ends)
         if bar:
-            extend = ("neither", "min", "max", "both")[below + 2 * above]
+            extend = ("neither", "min", "max", "both")[beyond[0] + 2 * beyond[1]]
             ax.figure.colorbar(faces, cax=ax.inset_axes((1.02, 0, 0.03, 1)), label=label or "", extend=extend)
     draw_lines(ax, cells, drawn, window, DARK, least=0 if every is None else NARROW)
     draw_walls(ax, cells, DARK)
@@ -135,9 +134,9 @@ def before_after(
 
     Arguments, result and errors are as of `plot.mesh`.
     """
-    before, after = Cells.of(mesh, None), Cells.of(mesh, points)
+    before, after = PlaneCells.of(mesh, None), PlaneCells.of(mesh, points)
     old, new = before.drawn(window), after.drawn(window)
-    window = _bodies(mesh, None, points) if window is None else window
+    window = _window(window, mesh, None, points)
     ax = show(given_or_new(ax, window, above=0.35), window)
     ax.set_facecolor(LIGHT)  # where there was no mesh
     fill(ax, before.outlines[old], facecolors="white")
@@ -195,7 +194,7 @@ def graph(
 
 
 @dataclasses.dataclass(frozen=True)
-class Cells:
+class PlaneCells:
     """A 2-D mesh's cells as they are drawn: four sides, some of no length in triangles and lines.
 
     - `sides` (k, 4, m, 2): places along each side with both ends, m = 2 for straight ones.
@@ -210,7 +209,7 @@ class Cells:
     whole: Int[np.ndarray, " k"]
 
     @classmethod
-    def of(cls, mesh: jm.Mesh, points: Any) -> "Cells":
+    def of(cls, mesh: jm.Mesh, points: Any) -> "PlaneCells":
         if mesh.points.shape[1] != 2:
             raise ValueError(
                 f"this is for 2-D meshes, not {mesh}; see `plot.surface`, `plot.cut` and `plot.before_after_3d`."
@@ -220,7 +219,7 @@ class Cells:
         points = finite(mesh.points if points is None else mesh.moved(np.asarray(points)).points)
         cells = {kind: np.asarray(ids) for kind, ids in mesh.cells.items()}
         order = max(lagrange_types()[kind].order for kind in cells)
-        along = np.linspace(0, 1, 2 if order == 1 else SEGMENTS * order + 1)[:, None]
+        along = np.linspace(0, 1, 2 if order == 1 else SEGMENTS * order + 1)
         parts = [_sides(kind, nodes, points, along) for kind, nodes in cells.items()]
         sides, ids, between = (np.concatenate(part) for part in zip(*parts, strict=True))
         return cls(sides, ids, between, np.arange(len(ids)) if mesh.is_curved else np.asarray(mesh.cell_ids))
@@ -239,7 +238,7 @@ class Cells:
         return seen_in(self.outlines, window)
 
     def drawn(self, window: Window | None) -> Int[np.ndarray, " s"]:
-        """Lists the cells in a given window; else all, for films and views that move."""
+        """Lists the cells in a given window; else all, for views that move."""
         return np.arange(len(self.ids)) if window is None else self.inside(window)
 
     def edges(self, cells: Int[np.ndarray, " s"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -264,13 +263,14 @@ class Cells:
 
 
 def _sides(
-    kind: str, nodes: Int[np.ndarray, "k s"], points: Float[np.ndarray, "n 2"], along: Float[np.ndarray, "m 1"]
+    kind: str, nodes: Int[np.ndarray, "k s"], points: Float[np.ndarray, "n 2"], along: Float[np.ndarray, " m"]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Computes the sides of cells of one type at places `along` an edge, their corners and keys."""
     cell = lagrange_types()[kind]
     corners = FOUR_CORNERS[cell.shape]
     edges = {frozenset(edge[:2].tolist()): edge for edge in cell.edges}
-    weights = values("line" if cell.order == 1 else f"line{cell.order + 1}", along)
+    powers = [np.vander(at, cell.order + 1) for at in (along, np.linspace(0, 1, cell.order + 1))]
+    weights = powers[0] @ np.linalg.inv(powers[1])
     sides, between = [], []
     for first, second in zip(corners, [*corners[1:], corners[0]], strict=True):
         edge = edges.get(frozenset((first, second)), np.full(cell.order + 1, first))
@@ -294,7 +294,7 @@ def fill(ax: Axes, outlines: Float[np.ndarray, "k c 2"], **style: Any) -> PolyCo
 
 
 def draw_lines(
-    ax: Axes, cells: Cells, seen: Int[np.ndarray, " s"], window: Window, colour: str, least: float | int = 0
+    ax: Axes, cells: PlaneCells, seen: Int[np.ndarray, " s"], window: Window, colour: str, least: float | int = 0
 ) -> None:
     edges, _, narrowest = cells.edges(seen)
     to_points = 72 * ax.get_window_extent().width / ax.figure.dpi / (window[0][1] - window[0][0])
@@ -304,7 +304,7 @@ def draw_lines(
     ax.add_collection(lines, autolim=False)
 
 
-def draw_walls(ax: Axes, cells: Cells, colour: str) -> None:
+def draw_walls(ax: Axes, cells: PlaneCells, colour: str) -> None:
     # an edge with a cell on one side has an odd count: a line's cell has it twice
     edges, counts, _ = cells.edges(np.arange(len(cells.ids)))
     lines = list(edges[counts % 2 == 1])
@@ -377,7 +377,9 @@ def whole(points: Float[Any, "n 2"]) -> Window:
     return (left, right), (bottom, top)
 
 
-def _bodies(mesh: jm.Mesh, *states: Any) -> Window:
+def _window(given: Window | None, mesh: jm.Mesh, *states: Any) -> Window:
+    if given is not None:
+        return given
     base = np.asarray(mesh.points)
     states = tuple(base if points is None else np.asarray(points) for points in states)
     everything, nodes = np.concatenate(states), bodies(base, mesh.patches)

@@ -2,19 +2,18 @@
 
 import dataclasses
 import itertools
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 import jaxmorph as jm
+from jaxmorph.extend import checked
 
-from .._host.package.arguments import checked, finite_array
 from ._outside import lines_of
 from ._plane import ROOM, Axes, Window, given_or_new, in_dimension, legend_above, show, whole
 from ._space import add_legend, aim, aim_again, new_plotter
-from ._style import BLUE, GREEN, GREY, ORANGE
+from ._style import GREEN, GREY, ORANGE
 
 FEW = 30
 """Sources up to which they are drawn as large dots, without covering each other."""
@@ -26,7 +25,6 @@ def sources(
     reduction: jm.AbstractReduction | None = None,
     *,
     fixed: bool = False,
-    search_points: bool = False,
     window: Window | None = None,
     ax: Axes | None = None,
 ) -> Axes:
@@ -37,7 +35,6 @@ def sources(
     - `surface`: a plan, with its own sources and boxes; or points (m, 2).
     - `reduction`: chooses the sources among points; not for a plan.
     - `fixed`: True shows the sources and boxes of a plan's fixed nodes too, which may be far away.
-    - `search_points`: True marks the places in each box around which a source was looked for.
     - `window`: ((left, right), (bottom, top)); all that is drawn by default.
     - `ax`: matplotlib's axes; new ones by default.
 
@@ -59,9 +56,6 @@ def sources(
     size = float(np.clip(7 * np.sqrt(FEW / max(len(picture.sources), 1)), 3.5, 7))
     ax.plot(*picture.nodes.T, ".", color=GREY, markersize=0.7 * size, label=f"{len(picture.nodes)} nodes", zorder=2)
     ax.plot(*picture.sources.T, "o", color=ORANGE, markersize=size, label=f"{len(picture.sources)} sources", zorder=3)
-    if search_points and picture.leaves:
-        style = {"color": BLUE, "markersize": 7, "markeredgewidth": 1.5, "zorder": 4}
-        ax.plot(*picture.searched.T, "+", label=f"{len(picture.searched)} search points", **style)
     legend_above(ax)
     return ax
 
@@ -72,14 +66,13 @@ def sources_3d(
     reduction: jm.AbstractReduction | None = None,
     *,
     fixed: bool = False,
-    search_points: bool = False,
     plotter: Any = None,
 ) -> Any:
     """Draws sources in 3-D: nodes as grey points, sources as orange spheres, boxes by edges.
 
     **Arguments:**
 
-    - `surface`, `reduction`, `fixed`, `search_points`: as `sources` takes them, in 3-D.
+    - `surface`, `reduction`, `fixed`: as `sources` takes them, in 3-D.
     - `plotter`: pyvista's; a new one by default. One from `plot.surface` shows the sources on the
       body.
 
@@ -94,9 +87,6 @@ def sources_3d(
     if picture.leaves:
         plotter.add_mesh(_wires(picture.boxes), color=GREEN, line_width=1.5, lighting=False)
         legend.append((f"{picture.leaves} leaves", GREEN))
-        if search_points:
-            plotter.add_points(picture.searched, color=BLUE, point_size=12, **balls)
-            legend.append((f"{len(picture.searched)} search points", BLUE))
     add_legend(plotter, legend)
     (aim if new else aim_again)(plotter)
     return plotter
@@ -104,12 +94,11 @@ def sources_3d(
 
 @dataclasses.dataclass(frozen=True)
 class _Picture:
-    """A drawing: coordinates of nodes and sources, corners of leaves' boxes, search points."""
+    """A drawing: coordinates of nodes and sources, corners of leaves' boxes."""
 
     nodes: Float[np.ndarray, "n d"]
     sources: Float[np.ndarray, "s d"]
     boxes: Float[np.ndarray, "l 2 d"]
-    searched: Float[np.ndarray, "q d"]
 
     @property
     def leaves(self) -> int:
@@ -120,24 +109,19 @@ def _picture(surface: Any, reduction: jm.AbstractReduction | None, fixed: bool, 
     if isinstance(surface, jm.Plan):
         if reduction is not None:
             raise ValueError("a plan has its own reductions: give points with `reduction`, or the plan alone.")
-        parts, chosen = of_plan(surface, fixed)
+        parts, chosen = _of_plan(surface, fixed)
     else:
         if reduction is None:
             raise ValueError("points need the `reduction` that is to choose among them, such as jm.KDTree(16).")
         points = in_dimension(surface, dimension)
         parts, chosen = [(points, reduction)], points[reduction(points)]
     nodes = in_dimension(np.concatenate([points for points, _ in parts]), dimension)
-    boxes, searched = [np.zeros((0, 2, dimension))], [np.zeros((0, dimension))]
-    for points, reduction in parts:
-        if isinstance(reduction, jm.KDTree) and len(points):
-            boxes.append(reduction.boxes(points))
-            local = reduction.search_points.local(dimension)
-            centre, half = boxes[-1].mean(axis=1), np.ptp(boxes[-1], axis=1) / 2
-            searched.append((centre[:, None] + half[:, None] * local).reshape(-1, dimension))
-    return _Picture(nodes, chosen, np.concatenate(boxes), np.concatenate(searched))
+    trees = [(tree, points) for points, tree in parts if isinstance(tree, jm.KDTree) and len(points)]
+    boxes = [np.zeros((0, 2, dimension)), *(tree.boxes(points) for tree, points in trees)]
+    return _Picture(nodes, chosen, np.concatenate(boxes))
 
 
-def radial_basis_functions(plan: jm.Plan) -> jm.RBF:
+def _radial_basis_functions(plan: jm.Plan) -> jm.RBF:
     method = plan.method
     while isinstance(method, jm.SurfaceReconstruction):
         method = method.coarse
@@ -147,9 +131,9 @@ def radial_basis_functions(plan: jm.Plan) -> jm.RBF:
     return method
 
 
-def of_plan(plan: jm.Plan, fixed: bool = True) -> tuple[list[tuple[np.ndarray, jm.AbstractReduction]], np.ndarray]:
+def _of_plan(plan: jm.Plan, fixed: bool) -> tuple[list[tuple[np.ndarray, jm.AbstractReduction]], np.ndarray]:
     """Returns moving and fixed nodes with their reductions; and sources, without images."""
-    rbf, points, sources = radial_basis_functions(plan), np.asarray(plan.points, dtype=float), plan.sources
+    rbf, points, sources = _radial_basis_functions(plan), np.asarray(plan.points, dtype=float), plan.sources
     on_wall, other = points[np.asarray(plan.moving)], points[np.asarray(plan.fixed)]
     reduction = rbf.reduction.given(on_wall, other) if isinstance(rbf.reduction, jm.KDTree) else rbf.reduction
     parts = [(on_wall, reduction)]
@@ -165,56 +149,3 @@ def _wires(boxes: Float[np.ndarray, "l 2 3"]) -> Any:
     edges = [(i, j) for i, j in itertools.combinations(range(8), 2) if np.abs(corners[i] - corners[j]).sum() == 1]
     points = boxes[:, corners, range(3)].reshape(-1, 3)
     return lines_of(points, (8 * np.arange(len(boxes))[:, None, None] + np.array(edges)).reshape(-1, 2))
-
-
-@dataclasses.dataclass(frozen=True)
-class SurfaceErrors:
-    """Misses of reduced radial functions on a moving surface, by reduction: `surface_errors`.
-
-    `sources` counts moving and fixed sources. `largest` and `mean` are the misses of moving nodes,
-    relative to the largest displacement.
-    """
-
-    sources: Int[np.ndarray, " r"]
-    largest: Float[np.ndarray, " r"]
-    mean: Float[np.ndarray, " r"]
-
-
-@checked
-def surface_errors(plan: jm.Plan, u: Float[Any, "m d"], reductions: Sequence[jm.AbstractReduction]) -> SurfaceErrors:
-    """Measures, on the host, how far a plan's radial functions alone miss `u` (m, d).
-
-    The basis, the polynomial and the reduction of the fixed nodes are the plan's. Each reduction
-    costs one dense solve, and needs no volume mesh.
-
-    **Arguments:**
-
-    - `plan`: a plan with radial basis functions.
-    - `u`: displacements (m, d) of the moving nodes, in the mesh's unit.
-    - `reductions`: of the moving nodes: `[jm.KDTree(leaves) for leaves in (1, 4, 16, 64)]`.
-
-    **Raises:** `ValueError` for a plan without radial basis functions, a `u` that is not (m, d) or
-    is zero, no `reductions`, and what `prepare` refuses of one of them.
-    """
-    rbf = radial_basis_functions(plan)
-    points, m = np.asarray(plan.points), plan.n_moving
-    u = finite_array("u", u, (m, points.shape[1])).astype(points.dtype)
-    if not np.any(u):
-        raise ValueError("`u` is zero: every reduction follows it.")
-    if not len(reductions):
-        raise ValueError("`reductions` is empty: name at least one, such as jm.KDTree(16).")
-    boundary = plan.boundary
-    nodes, planes = boundary.nodes, boundary.planes
-    if planes:  # of the volume only the nodes that tell where the planes are
-        nodes = np.union1d(nodes, np.flatnonzero(np.any([plane.holds(points) for plane in planes], axis=0)))
-    part = boundary.part(np.unique(nodes))
-    target = points[np.asarray(plan.moving)] + u
-    rows = []
-    for reduction in reductions:
-        method = jm.RBF(rbf.basis, reduction, rbf.fixed_reduction, rbf.degree)
-        reduced = jm.prepare(part, method=method)
-        missed = np.linalg.norm(np.asarray(jm.deform(reduced, u))[np.asarray(reduced.moving)] - target, axis=1)
-        rows.append((len(of_plan(reduced)[1]), missed.max(), missed.mean()))
-    number, largest, mean = (np.array(column) for column in zip(*rows, strict=True))
-    size = np.linalg.norm(u, axis=1).max()
-    return SurfaceErrors(number, largest / size, mean / size)

@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Float
 
 import jaxmorph as jm
+from jaxmorph.extend import checked
 
-from .._host.package.arguments import checked
 from ._outside import NOTHING, grid_of, near_plane, outlines, outside, pyvista, skin
 from ._plane import ROOM, TextPath, findfont, plt, round_numbers
 from ._style import BLUE, DARK, GREY, ORANGE, STILL, Limits, Values, bodies, scale_of
@@ -20,7 +20,7 @@ LINES = {"show_edges": True, "edge_color": DARK, "edge_opacity": 0.6, "line_widt
 VIEWER = -1.0, -2.5, 1.8
 """The direction towards the viewer: x right, y away, z up; mirrored for an open surface."""
 
-AIMED: weakref.WeakKeyDictionary[Any, tuple[Any, Any, Any]] = weakref.WeakKeyDictionary()
+AIMED: weakref.WeakKeyDictionary[Any, tuple[Any, Any]] = weakref.WeakKeyDictionary()
 """The view that `aim` gave each plotter, its direction, and the window."""
 
 WINDOW, TEXT = (1200, 900), 30
@@ -156,14 +156,12 @@ def _draw(part: Any, limits: Any, label: str | None, bar: bool, plotter: Any, *,
     has_values = "values" in part.cell_data
     if label is not None and not has_values:
         raise ValueError(f"there are no `values` that are {label!r}.")
-    style: dict[str, Any] = {"lighting": False, "color": "white"} if is_cut else LIT | {"color": GREY}
-    ends: dict[str, str] = {}
-    if has_values:  # light would change the colours, and not those of the bar
-        style, ends = _scaled(part, limits)
+    plain: dict[str, Any] = {"lighting": False, "color": "white"} if is_cut else LIT | {"color": GREY}
+    style, ends = _scaled(part, limits) if has_values else (plain, {})
     new, plotter = plotter is None, new_plotter() if plotter is None else plotter
     _add_faces(plotter, part, not is_cut, show_scalar_bar=False, **style)
     if has_values and bar:
-        add_bar(plotter, label or "", style["clim"], ends)
+        add_bar(plotter, label, style["clim"], ends)
     if new:
         aim(plotter, viewer_of(part))
     return plotter
@@ -214,8 +212,8 @@ def viewer_of(part: Any, motion: np.ndarray | None = None) -> np.ndarray:
     return directions[int(np.argmax(shown > 0.85 * shown.max()))]
 
 
-def add_bar(plotter: Any, label: str, limits: tuple[float | int, float | int], beyond: dict[str, str]) -> None:
-    title = label.replace("|", "\u2223")  # VTK begins a column at an ASCII bar
+def add_bar(plotter: Any, label: str | None, limits: tuple[float | int, float | int], beyond: dict[str, str]) -> None:
+    title = (label or "").replace("|", "\u2223")  # VTK begins a column at an ASCII bar
     bar = plotter.add_scalar_bar(f"{title}\n", vertical=True, fmt="%.6g", color=DARK, width=0.05, **beyond)
     bar.SetUnconstrainedFontSize(True)
     bar.SetUseCustomLabels(True)
@@ -303,12 +301,12 @@ def aim(plotter: Any, viewer: Sequence[float] | np.ndarray = VIEWER) -> None:
     shown = content(plotter)
     plotter.window_size = fitted_window(plotter, shown, viewer)
     set_view(plotter, whole_view(shown, plotter.window_size, viewer, margins(plotter)))
-    AIMED[plotter] = view_of(plotter), viewer, plotter.window_size
+    AIMED[plotter] = view_of(plotter), viewer
 
 
 def aim_again(plotter: Any) -> None:
     """Makes room for what was added to a plotter, unless its camera has moved since `aim`."""
-    view, viewer, _ = AIMED.get(plotter, (None, VIEWER, None))
+    view, viewer = AIMED.get(plotter, (None, VIEWER))
     if view is not None and np.array_equal(view, view_of(plotter)):
         aim(plotter, viewer)
 
@@ -354,9 +352,9 @@ def view_of(plotter: Any) -> Float[np.ndarray, " 10"]:
     return np.array([*np.ravel(list(plotter.camera_position)), plotter.camera.parallel_scale])
 
 
-def set_view(plotter: Any, view: Float[np.ndarray, " 10"], is_parallel: bool = True) -> None:
+def set_view(plotter: Any, view: Float[np.ndarray, " 10"]) -> None:
     plotter.camera_position = [tuple(vector) for vector in view[:9].reshape(3, 3).tolist()]
-    plotter.camera.parallel_projection, plotter.camera.parallel_scale = is_parallel, float(view[9])
+    plotter.camera.parallel_projection, plotter.camera.parallel_scale = True, float(view[9])
     plotter.renderer.reset_camera_clipping_range()
 
 

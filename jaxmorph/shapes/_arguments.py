@@ -1,5 +1,6 @@
 """Checks of arguments: shapes always, values where they are known."""
 
+import reprlib
 from collections.abc import Sequence
 from typing import Any, TypeVar
 
@@ -8,10 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int, Real
 
-from .._host.package.arguments import as_array, shown
-from .._host.package.arguments import rows_of as listed_rows
-from .._kernels.module import Module
-from .._kernels.values import array, is_known
+from jaxmorph.extend import Module, is_known
+from jaxmorph.extend import rows_of as listed_rows
 
 M = TypeVar("M", bound=Module)
 Number = Real[ArrayLike, ""]
@@ -19,7 +18,8 @@ Numbers = Real[ArrayLike, "..."] | Sequence[Any]
 
 
 def positions(x: Numbers, name: str = "x") -> Float[Array, "m d"]:
-    places = array(x)
+    is_array = isinstance(x, jax.Array) or not is_known(x)
+    places = jnp.asarray(x) if is_array else jax.device_put(np.array(x))  # copied, and no program compiled
     if places.ndim != 2 or places.shape[1] not in (2, 3):
         raise ValueError(f"`{name}` has shape {places.shape}; positions have shape (m, 2) or (m, 3).")
     return places if jnp.issubdtype(places.dtype, jnp.floating) else places.astype(jnp.result_type(float))
@@ -55,12 +55,15 @@ def check_finite(**arrays: Any) -> None:
 def check_parameters(parameters: Any) -> None:
     for leaf in jax.tree.leaves(parameters):
         if not hasattr(leaf, "dtype") and np.asarray(leaf).dtype.kind not in "fiub":
-            raise ValueError(f"`parameters` holds {shown(leaf)}; design variables are real numbers.")
+            raise ValueError(f"`parameters` holds {reprlib.repr(leaf)}; design variables are real numbers.")
 
 
 def rows_of(name: str, ids: Any, count: int) -> Int[np.ndarray, "..."]:
-    ids = as_array(name, ids)
-    return listed_rows(name, ids.ravel(), count).reshape(ids.shape)
+    try:
+        array = np.asarray(ids)
+    except ValueError:
+        array = np.zeros((), object)  # rows of several lengths
+    return listed_rows(name, array.ravel(), count).reshape(array.shape)
 
 
 def number(name: str, value: Any, like: Array) -> Float[Array, ""]:
@@ -101,3 +104,14 @@ def axis_for(values: Any, like: Array) -> Float[Array, " 3"] | None:
     if like.shape[1] == 2 and values is not None:
         raise ValueError("`axis` is for positions in 3-D; leave it out in 2-D.")
     return None if values is None else direction("axis", values, like)
+
+
+def slack(dtype: Any) -> float:
+    """The share beyond an interval's ends that counts as inside: more than round-off."""
+    return float(jnp.finfo(dtype).eps) ** 0.75
+
+
+def clipped(values: Float[Array, "*shape"], low: Any, high: Any) -> Float[Array, "*shape"]:
+    """Clips values to an interval, ends inside, where `jnp.clip` halves the derivative."""
+    beyond = slack(values.dtype) * (high - low)
+    return jnp.where(values < low - beyond, low, jnp.where(values > high + beyond, high, values))

@@ -6,9 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._host.package.arguments import between, checked
-from .._kernels.values import clipped, slack
-from ._arguments import Numbers, cast, check_finite, known_positions, positions
+from jaxmorph.extend import between, checked
+
+from ._arguments import Numbers, cast, check_finite, clipped, known_positions, positions, slack
 from ._lattice import bernstein, splines
 from ._section import Chord
 from ._shape import AbstractLinearShape, AbstractShape, Move

@@ -11,8 +11,8 @@ from jaxtyping import Array, Float, PyTree
 
 import jaxmorph as jm
 from jaxmorph import Plan
+from jaxmorph.extend import checked, whole
 
-from .._host.package.arguments import checked, whole
 from ._arguments import Numbers, check_parameters, positions
 from ._shape import AbstractLinearShape
 

@@ -9,9 +9,8 @@ import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int, PyTree
 
-from .._host.package.arguments import checked, whole
-from .._kernels.module import Module
-from .._kernels.values import is_known
+from jaxmorph.extend import Module, checked, is_known, whole
+
 from ._arguments import Numbers, check_finite, positions
 from ._curves import CST
 from ._displacement import neutral

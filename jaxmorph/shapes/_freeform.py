@@ -7,12 +7,12 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
-from .._host.cells.adjacency import parts_of
-from .._host.package.arguments import between, checked, whole
-from .._host.package.errors import place_of
-from .._kernels.values import is_known, slack
-from ._arguments import Numbers, check_finite, known_positions, positions, positions_in
+from jaxmorph.extend import between, checked, is_known, whole
+
+from ._arguments import Numbers, check_finite, known_positions, positions, positions_in, slack
 from ._lattice import splines, sums
 from ._shape import AbstractLinearShape, Linked, Move
 
@@ -170,7 +170,7 @@ class FreeForm(AbstractLinearShape):
         if len(outside):
             raise ValueError(
                 f"{len(outside)} of {len(known)} positions are outside the box, first row {outside[0]} at "
-                f"({place_of(known[outside[0]])}). Try a larger box."
+                f"({_place(known[outside[0]])}). Try a larger box."
             )
 
     @checked
@@ -188,7 +188,7 @@ class FreeForm(AbstractLinearShape):
             worst = int(np.where(torn, moves, 0).argmax())
             raise ValueError(
                 f"{torn.sum()} of {len(x)} nodes stay outside the box while its border passes them, row {worst} at "
-                f"({place_of(x[worst])}) by {moves[worst]:.3g}. Try continuity=0 or more, or a larger box."
+                f"({_place(x[worst])}) by {moves[worst]:.3g}. Try continuity=0 or more, or a larger box."
             )
 
 
@@ -212,6 +212,10 @@ def _checked_degrees(degree: Any, counts: tuple[int, ...]) -> tuple[int, ...]:
     return degrees
 
 
+def _place(point: np.ndarray) -> str:
+    return ", ".join(f"{x:.6g}" for x in point)
+
+
 def _link_matrix(
     free: Bool[np.ndarray, "..."], groups: Sequence[Sequence[tuple[int, ...]]], mirror: tuple[int, np.ndarray] | None
 ) -> Float[np.ndarray, "p q"]:
@@ -228,7 +232,8 @@ def _link_matrix(
     # own opposite is zero; the first of a part has the lower label
     opposite = np.where(sign < 0, count, 0)
     rows, columns = np.concatenate([a, a + count]), np.concatenate([b + opposite, b + count - opposite])
-    itself, other = parts_of(rows, columns, 2 * count).reshape(2, count)
+    links = coo_array((np.ones(len(rows), bool), (rows, columns)), (2 * count, 2 * count))
+    itself, other = connected_components(links, directed=False)[1].reshape(2, count)
     moves = (itself != other) & ~np.isin(itself, [itself[~free.ravel()], other[~free.ravel()]])
     parts, column = np.unique(np.minimum(itself, other)[moves], return_inverse=True)
     matrix = np.zeros((count, len(parts)))

@@ -11,11 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxmorph import Mesh, Plan
+from jaxmorph import DesignedMesh, Mesh, Plan
+from jaxmorph.extend import Module, between, checked, finite_array, whole
 
-from .._advice.largest_step import DesignedMesh
-from .._host.package.arguments import between, checked, finite_array, whole
-from .._kernels.module import Module
 from ._arguments import Numbers
 
 
@@ -110,11 +108,11 @@ class MeshGuard(Module):
         **Raises:** `ValueError` for more rows than the cells have Jacobians.
         """
         values, chosen, matrix = eqx.filter_jit(self._rows)(_flat(design), self._checked_count(count))
-        cells = self.mesh.bounds.cells[np.asarray(chosen)]
+        cells = self.mesh.cells[np.asarray(chosen)]
         return QualityRows(np.asarray(values, float), np.asarray(matrix, float), cells)
 
     def _checked_count(self, count: int) -> int:
-        if whole("count", count) > (total := (self.mesh.bounds.cells >= 0).sum()):
+        if whole("count", count) > (total := (self.mesh.cells >= 0).sum()):
             raise ValueError(f"`count` is {count}; the cells have {total} Jacobians.")
         return count
 

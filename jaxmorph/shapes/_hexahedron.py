@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from .._host.package.arguments import checked
-from .._kernels.values import is_known
+from jaxmorph.extend import checked, is_known
+
 from ._arguments import Numbers, check_finite, positions_in
 from ._freeform import FreeForm
 from ._shape import AbstractLinearShape, Move

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from .._host.package.arguments import checked, finite_array
-from .._host.package.files import input_path, output_path
+from jaxmorph.extend import checked, finite_array, input_path, output_path
 
 FIELDS = ("design", "value", "constraints", "measures")  # fields of an iteration in the file
 

@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._host.package.arguments import checked, finite_array
-from .._kernels.values import clipped, is_known
-from ._arguments import Number, Numbers, axis_for, cast, direction, number, positions, positive, vector
+from jaxmorph.extend import checked, finite_array, is_known
+
+from ._arguments import Number, Numbers, axis_for, cast, clipped, direction, number, positions, positive, vector
 from ._shape import AbstractShape
 
 

@@ -5,11 +5,12 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from .._host.cells.adjacency import parts_of
-from .._host.package.arguments import checked, finite_array
-from .._kernels.module import Module
+from jaxmorph.extend import Module, checked, finite_array
+
 from ._arguments import Numbers, known_positions, rows_of
 from ._walls import simplices_of
 
@@ -173,7 +174,8 @@ def _by_loop(places: Float[np.ndarray, "k 2"]) -> Bool[np.ndarray, " k"]:
 
 def _by_tour(places: Float[np.ndarray, "m 2"]) -> Bool[np.ndarray, " m"]:
     near = KDTree(places).query_pairs(SAME, output_type="ndarray")
-    spot = parts_of(near[:, 0], near[:, 1], len(places))
+    pairs = coo_array((np.ones(len(near), bool), near.T), (len(places), len(places)))
+    spot = connected_components(pairs, directed=False)[1]
     different = places[np.unique(spot, return_index=True)[1]]
     upper = np.zeros(len(different), bool)
     if len(different) > 2:

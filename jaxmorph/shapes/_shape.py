@@ -10,12 +10,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Bool, Float, Int, PyTree
+from jaxtyping import Array, ArrayLike, Bool, Float, Int, PyTree
 
-from .._host.package.arguments import as_array, check_fields, checked
-from .._kernels.module import Module
-from .._kernels.values import as_jax, is_known, taken
-from ._arguments import Numbers, check_finite, positions
+from jaxmorph.extend import Module, checked, is_known
+
+from ._arguments import Numbers, check_finite, positions, rows_of
 
 
 class AbstractShape(Module):
@@ -64,8 +63,9 @@ class Function(AbstractShape):
     function: Callable[[Any, Any], Any]
     rest: PyTree
 
-    def __check_init__(self):
-        check_fields(self)
+    @checked
+    def __init__(self, function: Callable[[Any, Any], Any], rest: PyTree):
+        self.function, self.rest = function, rest
 
     def neutral(self) -> PyTree:
         return self.rest
@@ -119,10 +119,10 @@ class OnRows(AbstractShape):
 
     @checked
     def __init__(self, shape: AbstractShape, rows: Any):
-        rows = as_array("rows", rows)
-        if rows.ndim != 1 or rows.dtype.kind not in "iu" or (rows < 0).any() or len(np.unique(rows)) != len(rows):
-            raise ValueError(f"`rows` is an array {rows.shape} of {rows.dtype}; expected (k,) different row numbers.")
-        self.shape, self.rows = shape, as_jax(rows)
+        rows = rows_of("rows", rows, 2**31)
+        if rows.ndim != 1 or len(np.unique(rows)) != len(rows):
+            raise ValueError(f"`rows` is an array {rows.shape}; expected (k,) different row numbers.")
+        self.shape, self.rows = shape, jnp.asarray(rows)
 
     def neutral(self) -> PyTree:
         return self.shape.neutral()
@@ -131,7 +131,7 @@ class OnRows(AbstractShape):
         x = positions(x)
         if is_known(self.rows) and (np.asarray(self.rows) >= len(x)).any():
             raise ValueError(f"`rows` has {len(self.rows)} rows up to {self.rows.max()}; `x` has {len(x)}.")
-        return x.at[self.rows].set(self.shape(taken(x, self.rows), parameters))
+        return x.at[self.rows].set(self.shape(x[self.rows], parameters))
 
 
 class Linked(AbstractLinearShape):
@@ -203,11 +203,10 @@ class Part(AbstractLinearShape):
     kept: Bool[Array, " m"]
 
     @checked
-    def __init__(self, shape: AbstractLinearShape, kept: Any):
-        kept = as_array("kept", kept)
-        if kept.ndim != 1 or kept.dtype != bool:
-            raise ValueError(f"`kept` is an array {kept.shape} of {kept.dtype}; expected (m,) of True and False.")
+    def __init__(self, shape: AbstractLinearShape, kept: Bool[ArrayLike, " m"] | Sequence[Any]):
         self.shape, self.kept = shape, jnp.asarray(kept)
+        if self.kept.ndim != 1:
+            raise ValueError(f"`kept` has shape {self.kept.shape}; expected (m,) of True and False.")
 
     def neutral(self) -> PyTree:
         return self.shape.neutral()

@@ -12,9 +12,8 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from jaxmorph import Mesh
+from jaxmorph.extend import between, checked, host_call, rows_of
 
-from .._host.package.arguments import between, checked, rows_of
-from .._kernels.callback import host_call
 from ._arguments import Numbers, known_positions, positions
 from ._shape import AbstractLinearShape, Move
 from ._walls import faces_of, wall_faces

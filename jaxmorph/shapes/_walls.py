@@ -12,11 +12,9 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxmorph import Mesh, boundary_faces
+from jaxmorph.extend import Module, checked, is_known
 
-from .._host.package.arguments import as_array, checked
-from .._kernels.module import Module
-from .._kernels.values import is_known, slack
-from ._arguments import Numbers, cast, check_finite, known_positions, positions, rows_of, vector
+from ._arguments import Numbers, cast, check_finite, known_positions, positions, rows_of, slack, vector
 
 
 @checked
@@ -219,10 +217,13 @@ def _segments(x: Numbers, loop: Any) -> tuple[Float[Array, "k 2"], Float[Array, 
 
 
 def _loop_in(x: Numbers, loop: Any) -> tuple[Float[Array, "n 2"], Int[np.ndarray, " k"]]:
-    x, loop = positions(x), as_array("loop", loop)
-    if x.shape[1] != 2 or loop.ndim != 1 or len(loop) < 3:
-        raise ValueError(f"`x` has shape {x.shape} and `loop` {loop.shape}; expected (n, 2) and three nodes or more.")
-    return x, rows_of("loop", loop, len(x))
+    x = positions(x)
+    if x.shape[1] != 2:
+        raise ValueError(f"`x` has shape {x.shape}; expected (n, 2).")
+    loop = rows_of("loop", loop, len(x))
+    if loop.ndim != 1 or len(loop) < 3:
+        raise ValueError(f"`loop` has shape {loop.shape}; expected three nodes or more.")
+    return x, loop
 
 
 def _check_closed(x: Float[Array, "n 3"], triangles: Int[np.ndarray, "k 3"], plane: Float[Array, " 3"] | None) -> None:

@@ -12,7 +12,7 @@ from .pieces import owned_sides
 from .topology import CORNERS, DIMENSION, FACES, SHAPES
 
 
-class Sides(NamedTuple):
+class WallSides(NamedTuple):
     """Sides of cells of one type on the wall."""
 
     ids: np.ndarray  # (f, s) nodes of each side
@@ -33,7 +33,7 @@ class Lines(NamedTuple):
     near: np.ndarray  # (w, k) nodes of a sum, the derivative along a line at its wall node
     weights: np.ndarray  # (w, k) their weights in it
     beside: np.ndarray  # (w,) ids of neighbours on the wall
-    sides: tuple[Sides, ...]
+    sides: tuple[WallSides, ...]
 
     def directions(self, x: Any) -> Any:
         """Derivatives (w, d) along the lines at their wall nodes, by NumPy or JAX."""
@@ -104,7 +104,7 @@ def _neighbour(kind: str, node: int) -> int:
     return int(distance.argmin())
 
 
-def _sides(cells: Mapping[str, np.ndarray], points: np.ndarray, wall: np.ndarray) -> dict[str, Sides]:
+def _sides(cells: Mapping[str, np.ndarray], points: np.ndarray, wall: np.ndarray) -> dict[str, WallSides]:
     """Sides of single cells with all nodes on the wall, by type; rows are ids here."""
     corners = [points[ids[:, : CORNERS[SHAPES[kind]]]].mean(axis=1) for kind, ids in cells.items()]
     centre, result = np.concatenate(corners or [points[:0]]), {}
@@ -113,7 +113,7 @@ def _sides(cells: Mapping[str, np.ndarray], points: np.ndarray, wall: np.ndarray
         inward = centre[owner] - points[ids[:, : CORNERS[SHAPES[side]]]].mean(axis=1)
         upward = np.sum(area * inward, axis=1)
         sign = np.where(upward < 0, -1, 1) * (0.5 if SHAPES[side] == "triangle" else 1)
-        result[side] = Sides(ids, ids, sign, _slopes(side))
+        result[side] = WallSides(ids, ids, sign, _slopes(side))
     return result
 
 

@@ -37,23 +37,31 @@ PLACES = {
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Lagrange:
-    """The cells of one type."""
+    """A type of cells: where the nodes are that a `Mesh` lists for each cell of it.
 
-    shape: str  # type of its linear cell
-    order: int  # of its edges
-    lattice: np.ndarray  # (k, d) place of each node in the reference cell, times `order`
-    is_complete: bool = True  # False without nodes inside of faces and of the cell (serendipity)
+    - `shape`: type of the linear cell with the same corners; `order`: of the edges, 1 to 4.
+    - `lattice` (k, d): place of each node in the reference cell, times `order`.
+    - `is_complete`: False without nodes inside of faces and of the cell (serendipity).
+    """
+
+    shape: str
+    order: int
+    lattice: np.ndarray
+    is_complete: bool = True
 
     @property
     def name(self) -> str:
+        """The type's name, as the keys of `Mesh.cells` are: `quad9`."""
         return self.shape if self.order == 1 else f"{self.shape}{len(self.lattice)}"
 
     @property
     def corners(self) -> int:
+        """Number of corners, which are the first nodes."""
         return CORNERS[self.shape]
 
     @property
     def dimension(self) -> int:
+        """1 for lines, 2 for faces, 3 for what fills the space."""
         return DIMENSION[self.shape]
 
     @property
@@ -142,7 +150,7 @@ def of_order(shape: str, order: int, is_complete: bool = True) -> Lagrange:
 
 @functools.cache
 def lagrange_types() -> dict[str, Lagrange]:
-    """All types by name: linear, orders 2 to 4 complete, order 2 with nodes on edges."""
+    """Lists all types by name: linear, orders 2 to 4 complete, order 2 with nodes on edges."""
     cells = [of_order(shape, order) for shape in PLACES for order in ORDERS]
     partial = [of_order(shape, 2, False) for shape in ("quad", "pyramid", "wedge", "hexahedron")]
     return {cell.name: cell for cell in (*cells, *partial)}

@@ -7,6 +7,8 @@ import numpy as np
 
 Components = Any  # a sequence of numbers or arrays: a tuple, a list, or an array whose first axis runs over them
 
+FLAT = 1e-4  # Jacobian over the product of a corner's edges up to which it is flat; in 2-D the sine of its angle
+
 
 def dot(a: Components, b: Components) -> Any:
     first, *others = [p * q for p, q in zip(a, b, strict=True)]

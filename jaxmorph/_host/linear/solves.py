@@ -108,7 +108,7 @@ class Level:
 
 
 @dataclasses.dataclass(frozen=True)
-class Hierarchy:
+class Multigrid:
     """A V-cycle of smoothed aggregation (Vanek, Mandel and Brezina 1996), and its `last` solver."""
 
     levels: Sequence[Level]
@@ -123,7 +123,7 @@ class Hierarchy:
         return x + level.smoothed(right - level.matrix @ x)
 
 
-def hierarchy(matrix: Any, mode: np.ndarray) -> Hierarchy:
+def hierarchy(matrix: Any, mode: np.ndarray) -> Multigrid:
     """Makes the cycle of a positive CSR matrix (k, k), which takes `mode` (k,) nearly to zero."""
     import pyamg  # pyright: ignore[reportMissingImports]
 
@@ -135,7 +135,7 @@ def hierarchy(matrix: Any, mode: np.ndarray) -> Hierarchy:
     while len(levels) > 1 and levels[-1].A.shape[0] < 2:  # no unknowns were joined: an empty level
         levels.pop()
     *fine, last = levels
-    return Hierarchy([_level(level) for level in fine], _last(last.A))
+    return Multigrid([_level(level) for level in fine], _last(last.A))
 
 
 def _last(matrix: Any) -> Callable[[np.ndarray], np.ndarray]:
@@ -151,7 +151,7 @@ def _level(level: Any) -> Level:
     return Level(matrix, prolongation, prolongation.T.tocsr(), inverse, top)
 
 
-def by_component(cycles: Sequence[Hierarchy]) -> Callable[[np.ndarray], np.ndarray]:
+def by_component(cycles: Sequence[Multigrid]) -> Callable[[np.ndarray], np.ndarray]:
     """Joins the cycles of all components; unknowns (k d,) run over nodes, then components."""
 
     def cycle(right):

@@ -1,7 +1,6 @@
 """Sparse symmetric positive systems: a number, or a small block, for every pair of nodes."""
 
-import collections
-import threading
+import functools
 from collections.abc import Callable
 from importlib.util import find_spec
 from typing import Any
@@ -19,9 +18,6 @@ LIMIT = 500  # most steps of conjugate gradients. A mesh of 65,000 nodes takes 5
 RESORT = 60_000  # unknowns up to which a 3-D system is factored if CG does not converge, as on thin layers
 LATEST = 2  # number of the latest systems whose factors are cached
 
-_kept: collections.deque[tuple[tuple[np.ndarray, ...], Callable]] = collections.deque(maxlen=LATEST)
-_lock = threading.Lock()
-
 
 def solve(pairs, values, diagonal, masses, free, right, *, multigrid: bool = True) -> np.ndarray:
     """Solves A x = right for the free unknowns; x is zero for all other unknowns.
@@ -38,17 +34,18 @@ def solve(pairs, values, diagonal, masses, free, right, *, multigrid: bool = Tru
     Returns x (n, d), in the precision of `right`; NaN if a system is not finite, not positive, or
     not solved.
     """
-    key = (pairs, values, diagonal, masses, free, np.array(multigrid))
-    with _lock:
-        apply = next((apply for old, apply in _kept if all(map(np.array_equal, old, key))), None)
-    if apply is None:
-        if not all(np.isfinite(array).all() for array in (values, diagonal, masses)):
-            return np.full_like(right, np.nan)
-        values, diagonal, masses = (array.astype(float, copy=False) for array in (values, diagonal, masses))
-        apply = _inverse(pairs, values, diagonal, masses, free, multigrid)
-        with _lock:
-            _kept.append((tuple(np.array(array) for array in key), apply))
-    return apply(right.astype(float)).astype(right.dtype)
+    system = tuple((array.shape, array.dtype.str, array.tobytes()) for array in (pairs, values, diagonal, masses, free))
+    return inverse_of(system, multigrid)(right.astype(float)).astype(right.dtype)
+
+
+@functools.lru_cache(LATEST)
+def inverse_of(system: tuple[tuple[tuple[int, ...], str, bytes], ...], multigrid: bool) -> Callable:
+    """The solver of a system, whose arrays are given by their bytes."""
+    pairs, values, diagonal, masses, free = (np.ndarray(shape, dtype, data) for shape, dtype, data in system)
+    if not all(np.isfinite(array).all() for array in (values, diagonal, masses)):
+        return lambda right: np.full_like(right, np.nan)
+    values, diagonal, masses = (array.astype(float, copy=False) for array in (values, diagonal, masses))
+    return _inverse(pairs, values, diagonal, masses, free, multigrid)
 
 
 def check_solver(unknowns: int, dimension: int) -> None:

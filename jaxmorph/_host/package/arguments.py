@@ -23,7 +23,8 @@ def checked(function: Function) -> Function:
     """Makes a function compare its arguments with its annotations at every call.
 
     It then raises `ValueError` for a wrong argument, with its name, its value and the call to make.
-    Numbers of another machine's byte order are turned: JAX reads them as they lie.
+    Arrays of jaxtyping are compared by the kind of their numbers, not by their shape. Numbers of
+    another machine's byte order are turned: JAX reads them as they lie.
     """
     parameters = inspect.signature(function).parameters
     rest = [name for name, parameter in parameters.items() if parameter.kind is parameter.VAR_POSITIONAL]
@@ -75,6 +76,7 @@ def shown(value: Any) -> str:
 
 
 def whole(name: str, value: Any, least: int = 1) -> int:
+    """Returns a whole number; raises `ValueError` for another value, or one below `least`."""
     if not _is_whole(value) or value < least:
         raise ValueError(f"`{name}` must be a whole number of at least {least}, not {shown(value)}.")
     return int(value)
@@ -106,6 +108,9 @@ def as_array(name: str, values: Any) -> np.ndarray:
 
 
 def rows_of(name: str, ids: Any, count: int) -> np.ndarray:
+    """Returns ids (k,), such as a caller's list of nodes. Raises `ValueError` for what is no list
+    of whole numbers, with a hint for a mask, and for ids that are not in 0 to `count` - 1.
+    """
     array = as_array(name, ids) if isinstance(ids, list | tuple | range) or has_type(ids) else NOTHING
     if array.size == 0:
         return np.zeros(0, dtype=np.int64)
@@ -125,7 +130,9 @@ def check_patch(name: str, patch: Any) -> None:
 
 
 def real_array(name: str, values: Any, *shapes: tuple[int | None, ...]) -> np.ndarray:
-    """Returns floats, in their precision, of one of the shapes, in which None is any length."""
+    """Returns floats, in their precision, of one of the shapes, in which None is any length. Raises
+    `ValueError` for other shapes, and for what are no real numbers.
+    """
     array = NOTHING
     if (isinstance(values, list | tuple) or has_type(values)) and not np.ma.is_masked(values):
         with contextlib.suppress(ValueError):  # rows of several lengths
@@ -143,6 +150,7 @@ def _matches(shape: tuple[int, ...], expected: tuple[int | None, ...]) -> bool:
 
 
 def finite_array(name: str, values: Any, *shapes: tuple[int | None, ...]) -> np.ndarray:
+    """Returns what `real_array` does; raises `ValueError` also for numbers that are not finite."""
     array = real_array(name, values, *shapes)
     if not np.isfinite(array).all():
         raise ValueError(f"{(~np.isfinite(array)).sum()} of {array.size} numbers of `{name}` are not finite.")

@@ -30,6 +30,7 @@ INNER = {"jaxmorph", "jax", "equinox", "jaxtyping", "beartype", "contextlib", "f
 
 
 def warn(message: str) -> None:
+    """Warns with the line of the user's own code, outside of this package and of JAX."""
     level, frame = 1, sys._getframe()
     while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] in INNER:
         level, frame = level + 1, frame.f_back

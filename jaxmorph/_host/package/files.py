@@ -12,7 +12,7 @@ import stat
 import tempfile
 import zipfile
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -60,24 +60,6 @@ def is_same(a: pathlib.Path, b: pathlib.Path) -> bool:
         return os.path.samefile(a, b)
     except OSError:
         return a.resolve() == b.resolve()
-
-
-def check_apart(
-    outputs: Iterable[tuple[str, pathlib.Path]], inputs: Mapping[str, Iterable[str | os.PathLike[str] | None]]
-) -> None:
-    """Raises `ValueError` for an output that is an input, and for two outputs in one file. Outputs
-    come with the names that messages give them, inputs by their role: `the mesh is`.
-    """
-    read = [(pathlib.Path(file), what) for what, files in inputs.items() for file in files if file is not None]
-    written: dict[pathlib.Path, str] = {}
-    for name, path in outputs:
-        for file, what in read:
-            if is_same(path, file):
-                raise ValueError(f"{name} {path}: {what} read from this file; write to another one.")
-        place = path.resolve()
-        if place in written:
-            raise ValueError(f"{name} {path} is the file of {written[place]}. Write to another file.")
-        written[place] = name
 
 
 def read_arrays(path: pathlib.Path, what: str = "an NPZ file") -> dict[str, np.ndarray]:

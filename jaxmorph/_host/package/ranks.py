@@ -28,6 +28,8 @@ class Ranks(Protocol):
 
 
 class Alone:
+    """The communicator of one process, for code that also runs under MPI."""
+
     rank, size = 0, 1
 
     def allgather(self, value: Any) -> list[Any]:
@@ -44,7 +46,11 @@ class Alone:
 
 
 def together(ranks: Ranks, function: Callable[[], T]) -> T:
-    """Calls a function in every process. An error of one is raised in all, so that none waits."""
+    """Calls a function in every process of a communicator, `Alone` or mpi4py's.
+
+    An error of one process is raised in all, so that none waits: its own where it occurred, and a
+    `ValueError` that names the process in the others.
+    """
     result, error = None, None
     try:
         result = function()

@@ -1,7 +1,6 @@
 """What users write: endings of files, TOML, mistyped names. It needs no NumPy."""
 
 import difflib
-import json
 import pathlib
 import re
 import tomllib
@@ -96,18 +95,6 @@ def read(name: str, content: bytes) -> dict[str, Any]:
         values = {key: value.count("[") + value.count("{") for key, value in zip(keys[::2], keys[1::2], strict=True)}
         deepest = max(values, key=values.__getitem__, default="the file")
         raise ValueError(f"{name}: {deepest} is nested too deep: thousands of brackets in each other.") from None
-
-
-def written(value: Any) -> str:
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, int | float):
-        return repr(value)
-    if isinstance(value, list | tuple):
-        return f"[{', '.join(map(written, value))}]"
-    if isinstance(value, dict):
-        return "{ " + ", ".join(f"{json.dumps(key)} = {written(entry)}" for key, entry in value.items()) + " }"
-    return json.dumps(str(value), ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def similar(word: str, known: Iterable[str]) -> str | None:

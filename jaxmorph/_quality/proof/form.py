@@ -37,7 +37,7 @@ TIME = (1, 1)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Form:
+class JacobianForm:
     """Tables of one type of cells; with a time, tables of cells whose nodes move straight.
 
     - `shape`: the type of the linear cell.
@@ -61,11 +61,11 @@ class Form:
             (m, sum(powers)) for (m, _), powers in zip(self.spaces[0], zip(*degrees, strict=True), strict=True)
         )
 
-    def moving(self) -> "Form":
+    def moving(self) -> "JacobianForm":
         spaces = tuple((TIME, *space) for space in self.spaces)
         matrices = tuple(np.kron(np.eye(2), matrix) for matrix in self.matrices)
         control = np.kron(np.eye(2), self.control)
-        return Form(self.shape, spaces, matrices, (TIME, *self.map_space), control, True)
+        return JacobianForm(self.shape, spaces, matrices, (TIME, *self.map_space), control, True)
 
     def columns(self, x: list[Either]) -> list[list[Either]]:
         """Scaled coefficients of the columns of J: a list of components (nodes, k)."""
@@ -138,7 +138,7 @@ class Form:
 
 
 @functools.cache
-def form_of(kind: str, has_time: bool = False) -> Form:
+def form_of(kind: str, has_time: bool = False) -> JacobianForm:
     if has_time:
         return form_of(kind).moving()
     cell = lagrange_types()[kind]
@@ -153,7 +153,7 @@ def form_of(kind: str, has_time: bool = False) -> Form:
     if cell.shape == "pyramid":
         columns = [*(_divided(*column) for column in columns[:2]), columns[2]]
     spaces, matrices = zip(*columns, strict=True)
-    return Form(cell.shape, spaces, matrices, space, control)
+    return JacobianForm(cell.shape, spaces, matrices, space, control)
 
 
 def _control(cell: Lagrange, space: Space) -> np.ndarray:

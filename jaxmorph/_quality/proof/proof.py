@@ -19,7 +19,7 @@ from ..quality import check_solid, places, signs_of
 from ..report import Report, place_of
 from ..vector import ByType, by_place, in_blocks, joined
 from . import bernstein
-from .form import Form, form_of, nodes_of
+from .form import JacobianForm, form_of, nodes_of
 from .search import DEPTH, ROOM, bounds
 
 
@@ -223,7 +223,7 @@ def _proven(mesh: Mesh, ends: tuple[np.ndarray, ...], depth: int) -> Proof:
     )
 
 
-def _mean(form: Form, points: Float[Either, "n d"], ids: Int[Either, "c k"]) -> Float[Either, " k"]:
+def _mean(form: JacobianForm, points: Float[Either, "n d"], ids: Int[Either, "c k"]) -> Float[Either, " k"]:
     return form.mean(form.coefficients(nodes_of(ids, points)))
 
 
@@ -290,7 +290,7 @@ def proven_margin(
     return as_jax(_margins(mesh.cells, sizes, ends, depth, sharpness))
 
 
-def _room(xp: Any, form: Form, parts: int = 1) -> int:
+def _room(xp: Any, form: JacobianForm, parts: int = 1) -> int:
     return max(1 if xp is np else 64, (ROOM if xp is np else TRACED_ROOM) // (bernstein.count(form.space) * parts))
 
 
@@ -321,7 +321,12 @@ def _margins(cells: ByType, sizes: ByType, ends: tuple[Either, ...], depth: int,
 
 
 def _margin(
-    form: Form, ends: tuple[Either, ...], depth: int, sharpness: Any, ids: Int[Either, "c k"], size: Float[Either, " k"]
+    form: JacobianForm,
+    ends: tuple[Either, ...],
+    depth: int,
+    sharpness: Any,
+    ids: Int[Either, "c k"],
+    size: Float[Either, " k"],
 ) -> Float[Either, " k"]:
     xp, values = namespace(ends[0]), form.coefficients(nodes_of(ids, *ends)) / size[None]
     for _ in range(depth):

@@ -22,7 +22,7 @@ FEW = 64  # open parts of a cell up to which they are cut beyond the depth, at m
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Bounds:
+class LeastValues:
     """Bounds (k,) of k polynomials' least values: `lower`, and the value `upper` at `at`."""
 
     lower: Float[np.ndarray, " k"]  # beyond round-off
@@ -33,13 +33,15 @@ class Bounds:
 
 def bounds(
     space: Space, coefficients: Float[np.ndarray, "n k"], round_off: Float[np.ndarray, " k"], depth: int
-) -> Bounds:
+) -> LeastValues:
     """Bounds polynomials, on parts of a 2^depth-th or less where the sign needs them."""
     k, d = coefficients.shape[1], sum(m for m, _ in space)
     search = _Search(space, depth, round_off, np.full(k, np.inf), np.full(k, np.inf), np.zeros((d, k)))
     search.look(coefficients, np.arange(k), np.zeros((0, k), dtype=int))
     lower, upper = search.lower - round_off, search.upper + round_off
-    return Bounds(lower, upper, search.at, (np.abs(search.lower) <= round_off) & (np.abs(search.upper) <= round_off))
+    return LeastValues(
+        lower, upper, search.at, (np.abs(search.lower) <= round_off) & (np.abs(search.upper) <= round_off)
+    )
 
 
 def blocks(rows: Int[np.ndarray, " p"], coefficients: int) -> Iterator[Int[np.ndarray, " q"]]:

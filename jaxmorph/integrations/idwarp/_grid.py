@@ -9,13 +9,14 @@ from jaxtyping import Float, Inexact, Int
 
 import jaxmorph as jm
 from jaxmorph import io
+from jaxmorph.extend import finite_array, rows_of, together
 
 from .. import mpi
-from .._pieces import check_comm, finite_array, rows_of, together
+from .._pieces import check_comm
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Grid:
+class DistributedGrid:
     """This process' part of a grid in 3-D; those of all processes in turn are the file's list.
 
     - `points` (n, 3), `nodes` (n,): coordinates, and ids in the whole mesh.
@@ -36,22 +37,24 @@ class Grid:
     case: io.Decomposed | None = None
 
     @staticmethod
-    def read(comm: Any, path: str) -> "Grid":
+    def read(comm: Any, path: str) -> "DistributedGrid":
         if comm.size > 1 and any(comm.allgather(bool([*pathlib.Path(path).glob("processor*")]))):
-            return Grid._decomposed(comm, path)
-        return Grid.shared(comm, together(comm, lambda: None if comm.rank else _in_space(io.read(path), path)))
+            return DistributedGrid._decomposed(comm, path)
+        return DistributedGrid.shared(
+            comm, together(comm, lambda: None if comm.rank else _in_space(io.read(path), path))
+        )
 
     @staticmethod
-    def shared(comm: Any, mesh: jm.Mesh | None) -> "Grid":
+    def shared(comm: Any, mesh: jm.Mesh | None) -> "DistributedGrid":
         shares = None
         if mesh is not None:
             parts = (np.unique(part, return_inverse=True) for part in np.array_split(mesh.file_nodes, comm.size))
             shares = [(np.asarray(mesh.points)[nodes], nodes, rows) for nodes, rows in parts]
         points, nodes, rows = comm.scatter(shares)
-        return Grid(comm, points, nodes, rows, mesh, mesh)
+        return DistributedGrid(comm, points, nodes, rows, mesh, mesh)
 
     @staticmethod
-    def _decomposed(comm: Any, path: str) -> "Grid":
+    def _decomposed(comm: Any, path: str) -> "DistributedGrid":
         def part() -> tuple[io.Decomposed, jm.Mesh, Any]:
             case = io.Decomposed(path)
             if len(case) != comm.size:
@@ -62,7 +65,7 @@ class Grid:
         sides = comm.gather(side)
         outside = together(comm, lambda: None if comm.rank else case.surface(sides))
         points = np.asarray(mesh.points)
-        return Grid(comm, points, io.global_nodes(mesh), np.arange(len(points)), mesh, outside, case)
+        return DistributedGrid(comm, points, io.global_nodes(mesh), np.arange(len(points)), mesh, outside, case)
 
     @property
     def known(self) -> dict[str, Any]:

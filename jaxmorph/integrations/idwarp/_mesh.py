@@ -9,10 +9,10 @@ import numpy as np
 from jaxtyping import Complex, Float, Inexact
 
 import jaxmorph as jm
+from jaxmorph.extend import float64_mode, together
 
 from .. import mpi
-from .._pieces import float64_mode, rows_in, together
-from ._grid import Grid, SolverOrder, communicator, faces, reals, solver_order, surface_blocks
+from ._grid import DistributedGrid, SolverOrder, communicator, faces, reals, solver_order, surface_blocks
 from ._surface import Definition, Follower, boundary_of, patches_by_kind
 
 OPTIONS: dict[str, tuple[tuple[type, ...], Any]] = {
@@ -139,15 +139,15 @@ class USMesh:
 
     def __init__(self, options: Mapping[str, Any] | None = None, comm: Any = None, debug: bool = False):
         comm = communicator(comm)
-        self._begin(comm, options, lambda path: Grid.read(comm, path))
+        self._begin(comm, options, lambda path: DistributedGrid.read(comm, path))
 
     @classmethod
-    def _of(cls, comm: Any, options: Mapping[str, Any], grid: Grid) -> "USMesh":
+    def _of(cls, comm: Any, options: Mapping[str, Any], grid: DistributedGrid) -> "USMesh":
         mesh = cls.__new__(cls)
         mesh._begin(comm, options, lambda path: grid)
         return mesh
 
-    def _begin(self, comm: Any, options: Any, read: Callable[[str], Grid]) -> None:
+    def _begin(self, comm: Any, options: Any, read: Callable[[str], DistributedGrid]) -> None:
         self.comm, self._options = comm, together(comm, lambda: checked(options))
         if comm.rank == 0:
             warn_of(self._options)
@@ -341,7 +341,7 @@ class USMesh:
             is_loose = len(boundary.free) > 0 and not len(boundary.fixed)
             half = jm.prepare_surface(boundary, method=method(self._options, is_loose), **grid.known)
             ids = grid.known.get("nodes", np.arange(len(grid.outside.points)))[boundary.moving]
-            return half, weights[rows_in(ids, half.moving)]
+            return half, weights[np.argsort(half.rows(ids))]
 
         with float64_mode():
             half, weights = self.comm.bcast(together(self.comm, prepared))

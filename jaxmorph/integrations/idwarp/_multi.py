@@ -10,10 +10,10 @@ from jaxtyping import Float, Inexact
 
 import jaxmorph as jm
 from jaxmorph import io
+from jaxmorph.extend import rows_of, together
 from jaxmorph.io.cgns.file import open_zones, opened
 
-from .._pieces import rows_of, together
-from ._grid import Grid, SolverOrder, communicator, faces, numbers, reals, solver_order
+from ._grid import DistributedGrid, SolverOrder, communicator, faces, numbers, reals, solver_order
 from ._mesh import USMesh, USMesh_C
 
 
@@ -52,12 +52,12 @@ class MultiUSMesh:
         read = (None, None) if self.comm.rank else None
         mesh, zones = together(self.comm, lambda: read or _read(CGNSFile, optionsDict))
         names, self._counts, self._grid = self.comm.bcast(zones)
-        self._whole = Grid.shared(self.comm, mesh)
+        self._whole = DistributedGrid.shared(self.comm, mesh)
         self.meshes = []
         for k, name in enumerate(names):
             part = None if mesh is None else _part(mesh, np.repeat(self._grid, self._counts) == k)
             options = {**optionsDict[name], "gridFile": CGNSFile}
-            self.meshes.append(self._mesh_class._of(self.comm, options, Grid.shared(self.comm, part)))
+            self.meshes.append(self._mesh_class._of(self.comm, options, DistributedGrid.shared(self.comm, part)))
         self._order: SolverOrder | None = None
         self._chosen: list[np.ndarray] = []
         self._rows: list[np.ndarray] | None = None

@@ -13,9 +13,9 @@ from scipy.spatial import KDTree
 
 import jaxmorph as jm
 from jaxmorph import io
+from jaxmorph.extend import closest, fans, float64_mode
 
 from .. import mpi
-from .._pieces import closest, fans, float64_mode, spacing
 
 WORDS = {"overset": "overset", "wall": "wall", r"(?<![a-z])(bc)?sym": "symmetry"}
 """What a patch is, by a word in its kind or its name."""
@@ -54,7 +54,7 @@ class Definition:
         place, at = self._places()
         tree = KDTree(place)
         away, nearest = (np.reshape(answer, (len(x), -1)) for answer in tree.query(x, k=min(3, len(place))))
-        limit = spacing(place)[nearest[:, 0]]
+        limit = _spacing(place)[nearest[:, 0]]
         is_point = away[:, 0] <= AT * limit
         inverse = 1 / np.maximum(away, np.finfo(float).tiny ** 0.25) ** 2
         inverse = np.where(is_point[:, None], np.arange(away.shape[1]) == 0, inverse)
@@ -79,6 +79,11 @@ class Definition:
         graph = csr_array((np.ones(len(same)), (same[:, 0], same[:, 1])), (len(place), len(place)))
         part = connected_components(graph, directed=False)[1]
         return place[np.unique(part, return_index=True)[1]], part[at.ravel()]
+
+
+def _spacing(points: np.ndarray) -> np.ndarray:
+    """Each point's distance (n,) from its nearest neighbour; infinite for one point."""
+    return np.asarray(KDTree(points).query(points, k=2)[0])[:, 1]
 
 
 def patches_by_kind(mesh: jm.Mesh, options: Mapping[str, Any]) -> dict[str, tuple[str, ...]]:
@@ -158,7 +163,7 @@ def _on_surface(mesh: jm.Mesh, surface: Definition, walls: Sequence[str], loose:
         found = []
         for nodes in (np.asarray(mesh.patches[name]) for name in names if len(mesh.patches[name]) > 1):
             _, away, limit = surface.weights(points[nodes])
-            is_on = away <= np.maximum(limit, NEAR * spacing(points[nodes]))
+            is_on = away <= np.maximum(limit, NEAR * _spacing(points[nodes]))
             if is_on.mean() >= PART:
                 found.append(nodes[is_on])
         if found:

@@ -12,8 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxmorph import Mesh, io
-from jaxmorph._host.package.arguments import checked
-from jaxmorph._host.package.errors import warn
+from jaxmorph.extend import checked, warn
 
 from ._boxes import BoxPart, box_parts, boxes_of
 from ._motion import AbstractPart, DesignVariables, wall_parts

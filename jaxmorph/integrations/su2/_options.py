@@ -1,6 +1,7 @@
 """A config file's options and design variables, as text and numbers: no JAX, no mesh."""
 
 import dataclasses
+import difflib
 import os
 import pathlib
 import re
@@ -9,10 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxmorph._host.package.arguments import checked
-from jaxmorph._host.package.errors import warn
-from jaxmorph._host.package.files import input_path
-from jaxmorph._host.package.text import similar
+from jaxmorph.extend import checked, input_path, warn
 
 
 class Kind(NamedTuple):
@@ -284,8 +282,8 @@ def _check_kinds(options: Options, name: str, kinds: list[str]) -> None:
     taken = [word for word, kind in KINDS.items() if kind.parameters is not None]
     wrong = [kind for kind in dict.fromkeys(kinds) if kind not in taken]
     if wrong:
-        near = similar(wrong[0], taken)
-        hint = f" (did you mean {near}?)" if near and wrong[0] not in KINDS else ""
+        near = difflib.get_close_matches(wrong[0].upper(), taken, n=1)
+        hint = f" (did you mean {near[0]}?)" if near and wrong[0] not in KINDS else ""
         raise options.error(name, f"{', '.join(wrong)} is not taken{hint}; {', '.join(taken)} are")
 
 

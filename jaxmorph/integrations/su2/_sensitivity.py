@@ -9,8 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxmorph import io, shapes
-from jaxmorph._host.package.arguments import checked, finite_array
-from jaxmorph._host.package.files import complete, input_path, output_path
+from jaxmorph.extend import checked, complete, finite_array, input_path, output_path
 
 from ._config import Config
 from ._options import Options

@@ -1,8 +1,7 @@
-"""Films and pages: what was written is read again, by Pillow and by a browser."""
+"""Pages: what was written is read again, and drawn by a browser."""
 
 import base64
 import io
-import itertools
 import re
 import shutil
 import zlib
@@ -13,83 +12,19 @@ matplotlib.use("Agg")
 
 import numpy as np
 import pytest
-from meshes import bricks, mixed
+from meshes import bricks
 from PIL import Image
 from runs import runs
 
 import jaxmorph as jm
 from jaxmorph import cases, plot
 
-WINDOW = ((-0.5, 2.5), (-0.5, 1.5))
-
-
 pytestmark = pytest.mark.usefixtures("closed_figures")
-
-
-def frames_of(path):
-    with Image.open(path) as film:
-        for k in range(film.n_frames):
-            film.seek(k)
-            yield np.asarray(film.convert("RGB")).astype(int), film.info["duration"]
 
 
 def raised(mesh, height=0.5):
     """The mesh with its upper nodes moved up."""
     return mesh.points + height * mesh.points[:, -1:] * np.eye(mesh.points.shape[1])[-1]
-
-
-def test_a_mode_swings_as_a_sine():
-    points, extreme = np.zeros((3, 2)), np.array([[1.0, 0], [0, 2], [0, 0]])
-    frames = plot.swing(points, extreme, frames=8)
-    assert frames.shape == (8, 3, 2)
-    np.testing.assert_allclose(frames[:, 0, 0], np.sin(np.arange(8) * np.pi / 4), atol=1e-15)
-    np.testing.assert_allclose(frames[2], extreme)
-    np.testing.assert_allclose(frames[6], -extreme)
-
-
-@pytest.mark.slow
-def test_a_film_in_2d_shows_each_frame(tmp_path):
-    mesh = mixed()
-    frames = plot.swing(mesh.points, raised(mesh), frames=8)
-
-    def draw(points):
-        return plot.mesh(mesh, points, values=[0, 1, 2], limits=(0, 2), window=WINDOW)
-
-    path = plot.animate(tmp_path / "mode.gif", draw, frames, rate=10)
-    assert [each.name for each in tmp_path.iterdir()] == ["mode.gif"]
-    film = list(frames_of(path))
-    assert len(film) == 8
-    assert {duration for _, duration in film} == {100}
-    for points, (picture, _) in zip(frames, film, strict=True):
-        axis = draw(points)
-        axis.figure.canvas.draw()
-        still = np.asarray(axis.figure.canvas.buffer_rgba())[..., :3]
-        assert np.abs(picture - still).mean() < 2  # of 255: what 256 colours lose
-    assert not any(np.array_equal(a, b) for (a, _), (b, _) in itertools.pairwise(film))
-
-
-@pytest.mark.parametrize("turned", runs([True], nightly=[False]))
-def test_a_film_in_2d_holds_all_frames(tmp_path, turned):
-    """In the size of the first figure: the figures of `before_after` have the shape of what moves."""
-    mesh = mixed()
-    frames = [mesh.points, raised(mesh, 2), raised(mesh, -0.5)]
-
-    def draw(points):
-        axis = plot.before_after(mesh, points)
-        if turned:
-            axis.invert_yaxis()
-        return axis
-
-    film = [picture for picture, _ in frames_of(plot.animate(tmp_path / "m.gif", draw, frames))]
-    wide, tall = draw(mesh.points).figure.bbox.size.astype(int)
-    assert [picture.shape for picture in film] == [(tall, wide, 3)] * 3
-    assert draw(frames[1]).figure.bbox.height > tall + 1
-    # below the legend
-    blue = [(picture[30:, :, 2] > picture[30:, :, 0] + 60).any(axis=1).nonzero()[0][[0, -1]] for picture in film]
-    first, up, down = (rows[::-1] if turned else rows for rows in blue)
-    assert abs(up[0] - first[0]) > 20  # the upper end, within the axes
-    assert abs(down[0] - first[0]) > 5
-    assert up[1] == first[1] == down[1]
 
 
 def test_cells_outside_of_the_usual_window_are_drawn_too():
@@ -99,43 +34,6 @@ def test_cells_outside_of_the_usual_window_are_drawn_too():
     assert len(plot.mesh(mesh, values=np.zeros(count)).collections[0].get_paths()) == count
     near = plot.mesh(mesh, values=np.zeros(count), window=((0.0, 1.0), (-0.2, 0.2)))
     assert len(near.collections[0].get_paths()) < count
-
-
-@pytest.mark.nightly
-def test_a_film_in_3d_keeps_its_camera_and_holds_all_frames(tmp_path):
-    mesh = bricks(2)
-    cameras = []
-
-    def draw(points):
-        plotter = plot.surface(mesh, points)
-        plotter.window_size = 160, 240
-        cameras.append(plotter.camera)
-        return plotter
-
-    film = list(frames_of(plot.animate(tmp_path / "m.gif", draw, [mesh.points, raised(mesh, 3), raised(mesh, -0.3)])))
-    assert len(film) == 3
-    film = [picture[:223] for picture, _ in film]  # above axes and scale
-    for picture in film:
-        assert (picture[0] > 250).all()
-        assert (picture[-1, 30:] > 250).all()  # beside the axes
-        assert (picture[:, [0, -1]] > 250).all()
-        assert picture.std() > 10
-    drawn = [(picture < 240).any(axis=2) for picture in film]
-    ends = [(shown.any(axis=1).nonzero()[0][-1], shown.any(axis=0).nonzero()[0][0]) for shown in drawn]
-    assert len(set(ends)) == 1  # the lower and the left end of what stands still
-    tall, low = (np.ptp(drawn[k].any(axis=1).nonzero()) for k in (1, 2))
-    assert tall > 2 * low
-
-    cameras.clear()
-    placed = [(3.0, -4.0, 2.0), (0.5, 0.5, 0.5), (0.0, 0.0, 1.0)]
-
-    def from_there(points):
-        plotter = draw(points)
-        plotter.camera_position = placed
-        return plotter
-
-    plot.animate(tmp_path / "n.gif", from_there, [mesh.points, raised(mesh)])
-    np.testing.assert_allclose([camera.position for camera in cameras], [placed[0]] * 2)
 
 
 def scene(path):

@@ -1,0 +1,382 @@
+"""A plan's map as a list of linear steps, which `native/jmplan.h` runs without JAX."""
+
+import dataclasses
+import functools
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import numpy as np
+import scipy.linalg
+from scipy.sparse import csr_array, vstack
+
+from .base import AbstractMethod
+from .delaunay import DelaunayGraph
+from .inverse_distance import SMALLEST, InverseDistance, InverseDistanceFactors
+from .local import LocalCorrection
+from .multiscale import Hierarchy, Multiscale
+from .nearwall import NearWall
+from .rbf import basis as bases
+from .rbf.expansion import Expansion, RBFFactors
+from .rbf.fitted import FitFactors, FittedRBF, WallIds
+from .rbf.rbf import RBF
+from .reconstruction import SurfaceReconstruction
+from .sparse import Interpolation
+
+CODES = (
+    "add", "shift", "take", "put", "sparse", "dense", "cholesky", "ldl", "kernel", "mean", "plane", "turn", "pair",
+    "copy", "forward",
+)  # fmt: skip
+"""Names of steps: the first has the code 1 in the file."""
+
+FUNCTIONS = (
+    bases.ThinPlateSpline,
+    bases.LinearSpline,
+    bases.CubicSpline,
+    bases.Gaussian,
+    bases.Multiquadric,
+    bases.InverseMultiquadric,
+    bases.InverseQuadratic,
+    bases.WendlandC0,
+    bases.WendlandC2,
+    bases.WendlandC4,
+    bases.WendlandC6,
+    bases.CompactC0,
+    bases.CompactC1,
+    bases.CompactC2a,
+    bases.CompactC2b,
+)
+"""Bases, in the order of their numbers in the file."""
+
+U, POINTS = 0, 1
+"""Registers of the displacement and of the points."""
+
+FLAT, TURNED, MINUS = 1, 2, 4
+"""Flags: the components of all rows are one vector; by the transpose; subtracted."""
+
+
+@dataclasses.dataclass
+class Tape:
+    """Linear steps between registers, arrays of rows in `dimension` components.
+
+    A step is (code, register that changes, register that is read or -1, five arrays or -1, number).
+    `array` and `register` return numbers for steps.
+    """
+
+    dimension: int
+    rows: list[int] = dataclasses.field(default_factory=list)
+    arrays: list[np.ndarray] = dataclasses.field(default_factory=list)
+    steps: list[tuple[int, ...]] = dataclasses.field(default_factory=list)
+    known: dict[tuple[int, str], tuple[int, Any]] = dataclasses.field(default_factory=dict)
+
+    def register(self, rows: int) -> int:
+        self.rows.append(rows)
+        return len(self.rows) - 1
+
+    def array(self, values: Any, kind: str = "f8") -> int:
+        key = id(values), kind
+        if key not in self.known:  # the entry holds the array, whose `id` no other one then gets
+            self.known[key] = len(self.arrays), values
+            self.arrays.append(np.ascontiguousarray(np.asarray(values), f"<{kind}").ravel())
+        return self.known[key][0]
+
+    def step(self, name: str, out: int, source: int = -1, *arrays: int, number: int = 0) -> None:
+        padded = (*arrays, *[-1] * (5 - len(arrays)))
+        self.steps.append((CODES.index(name) + 1, out, source, *padded, number))
+
+    def sparse(self, out: int, source: int, matrix: Any) -> None:
+        matrix = csr_array(matrix)
+        matrix.eliminate_zeros()
+        arrays = self.array(matrix.indptr, "i8"), self.array(matrix.indices, "i4"), self.array(matrix.data)
+        self.step("sparse", out, source, *arrays)
+
+    def dense(self, out: int, source: int, matrix: Any, flags: int = 0) -> None:
+        """Adds a matrix times a register; `flags` are `FLAT`, `TURNED` and `MINUS`."""
+        self.step("dense", out, source, self.array(matrix), number=flags)
+
+    def cholesky(self, out: int, lower: Any, size: Any, flags: int = 0) -> None:
+        """Solves in place by the factor of a matrix with rows and columns multiplied by `size`."""
+        packed = lower[np.tril_indices(len(lower))]
+        self.step("cholesky", out, -1, self.array(packed), self.array(size), number=flags)
+
+    def ldl(self, out: int, matrix: np.ndarray) -> None:
+        """Solves by Bunch and Kaufman's factors of a symmetric matrix, in place."""
+        lower, blocks, order = scipy.linalg.ldl(matrix)
+        packed = lower[order][np.tril_indices(len(lower))]
+        diagonals = np.diagonal(blocks), np.append(np.diagonal(blocks, -1), 0.0)
+        self.step("ldl", out, -1, self.array(packed), *map(self.array, diagonals), self.array(order, "i4"))
+
+    def rows_in_place(self, name: str, out: int, is_chosen: Any, matrix: Any) -> None:
+        """A step "plane" with its normal, or "turn" with its matrix, for the chosen rows."""
+        if is_chosen.any():
+            self.step(name, out, -1, self.array(np.flatnonzero(is_chosen), "i4"), self.array(matrix))
+
+
+@dataclasses.dataclass(frozen=True)
+class Places:
+    """Points at which a field is added to a register: the array, and each point's place."""
+
+    points: int
+    placed: Any
+    share: np.ndarray | None = None  # of each point in the field; None: 1
+
+    def of(self, placed: Any, share: np.ndarray | None = None) -> "Places":
+        both = [each for each in (self.share, share) if each is not None]
+        return Places(self.points, placed, functools.reduce(np.multiply, both) if both else None)
+
+
+Field = Callable[[Tape, int, Places], None]
+"""Adds a displacement field at places to a register."""
+
+
+@dataclasses.dataclass(frozen=True)
+class SurfaceRows:
+    """The surface's rows: register of their displacement, array of their points, zero rows."""
+
+    u: int
+    points: int
+    is_held: np.ndarray
+
+
+@functools.singledispatch
+def recorded(method: AbstractMethod, tape: Tape, ids: Any, factors: Any, rows: SurfaceRows) -> Field:
+    """Records the solve of a method as steps, as its `field` does it."""
+    raise ValueError(
+        f"{type(method).__name__} cannot be exported. A plan in a file is a linear map without a solve on cells: of RBF, "
+        "FittedRBF, InverseDistance, DelaunayGraph, NearWall, LocalCorrection, Multiscale, and SurfaceReconstruction of two."
+    )
+
+
+@recorded.register
+def _(method: SurfaceReconstruction, tape, ids, factors, rows) -> Field:
+    coarse = recorded(method.coarse, tape, ids[0], factors[0], rows)
+    at_surface, offset = (tape.register(len(rows.is_held)) for _ in range(2))
+    coarse(tape, at_surface, Places(rows.points, factors[1]))
+    tape.step("add", offset, rows.u, number=1)
+    tape.step("add", offset, at_surface, number=-1)  # eq. (5)
+    left = SurfaceRows(offset, rows.points, np.zeros_like(rows.is_held))
+    correction = recorded(method.correction, tape, ids[2], factors[2], left)
+
+    def add(tape: Tape, out: int, places: Places) -> None:
+        coarse(tape, out, places.of(places.placed[0]))
+        correction(tape, out, places.of(places.placed[1]))
+
+    return add
+
+
+@recorded.register(DelaunayGraph)
+@recorded.register(LocalCorrection)
+def _(method, tape, ids, factors, rows) -> Field:
+    return _interpolated(rows.u)
+
+
+@recorded.register
+def _(method: Multiscale, tape, ids: Hierarchy, factors, rows) -> Field:
+    count = len(rows.is_held)
+    values = tape.register(count)
+    own, row, column = np.arange(count), np.asarray(ids.row), np.asarray(ids.column)
+    has_function = np.asarray(ids.nearest) != own
+    tape.sparse(values, rows.u, csr_array((has_function.astype(float), (own, own)), (count, count)))
+    below = csr_array((np.asarray(factors.entries), (row, column)), (count, count))
+    order = np.asarray(_topological(row, column, count))
+    arrays = tape.array(below.indptr, "i8"), tape.array(below.indices, "i4"), tape.array(below.data)
+    tape.step("forward", values, -1, *arrays, tape.array(order, "i4"))
+    return _interpolated(values)
+
+
+def _topological(row: np.ndarray, column: np.ndarray, count: int) -> np.ndarray:
+    """Orders rows so that each comes after all columns of its entries."""
+    level = np.zeros(count, np.int64)
+    while True:
+        least = level.copy()
+        np.maximum.at(least, row, level[column] + 1)
+        if (least == level).all():
+            return np.argsort(level, kind="stable")
+        level = least
+
+
+@recorded.register
+def _(method: NearWall, tape, ids, factors, rows) -> Field:
+    correction = recorded(method.correction, tape, ids.correction, factors.correction, rows)
+    count = len(rows.is_held)
+
+    def add(tape: Tape, out: int, places: Places) -> None:
+        place, outside = places.placed, np.asarray(places.placed.outside)
+        if isinstance(place.correction, Interpolation) and not isinstance(method.correction, Multiscale):
+            inner = _matrix(places.of(place.correction, outside), count)
+            tape.sparse(out, rows.u, _matrix(places.of(place.wall), count) + inner)
+        else:
+            tape.sparse(out, rows.u, _matrix(places.of(place.wall), count))
+            correction(tape, out, places.of(place.correction, outside))
+
+    return add
+
+
+def _system_of(factors: RBFFactors) -> np.ndarray:
+    """Multiplies the factors of eq. (3) again: half of a symmetric matrix's factors is enough."""
+    lu, order = np.asarray(factors.lu), np.asarray(factors.order)
+    matrix = np.empty_like(lu)
+    matrix[order] = (np.tril(lu, -1) + np.eye(len(lu))) @ np.triu(lu)
+    return (matrix + matrix.T) / 2
+
+
+def _interpolated(values: int) -> Field:
+    return lambda tape, out, places: tape.sparse(out, values, _matrix(places, tape.rows[values]))
+
+
+def _matrix(places: Places, columns: int) -> csr_array:
+    placed: Interpolation = places.placed
+    nodes, weights = np.array(placed.nodes), np.array(placed.weights, float)
+    if placed.reached is not None:
+        reached = np.asarray(placed.reached)
+        weights = np.where(reached if reached.ndim == 2 else reached[:, None], weights, 0)
+    weights = weights if places.share is None else weights * places.share[:, None]
+    starts = np.arange(len(nodes) + 1) * nodes.shape[1]
+    matrix = csr_array((weights.ravel(), nodes.ravel(), starts), (len(nodes), columns))
+    matrix.sum_duplicates()
+    return matrix
+
+
+@recorded.register
+def _(method: InverseDistance, tape, ids, factors: InverseDistanceFactors, rows) -> Field:
+    alpha, extent, most = float(method.alpha), float(factors.extent), float(np.finfo(float).max) ** 0.25
+    bound = most ** (2 / (method.near - method.far)) if method.near > method.far else np.inf
+    numbers = tape.array([method.far, method.near, alpha, extent, bound, (SMALLEST * extent) ** 2])
+
+    def add(tape: Tape, out: int, places: Places) -> None:
+        share = -1 if places.share is None else tape.array(places.share)
+        tape.step("mean", out, rows.u, places.points, rows.points, numbers, share, tape.array(factors.area))
+
+    return add
+
+
+@recorded.register
+def _(method: RBF, tape, ids, factors: RBFFactors, rows) -> Field:
+    coefficients, sources = tape.register(len(factors.lu)), method.control(ids).sources
+    tape.sparse(coefficients, rows.u, _stacked([_chosen(sources, len(rows.is_held))], len(factors.lu)))
+    return _expansion(method.expansion, tape, factors, coefficients)
+
+
+def _expansion(expansion: Expansion, tape: Tape, factors: RBFFactors, values: int) -> Field:
+    """Solves for coefficients in the register of values, and returns the field of eq. (1)."""
+    kind = type(expansion.basis)
+    if factors.cardinals is not None:
+        raise ValueError("RBF with Iterative() cannot be exported: take fewer sources, or jm.RBF(solver=jm.Direct()).")
+    if kind not in FUNCTIONS:
+        raise ValueError(f"the basis {kind.__name__} cannot be exported: jmplan.h has jaxmorph's own bases.")
+    tape.ldl(values, _system_of(factors))
+    scale, basis = float(factors.scale), expansion.basis
+    radius = float(getattr(basis, "radius", getattr(basis, "support_radius", 1.0)))
+    factor = 1.0 if basis.scale_free else 1 / (scale * radius) ** 2
+    numbers = tape.array([*np.asarray(factors.centre), scale, factor])
+    sources = tape.array(np.asarray(factors.sources).T)
+    tail = len(factors.lu) - len(factors.sources)
+
+    def add(tape: Tape, out: int, places: Places) -> None:
+        share = -1 if places.share is None else tape.array(places.share)
+        number = FUNCTIONS.index(kind) + 256 * tail
+        tape.step("kernel", out, values, places.points, sources, numbers, share, number=number)
+
+    return add
+
+
+@recorded.register
+def _(method: FittedRBF, tape, ids: WallIds, factors: FitFactors, rows) -> Field:
+    ids, factors = jax.tree.map(np.asarray, (ids, factors))
+    return _Fit(method, tape, ids, factors, rows).recorded()
+
+
+@dataclasses.dataclass(frozen=True)
+class _Fit:
+    """`FittedRBF.field` as steps.
+
+    The sources outside of the fit, fixed ones, rings and those behind tips, have values that are
+    linear in the `rest` of the surface. Held sources have no displacement, so their rest is that
+    of the affine part alone: four rows in place of hundreds.
+    """
+
+    method: FittedRBF
+    tape: Tape
+    ids: WallIds
+    factors: FitFactors
+    rows: SurfaceRows
+
+    def recorded(self) -> Field:
+        tape, ids, factors, u = self.tape, self.ids, self.factors, self.rows.u
+        count, tail = len(self.rows.is_held), len(factors.rbf.lu)
+        values, moving, fixed = tape.register(tail), len(ids.moving), len(ids.fixed)
+        if not len(ids.edges):
+            tape.sparse(values, u, _stacked([_chosen(np.append(ids.moving, ids.fixed), count)], tail))
+            return _expansion(self.method.rbf.expansion, tape, factors.rbf, values)
+        affine, rest = tape.register(factors.polynomial.shape[1]), tape.register(count)
+        tape.dense(affine, u, factors.polynomial, TURNED)
+        tape.cholesky(affine, factors.moments, np.ones(len(factors.moments)))
+        tape.step("add", rest, u, number=1)
+        tape.dense(rest, affine, factors.polynomial, MINUS)
+        for share, solved in self._solved(rest, affine):
+            tape.sparse(values, solved, _stacked([share * _chosen(np.arange(moving), moving)], tail))
+        polynomial = np.zeros((tail, factors.polynomial.shape[1]))
+        polynomial[:moving] = factors.polynomial[ids.moving]
+        polynomial[moving + fixed :][: len(ids.far)] = factors.ring
+        tape.dense(values, affine, polynomial)
+        held, rings, behind = _chosen(ids.fixed, count), _rings(ids, count), _behind_tips(ids, count)
+        empty = csr_array((moving, count))
+        tape.sparse(values, u, _stacked([empty, held, 0 * rings, behind], tail))
+        tape.sparse(values, rest, _stacked([empty, 0 * held, rings], tail))
+        return _expansion(self.method.rbf.expansion, tape, factors.rbf, values)
+
+    def _solved(self, rest: int, affine: int) -> Sequence[tuple[float, int]]:
+        """Records the solves of the fit and of least squares, each with its share."""
+        tape, ids, factors = self.tape, self.ids, self.factors
+        share, moving, count = self.method.share, len(ids.moving), tape.rows[rest]
+        share = 1.0 if share is None else float(share)
+        held = np.flatnonzero(self.rows.is_held[ids.fixed])
+        others = np.delete(np.arange(factors.outside.shape[1]), held)
+        outside, at_nodes, along = map(tape.register, (len(others), len(ids.nodes), len(ids.edges)))
+        matrices = _chosen(ids.fixed, count), _rings(ids, count), _behind_tips(ids, count)
+        tape.sparse(outside, rest, csr_array(vstack(matrices))[others])
+        tape.step("take", at_nodes, rest, tape.array(ids.nodes, "i4"))
+        of_affine, solved = factors.polynomial[ids.fixed[held]], []
+        if share > 0:
+            fitted, outer = tape.register(moving), factors.outer
+            solved.append((share, fitted))
+            tape.sparse(along, rest, _chosen(ids.edges[:, 1], count) - _chosen(ids.edges[:, 0], count))
+            tape.dense(fitted, at_nodes, factors.nodes, TURNED)
+            tape.dense(fitted, along, factors.edges, TURNED)
+            tape.dense(fitted, outside, outer[..., others], FLAT | MINUS)
+            tape.dense(fitted, affine, outer[..., held] @ of_affine, FLAT)
+            tape.cholesky(fitted, factors.lower, factors.scale, FLAT)
+        if share < 1:
+            plain, outer = tape.register(moving), factors.outside
+            solved.append((1 - share, plain))
+            tape.dense(plain, at_nodes, factors.nodes, TURNED)
+            tape.dense(plain, outside, outer[:, others], MINUS)
+            tape.dense(plain, affine, outer[:, held] @ of_affine)
+            tape.cholesky(plain, factors.squares, factors.size)
+        return solved
+
+
+def _chosen(rows: Any, columns: int) -> csr_array:
+    return csr_array((np.ones(len(rows)), np.asarray(rows), np.arange(len(rows) + 1)), (len(rows), columns))
+
+
+def _stacked(blocks: Sequence[csr_array], rows: int) -> csr_array:
+    """Stacks sparse rows, and fills up with empty ones."""
+    matrix = csr_array(vstack(blocks))
+    matrix.resize((rows, blocks[0].shape[1]))  # pyright: ignore[reportOptionalSubscript]
+    return matrix
+
+
+def _rings(ids: WallIds, count: int) -> csr_array:
+    """`WallIds.at_rings` as a matrix."""
+    squared = ids.reach**2
+    fade = (1 - squared + squared * np.log(squared)) / max(1, len(ids.moving))
+    rows, columns = map(np.ravel, np.meshgrid(np.arange(len(fade)), ids.moving, indexing="ij"))
+    return csr_array((fade[rows], (rows, columns)), (len(fade), count))
+
+
+def _behind_tips(ids: WallIds, count: int) -> csr_array:
+    """`WallIds.behind_tips` as a matrix."""
+    rows = np.repeat(np.arange(len(ids.tips)), 3)
+    entries = np.tile([2.0, -0.5, -0.5], len(ids.tips)), (rows, ids.tips.ravel())
+    return csr_array(entries, (len(ids.tips), count))
