@@ -1,6 +1,7 @@
 """`jaxmorph deform`: one mesh, one motion, and other methods where it fails."""
 
 import dataclasses
+import functools
 import itertools
 import warnings
 from collections.abc import Callable
@@ -18,11 +19,14 @@ from ._job import text_of
 from ._method import Chunks, Patches, described, mesh_of, patches_of
 from ._motion import Motion, motion
 from ._output import Output, coordinates, count, title, wrapped
-from ._requests import Deform
+from ._requests import AUTO, Deform
 from ._way import Way, faults, followed, in_background, in_double, is_kept, say_verdict, writing
 
 SMALL = 10_000
 """Points, times steps, below which compile time dominates."""
+
+MOST = 16
+"""Steps that `--steps auto` tries at most."""
 
 PATIENCE = 120.0
 """Seconds of an attempt after which no other is tried."""
@@ -30,12 +34,16 @@ PATIENCE = 120.0
 
 @dataclasses.dataclass(frozen=True)
 class Attempt:
-    """All that an attempt needs but method and steps; `judging` runs in another thread."""
+    """All that an attempt needs but method and steps; `judging` runs in another thread.
+
+    With `reached`, the steps of the request were found: they keep the cells for this share of it.
+    """
 
     request: Deform
     patches: Patches
     motion: Motion
     judging: Future[jm.Verdict]
+    reached: float | None = None
 
     @property
     def before(self) -> jm.Verdict:
@@ -47,6 +55,13 @@ class Attempt:
 
     def path(self, steps: int = 1) -> Float[np.ndarray, "k m d"]:
         return self.motion.path(self.base[self.patches.nodes], steps)
+
+    def with_fewest_steps(self, plan: jm.Plan) -> "Attempt":
+        wall, least = self.base[self.patches.nodes], self.request.gates.min_jacobian_ratio or 0.0
+        moves = functools.partial(self.motion.at, wall)
+        found = jm.fewest_steps(plan, self.patches.mesh, moves, min_jacobian_ratio=least, max_steps=MOST)
+        request = dataclasses.replace(self.request, steps=found.count)
+        return dataclasses.replace(self, request=request, reached=found.fraction)
 
     def way(self, chunks: Chunks, steps: int, done: Callable[[float], None] = lambda share: None) -> Way:
         """Moves the points by chunks, in double precision; only `--proven` keeps all steps."""
@@ -71,7 +86,8 @@ class Attempt:
 def deform(request: Deform, out: Output) -> int:
     with out.progress(f"reading {title(request.file)}"):
         mesh = mesh_of(request.file, request.zone)
-    with quickly_compiled(len(mesh.points) * request.steps <= SMALL):
+    steps = 1 if request.steps == AUTO else int(request.steps)
+    with quickly_compiled(len(mesh.points) * steps <= SMALL):
         return _deform(request, mesh, out)
 
 
@@ -83,10 +99,17 @@ def _deform(request: Deform, mesh: Mesh, out: Output) -> int:
     with out.progress("preparing"):
         chunks = patches.chunks(request.chunk)
         nodes, plan = next(chunks)
+    if request.steps == AUTO:
+        with out.progress("seeking the fewest steps"):
+            attempt = attempt.with_fewest_steps(plan)
+            request = attempt.request
     n, d = mesh.points.shape
     cells = ", ".join(f"{number} {kind}" for kind, number in mesh.cell_counts.items())
     out.say(f"{title(request.file)}: {n} points in {d}-D, {cells}", points=n)
     say_motion(request, patches, plan, attempt.path()[-1], out)
+    if attempt.reached is not None:
+        reach = f"keep the cells for {attempt.reached:.1%} of the motion" if attempt.reached < 1 else "keep the cells"
+        out.say(f"steps    {request.steps} {reach}", reached=attempt.reached)
     with out.progress("judging the cells"):
         judging.result()  # it raises for limits on measures that the cells do not have
     with out.progress(f"deforming in {count(request.steps, 'step')}") as stage:
@@ -246,9 +269,11 @@ def _advice(attempt: Attempt, out: Output) -> str:
 def _trials(attempt: Attempt) -> list[jm.Cure]:
     """Lists cures in the order in which they are tried: the default method first."""
     patches, request = attempt.patches, attempt.request
-    found = [jm.Cure(method="default")]
-    found += jm.cures(patches.boundary, attempt.path()[-1])
-    found = [dataclasses.replace(cure, steps=cure.steps * request.steps) for cure in found]
+    found = [jm.Cure(method="default"), *jm.cures(patches.boundary, attempt.path()[-1])]
+    if attempt.reached is None:
+        found = [dataclasses.replace(cure, steps=cure.steps * request.steps) for cure in found]
+    else:
+        found = [cure for cure in found if cure.steps == 1]  # more steps were sought
     return [cure for cure in found if cure.method != request.method.method]
 
 
