@@ -176,8 +176,7 @@ def _write_beside(attempt: Attempt, way: Way, verdict: jm.Verdict, out: Output) 
             with out.progress("drawing"):
                 from jaxmorph import plot
 
-                reports: Any = attempt.before.corners, verdict.corners
-                plot.picture(picture, way.mesh, way.stored, moving=attempt.patches.nodes, reports=reports)
+                plot.picture(picture, way.mesh, way.stored, moving=attempt.patches.nodes, verdict=verdict)
             out.say(f"picture  {picture}", picture=str(picture))
         except (ValueError, OSError) as error:  # the mesh is worth more
             out.warn(f"no picture: {error}")
