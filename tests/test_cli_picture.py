@@ -1,14 +1,15 @@
 """`jaxmorph deform --picture`."""
 
+import itertools
 import tomllib
 
+import foam
 import matplotlib
 
 matplotlib.use("Agg")
 
 import numpy as np
 import pytest
-import pyvista
 from matplotlib.figure import Figure
 from meshes import bricks, write_ring
 from meshes import ring as ring_mesh
@@ -127,17 +128,25 @@ def test_of_internal_flow_the_whole_mesh_is_in_view_and_the_numbers_are_those_of
     assert figures[0].axes[2].get_xlabel() == "skewness, mean of the cells at each node"
 
 
-def test_of_polygons_the_measure_is_that_of_the_table(tmp_path, figures):
-    """Their cells are judged by faces, and so they are named and drawn."""
-    points = [[0, 0, 0], [2, 0, 0], [2, 1, 0], [1, 1.7, 0], [0, 1, 0], [2.2, 2, 0]]
-    pentagon_and_triangle = pyvista.UnstructuredGrid([5, 0, 1, 2, 3, 4, 3, 2, 5, 3], [7, 5], np.array(points))
-    pentagon_and_triangle.save(tmp_path / "polygons.vtu")
-    mesh = io.read(tmp_path / "polygons.vtu")
-    verdict = jm.judge(mesh)
-    plot.picture(tmp_path / "polygons.png", mesh)
-    (axis, bar), value = figures[0].axes, verdict.rows["max", "face_skewness"].value
-    assert axis.get_title() == f"largest face skewness {value:.3g} (×)"
+def test_of_polyhedra_one_layer_thick_the_measure_is_that_of_the_table(tmp_path, figures):
+    """A pentagon and a triangle in a case: they are judged by faces, and so they are named and drawn in 2-D."""
+    plane = np.array([[0, 0, 0], [2, 0, 0], [2, 1, 0], [1, 1.7, 0], [0, 1, 0], [2.2, 2, 0]])
+    cells = []
+    for rim in ([0, 1, 2, 3, 4], [2, 5, 3]):
+        walls = [[a, b, b + 6, a + 6] for a, b in itertools.pairwise([*rim, rim[0]])]
+        cells.append([rim[::-1], [node + 6 for node in rim], *walls])
+    mesh = io.read(
+        foam.write_case(tmp_path / "case", np.concatenate([plane, plane + np.array([0, 0, 0.1])]), cells, foam.PATCHES)
+    )
+    worst = jm.judge(mesh).rows["max", "face_skewness"]
+    plot.picture(tmp_path / "two.png", mesh)
+    axis, bar = figures[0].axes
+    assert axis.get_title() == f"largest face skewness {worst.value:.3g} (×)"
     assert bar.get_xlabel().startswith("face skewness")
+    np.testing.assert_allclose(np.ravel(axis.lines[-1].get_data()), worst.near[:2])
+    assert (axis.get_xlim(), axis.get_ylim()) == ((0, 2.2), (0, 2))
+    drawn, own = np.asarray(axis.collections[0].get_array()), np.asarray(jm.face_quality(mesh).skewness)
+    assert own.min() <= drawn.min() < drawn.max() <= own.max() == worst.value
 
 
 @pytest.mark.nightly
