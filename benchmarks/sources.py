@@ -111,12 +111,13 @@ def main() -> None:
             ]
             table(rows, ("reduction", *(f"{count} asked" for count in COUNTS)))
     if asked.picture:
-        figure, axes = plt.subplots(1, 2, figsize=(8, 4), sharey=True, layout="constrained")
-        for ax, (name, each) in zip(axes, found.items(), strict=True):
+        figure, axes = plt.subplots(2, 1, figsize=(5, 6.4), sharex=True, layout="constrained")
+        for ax, letter, (name, each) in zip(axes, "ab", found.items(), strict=True):
             plot.convergence(each, ax=ax)
-            ax.set_xlabel(f"sources, of the {len(parts[name][0])} nodes on the {name}")
-        axes[1].set_ylabel("")
-        figure.savefig(asked.picture, dpi=120)
+            ax.set_xlabel("sources")
+            ax.text(0.03, 0.04, f"{letter}  {name}, {len(parts[name][0])} nodes", transform=ax.transAxes)
+        axes[1].get_legend().remove()
+        figure.savefig(asked.picture, dpi=160)
 
 
 if __name__ == "__main__":
