@@ -11,6 +11,7 @@ greedy choices by the motions are told of all of them. `--seconds` asks instead 
 import argparse
 import time
 from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import agard445
 import jax
@@ -23,6 +24,7 @@ import jaxmorph as jm
 from jaxmorph import cases, plot
 
 COUNTS = (8, 16, 32, 64, 128)
+FIXED = 40
 
 
 def airfoil(points: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -56,20 +58,44 @@ def families(motions: np.ndarray) -> dict[str, Callable[[int, np.ndarray], jm.Ab
     }
 
 
-def errors(base: np.ndarray, fixed: np.ndarray, motions: np.ndarray) -> dict[str, plot.SurfaceErrors]:
+class Errors(NamedTuple):
+    """Misses of the moving nodes over the largest displacement, by reduction; `sources` on the wall."""
+
+    sources: np.ndarray
+    largest: np.ndarray
+    mean: np.ndarray
+
+
+def errors(base: np.ndarray, fixed: np.ndarray, motions: np.ndarray) -> dict[str, Errors]:
     """Measures, for each reduction, the largest miss in any motion and the mean one, against the sources on the wall."""
     points, moving = np.concatenate([base, fixed]), np.arange(len(base))
-    still = np.arange(len(base), len(points))
-    plan = jm.prepare(
-        points, moving, still, method=jm.RBF(reduction=jm.KDTree(1), fixed_reduction=jm.FarthestPoints(40))
-    )
+    still, sizes = np.arange(len(base), len(points)), np.linalg.norm(motions, axis=2).max(axis=1)
     found = {}
     for name, make in families(motions).items():
-        reductions = [make(count, base) for count in COUNTS if count < len(base)]
-        missed = [plot.surface_errors(plan, motion, reductions) for motion in motions]
-        largest, mean = (np.array([getattr(each, part) for each in missed]) for part in ("largest", "mean"))
-        found[name] = plot.SurfaceErrors(missed[0].sources - 40, largest.max(axis=0), mean.mean(axis=0))
+        rows = []
+        for count in (count for count in COUNTS if count < len(base)):
+            method = jm.RBF(reduction=make(count, base), fixed_reduction=jm.FarthestPoints(FIXED))
+            plan = jm.prepare(points, moving, still, method=method)
+            moved = [np.asarray(jm.deform(plan, u))[moving] - base for u in motions]
+            missed = np.linalg.norm(np.array(moved) - motions, axis=2) / sizes[:, None]
+            rows.append((len(plan.sources) - FIXED, missed.max(), missed.mean(axis=1).mean()))
+        found[name] = Errors(*map(np.array, zip(*rows, strict=True)))
     return found
+
+
+def draw(ax: Any, found: dict[str, Errors]) -> None:
+    """Draws the largest errors as lines, the mean ones dashed, on logarithmic scales."""
+    for k, (name, error) in enumerate(found.items()):
+        colour = (plot.BLUE, plot.ORANGE, plot.GREEN, plot.DARK)[k]
+        order, style = np.argsort(error.sources), {"color": colour, "marker": "osD^"[k]}
+        ax.loglog(error.sources[order], error.largest[order], "-", label=name, **style)
+        ax.loglog(error.sources[order], error.mean[order], "--", fillstyle="none", **style)
+    ax.set_xticks(COUNTS, list(map(str, COUNTS)))
+    ax.minorticks_off()
+    ax.set_ylabel("error on the surface /\nlargest displacement")
+    ax.grid(color="#dddddd")
+    for line, marks, name in (("-", "full", "largest"), ("--", "none", "mean")):
+        ax.plot([], [], f"o{line}", color=plot.GREY, fillstyle=marks, label=name)
 
 
 def seconds(count: int) -> None:
@@ -113,10 +139,10 @@ def main() -> None:
     if asked.picture:
         figure, axes = plt.subplots(2, 1, figsize=(5, 6.4), sharex=True, layout="constrained")
         for ax, letter, (name, each) in zip(axes, "ab", found.items(), strict=True):
-            plot.convergence(each, ax=ax)
+            draw(ax, each)
             ax.set_xlabel("sources")
             ax.text(0.03, 0.04, f"{letter}  {name}, {len(parts[name][0])} nodes", transform=ax.transAxes)
-        axes[1].get_legend().remove()
+        figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3, frameon=False)
         figure.savefig(asked.picture, dpi=160)
 
 

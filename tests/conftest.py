@@ -46,6 +46,7 @@ MEMORY = {}
 LONG = (
     *("notebooks", "openfoam_runs", "wing", "fuzz", "compare", "improve", "shared_cases", "conditioning"),
     *("mpi", "halves", "cli_chunks", "free_faces", "agard445", "demo", "mphys", "tesseract", "docs", "one_core"),
+    *("native", "native_openfoam"),
 )
 """Files of few tests, each of which takes long. They come first, so that no worker waits for another at the end."""
 

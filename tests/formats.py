@@ -1,25 +1,79 @@
 """A small mesh in a file of each format, and what two meshes have alike."""
 
 import pathlib
+import tempfile
 
 import cgns
 import exodus
+import fluent
 import foam
 import h5py
 import meshio
 import mfem_meshes
 import numpy as np
 from foam import PATCHES, mixed
-from meshes import bricks
+from meshes import bricks, gmsh_session
 from plot3d import write as write_plot3d
 
 import jaxmorph as jm
 from jaxmorph import io
+from jaxmorph._host.cells.topology import FACES
 from jaxmorph.io._registry import FORMATS
 
-ENDINGS = [".vtk", *((form.suffixes or ("",))[0] for form in FORMATS)]
-SINGLE = ["", ".cgns", ".med", ".e", ".xyz", ".vtu", ".vtk"]
+ENDINGS = [
+    ".vtk",
+    *((form.suffixes or ("",))[0] for form in FORMATS if form.name not in ("Medit", "Nastran")),
+    ".meshb",
+]
+"""Endings of files that are written back."""
+SINGLE = ["", ".cas", ".h5", ".cgns", ".med", ".e", ".xyz", ".vtu", ".vtk"]
 """Endings of formats that have files in single precision."""
+
+
+def floor_of(corners: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+    """The faces of hexahedra between some nodes."""
+    faces = np.concatenate([corners[:, list(face)] for face in FACES["hexahedron"]])
+    return faces[np.isin(faces, nodes).all(axis=1)]
+
+
+def by_gmsh(path: pathlib.Path, points: np.ndarray, corners: np.ndarray, nodes: np.ndarray) -> None:
+    with tempfile.TemporaryDirectory() as folder, gmsh_session() as gmsh:
+        io.write(f"{folder}/a.msh", jm.Mesh(points, {"hexahedron": corners}, {"floor": nodes}))
+        gmsh.open(f"{folder}/a.msh")
+        gmsh.option.setNumber("Mesh.SaveAll", 1)
+        gmsh.option.setNumber("Mesh.SaveGroupsOfElements", 1)
+        gmsh.write(str(path))
+
+
+def by_meshio(path: pathlib.Path, points: np.ndarray, corners: np.ndarray, nodes: np.ndarray) -> None:
+    faces = floor_of(corners, nodes)
+    array = {".meshb": "medit:ref", ".xdmf": "marker", ".vol": "netgen:index"}.get(path.suffix)
+    numbers = {array: [np.full(len(faces), 2), np.full(len(corners), 1)]} if array else {}
+    sets = {} if array else {"floor": [np.arange(len(faces)), []]}
+    mesh = meshio.Mesh(points, [("quad", faces), ("hexahedron", corners)], cell_data=numbers, cell_sets=sets)
+    mesh.field_data = {"floor": np.array([2, 2])} if path.suffix == ".vol" else {}
+    meshio.write(path, mesh)
+
+
+def ugrid(path: pathlib.Path, points: np.ndarray, corners: np.ndarray, nodes: np.ndarray) -> None:
+    faces = floor_of(corners, nodes)
+    tables = (
+        [[len(points), 0, len(faces), 0, 0, 0, len(corners)]],
+        points,
+        faces + 1,
+        np.full((len(faces), 1), 2),
+        corners + 1,
+    )
+    rows = (" ".join(map(repr, row)) for table in tables for row in np.asarray(table).tolist())
+    path.write_text("\n".join([*rows, ""]))
+
+
+OTHERS = dict.fromkeys((".meshb", ".inp", ".xdmf", ".vol"), by_meshio) | {
+    ".unv": by_gmsh,
+    ".bdf": by_gmsh,
+    ".ugrid": ugrid,
+}
+"""Writers of kinds that other libraries read, by their endings."""
 
 
 def write(path: pathlib.Path, mesh: jm.Mesh, *, is_single: bool = False) -> None:
@@ -44,6 +98,15 @@ def write(path: pathlib.Path, mesh: jm.Mesh, *, is_single: bool = False) -> None
     elif path.suffix == ".e":
         sets = [("floor", mesh.patch("floor"))]
         exodus.write(path, points, [("box", "hexahedron", corners)], node_sets=sets, real=real)
+    elif path.suffix in OTHERS:
+        OTHERS[path.suffix](path, points, corners, mesh.patch("floor"))
+    elif path.suffix == ".h5":
+        real = "f4" if is_single else "f8"
+        fluent.write(path, points, {"hexahedron": corners}, {"floor": mesh.patch("floor")}, "h5", real=real)
+    elif path.suffix == ".cas":
+        fluent.write(
+            path, points, {"hexahedron": corners}, {"floor": mesh.patch("floor")}, "float" if is_single else "text"
+        )
     elif path.suffix == ".mesh":
         path.write_text(mfem_meshes.straight(mesh, "floor"))
     elif path.suffix == ".xyz":

@@ -29,7 +29,7 @@ def each(names: str, value: Any) -> dict[str, Any]:
 BUILT = words("""
 io.Box jm.BoundaryQuality jm.Comparison jm.Control jm.Cure jm.FaceQuality jm.FreeFaces jm.Improvement jm.Inspection
 jm.LargestStep jm.MeshError jm.Plan jm.Proof jm.QualityReport jm.SmoothQuality jm.Steps jm.Surface jm.SurfaceHalf jm.Verdict
-jm.WallQuality plot.SurfaceErrors shapes.Fit shapes.QualityRows shapes.Stations
+jm.WallQuality shapes.Fit shapes.QualityRows shapes.Stations
 """)
 """Classes whose constructors the library alone calls."""
 
@@ -136,7 +136,9 @@ GOOD: dict[str, dict[str, Any]] = {
     "jm.Mesh": {"cells": {"quad": np.asarray(MESH.cells["quad"])}, "patches": {"a": [0, 1]}},
     "jm.Mesh.from_meshio": {"mesh": Lazy(MESH.to_meshio)},
     "jm.Mesh.from_pyvista": {"grid": Lazy(MESH.to_pyvista)},
+    "jm.export": {"path": FOLDER / "a.plan", "layer": jm.Layer(np.arange(N), (0, 1))},
     "jm.KDTree": {"leaves": 4},
+    "jm.Layer": {"points": np.arange(N), "axes": (0, 1)},
     "jm.Periodic": {"patch": np.array([0]), "partner": np.array([1]), "translation": np.array([0.0, 1.0])},
     "jm.Plane": {"normal": np.array([0.0, 1.0]), "origin": np.zeros(2)},
     "jm.Plane.through": {"nodes": WALL},
@@ -150,6 +152,7 @@ GOOD: dict[str, dict[str, Any]] = {
     "jm.shard": {"devices": ()},
     "jm.Verdict.together": {"parts": Lazy(lambda: [jm.judge(MESH), jm.judge(MESH)])},
     "io.Decomposed": {"path": FOLDER / "case"},
+    "io.export_case": {"path": FOLDER / "case", "mesh": Lazy(lambda: decomposed().read(0))},
     "io.Decomposed.surface": {"sides": Lazy(lambda: [decomposed().side(k) for k in (0, 1)])},
     **each("io.Decomposed.check_output io.Decomposed.writing", {"path": FOLDER / "new"}),
     **each("io.check_gradient_output io.check_sensitivity_output", {"path": FOLDER / "a.csv"}),
@@ -201,7 +204,7 @@ GOOD: dict[str, dict[str, Any]] = {
     "shapes.volume": {"x": PLACES, "faces": np.array([[0, 1, 2]]), "plane": np.zeros(3)},
     "shapes.wall_normals": {"mesh": BRICKS, "*": "floor"},
     "plot.before_after_3d": {"mesh": BRICKS, "points": PLACES},
-    "plot.convergence": {"errors": {"a": plot.SurfaceErrors(np.array([3]), np.array([0.1]), np.array([0.1]))}},
+    "plot.convergence": {"history": history},
     "plot.cut": SPACE | {"plane": jm.Plane([0.0, 0.0, 1.0], [0.0, 0.0, 0.3])},
     "plot.graph": {"interior": False},
     "plot.histogram": {"reports": Lazy(lambda: {"a": report()})},
@@ -211,10 +214,6 @@ GOOD: dict[str, dict[str, Any]] = {
     "plot.sources": {"surface": plan},
     "plot.sources_3d": {"surface": PLACES},
     "plot.surface": SPACE,
-    "plot.surface_errors": {
-        "plan": Lazy(lambda: jm.prepare(MESH, "wall", "far", method=jm.RBF(reduction=jm.AllPoints()))),
-        **{"u": np.ones_like(U), "reductions": (jm.AllPoints(),)},
-    },
     "cases.bodies": {"boxes": {"a": [-1.0, 1.0, -1.0, 1.0]}},
     "cases.bricks": {"first_cell": 0.1},
     "cases.naca4": {"code": "2412"},
@@ -260,7 +259,7 @@ EXTRA: dict[str, dict[str, Any]] = {
     "shapes.HicksHenne.centres": {"beyond": [1.5], "twice": [0.5, 0.5]},
     "shapes.ReferenceAxis.points": {"one": np.zeros((1, 3))},
     **each("shapes.bend.axis shapes.rotate.axis", {"plane": [0.0, 0.0, 1.0]}),
-    **each("jm.replay.plans plot.surface_errors.reductions", {"empty": ()}),
+    "jm.replay.plans": {"empty": ()},
     "cases.bodies.box": {"short": [0.0, 1.0], "back": [4.0, -4.0, -4.0, 4.0]},
 }
 """Values out of range, by the name of an argument, everywhere or of one callable."""
@@ -361,7 +360,7 @@ UNCHECKED |= words("jm.Periodic.about jm.Periodic.axis jm.Periodic.rotation jm.p
 
 SENSE = {
     "x": "nan infinite",
-    **each("jm.curve.moving jm.curve.fixed", "beyond"),  # nodes of the elevated mesh
+    **each("jm.curve.moving jm.curve.fixed jm.Layer.points", "beyond"),  # nodes of another mesh
     **each("jm.Graded.share jm.Greedy.motions", "beyond wide short"),
     **each("jm.march.path jm.replay.path jm.judge.points shapes.project.gradient", "nan infinite"),
     **each("jm.Limits.min_jacobian_ratio", "below beyond"),
@@ -371,7 +370,7 @@ SENSE = {
     **each("jm.face_quality.points jm.refit.points jm.smooth_quality.points", "nan infinite"),
     **each("jm.proof.points jm.proven_margin.points", "nan infinite"),
     **each("jm.wall_quality.points jm.soft_maximum.values plot.values", "nan infinite number axis"),
-    **each("jm.save.path jm.soft_maximum.axis", "ending less list"),
+    **each("jm.save.path jm.export.path jm.soft_maximum.axis", "ending less list"),
     **each("jm.KDTree.with_sources.points jm.Plane.through.points", "short"),
     "jm.Mesh.points": "nan infinite short",
     **each("jm.Mesh.moved.points jm.Mesh.in_file_order.points", "nan infinite"),

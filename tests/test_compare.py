@@ -11,7 +11,7 @@ from meshes import ring, unit_box
 
 import jaxmorph as jm
 from jaxmorph import cases
-from jaxmorph._advice.methods import METHODS, MOST_POINTS
+from jaxmorph._advice.methods import MOST_POINTS
 
 
 @pytest.fixture(scope="module")
@@ -74,7 +74,7 @@ def test_the_list_says_of_a_method_what_the_method_says_of_itself(name):
 
 
 def test_titles_of_methods_are_unique():
-    assert len({entry.title or name for name, entry in METHODS.items()}) == len(METHODS)
+    assert len({entry.title or name for name, entry in jm.METHODS.items()}) == len(jm.METHODS)
 
 
 @pytest.mark.nightly
@@ -83,7 +83,7 @@ def test_camber_asks_for_the_cells(problem, monkeypatch):
     boundary, base = problem
     camber = 0.2 * (base[:, :1] - base[:, :1] ** 2) * [0, 1]
     first = jm.compare(boundary, jnp.asarray(camber[None]))
-    names = {"default", "interpolated", *(name for name, entry in METHODS.items() if entry.is_tried)}
+    names = {"default", "interpolated", *(name for name, entry in jm.METHODS.items() if entry.is_tried)}
     assert {row.method for row in first.rows} == names
     angles = {row.method: row.angle for row in first.rows}
     assert max(angles["elasticity"], angles["torsional"]) < angles["default"] < angles["interpolated"]

@@ -12,6 +12,7 @@ from runs import runs
 
 import jaxmorph as jm
 from jaxmorph import io
+from jaxmorph._host.cells.lagrange import PLACES
 
 
 def rows(places):
@@ -64,11 +65,70 @@ def test_one_ending_two_formats(tmp_path):
         np.testing.assert_array_equal(io.read(tmp_path / f"{name}2.g").points, mesh.points * 2)
 
 
+HEX = "01 12 23 30 04 15 26 37 45 56 67 74"
+WEDGE = "01 12 20 03 14 25 34 45 53"
+PYRAMID = "01 12 23 30 04 14 24 34"
+MANUAL = {
+    "hexahedron20": ("HEX20", HEX),
+    "hexahedron27": ("HEX27", f"{HEX} 01234567 0123 4567 0374 1265 0154 2376"),
+    "wedge15": ("WEDGE15", WEDGE),
+    "wedge18": ("WEDGE18", f"{WEDGE} 0143 1254 0253"),
+    "tetra10": ("TETRA10", "01 12 02 03 13 23"),
+    "pyramid13": ("PYRAMID13", PYRAMID),
+    "triangle6": ("TRI6", "01 12 02"),
+    "quad8": ("QUAD8", "01 12 23 30"),
+    "quad9": ("SHELL9", "01 12 23 30 0123"),
+}
+"""Exodus's types of order 2: their nodes behind the corners are in the middle of these corners."""
+SIDES = {
+    "hexahedron": "0154 1265 2376 0374 0123 4567",
+    "wedge": "0143 1254 0253 012 345",
+    "tetra": "013 123 023 012",
+    "pyramid": "014 124 234 034 0123",
+    "triangle": "01 12 02",
+    "quad": "01 12 23 30",
+}
+
+
+@pytest.mark.parametrize("kind", MANUAL)
+def test_cells_of_order_2(tmp_path, kind):
+    """VTK has each node where its parametric coordinates are in the linear cell, and sides have the nodes between their corners."""
+    vtkCommonCore = pytest.importorskip("vtkmodules.vtkCommonCore")
+    name, groups = MANUAL[kind]
+    shape = kind.rstrip("0123456789")
+    corners = (
+        np.array(PLACES[shape], float) @ np.array([[1, 0.1, 0], [0.2, 1, 0.3], [0, 0.1, 1]])[: len(PLACES[shape][0])]
+    )
+    middles = [[int(digit) for digit in group] for group in groups.split()]
+    nodes = [*([k] for k in range(len(corners))), *middles]
+    points = np.array([corners[group].mean(axis=0) for group in nodes])
+    is_shell = name.startswith("SHELL")
+    sides = [(f"side {k}", [0], [k + 2 * is_shell]) for k in range(len(SIDES[shape].split()))]
+    flat = points[:, : 2 if shape in ("triangle", "quad") and not is_shell else 3]
+    exodus.write(tmp_path / "a.e", flat, [("", kind, [np.arange(len(points))])], sides, types={kind: name})
+    mesh = io.read(tmp_path / "a.e")
+    for k, side in enumerate(SIDES[shape].split()):
+        inside = [node for node, group in enumerate(nodes) if set(group) <= {int(digit) for digit in side}]
+        assert mesh.patch(f"side {k}").tolist() == inside
+    grid, straight = mesh.to_pyvista(), jm.Mesh(flat[: len(corners)], {shape: [np.arange(len(corners))]}).to_pyvista()
+    cell, linear = grid.GetCell(0), straight.GetCell(0)
+    at = np.array([cell.GetParametricCoords()[k] for k in range(3 * len(points))]).reshape(-1, 3)
+    in_cell = np.asarray(grid.points)[[cell.GetPointId(k) for k in range(len(points))]]
+    for node, coordinates in zip(in_cell, at, strict=True):
+        place = [0.0] * 3
+        linear.EvaluateLocation(vtkCommonCore.reference(0), coordinates, place, [0.0] * len(corners))
+        np.testing.assert_allclose(place, node, atol=1e-12)
+    moved = mesh.moved(np.asarray(mesh.points) * 1.25)
+    np.testing.assert_array_equal(rewritten(tmp_path / "b.e", moved).points, moved.points)
+
+
 def test_what_is_refused(tmp_path):
     points = mixed()[0]
     for form in FORMS:
-        exodus.write(tmp_path / "b.e", points, [("", "tetra", [np.arange(10)])], form=form)
-        with pytest.raises(ValueError, match=r"b\.e: elements of type TETRA4 with 10 nodes; linear ones are read"):
+        exodus.write(tmp_path / "b.e", points, [("", "tetra", [np.arange(11)])], form=form)
+        with pytest.raises(
+            ValueError, match=r"b\.e: elements of type TETRA4 with 11 nodes are not read; of order 1 and 2"
+        ):
             io.read(tmp_path / "b.e")
         solid(tmp_path / "c.e", form=form)
         data = (tmp_path / "c.e").read_bytes()

@@ -251,13 +251,11 @@ def test_legends_hide_nothing_at_the_width_of_a_column(airfoil):
     """Each stands above its axes, within the figure, and the axes stay larger than the legend."""
     plan = jm.prepare(airfoil, "airfoil", "farfield", method=jm.RBF(reduction=jm.KDTree(4)))
     window = plot.whole(airfoil.points)
-    errors = plot.surface_errors(plan, 0.1 * plan.points[plan.moving], [jm.KDTree(2)])
     for draw in (
         lambda ax: plot.before_after(airfoil, airfoil.points, ax=ax),
         lambda ax: plot.graph(plan, window=window, ax=ax),
         lambda ax: plot.sources(plan, ax=ax),
         lambda ax: plot.histogram({"undeformed": jm.quality(airfoil)}, ax=ax),
-        lambda ax: plot.convergence({"k-d tree": errors, "farthest points": errors}, ax=ax),
     ):
         ax = draw(plt.subplots(figsize=(3.5, 2.6), layout="constrained")[1])
         ax.figure.canvas.draw()
@@ -485,7 +483,6 @@ REFUSED = [
     (lambda: plot.cut(bricks(), plane=jm.Plane((1.0, 0, 0), (7.0, 0, 0))), "nothing to draw"),
     (lambda: plot.histogram({}, measure="skew"), "'skew'; there are skewness"),
     (lambda: plot.histogram({}), "empty"),
-    (lambda: plot.convergence({}), "empty"),
     (lambda: plot.page("cube.htl", bricks(2), bricks(2).points), r"\.html"),
     (lambda: plot.page("cube.html", mixed(), mixed().points), "3-D meshes"),
     (lambda: plot.page("cube.html", bricks(2), bricks(2).points, values=ZERO), "8 cells"),

@@ -9,7 +9,6 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-from scipy.interpolate import RBFInterpolator
 from scipy.spatial import cKDTree
 
 import jaxmorph as jm
@@ -92,46 +91,6 @@ def test_boxes_in_3d_are_wires_round_the_points():
     assert plot.sources_3d(points, jm.KDTree(2), plotter=plotter) is plotter
 
 
-def test_errors_on_the_surface_are_those_of_scipy():
-    plan = planned()
-    moving, fixed = np.asarray(plan.points[:40]), np.asarray(plan.points[40:70])
-    u = 0.1 * np.stack([np.sin(3 * moving[:, 1]), np.cos(2 * moving[:, 0])], axis=1)
-    trees = [jm.AllPoints(), jm.KDTree(2)]
-    found = plot.surface_errors(plan, u, trees)
-    for row, tree in enumerate(trees):
-        ids = tree(moving)
-        far = fixed[jm.KDTree(2)(fixed)]
-        given = np.concatenate([u[ids], np.zeros_like(far)])
-        field = RBFInterpolator(np.concatenate([moving[ids], far]), given, kernel="thin_plate_spline", degree=1)
-        missed = np.linalg.norm(field(moving) - u, axis=1) / np.linalg.norm(u, axis=1).max()
-        assert found.sources[row] == len(ids) + len(far)
-        np.testing.assert_allclose([found.largest[row], found.mean[row]], [missed.max(), missed.mean()], atol=1e-11)
-    assert found.largest[0] < 1e-12 < found.mean[1]
-
-    axis = plot.convergence({"k-d tree": found})
-    largest, mean, *styles = axis.lines
-    assert [line.get_linestyle() for line in (largest, mean)] == [line.get_linestyle() for line in styles]
-    np.testing.assert_array_equal(largest.get_xdata(), np.sort(found.sources))
-    np.testing.assert_array_equal(largest.get_ydata(), found.largest[np.argsort(found.sources)])
-    np.testing.assert_array_equal(mean.get_ydata(), found.mean[np.argsort(found.sources)])
-    assert [text.get_text() for text in axis.get_legend().get_texts()] == ["k-d tree", "largest", "mean"]
-    axis.figure.canvas.draw()
-    ticks = [int(label.get_text()) for label in axis.get_xticklabels()]
-    assert len(ticks) >= 2
-    assert all(tick in [factor * 10**power for power in range(4) for factor in (1, 2, 5)] for tick in ticks)
-    (bottom, top), ticks = axis.get_ylim(), axis.get_yticks()
-    assert ((ticks >= bottom) & (ticks <= top)).sum() >= 2
-
-
-@pytest.mark.nightly
-def test_errors_with_a_symmetry_plane():
-    plan = planned(half=True)
-    u = 0.1 * np.asarray(plan.points[:40]) * [1, 0]
-    found = plot.surface_errors(plan, u, [jm.AllPoints()])
-    assert found.largest[0] < 1e-12
-    assert found.sources[0] == 40 + len(jm.KDTree(2)(np.asarray(plan.points[40:70])))
-
-
 REFUSED = [
     (lambda: plot.sources(planned(jm.DelaunayGraph())), "no radial basis functions"),
     (lambda: plot.sources(planned(), jm.KDTree(3)), "own reductions"),
@@ -139,8 +98,6 @@ REFUSED = [
     (lambda: plot.sources(ball(), jm.KDTree(3)), "sources_3d"),
     (lambda: plot.sources_3d(planned()), r"plot\.sources"),
     (lambda: plot.sources_3d(planned().points, jm.KDTree(3)), "in 3-D"),
-    (lambda: plot.surface_errors(planned(), np.zeros((40, 2)), [jm.KDTree(2)]), "zero"),
-    (lambda: plot.surface_errors(planned(jm.DelaunayGraph()), np.ones((40, 2)), [jm.KDTree(2)]), "no sources"),
 ]
 
 

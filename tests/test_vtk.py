@@ -89,7 +89,7 @@ def test_no_damage_of_sizes_is_taken(tmp_path, binary):
         for step in (-1, 1):
             count = b"%d" % (int(data[at:end]) + step)
             (tmp_path / "b.vtk").write_bytes(data[:at] + count + data[end:])
-            with pytest.raises(ValueError, match=r"b\.vtk: a damaged \.vtk file"):
+            with pytest.raises(ValueError, match=r"b\.vtk: (a damaged file|no mesh)"):
                 io.read(tmp_path / "b.vtk")
 
 
@@ -163,7 +163,8 @@ def test_pieces_and_blocks_are_one_mesh(tmp_path):
     for k, cell in enumerate(cells):
         vtk_files.write(tmp_path / f"p{k}.vtu", vtk_files.unstructured(vtk_files.BOX, [cell]))
     names = "".join(f'<Piece Source="p{k}.vtu"/>' for k in range(3))
-    text = f'<VTKFile type="PUnstructuredGrid"><PUnstructuredGrid>{names}</PUnstructuredGrid></VTKFile>'
+    points = '<PPoints><PDataArray type="Float64" NumberOfComponents="3"/></PPoints>'
+    text = f'<VTKFile type="PUnstructuredGrid"><PUnstructuredGrid>{points}{names}</PUnstructuredGrid></VTKFile>'
     (tmp_path / "a.pvtu").write_text(text)
     assert len(io.read(tmp_path / "a.pvtu").cells["hexahedron"]) == 3
     blocks = vtkMultiBlockDataSet()
@@ -253,14 +254,14 @@ def test_a_hostile_file_costs_no_memory(tmp_path):
         (tmp_path / f"{kind}{'.vtk' if 'legacy' in kind else '.vtu'}").write_bytes(hostile(kind))
     code = f"""
 import pathlib, resource
-from jaxmorph.io.vtk import file
+from jaxmorph.io import _vtk
 from vtkmodules import vtkIOXML, vtkIOLegacy, vtkFiltersCore
 from vtkmodules.util import numpy_support
 used = int(pathlib.Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
 resource.setrlimit(resource.RLIMIT_AS, (used + 3 * 10**8, -1))
 for path in sorted(pathlib.Path({str(tmp_path)!r}).iterdir()):
     try:
-        file.read(path)
+        _vtk.read(path)
     except ValueError as error:
         assert path.name in str(error)
         print(path.name, "refused")

@@ -21,6 +21,9 @@ READERS = {".vtu": vtkXMLUnstructuredGridReader, ".vts": vtkXMLStructuredGridRea
 WRITERS = {".vtu": vtkXMLUnstructuredGridWriter, ".vts": vtkXMLStructuredGridWriter, ".vtp": vtkXMLPolyDataWriter}
 ENDINGS = {"structured": ".vts", "surface": ".vtp"}
 
+SYNONYMS = {"signed char": "char", "long long": "long", "unsigned long long": "unsigned long"}
+"""Types of C that are as wide as another one."""
+
 TYPES = ("i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", "f4", "f8")
 
 BOX = np.array([[x, y, z] for z in (0, 1) for y in (0, 1) for x in (0, 1, 2, 3)], float)
@@ -167,7 +170,8 @@ def said(data) -> dict[str, list]:
         for k in range(fields.GetNumberOfArrays()):
             array = fields.GetAbstractArray(k)
             values = [array.GetVariantValue(i).ToString() for i in range(array.GetNumberOfValues())]
-            told[f"{what} {array.GetName()}"] = [array.GetDataTypeAsString(), array.GetNumberOfComponents(), *values]
+            kind = SYNONYMS.get(array.GetDataTypeAsString(), array.GetDataTypeAsString())
+            told[f"{what} {array.GetName()}"] = [kind, array.GetNumberOfComponents(), *values]
     kinds, nodes = [], vtkIdList()
     for k in range(data.GetNumberOfCells()):
         data.GetCellPoints(k, nodes)

@@ -26,7 +26,7 @@ FAR_FIELD = jm.KDTree(2)
 LEAVES = (1, 2, 4, 8)
 """Leaves of the wall's trees to compare, with four sources a leaf."""
 
-SIZE = 5.5, 5.2
+SIZE = 5.5, 4.6
 """Inches of a figure, in which 10 points are legible at a column of a journal and on a phone."""
 
 AIRFOIL: plot.Window = ((-0.35, 1.45), (-0.62, 0.48))
@@ -209,7 +209,8 @@ def figure5(path: pathlib.Path, mesh: jm.Mesh, outcomes: Sequence[Outcome]) -> N
             plot.mesh(mesh, outcome.points, values=skewness, limits=(0, LARGEST), window=window, bar=False, ax=axis)
             axis.set(xlabel="x / chord", ylabel="y / chord")
             axis.locator_params(nbins=3)
-            axis.text(0.03, 0.95, next(letters), transform=axis.transAxes, va="top", weight="bold", backgroundcolor="w")
+            frame = {"facecolor": "w", "linewidth": 0, "pad": 2}
+            axis.text(0.03, 0.95, next(letters), transform=axis.transAxes, va="top", weight="bold", bbox=frame)
     (left, right), (low, high) = TRAILING_EDGE
     for axis, outcome in zip(axes[0], outcomes, strict=True):
         axis.set_title(f"{outcome.study.title}\nlargest skewness {outcome.skewness[-1][1]:.2f}", fontsize="medium")

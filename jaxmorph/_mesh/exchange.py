@@ -27,8 +27,11 @@ PREFIX = "patch:"
 """Point arrays of this name and a patch's hold 1 at the nodes of the patch and 0 elsewhere."""
 
 MARKERS = ("patch", "patch_id", "patchid", "marker", "boundary", "boundary_id", "cellentityids", "medit:ref")
-MARKERS += ("modelfaceid", "facet_tags", "name_to_read")
+MARKERS += ("modelfaceid", "facet_tags", "name_to_read", "ugrid:ref", "nastran:ref")
 """Names, in lower case, of arrays whose numbers name patches."""
+
+GROUPS = ("gmsh:physical", "netgen:index")
+"""meshio's arrays of numbers of groups, whose names are field data."""
 
 BOUNDING = "gmsh:bounding_entities"
 """meshio's name of a set of cells that is no physical group."""
@@ -247,9 +250,9 @@ def _sets(grid: Grid) -> Iterator[Patch]:
 
 
 def _physical(grid: Grid) -> Iterator[Patch]:
-    """Yields gmsh's physical groups; an unnamed group is `physical_` and its tag."""
+    """Yields gmsh's physical groups, and Netgen's; an unnamed group is `physical_` and its tag."""
     names = {tuple(np.asarray(info).tolist()): name for name, info in grid.field_data.items() if np.size(info) == 2}
-    found = _by_number(grid, grid.cell_data.get("gmsh:physical", []))
+    found = _by_number(grid, next((grid.cell_data[name] for name in GROUPS if name in grid.cell_data), []))
     nodes = gathered(((tag, level), nodes) for level, tag, nodes in found if tag > 0)
     for (tag, level), members in nodes.items():
         yield Patch(names.get((tag, level), f"physical_{tag}"), f"{LEVELS[level]}_{tag}", members)
@@ -258,9 +261,9 @@ def _physical(grid: Grid) -> Iterator[Patch]:
 def _marked(grid: Grid) -> tuple[str, dict[str, np.ndarray]]:
     """Makes patches by the first array of `MARKERS`, and names it; on points 0 means inside."""
     for name in _markers(grid.cell_data):
-        patches = gathered(
-            (f"{name}_{number}", nodes) for level, number, nodes in _by_number(grid, grid.cell_data[name]) if level
-        )
+        found = [each for each in _by_number(grid, grid.cell_data[name]) if each[0]]
+        highest = max((level for level, *_ in found), default=0)  # edges beside faces have numbers of their own
+        patches = gathered((f"{name}_{number}", nodes) for level, number, nodes in found if level == highest)
         if patches:
             return name, patches
     for name in _markers(grid.point_data):
@@ -287,7 +290,7 @@ def _left(grid: Grid, taken: str) -> Iterator[str]:
     yield from regions_note(name for name, parts in solid.items() if name != BOUNDING and any(map(_has_some, parts)))
     for what, name, parts in _arrays(grid):
         numbers = _numbers(list(map(np.asarray, parts)))
-        if not numbers or name in (taken, "gmsh:physical", "gmsh:geometrical") or name.startswith(PREFIX):
+        if not numbers or name in (taken, *GROUPS, "gmsh:geometrical") or name.startswith(PREFIX):
             continue
         listed = ", ".join(map(str, numbers[:SHOWN])) + " ..." * (len(numbers) > SHOWN)
         way = " They are where it is called patch and nothing else names patches." * (what != "cells")
@@ -380,7 +383,7 @@ def ids_of(values) -> np.ndarray:
         return ids.astype(np.int64)
     if ids.dtype.kind not in "iu":
         raise ValueError(f"ids must be integers, not {ids.dtype}.")
-    return native(ids)
+    return native(ids) if ids.dtype.kind == "i" else ids.astype(np.int64)
 
 
 def _is_floating(dtype: Any) -> bool:

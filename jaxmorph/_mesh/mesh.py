@@ -20,7 +20,7 @@ from .._kernels.values import is_known
 from . import exchange, export, vtk
 from .exchange import checked_parts, floats
 from .polyhedra import Polyhedra
-from .refined import Numbering, outer_sides, refined
+from .refined import outer_sides, refined
 
 
 class Mesh(Module):
@@ -151,12 +151,14 @@ class Mesh(Module):
         return self._with("cells", {kind: cells[kind] for kind in sorted(cells)})
 
     @checked
-    def skin(self, *patches: str) -> "Mesh":
+    def skin(self, *patches: str) -> tuple["Mesh", Integer[np.ndarray, " k"]]:
         """Makes a mesh of the outer faces (2-D: edges), curved where the cells are.
 
         Of `patches`, as `patch` takes names, it has the faces with all nodes in them; by default
-        all. The result has the points and patches of this mesh. Its `cell_ids` number the cells
-        that have the faces, in the order of `cells`. Faces to other parts of a mesh are left out.
+        all. Faces to other parts of a mesh are left out.
+
+        **Returns:** the mesh, with the points and patches of this one, and the number (k,) of the
+        cell that has each face, in the order of `cells`.
 
         **Raises:** `ValueError` for a name without a patch, and for polyhedra and polygons, whose
         faces `boundary_faces` lists.
@@ -167,22 +169,23 @@ class Mesh(Module):
         inner = {kind: ids for kind, ids in cells.items() if DIMENSION[kind] == self.points.shape[1]}
         is_inner = [np.zeros(0, bool), *(np.full(len(ids), kind in inner) for kind, ids in cells.items())]
         among = self.patch(*patches) if patches else None
-        sides, origin = outer_sides(inner, len(self.points), among, self.between)
-        origin = Numbering(np.flatnonzero(np.concatenate(is_inner))[origin.cell_ids])
-        return Mesh(self.points, sides, self.patches, origin)
+        sides, owner = outer_sides(inner, len(self.points), among, self.between)
+        return Mesh(self.points, sides, self.patches), np.flatnonzero(np.concatenate(is_inner))[owner]
 
     @checked
-    def refined(self, steps: int) -> "Mesh":
+    def refined(self, steps: int) -> tuple["Mesh", Integer[np.ndarray, " k"]]:
         """Makes a mesh of linear cells that follow the curved ones: each edge has `steps` pieces.
 
-        The pieces share points, which are new; there are no patches. `cell_ids` number the cells
-        of which they are pieces. Serendipity cells become pieces of complete ones of their shape.
+        The pieces share points, which are new; there are no patches.
+
+        **Returns:** the mesh, and the number (k,) of the cell of which each of its cells is a
+        piece, in the order of `cells`.
 
         **Raises:** `ValueError` for fewer steps than 1.
         """
         cells = {kind: np.asarray(ids) for kind, ids in self.cells.items()}
-        points, pieces, origin = refined(cells, np.asarray(self.points), whole("steps", steps))
-        return Mesh(points, pieces, source=origin)
+        points, pieces, owner = refined(cells, np.asarray(self.points), whole("steps", steps))
+        return Mesh(points, pieces), owner
 
     @checked
     def moved(self, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> "Mesh":

@@ -1,6 +1,5 @@
 """Curved meshes as linear ones: their outer faces, and their cells in pieces that share points."""
 
-import dataclasses
 from collections.abc import Mapping
 
 import numpy as np
@@ -14,27 +13,20 @@ from .._host.cells.topology import CORNERS, SHAPES
 Cells = Mapping[str, Int[np.ndarray, "_k _s"]]
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Numbering:
-    """The source of a mesh that is made of the cells of another one."""
-
-    cell_ids: Int[np.ndarray, " k"]
-
-
 def outer_sides(
     cells: Cells, n: int, among: np.ndarray | None, between: np.ndarray | None
-) -> tuple[dict[str, np.ndarray], Numbering]:
+) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Sides of one cell only, but those `between` parts, by type, and the cell of each."""
     sides, owners = {}, [np.zeros(0, np.int64)]
     for kind, (ids, owner) in sorted(owned_sides(cells, n, among).items()):
         is_outer = np.ones(len(ids), bool) if between is None else ~is_among(ids, between)
         sides[kind] = ids[is_outer]
         owners.append(owner[is_outer])
-    return sides, Numbering(np.concatenate(owners))
+    return sides, np.concatenate(owners)
 
 
-def refined(cells: Cells, points: Float[np.ndarray, "n d"], steps: int) -> tuple[np.ndarray, dict, Numbering]:
-    """Points (p, d), and linear pieces of cells by type; edges have as many pieces as `steps`."""
+def refined(cells: Cells, points: Float[np.ndarray, "n d"], steps: int) -> tuple[np.ndarray, dict, np.ndarray]:
+    """Points (p, d), linear pieces of cells by type, `steps` to an edge, and the cell of each."""
     cells = {kind: ids for kind, ids in cells.items() if len(ids)}
     new, number = _places(cells, points, steps)
     found, first = {}, 0
@@ -44,8 +36,8 @@ def refined(cells: Cells, points: Float[np.ndarray, "n d"], steps: int) -> tuple
             found.setdefault(shape, []).append((table[:, rows].reshape(-1, rows.shape[1]), owner))
         first += len(ids)
     joined = {shape: [np.concatenate(part) for part in zip(*found[shape], strict=True)] for shape in sorted(found)}
-    origin = Numbering(np.concatenate([np.zeros(0, np.int64), *(owner for _, owner in joined.values())]))
-    return new, {shape: ids for shape, (ids, _) in joined.items()}, origin
+    owner = np.concatenate([np.zeros(0, np.int64), *(owner for _, owner in joined.values())])
+    return new, {shape: ids for shape, (ids, _) in joined.items()}, owner
 
 
 def _places(cells: Cells, points: np.ndarray, steps: int) -> tuple[np.ndarray, list[np.ndarray]]:
@@ -60,7 +52,7 @@ def _places(cells: Cells, points: np.ndarray, steps: int) -> tuple[np.ndarray, l
         places.append(np.einsum("sn,knd->ksd", places_of(kind, steps), points[ids]).reshape(-1, points.shape[1]))
         counts.append(len(keys[-1]))
     _, first, number = np.unique(np.concatenate(keys), axis=0, return_index=True, return_inverse=True)
-    tables = np.split(number.ravel(), np.cumsum(counts)[:-1])
-    return np.concatenate(places)[first], [
-        table.reshape(len(ids), -1) for table, ids in zip(tables, cells.values(), strict=True)
-    ]
+    number, ends = number.ravel(), np.cumsum(counts, dtype=int)
+    tables = [number[end - count : end] for count, end in zip(counts, ends, strict=True)]
+    tables = [table.reshape(len(ids), -1) for table, ids in zip(tables, cells.values(), strict=True)]
+    return np.concatenate(places)[first].astype(points.dtype), tables

@@ -14,7 +14,7 @@ from scipy.sparse import eye
 from .._boundary.images import Images
 from .._boundary.periodic import Pairing
 from .._boundary.tracks import Track
-from .._host.package.arguments import checked, rows_of
+from .._host.package.arguments import checked, rows_of, shown
 from .._host.package.files import complete, output_path
 from .._methods.blocks import without_tables
 from .._methods.tape import POINTS, Field, Places, SurfaceRows, Tape, U, recorded
@@ -22,6 +22,8 @@ from .plan import Guide, Plan, VolumePart
 
 MAGIC, VERSION, HEAD, WORDS = b"JMPLAN\r\n", 1, 18, 9
 """Begin and version of a file; words of its header, and of a step."""
+
+PLANES = [["0", "1"], ["0", "2"], ["1", "2"]]
 
 KINDS = {"<f8": 1, "<i8": 2, "<i4": 3}
 """Kinds of arrays in a file."""
@@ -37,6 +39,11 @@ class Layer:
 
     points: Int[np.ndarray, " k"]
     axes: tuple[int, int]
+
+    def __post_init__(self):
+        rows_of("points", self.points, 2**31)
+        if not isinstance(self.axes, tuple | list) or sorted(map(repr, self.axes)) not in PLANES:
+            raise ValueError(f"`axes` must be two of 0, 1, 2, not {shown(self.axes)}.")
 
 
 @checked
@@ -81,6 +88,8 @@ def export(
     moving = tape.array(place[np.asarray(plan.moving)], "i8")
     rest, own = tape.array(volume.points), [-1, 0, 1]
     if layer is not None:
+        if tape.dimension != 2:
+            raise ValueError("`layer` is for the plan of a plane; this plan is in 3-D.")
         own = [tape.array(rows_of("layer.points", layer.points, len(chosen)), "i4"), *layer.axes]
     sizes = tape.dimension, len(chosen), plan.n_moving, len(tape.arrays), len(tape.rows), len(tape.steps)
     _write(path, tape, [*sizes, first, rest, moving, *own])

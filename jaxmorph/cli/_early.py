@@ -18,6 +18,7 @@ from ._requests import (
     LIMITS,
     MOTIONS,
     SU2,
+    Convert,
     Deform,
     Demo,
     ExportRequest,
@@ -220,6 +221,12 @@ def _check_quality(request: Quality) -> None:
         raise ValueError("--min-jacobian-ratio compares two meshes: give FILE2.")
 
 
+def _check_convert(request: Convert) -> None:
+    _check_input(request.file)
+    _check_mesh_output(request.output)
+    check_apart([("OUT", request.output)], {"the mesh is": [request.file]})
+
+
 def _check_demo(request: Demo) -> None:
     if request.output.exists() and not request.output.is_dir():
         raise ValueError(f"--output {request.output}: is a file, and pictures and meshes go into a folder.")
@@ -234,6 +241,7 @@ OF_COMMAND: dict[Any, Callable[[Any], None]] = {
     SU2: _check_su2,
     Quality: _check_quality,
     Info: _check_info,
+    Convert: _check_convert,
     Demo: _check_demo,
 }
 

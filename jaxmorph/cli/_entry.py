@@ -18,6 +18,7 @@ from ._parser import Parser, made, meant, quoted
 from ._requests import (
     COMMANDS,
     SU2,
+    Convert,
     Deform,
     Demo,
     ExportRequest,
@@ -90,6 +91,7 @@ RUNS: dict[Any, str] = {
     SU2: "_su2.run",
     Quality: "_inspect.quality",
     Info: "_inspect.info",
+    Convert: "_inspect.convert",
     Demo: "_inspect.demo",
 }
 """The function of each request's command, and its module, which imports JAX."""

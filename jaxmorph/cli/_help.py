@@ -250,6 +250,17 @@ gate fails; 2 for bad input""",
 example:
   jaxmorph info airfoil.su2""",
     ),
+    "convert": Page(
+        "write a mesh in another format",
+        "IN OUT",
+        """\
+What IN knows and OUT will not is told. SU2, gmsh and VTK files are written from
+any mesh; other formats take back only their own.
+
+examples:
+  jaxmorph convert elbow.msh elbow.su2
+  jaxmorph convert case mesh.vtu""",
+    ),
     "demo": Page(
         "run a test case of the paper: tables, pictures, meshes",
         "[CASE] [-o DIR]",

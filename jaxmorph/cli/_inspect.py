@@ -1,4 +1,4 @@
-"""`jaxmorph quality`, `jaxmorph info` and `jaxmorph demo`."""
+"""`jaxmorph quality`, `jaxmorph info`, `jaxmorph convert` and `jaxmorph demo`."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -10,7 +10,7 @@ from jaxmorph import Mesh, _demo, io
 
 from ._method import mesh_of
 from ._output import Output, count, some, title, wrapped
-from ._requests import Demo, Info, Quality
+from ._requests import Convert, Demo, Info, Quality
 from ._way import check_picture, draw, faults
 
 
@@ -58,6 +58,18 @@ def info(request: Info, out: Output) -> int:
     facts = zones[0] if len(zones) == 1 else {"zones": zones}
     out.say(None, **facts)
     draw(request.picture, meshes[0], out)
+    return 0
+
+
+def convert(request: Convert, out: Output) -> int:
+    with out.progress("reading"):
+        mesh = io.read(request.file)
+    lost = list(io.losses(request.output, mesh))
+    for sentence in lost:
+        out.warn(sentence)
+    with out.progress("writing"):
+        io.write(request.output, mesh)
+    out.say(f"wrote {request.output}: {mesh}", output=str(request.output), lost=lost)
     return 0
 
 

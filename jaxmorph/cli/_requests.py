@@ -319,6 +319,13 @@ class Info:
 
 
 @dataclasses.dataclass(frozen=True)
+class Convert:
+    file: Path = positional(MESH, "IN")
+    output: Path = positional("the same mesh, in the format of its ending", "OUT", type=_output)
+    speech: Speech = part(Speech)
+
+
+@dataclasses.dataclass(frozen=True)
 class Demo:
     case: str = positional(
         "naca0015 (default)", "CASE", nargs="?", default="naca0015", type=one_of("demo", ["naca0015"])
@@ -326,9 +333,22 @@ class Demo:
     output: Path = flag("where to write (default jaxmorph-demo)", *OUTPUT, metavar="DIR", default=Path("jaxmorph-demo"))
 
 
-Request = Deform | ModesRequest | SensitivityRequest | ExportRequest | NativeRequest | SU2 | Quality | Info | Demo
+Request = (
+    Deform | ModesRequest | SensitivityRequest | ExportRequest | NativeRequest | SU2 | Quality | Info | Convert | Demo
+)
 
 COMMANDS: dict[str, Fields] = {
     fields.__name__.removesuffix("Request").lower(): fields
-    for fields in (Deform, ModesRequest, SensitivityRequest, ExportRequest, NativeRequest, SU2, Quality, Info, Demo)
+    for fields in (
+        Deform,
+        ModesRequest,
+        SensitivityRequest,
+        ExportRequest,
+        NativeRequest,
+        SU2,
+        Quality,
+        Info,
+        Convert,
+        Demo,
+    )
 }

@@ -10,6 +10,7 @@ from ._displacement import read_displacement as read_displacement
 from ._registry import as_written as as_written
 from ._registry import cell_arrays as cell_arrays
 from ._registry import check_output as check_output
+from ._registry import losses as losses
 from ._registry import periodic as periodic
 from ._registry import read as read
 from ._registry import symmetry as symmetry

@@ -20,8 +20,7 @@ from jaxmorph.shapes import FreeForm, Hexahedron
 from ._format import Source, faults_of, source_of
 from ._su2 import NAME, Keyword, by_zones
 from ._text import Section, decoded, parse
-from .vtk import xml
-from .vtk.file import text_of
+from ._vtk import Encoding, text_of
 
 Points = Float[np.ndarray, "..."]
 Surface = Mapping[str, tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k d"]]]
@@ -127,7 +126,7 @@ def write_lattice(file: str | os.PathLike[str], points: Any) -> None:
     grid.SetDimensions(full.shape[:-1])
     grid.SetPoints(vtk.points_of(full.reshape(-1, 3, order="F")))
     with complete(path) as partial:
-        partial.write_bytes(text_of(xml.writer, grid, xml.Encoding(mode="appended")))
+        partial.write_bytes(text_of(grid, Encoding(mode="appended")))
 
 
 @checked

@@ -6,6 +6,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxmorph._host.cells.lagrange import inner_places, lagrange_types
+from jaxmorph._host.cells.orders import CGNS_ORDER, NodeOrder, reordered
+from jaxmorph._host.cells.topology import CORNERS, FACES, NODES, SHAPES, numbers
 from jaxmorph._mesh.exchange import Grid, Parts, Patch, regions_note
 
 from ._format import MeshLike
@@ -14,23 +17,24 @@ from ._tree import Coordinates, of_tree, opened, points_of, write_points
 
 NAME = "Exodus"
 WHAT = "an Exodus file"
-_EDGES = {n: [[i, (i + 1) % n] for i in range(n)] for n in (3, 4)}
-_SHELLS = {n: [list(range(n)), list(range(n)), *_EDGES[n]] for n in (3, 4)}
-TYPES = {
-    ("TRI", 3): ("triangle", _EDGES[3]),
-    ("QUA", 4): ("quad", _EDGES[4]),
-    ("SHE", 3): ("triangle", _SHELLS[3]),
-    ("SHE", 4): ("quad", _SHELLS[4]),
-    ("TET", 4): ("tetra", [[0, 1, 3], [1, 2, 3], [0, 2, 3], [0, 1, 2]]),
-    ("PYR", 5): ("pyramid", [[0, 1, 4], [1, 2, 4], [2, 3, 4], [0, 3, 4], [0, 1, 2, 3]]),
-    ("WED", 6): ("wedge", [[0, 1, 4, 3], [1, 2, 5, 4], [0, 2, 5, 3], [0, 1, 2], [3, 4, 5]]),
-    ("HEX", 8): (
-        "hexahedron",
-        [[0, 1, 5, 4], [1, 2, 6, 5], [2, 3, 7, 6], [0, 3, 7, 4], [0, 1, 2, 3], [4, 5, 6, 7]],
-    ),
-} | {(name, 2): ("line", [[0, 1]] * 2) for name in ("BAR", "BEA", "TRU", "EDG", "ROD", "SHE")}
-TYPES |= {(name, 1): ("vertex", []) for name in ("SPH", "CIR", "POI", "NOD")}
-"""Types of cells by first letters and node counts of Exodus's types, and corners of each side."""
+_TYPES = {"TRI": "triangle", "QUA": "quad", "TET": "tetra", "PYR": "pyramid", "WED": "wedge", "HEX": "hexahedron"}
+_TYPES |= dict.fromkeys(("BAR", "BEA", "TRU", "EDG", "ROD"), "line")
+_TYPES |= dict.fromkeys(("SPH", "CIR", "POI", "NOD"), "vertex")
+_SHELLS = {1: "vertex", 2: "line", 3: "line", 4: "quad", 6: "triangle", 8: "quad", 9: "quad"}
+"""Shapes of cells by first letters of Exodus's types; of shells by their number of nodes."""
+
+_SIDES = {
+    "tetra": numbers("013 123 023 012"),
+    "pyramid": numbers("014 124 234 034 0123"),
+    "wedge": numbers("0143 1254 0253 012 345"),
+    "hexahedron": numbers("0154 1265 2376 0374 0123 4567"),
+}
+"""Corners of each side, by the shape; cells in 2-D have those of `FACES`."""
+
+_ORDER = NodeOrder(
+    CGNS_ORDER.edges, {**CGNS_ORDER.faces, "hexahedron": numbers("0321 4567 0374 1265 0154 2376")}, inner_places
+)
+"""The manual's order; of hexahedra of 27 nodes the middle one comes before those of the faces."""
 
 _SETS = (
     (("ss", "elem_ss", "sides"), "num_side_sets"),
@@ -42,7 +46,7 @@ _UNREAD |= {"num_ed_blk": "blocks of edges", "num_fa_blk": "blocks of faces"}
 
 
 class _Block(NamedTuple):
-    """Elements of one type between `corners`, called `name`, and the corners of their sides.
+    """Elements of one type between `corners`, called `name`, and the nodes of their sides.
 
     Without a name it is called `own`.
     """
@@ -51,7 +55,7 @@ class _Block(NamedTuple):
     own: str
     kind: str
     corners: np.ndarray
-    sides: list[list[int]]
+    sides: list[np.ndarray]
 
 
 def read(path: pathlib.Path) -> Parts:
@@ -98,14 +102,35 @@ def _blocks(path: pathlib.Path, file: Mapping[str, Any], dimension: int) -> Iter
         if array is None:
             continue
         kind, corners = _text(array.attrs["elem_type"]), array[()].astype(np.int64) - 1
-        width = corners.shape[1] if corners.ndim == 2 else 0
-        if (kind.upper()[:3], width) not in TYPES:
+        width, letters = corners.shape[-1] if corners.ndim == 2 else 0, kind.upper()[:3]
+        ours = _type_of(letters, width)
+        if ours not in (*NODES, "vertex"):
             size = f" with {width} nodes" if width else ""
-            raise ValueError(f"{path}: elements of type {kind[:40]}{size}; linear ones are read (HEX8, WEDGE6, ...).")
-        ours, sides = TYPES[kind.upper()[:3], width]
+            raise ValueError(
+                f"{path}: elements of type {kind[:40]}{size} are not read; of order 1 and 2 are (HEX8, HEX20, ...)."
+            )
+        if ours == "hexahedron27":
+            corners = np.concatenate([corners[:, :20], corners[:, 21:], corners[:, 20:21]], axis=1)
         # triangles of a mesh in space have sides as shells have, quads have not
-        is_shell = ours == "triangle" and dimension == 3
-        yield _Block(name, own, ours, corners, _SHELLS[3] if is_shell else sides)
+        is_shell = letters == "SHE" or (letters == "TRI" and dimension == 3)
+        sides = [] if ours == "vertex" else _sides(ours, is_shell)
+        yield _Block(name, own, ours, reordered(ours, corners, _ORDER, None), sides)
+
+
+def _type_of(letters: str, width: int) -> str:
+    shape = _SHELLS.get(width, "") if letters == "SHE" else _TYPES.get(letters, "")
+    shape = "triangle" if (letters, width) == ("SHE", 3) else shape
+    return shape if width == CORNERS.get(shape, 1) else f"{shape}{width}"
+
+
+def _sides(kind: str, is_shell: bool) -> list[np.ndarray]:
+    """Lists the nodes of each side in a cell; a shell has two faces before its edges."""
+    cell, shape = lagrange_types()[kind], SHAPES[kind]
+    places = {frozenset(face): nodes for face, (_, nodes) in zip(FACES[shape], cell.sides, strict=True)}
+    whole = np.arange(len(cell.lattice))
+    if shape == "line":
+        return [whole, whole]
+    return [whole, whole] * is_shell + [places[frozenset(corners)] for corners in _SIDES.get(shape, FACES[shape])]
 
 
 def _notes(file: Mapping[str, Any], solid: list[_Block]) -> Iterator[str]:

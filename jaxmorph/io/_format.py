@@ -118,7 +118,7 @@ MeshLike = Mesh | Parts
 
 @dataclasses.dataclass(frozen=True)
 class Format:
-    """A format: its name, and the module of this package that reads and writes it.
+    """A format: its name, and the module of this package (or the codec) that reads and writes it.
 
     `magic` are the first bytes of its files, for an ending that two formats share. The module, and
     with it an extra, is imported at first use. It defines
@@ -127,12 +127,13 @@ class Format:
     - `write(path, mesh)`: writes a new file. One that `holds_arrays` takes `point_data` and
       `cell_data` too, in the order of `mesh.cells`, type by type. A folder is written complete or
       not at all;
+    - or a class `Codec` of the format's name, for a module of several, with these methods;
     - `check(path, mesh)`: raises `ValueError` for what `write` could not do with the mesh, for any
       points. Without it the format takes back only meshes that came from it.
     """
 
     name: str
-    module: str
+    module: Any
     holds_arrays: bool = False
     is_folder: bool = False
     magic: tuple[bytes, ...] = ()
@@ -142,7 +143,10 @@ class Format:
         return MESHES[self.name]
 
     def codec(self) -> Any:
-        return importlib.import_module(f"{__package__}.{self.module}")
+        if not isinstance(self.module, str):
+            return self.module
+        module = importlib.import_module(f"{__package__}.{self.module}")
+        return module.Codec(self.name) if hasattr(module, "Codec") else module
 
 
 def source_of(mesh: MeshLike, format_name: str) -> Source | None:
@@ -162,7 +166,7 @@ def own_source(path: pathlib.Path, mesh: MeshLike, format_name: str) -> Source:
     """
     source = source_of(mesh, format_name)
     if source is None:
-        article = "an" if format_name in ("Exodus", "MFEM") else "a"
+        article = "an" if format_name in ("Exodus", "MFEM", "I-deas", "Abaqus", "XDMF", "AFLR") else "a"
         other = ".msh" if any(kind != SHAPES[kind] for kind in mesh.cells) else ".su2"
         raise ValueError(
             f"{path}: only a mesh that was read from {article} {format_name} file can be written to one; "

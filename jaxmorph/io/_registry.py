@@ -5,6 +5,7 @@ import dataclasses
 import os
 import pathlib
 from collections.abc import Iterator, Sequence
+from typing import Any
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -17,20 +18,25 @@ from jaxmorph._host.package import files
 from jaxmorph._host.package.arguments import checked
 from jaxmorph._host.package.errors import place_of, warn
 from jaxmorph._host.package.files import complete, output_path
-from jaxmorph._host.package.text import is_folder
+from jaxmorph._host.package.text import ending, is_folder, plugin
 from jaxmorph._mesh.exchange import Parts, numbers_of_cells
 
 from ._format import Format, Source, own_source, source_of, warn_of_loss
 
 FORMATS = (
     Format("SU2", "_su2"),
-    Format("VTK", "vtk.file", holds_arrays=True),
+    Format("VTK", "_vtk", holds_arrays=True),
     Format("gmsh", "gmsh.file"),
+    Format("Fluent", "_fluent", magic=(b"(",)),
+    Format("Fluent HDF5", "_fluent_h5"),
     Format("CGNS", "cgns.file"),
     Format("MFEM", "_mfem"),
     Format("MED", "_med"),
     Format("Exodus", "_exodus", magic=(b"CDF", b"\x89HDF")),
     Format("PLOT3D", "_plot3d"),
+    Format("Medit", "_others", magic=(b"MeshVersion", b"#")),
+    Format("Abaqus", "_others", magic=(b"*",)),
+    *(Format(name, "_others") for name in ("I-deas", "Nastran", "XDMF", "AFLR", "Netgen")),
     Format("OpenFOAM", "openfoam.case", is_folder=True),
 )
 
@@ -43,18 +49,55 @@ def format_of(path: pathlib.Path, source: object = None) -> Format:
     """
     if is_folder(path):  # it raises for unknown endings
         return next(candidate for candidate in FORMATS if candidate.is_folder)
-    found = [candidate for candidate in FORMATS if path.suffix.lower() in candidate.suffixes]
+    found = [candidate for candidate in FORMATS if ending(path) in candidate.suffixes]
+    if not found:
+        point = plugin(path)
+        return Format(point.name, _Plugin(point.name, point.load()))
     if isinstance(source, Source):
         found.sort(key=lambda candidate: candidate.name != source.format)
     elif len(found) > 1 and path.is_file():
         with path.open("rb") as file:
-            first = file.read(8)
+            first = file.read(64).lstrip()
         found.sort(key=lambda candidate: 1 if not candidate.magic else 2 - 2 * first.startswith(candidate.magic))
     return found[0]
 
 
+@dataclasses.dataclass(frozen=True)
+class _Plugin:
+    """A format of another package: a `codec` with `read(path)`, and perhaps `write(path, mesh)`."""
+
+    name: str
+    codec: Any
+
+    def read(self, path: pathlib.Path) -> Parts:
+        mesh = self.codec.read(path)
+        if not isinstance(mesh, Mesh):
+            raise ValueError(
+                f"{path}: the format {self.name} of another package returned {type(mesh).__name__}, no Mesh."
+            )
+        return Parts(mesh.points, dict(mesh.cells), dict(mesh.patches), Source(path, self.name, mesh.source))
+
+    def check(self, path: pathlib.Path, mesh: Mesh) -> None:
+        if not hasattr(self.codec, "write"):
+            raise ValueError(f"{path}: files of the format {self.name} are read, and not written; write .vtu.")
+
+    def write(self, path: pathlib.Path, mesh: Mesh) -> None:
+        source = source_of(mesh, self.name)
+        self.codec.write(path, Mesh(mesh.points, mesh.cells, mesh.patches, source and source.content))
+
+
 def file_mesh(path: pathlib.Path) -> Parts:
-    mesh = format_of(path).codec().read(path)
+    with files.unpacked(path) as file:
+        try:
+            mesh = format_of(file).codec().read(file)
+        except ValueError as error:
+            raise ValueError(str(error).replace(str(file), str(path))) from error
+    if file != path:
+        if getattr(mesh.source.content, "stamp", None) is not None:
+            raise ValueError(
+                f"{path}: files of {mesh.source.format} are copied when they are written: unpack it first."
+            )
+        mesh = mesh._replace(source=dataclasses.replace(mesh.source, path=path))
     check_nodes(path, mesh)
     notes = (*mesh.source.notes, *_hidden_groups(mesh))
     source = dataclasses.replace(mesh.source, cells=numbers_of_cells(mesh.cells), notes=notes)
@@ -96,16 +139,21 @@ def check_nodes(path: pathlib.Path, mesh: Parts) -> None:
 def read(path: str | os.PathLike[str]) -> Mesh:
     """Reads the mesh in a file or an OpenFOAM case.
 
-    Files are SU2 (.su2), VTK (.vtu, .vtk, .vts, .vtp, .pvtu, .vtm), gmsh (.msh), CGNS (.cgns), MFEM
-    (.mesh). Others are MED (.med), Exodus (.e, .exo, .ex2, .exoii, .g) and PLOT3D (.xyz, .p3d,
-    .p3dfmt, .x, .g). VTK, CGNS, MED and Exodus need the extra `io`. For an OpenFOAM case `path` is
-    its folder or a time folder.
+    Files are SU2 (.su2), VTK (.vtu, .vtk, .vts, .vtp, .pvtu, .vtm), gmsh (.msh), Fluent (.msh,
+    .cas, .cas.h5), CGNS (.cgns), MFEM (.mesh), MED (.med). Others are Exodus (.e, .exo, .ex2,
+    .exoii, .g) and PLOT3D (.xyz, .p3d, .p3dfmt, .x, .g, .grd, .fmt). By meshio come Medit
+    (.mesh, .meshb), Abaqus (.inp), XDMF (.xdmf), AFLR (.ugrid) and Netgen (.vol), by gmsh I-deas
+    (.unv) and Nastran (.bdf). Any may end in .gz. For an OpenFOAM case `path` is its folder or a
+    time folder. I-deas and Nastran need the extra `cases`, others `io`. SU2, gmsh, Fluent's text,
+    MFEM, PLOT3D and OpenFOAM need none.
 
     Coordinates are float64, in the units and the order of the file. A mesh of 2-D cells has two
     coordinates when all z of the file are equal. Patches are
 
-    - SU2's markers, gmsh's physical groups, CGNS's families or boundary conditions, MED's groups,
-      OpenFOAM's patches, VTK's point arrays called `patch:NAME`;
+    - SU2's markers, gmsh's physical groups, Fluent's zones of faces, CGNS's families or boundary
+      conditions, MED's groups, OpenFOAM's patches, VTK's point arrays called `patch:NAME`;
+    - sets of Abaqus, groups of I-deas, names of Netgen, references and numbers of others,
+      `medit:ref_3`;
     - MFEM's attributes of boundary elements, `boundary_3` for attribute 3; named sets are groups;
     - Exodus's side sets and node sets, and its blocks of lower dimension;
     - the sides of PLOT3D's blocks, or patches from a file beside the grid, with its name and the
@@ -135,11 +183,11 @@ def write(
     """Writes a mesh in the format of the file's ending.
 
     A mesh that was read and `moved` keeps everything but its coordinates in its own format, byte
-    for byte in SU2, gmsh, MFEM, OpenFOAM and PLOT3D files. Coordinates read back bit for bit,
+    for byte but in VTK and XDMF files, in which all is kept. Coordinates read back bit for bit,
     except for rounding to single precision (`as_written`), and round-off in MFEM's files of order 3
     and 4. Other meshes, and other formats, get points, cells and patches. SU2 and gmsh express a
-    patch by the boundary faces between its nodes. CGNS, MFEM, MED, Exodus, PLOT3D and OpenFOAM take
-    back only meshes that came from them.
+    patch by the boundary faces between its nodes. Other formats take back only meshes that came
+    from them, Nastran none. A file that ends in .gz is packed.
 
     A mesh from an OpenFOAM case goes into a time folder of the case (`case/0.5`: its
     `polyMesh/points`), or into a new folder. That is a copy of the case's `constant`, `system`, `0`
@@ -163,8 +211,11 @@ def write(
             f"{path}: {chosen.name} files hold no arrays; write .vtu to keep {', '.join([*arrays[0], *arrays[1]])}."
         )
     as_written(path, mesh)
-    with contextlib.nullcontext(path) if chosen.is_folder else complete(path) as target:
-        chosen.codec().write(target, mesh, *arrays[: 2 * chosen.holds_arrays])
+    with (
+        contextlib.nullcontext(path) if chosen.is_folder else complete(path) as target,
+        files.packed(target, path.stem) as file,
+    ):
+        chosen.codec().write(file, mesh, *arrays[: 2 * chosen.holds_arrays])
 
 
 @checked
@@ -214,7 +265,7 @@ def _checked(name: str | os.PathLike[str], mesh: Mesh) -> Format:
         raise ValueError(f"{path}: the mesh was read from this file; write to another one.")
     codec = chosen.codec()
     if hasattr(codec, "check"):
-        codec.check(path, mesh)
+        codec.check(path.with_suffix("") if path.suffix.lower() == ".gz" else path, mesh)
     else:
         own_source(path, mesh, chosen.name)
     finite = np.asarray(np.isfinite(np.asarray(mesh.points)).all(axis=1))
@@ -223,6 +274,31 @@ def _checked(name: str | os.PathLike[str], mesh: Mesh) -> Format:
             f"{path}: {(~finite).sum()} of {len(finite)} points are not finite, first node {np.argmin(finite)}."
         )
     return chosen
+
+
+@checked
+def losses(path: str | os.PathLike[str], mesh: Mesh) -> tuple[str, ...]:
+    """Lists what a mesh and its file know, and a file at `path` will not have.
+
+    **Arguments:**
+
+    - `path`, `mesh`: as `write` takes them.
+
+    **Returns:** sentences; none where the file goes back to its own format.
+
+    **Raises:** `ValueError` as `check_output` does.
+    """
+    chosen, source = _checked(path, mesh), mesh.source
+    if not isinstance(source, Source) or source_of(mesh, chosen.name) is not None:
+        return ()
+    kinds = dict.fromkeys(mesh.kinds.values())
+    told = [f"kinds of patches are lost: {', '.join(kinds)}."] * bool(kinds)
+    told += [f"groups of patches are lost: {', '.join(mesh.groups)}."] * bool(mesh.groups)
+    told += [f"periodic pairs of patches are lost: {len(source.periodic)}."] * bool(source.periodic)
+    told += ["whole polyhedra are lost; they are cut."] * (source.polyhedra is not None)
+    arrays = getattr(source.content, "arrays", [])
+    told += [f"arrays are lost: {', '.join(arrays)}."] * bool(arrays)
+    return (*told, *source.notes)
 
 
 @checked

@@ -72,22 +72,27 @@ def _refuse_foreign_data(path: pathlib.Path, file: Any) -> None:
 
 
 class Coordinates(NamedTuple):
-    """An array of coordinates in a tree, at `rows` and `columns` of a file's points, by columns."""
+    """An array of coordinates in a tree, at `rows` and `columns` of a file's points, by columns.
+
+    Where it is `by_rows`, it is (n, d) as the points are.
+    """
 
     array: Any
     rows: slice
     columns: slice
+    by_rows: bool = False
 
 
 def points_of(coordinates: Sequence[Coordinates], n: int, d: int) -> np.ndarray:
     points = np.full((n, d), np.nan)
-    for array, rows, columns in coordinates:
-        points[rows, columns] = array[()].reshape(d if columns == slice(None) else 1, -1).T
+    for array, rows, columns, by_rows in coordinates:
+        width = d if columns == slice(None) else 1
+        points[rows, columns] = array[()] if by_rows else array[()].reshape(width, -1).T
     return points
 
 
 def singles_of(coordinates: Iterable[Coordinates]) -> list[tuple[slice, slice]]:
-    return [(rows, columns) for array, rows, columns in coordinates if array.dtype.itemsize < 8]
+    return [(each.rows, each.columns) for each in coordinates if each.array.dtype.itemsize < 8]
 
 
 def of_tree(
@@ -122,9 +127,10 @@ def write_points(
     if np.array_equal(points, old):
         return
     with opened(path, writes=True, what=what) as file:
-        for array, rows, columns in coordinates(file):
-            if not np.array_equal(points[rows, columns], old[rows, columns]):
-                array[...] = points[rows, columns].T.reshape(array.shape).astype(array.dtype)
+        for array, rows, columns, by_rows in coordinates(file):
+            new = points[rows, columns]
+            if not np.array_equal(new, old[rows, columns]):
+                array[...] = (new if by_rows else new.T).reshape(array.shape).astype(array.dtype)
 
 
 MAGIC = b"CDF"

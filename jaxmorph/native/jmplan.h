@@ -293,32 +293,35 @@ static double jm_power(double squared, double exponent) {
     return (int)exponent % 2 ? result * sqrt(squared) : result;
 }
 
+JM_INLINE double jm_squared(int64_t d, const double *a, const double *b, double least) {
+    double r2 = 0;
+    for (int64_t k = 0; k < d; k++) r2 += (a[k] - b[k]) * (a[k] - b[k]);
+    return r2 > least ? r2 : least;
+}
+
 /* Means weighted by areas A_j ((L/r)^far + (alpha L/r)^near). Arrays: points, surface nodes, numbers (far, near, alpha,
-   L, bound of (L/r)^2, least r), shares of points or none, areas. `weights` holds a number for each node. */
+   L, bound of (L/r)^2, least r^2), shares of points or none, areas. */
 static void jm_mean(int64_t d, const double *points, const double *nodes, const double *numbers, const double *shares,
-                    const double *areas, int64_t count, int64_t b, const double *u, double *values, double *bar, double *weights) {
+                    const double *areas, int64_t count, int64_t b, const double *u, double *values, double *bar) {
     const double far = numbers[0], near = numbers[1], length = numbers[3] * numbers[3];
     for (int64_t i = 0; i < count; i++) {
-        const double *x = points + i * d;
-        double least = HUGE_VAL, sum = 0, local;
+        double least = HUGE_VAL, sum = 0, local, v[3] = {0, 0, 0};
         for (int64_t j = 0; j < b; j++) {
-            double r2 = 0;
-            for (int64_t k = 0; k < d; k++) { double t = x[k] - nodes[j * d + k]; r2 += t * t; }
-            weights[j] = r2 > numbers[5] ? r2 : numbers[5];
-            if (weights[j] < least) least = weights[j];
+            const double r2 = jm_squared(d, points + i * d, nodes + j * d, numbers[5]);
+            if (r2 < least) least = r2;
         }
         local = length / least;
         local = pow(numbers[2], near) * pow(local < numbers[4] ? local : numbers[4], (near - far) / 2);
-        for (int64_t j = 0; j < b; j++) {
-            double ratio = least / weights[j];
-            weights[j] = areas[j] * (jm_power(ratio, far) + local * jm_power(ratio, near));
-            sum += weights[j];
+        for (int pass = 0; pass < (bar ? 2 : 1); pass++) for (int64_t j = 0; j < b; j++) {
+            const double ratio = least / jm_squared(d, points + i * d, nodes + j * d, numbers[5]);
+            const double weight = areas[j] * (jm_power(ratio, far) + local * jm_power(ratio, near));
+            if (!pass) sum += weight;
+            for (int64_t k = 0; k < d; k++) {
+                if (pass) bar[j * d + k] += weight / sum * (shares ? shares[i] : 1) * values[i * d + k];
+                else if (!bar) v[k] += weight * u[j * d + k];
+            }
         }
-        sum = (shares ? shares[i] : 1) / sum;
-        for (int64_t j = 0; j < b; j++) for (int64_t k = 0; k < d; k++) {
-            if (bar) bar[j * d + k] += weights[j] * sum * values[i * d + k];
-            else values[i * d + k] += weights[j] * sum * u[j * d + k];
-        }
+        if (!bar) for (int64_t k = 0; k < d; k++) values[i * d + k] += v[k] / sum * (shares ? shares[i] : 1);
     }
 }
 
@@ -433,17 +436,17 @@ static void jm_rows(const jm_plan *q, const jm_step *s, int64_t first, int64_t l
 }
 
 /* The field of a step in rows first to last; `columns` are the coefficients, or their cotangents, as columns. */
-static void jm_field(const jm_plan *q, const jm_step *s, int64_t first, int64_t last, const double *in, double *out, double *bar, double *work) {
+static void jm_field(const jm_plan *q, const jm_step *s, int64_t first, int64_t last, const double *in, double *out, double *bar) {
     const int64_t d = q->d;
     const double *points = jm_real(q, s->array[0]) + first * d, *shares = s->array[3] < 0 ? NULL : jm_real(q, s->array[3]) + first;
     const double *sources = jm_real(q, s->array[1]), *numbers = jm_real(q, s->array[2]);
     const int64_t rows = q->rows[s->in], p = s->number / 256;
     if (s->code == JM_KERNEL) jm_kernel(d, (int)(s->number % 256), rows - p, p, sources, numbers, points, shares, last - first, in, out, bar);
-    else jm_mean(d, points, sources, numbers, shares, jm_real(q, s->array[4]), last - first, rows, in, out, bar, work);
+    else jm_mean(d, points, sources, numbers, shares, jm_real(q, s->array[4]), last - first, rows, in, out, bar);
 }
 
 /* One step for rows first to last of its register. `in` is the register that it reads: as columns for JM_KERNEL. */
-static int jm_apply(const jm_plan *q, const jm_step *s, int64_t first, int64_t last, const double *in, double *out, double *work) {
+static int jm_apply(const jm_plan *q, const jm_step *s, int64_t first, int64_t last, const double *in, double *out) {
     const int64_t d = q->d;
     switch (s->code) {
     case JM_ADD: for (int64_t i = 0; i < (last - first) * d; i++) out[i] += (double)s->number * in[first * d + i]; return 0;
@@ -456,7 +459,7 @@ static int jm_apply(const jm_plan *q, const jm_step *s, int64_t first, int64_t l
         if (d == 2) jm_sparse(2, jm_long(q, s->array[0]), jm_int(q, s->array[1]), jm_real(q, s->array[2]), first, last, in, out, NULL);
         else jm_sparse(3, jm_long(q, s->array[0]), jm_int(q, s->array[1]), jm_real(q, s->array[2]), first, last, in, out, NULL);
         return 0;
-    case JM_KERNEL: case JM_MEAN: jm_field(q, s, first, last, in, out, NULL, work); return 0;
+    case JM_KERNEL: case JM_MEAN: jm_field(q, s, first, last, in, out, NULL); return 0;
     case JM_PUT: case JM_PLANE: case JM_TURN: jm_rows(q, s, first, last, in, out, NULL, 0); return 0;
     case JM_PAIR: case JM_COPY: jm_pair(q, s, out, 0); return 0;
     case JM_FORWARD: jm_forward(q, s, out, 0); return 0;
@@ -466,7 +469,7 @@ static int jm_apply(const jm_plan *q, const jm_step *s, int64_t first, int64_t l
 }
 
 /* The transpose: takes the cotangent `out` of the step's register, which it may change, and adds to that of the other. */
-static int jm_turn(const jm_plan *q, const jm_step *s, int64_t first, int64_t last, double *out, double *bar, double *work) {
+static int jm_turn(const jm_plan *q, const jm_step *s, int64_t first, int64_t last, double *out, double *bar) {
     const int64_t d = q->d;
     switch (s->code) {
     case JM_ADD: for (int64_t i = 0; i < (last - first) * d; i++) bar[first * d + i] += (double)s->number * out[i]; return 0;
@@ -479,7 +482,7 @@ static int jm_turn(const jm_plan *q, const jm_step *s, int64_t first, int64_t la
         if (d == 2) jm_sparse(2, jm_long(q, s->array[0]), jm_int(q, s->array[1]), jm_real(q, s->array[2]), first, last, NULL, out, bar);
         else jm_sparse(3, jm_long(q, s->array[0]), jm_int(q, s->array[1]), jm_real(q, s->array[2]), first, last, NULL, out, bar);
         return 0;
-    case JM_KERNEL: case JM_MEAN: jm_field(q, s, first, last, NULL, out, bar, work); return 0;
+    case JM_KERNEL: case JM_MEAN: jm_field(q, s, first, last, NULL, out, bar); return 0;
     case JM_PUT: case JM_PLANE: case JM_TURN: jm_rows(q, s, first, last, NULL, out, bar, 1); return 0;
     case JM_PAIR: case JM_COPY: jm_pair(q, s, out, 1); return 0;
     case JM_FORWARD: jm_forward(q, s, out, 1); return 0;
@@ -669,10 +672,9 @@ int64_t jm_layer(const jm_plan *q, const int32_t **points, int axes[2]) {
 
 static double *jm_register(const jm_plan *q, double *registers, int64_t k) { return k < 0 ? NULL : registers + q->place[k]; }
 
-/* Doubles that a step on fields needs beside its registers: coefficients as columns, or weights of nodes. */
+/* Doubles of the coefficients of a step as columns. */
 static int64_t jm_room(const jm_plan *q, const jm_step *s) {
-    if (s->code != JM_KERNEL && s->code != JM_MEAN) return 0;
-    return q->rows[s->in] * q->d + 1;
+    return s->code == JM_KERNEL ? q->rows[s->in] * q->d : 0;
 }
 
 /* The registers, then for each step on the points its coefficients as columns. */
@@ -683,12 +685,14 @@ static int64_t jm_fit_size(const jm_plan *q) {
 }
 
 static int jm_run(const jm_plan *q, const jm_step *s, double *registers) {
-    double *in = jm_register(q, registers, s->in), *work = NULL;
+    double *in = jm_register(q, registers, s->in), *columns = NULL;
     int failed;
-    if (jm_room(q, s) && !(work = (double *)malloc((size_t)jm_room(q, s) * sizeof(double)))) return 1;
-    if (s->code == JM_KERNEL) { jm_columns(in, q->rows[s->in], q->d, work); in = work; }
-    failed = jm_apply(q, s, 0, q->rows[s->out], in, jm_register(q, registers, s->out), work);
-    free(work);
+    if (s->code == JM_KERNEL) {
+        if (!(columns = (double *)malloc((size_t)(jm_room(q, s) + 1) * sizeof(double)))) return 1;
+        jm_columns(in, q->rows[s->in], q->d, columns);
+    }
+    failed = jm_apply(q, s, 0, q->rows[s->out], columns ? columns : in, jm_register(q, registers, s->out));
+    free(columns);
     return failed;
 }
 
@@ -711,11 +715,7 @@ static void jm_move_rows(const jm_plan *q, const double *fit, int64_t first, int
     memset(points, 0, (size_t)((last - first) * q->d) * sizeof(double));
     for (int64_t k = q->first; k < q->steps; k++) {
         const jm_step *s = q->step + k;
-        double weights[JM_ROWS], *work = weights;
-        const double *in = s->code == JM_KERNEL ? more : s->in < 0 ? NULL : fit + q->place[s->in];
-        if (s->code == JM_MEAN && q->rows[s->in] > JM_ROWS && !(work = (double *)malloc((size_t)q->rows[s->in] * sizeof(double)))) return;
-        jm_apply(q, s, first, last, in, points, work);
-        if (work != weights) free(work);
+        jm_apply(q, s, first, last, s->code == JM_KERNEL ? more : s->in < 0 ? NULL : fit + q->place[s->in], points);
         more += jm_room(q, s);
     }
 }
@@ -746,36 +746,31 @@ int jm_deform(const jm_plan *q, const double *u, double *points) {
 }
 
 /* Cotangents of the registers from a range of points: `out` is changed. Coefficients of fields stay columns. */
-static int jm_pull_rows(const jm_plan *q, int64_t first, int64_t last, double *out, double *registers, double *more) {
+static void jm_pull_rows(const jm_plan *q, int64_t first, int64_t last, double *out, double *registers, double *more) {
     more += jm_fit_size(q) - q->place[q->registers] - 1;
     for (int64_t k = q->steps - 1; k >= q->first; k--) {
         const jm_step *s = q->step + k;
-        double *bar = jm_register(q, registers, s->in), *work = NULL;
         more -= jm_room(q, s);
-        if (s->code == JM_MEAN && !(work = (double *)malloc((size_t)(q->rows[s->in] + 1) * sizeof(double)))) return 1;
-        jm_turn(q, s, first, last, out, s->code == JM_KERNEL ? more : bar, work);
-        free(work);
+        jm_turn(q, s, first, last, out, s->code == JM_KERNEL ? more : jm_register(q, registers, s->in));
     }
-    return 0;
 }
 
-static int jm_pull_part(const jm_plan *q, const double *points_bar, int64_t first, int64_t last, double *registers) {
+static void jm_pull_part(const jm_plan *q, const double *points_bar, int64_t first, int64_t last, double *registers) {
     double out[JM_ROWS * 3];
     for (int64_t at = first; at < last; at += JM_ROWS) {
         const int64_t end = last - at < JM_ROWS ? last : at + JM_ROWS;
         memcpy(out, points_bar + at * q->d, (size_t)((end - at) * q->d) * sizeof(double));
-        if (jm_pull_rows(q, at, end, out, registers, registers + q->place[q->registers])) return 1;
+        jm_pull_rows(q, at, end, out, registers, registers + q->place[q->registers]);
     }
-    return 0;
 }
 
 static int jm_turn_whole(const jm_plan *q, const jm_step *s, double *registers) {
-    double *bar = jm_register(q, registers, s->in), *work = NULL;
+    double *bar = jm_register(q, registers, s->in), *columns = NULL;
     int failed;
-    if (jm_room(q, s) && !(work = (double *)calloc((size_t)jm_room(q, s), sizeof(double)))) return 1;
-    failed = jm_turn(q, s, 0, q->rows[s->out], jm_register(q, registers, s->out), s->code == JM_KERNEL ? work : bar, work);
-    if (s->code == JM_KERNEL) jm_add_columns(1, work, q->rows[s->in], q->d, bar);
-    free(work);
+    if (s->code == JM_KERNEL && !(columns = (double *)calloc((size_t)(jm_room(q, s) + 1), sizeof(double)))) return 1;
+    failed = jm_turn(q, s, 0, q->rows[s->out], jm_register(q, registers, s->out), columns ? columns : bar);
+    if (columns) jm_add_columns(1, columns, q->rows[s->in], q->d, bar);
+    free(columns);
     return failed;
 }
 
@@ -787,11 +782,11 @@ int jm_pullback(const jm_plan *q, const double *points_bar, double *u_bar) {
     int failed = 0;
     if (!registers) return 1;
 #ifdef _OPENMP
-#pragma omp parallel for schedule(static) reduction(| : failed)
+#pragma omp parallel for schedule(static)
 #endif
     for (int64_t k = 0; k < parts; k++) {
         const int64_t first = k * length, last = q->n < first + length ? q->n : first + length;
-        if (first < last) failed |= jm_pull_part(q, points_bar, first, last, registers + k * size);
+        if (first < last) jm_pull_part(q, points_bar, first, last, registers + k * size);
     }
     for (int64_t k = 1; k < parts; k++) jm_axpy(1, registers + k * size, registers, size);
     more = registers + q->place[q->registers];

@@ -13,10 +13,8 @@ from ._plane import before_after as before_after
 from ._plane import graph as graph
 from ._plane import mesh as mesh
 from ._plane import whole as whole
-from ._sources import SurfaceErrors as SurfaceErrors
 from ._sources import sources as sources
 from ._sources import sources_3d as sources_3d
-from ._sources import surface_errors as surface_errors
 from ._space import before_after_3d as before_after_3d
 from ._space import cut as cut
 from ._space import surface as surface

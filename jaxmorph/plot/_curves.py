@@ -1,17 +1,16 @@
-"""Curves: histograms of quality, and the error on the surface by the number of sources."""
+"""Curves: histograms of quality, and the progress of an optimisation."""
 
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 import jaxmorph as jm
 from jaxmorph.extend import checked
 from jaxmorph.shapes import History
 
 from ._plane import Axes, given_or_new, legend_above, plt
-from ._sources import SurfaceErrors
 from ._style import BLUE, DARK, GREEN, GREY, LIGHT, ORANGE, RULE, WIDTH
 
 
@@ -55,57 +54,28 @@ def _of_cells(report: jm.QualityReport, measure: str) -> Float[np.ndarray, " k"]
 
 @checked
 def convergence(
-    errors: Mapping[str, SurfaceErrors] | History,
+    history: History,
     *,
     bounds: Mapping[str, tuple[float | int, float | int]] | None = None,
     ax: Axes | None = None,
 ) -> Axes:
-    """Draws an optimisation's progress, or the error on the surface by the number of sources.
-
-    Of a `History` the objective, each constraint and each measure are drawn against the iterations,
-    one below the other, each on its own scale; what is beyond bounds is shaded. Errors belong to
-    families of reductions, by name: `{"k-d tree": ...}`. The largest error is a line, the mean is
-    dashed, both on logarithmic scales.
+    """Draws an optimisation's progress: the objective, each constraint and each measure against the
+    iterations, one below the other, each on its own scale; what is beyond bounds is shaded.
 
     **Arguments:**
 
-    - `errors`: a `shapes.History`; or what `surface_errors` returned, by the names for the legend.
+    - `history`: a `shapes.History`.
     - `bounds`: least and largest values of constraints and measures by name, one of them infinite
       or not: `{"lift": (0.5, np.inf)}`.
-    - `ax`: matplotlib's axes in a grid; new ones by default. A `History` shares them out.
+    - `ax`: matplotlib's axes in a grid, whose place the panels share; new ones by default.
 
-    **Returns:** the axes, of a `History` those of the objective, the first of the figure's.
+    **Returns:** the axes of the objective, the first.
 
     **Raises:** `ValueError` where there is nothing to draw, and for bounds of an unknown name.
     """
-    if isinstance(errors, History):
-        return _iterations(errors, bounds or {}, ax)
-    if not errors:
-        raise ValueError("`errors` is empty: give at least one, such as {'k-d tree': plot.surface_errors(...)}.")
-    ax = given_or_new(ax)
-    colours, markers = (BLUE, ORANGE, GREEN, DARK, GREY), "osD^v"
-    for k, (name, error) in enumerate(errors.items()):
-        order, style = np.argsort(error.sources, kind="stable"), {"color": colours[k % 5], "marker": markers[k % 5]}
-        ax.loglog(error.sources[order], error.largest[order], "-", label=name, **style)
-        ax.loglog(error.sources[order], error.mean[order], "--", fillstyle="none", **style)
-    for line, marks, name in (("-", "full", "largest"), ("--", "none", "mean")):
-        ax.plot([], [], f"o{line}", color=GREY, fillstyle=marks, label=name)
-    ticks = _round_numbers(np.concatenate([error.sources for error in errors.values()]))
-    ax.set_xticks(ticks, [f"{tick}" for tick in ticks])
-    ax.set_xticks([], minor=True)
-    low, high = np.log10(ax.get_ylim())
-    ax.set_ylim(10 ** np.floor(low), 10 ** np.ceil(high))  # whole decades: a tick at each
-    ax.set_xlabel("sources")
-    ax.set_ylabel("error on the surface /\nlargest displacement")
-    ax.grid(color=RULE)
-    ax.set_axisbelow(True)
-    legend_above(ax)
-    return ax
-
-
-def _iterations(history: History, bounds: Mapping[str, tuple[float | int, float | int]], ax: Axes | None) -> Axes:
+    bounds = {} if bounds is None else bounds
     if not len(history):
-        raise ValueError(f"`errors`: {history.path} has no iteration yet.")
+        raise ValueError(f"`history`: {history.path} has no iteration yet.")
     if unknown := [name for name in bounds if name not in history.names]:
         known = ", ".join(history.names) or "none"
         raise ValueError(f"`bounds`: no iteration has {', '.join(unknown)}; there are: {known}.")
@@ -142,12 +112,3 @@ def _stack(ax: Axes | None, count: int) -> list[Axes]:
     rows = place.subgridspec(count, 1)
     ax.set_subplotspec(rows[0])
     return [ax, *(ax.figure.add_subplot(row, sharex=ax) for row in list(rows)[1:])]
-
-
-def _round_numbers(numbers: Int[np.ndarray, " k"]) -> list[int]:
-    """Returns 1, 2 and 5 times powers of ten among numbers; one more at each end if few."""
-    rounded = np.array([factor * 10**power for power in range(10) for factor in (1, 2, 5)])
-    first, last = np.searchsorted(rounded, numbers.min()), np.searchsorted(rounded, numbers.max(), side="right")
-    if last - first < 2:
-        first, last = max(first - 1, 0), last + 1
-    return rounded[first:last].tolist()

@@ -101,12 +101,12 @@ def grid_of(mesh: jm.Mesh, points: Any, values: Any) -> Any:
 
 def _curved_faces(mesh: jm.Mesh, points: Any, values: Any, patches: Sequence[str]) -> Any:
     """Returns outer faces of curved cells in pieces, all or those with all nodes on a patch."""
-    surface = mesh.moved(_places(mesh, points)).skin(*patches)
+    surface, owner = mesh.moved(_places(mesh, points)).skin(*patches)
     if not sum(map(len, surface.cells.values())):
         return pyvista().PolyData()
     grid = _refined(surface)
     if values is not None:
-        grid.cell_data["values"] = cell_values(mesh, values)[surface.cell_ids][grid.cell_data["whole"]]
+        grid.cell_data["values"] = cell_values(mesh, values)[owner][grid.cell_data["whole"]]
     return skin(grid)
 
 
@@ -133,7 +133,7 @@ def _refined(mesh: jm.Mesh) -> Any:
     types = [(lagrange_types()[kind], len(ids)) for kind, ids in mesh.cells.items() if len(ids)]
     order, dimension = max(cell.order for cell, _ in types), max(cell.dimension for cell, _ in types)
     count = sum(number * cell.order**cell.dimension for cell, number in types)
-    fine = mesh.refined(order * int(np.clip((PIECES / max(count, 1)) ** (1 / dimension), 1, SEGMENTS)))
-    grid = jm.Mesh(fine.points, fine.cells).to_pyvista()
-    grid.cell_data["whole"] = fine.cell_ids
+    fine, owner = mesh.refined(order * int(np.clip((PIECES / max(count, 1)) ** (1 / dimension), 1, SEGMENTS)))
+    grid = fine.to_pyvista()
+    grid.cell_data["whole"] = owner
     return grid

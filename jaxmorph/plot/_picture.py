@@ -52,7 +52,7 @@ def picture(
     places = finite(before.points if points is None else before.moved(np.asarray(points)).points)
     path = output_path(path, *((".png",) if places.shape[1] == 2 else (".png", ".html")))
     nodes = _moved(before, places) if moving is None else rows_of("moving", moving, len(before.points))
-    side = None if path.suffix.lower() == ".html" else Side.of(before, places)
+    side = None if path.suffix.lower() == ".html" else FlatSide.of(before, places)
     if side is None and points is not None:
         drawn: bytes | None = _in_3d(path, before, places, nodes)
     else:
@@ -105,7 +105,7 @@ def _of_cells(verdict: jm.Verdict) -> Float[np.ndarray, " k"]:
     return values
 
 
-def _in_2d(side: "Side", moving: np.ndarray, verdict: jm.Verdict) -> bytes:
+def _in_2d(side: "FlatSide", moving: np.ndarray, verdict: jm.Verdict) -> bytes:
     mesh, name = side.mesh, _measure(verdict)
     label = name.replace("_", " ")
     states = {"deformed": (side.points, verdict)}
@@ -136,7 +136,7 @@ def _in_2d(side: "Side", moving: np.ndarray, verdict: jm.Verdict) -> bytes:
 
 
 def _averaged(mesh: jm.Mesh, values: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
-    """Means over the cells at each node, then over each cell's nodes: triangles by themselves are noise."""
+    """Means over the cells at each node, then over each cell's nodes: single triangles are noise."""
     kinds = [np.asarray(ids) for ids in mesh.cells.values()]
     cell = np.repeat(np.arange(len(values)), np.concatenate([np.full(len(ids), ids.shape[1]) for ids in kinds]))
     node, counts = np.concatenate([ids.ravel() for ids in kinds]), np.isfinite(values)
@@ -146,7 +146,7 @@ def _averaged(mesh: jm.Mesh, values: Float[np.ndarray, " k"]) -> Float[np.ndarra
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Side:
+class FlatSide:
     """What is drawn in 2-D: a mesh in 2-D, or one side of a mesh in 3-D that is one cell wide.
 
     `points` (k, 2) are its nodes afterwards, `nodes` (k,) their ids, `cells` the file's cell of
@@ -160,7 +160,7 @@ class Side:
     axes: list[int]
 
     @classmethod
-    def of(cls, mesh: jm.Mesh, places: Float[np.ndarray, "n d"]) -> "Side | None":
+    def of(cls, mesh: jm.Mesh, places: Float[np.ndarray, "n d"]) -> "FlatSide | None":
         base = np.asarray(mesh.points)
         if base.shape[1] == 2:
             return cls(mesh, places, np.arange(len(base)), np.asarray(mesh.cell_ids), [0, 1])

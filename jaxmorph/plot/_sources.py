@@ -2,14 +2,13 @@
 
 import dataclasses
 import itertools
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 import jaxmorph as jm
-from jaxmorph.extend import checked, finite_array
+from jaxmorph.extend import checked
 
 from ._outside import lines_of
 from ._plane import ROOM, Axes, Window, given_or_new, in_dimension, legend_above, show, whole
@@ -110,7 +109,7 @@ def _picture(surface: Any, reduction: jm.AbstractReduction | None, fixed: bool, 
     if isinstance(surface, jm.Plan):
         if reduction is not None:
             raise ValueError("a plan has its own reductions: give points with `reduction`, or the plan alone.")
-        parts, chosen = of_plan(surface, fixed)
+        parts, chosen = _of_plan(surface, fixed)
     else:
         if reduction is None:
             raise ValueError("points need the `reduction` that is to choose among them, such as jm.KDTree(16).")
@@ -122,7 +121,7 @@ def _picture(surface: Any, reduction: jm.AbstractReduction | None, fixed: bool, 
     return _Picture(nodes, chosen, np.concatenate(boxes))
 
 
-def radial_basis_functions(plan: jm.Plan) -> jm.RBF:
+def _radial_basis_functions(plan: jm.Plan) -> jm.RBF:
     method = plan.method
     while isinstance(method, jm.SurfaceReconstruction):
         method = method.coarse
@@ -132,9 +131,9 @@ def radial_basis_functions(plan: jm.Plan) -> jm.RBF:
     return method
 
 
-def of_plan(plan: jm.Plan, fixed: bool = True) -> tuple[list[tuple[np.ndarray, jm.AbstractReduction]], np.ndarray]:
+def _of_plan(plan: jm.Plan, fixed: bool) -> tuple[list[tuple[np.ndarray, jm.AbstractReduction]], np.ndarray]:
     """Returns moving and fixed nodes with their reductions; and sources, without images."""
-    rbf, points, sources = radial_basis_functions(plan), np.asarray(plan.points, dtype=float), plan.sources
+    rbf, points, sources = _radial_basis_functions(plan), np.asarray(plan.points, dtype=float), plan.sources
     on_wall, other = points[np.asarray(plan.moving)], points[np.asarray(plan.fixed)]
     reduction = rbf.reduction.given(on_wall, other) if isinstance(rbf.reduction, jm.KDTree) else rbf.reduction
     parts = [(on_wall, reduction)]
@@ -150,56 +149,3 @@ def _wires(boxes: Float[np.ndarray, "l 2 3"]) -> Any:
     edges = [(i, j) for i, j in itertools.combinations(range(8), 2) if np.abs(corners[i] - corners[j]).sum() == 1]
     points = boxes[:, corners, range(3)].reshape(-1, 3)
     return lines_of(points, (8 * np.arange(len(boxes))[:, None, None] + np.array(edges)).reshape(-1, 2))
-
-
-@dataclasses.dataclass(frozen=True)
-class SurfaceErrors:
-    """Misses of reduced radial functions on a moving surface, by reduction: `surface_errors`.
-
-    `sources` counts moving and fixed sources. `largest` and `mean` are the misses of moving nodes,
-    relative to the largest displacement.
-    """
-
-    sources: Int[np.ndarray, " r"]
-    largest: Float[np.ndarray, " r"]
-    mean: Float[np.ndarray, " r"]
-
-
-@checked
-def surface_errors(plan: jm.Plan, u: Float[Any, "m d"], reductions: Sequence[jm.AbstractReduction]) -> SurfaceErrors:
-    """Measures, on the host, how far a plan's radial functions alone miss `u` (m, d).
-
-    The basis, the polynomial and the reduction of the fixed nodes are the plan's. Each reduction
-    costs one dense solve, and needs no volume mesh.
-
-    **Arguments:**
-
-    - `plan`: a plan with radial basis functions.
-    - `u`: displacements (m, d) of the moving nodes, in the mesh's unit.
-    - `reductions`: of the moving nodes: `[jm.KDTree(leaves) for leaves in (1, 4, 16, 64)]`.
-
-    **Raises:** `ValueError` for a plan without radial basis functions, a `u` that is not (m, d) or
-    is zero, no `reductions`, and what `prepare` refuses of one of them.
-    """
-    rbf = radial_basis_functions(plan)
-    points, m = np.asarray(plan.points), plan.n_moving
-    u = finite_array("u", u, (m, points.shape[1])).astype(points.dtype)
-    if not np.any(u):
-        raise ValueError("`u` is zero: every reduction follows it.")
-    if not len(reductions):
-        raise ValueError("`reductions` is empty: name at least one, such as jm.KDTree(16).")
-    boundary = plan.boundary
-    nodes, planes = boundary.nodes, boundary.planes
-    if planes:  # of the volume only the nodes that tell where the planes are
-        nodes = np.union1d(nodes, np.flatnonzero(np.any([plane.holds(points) for plane in planes], axis=0)))
-    part = boundary.part(np.unique(nodes))
-    target = points[np.asarray(plan.moving)] + u
-    rows = []
-    for reduction in reductions:
-        method = jm.RBF(rbf.basis, reduction, rbf.fixed_reduction, rbf.degree)
-        reduced = jm.prepare(part, method=method)
-        missed = np.linalg.norm(np.asarray(jm.deform(reduced, u))[np.asarray(reduced.moving)] - target, axis=1)
-        rows.append((len(of_plan(reduced)[1]), missed.max(), missed.mean()))
-    number, largest, mean = (np.array(column) for column in zip(*rows, strict=True))
-    size = np.linalg.norm(u, axis=1).max()
-    return SurfaceErrors(number, largest / size, mean / size)

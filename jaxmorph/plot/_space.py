@@ -52,8 +52,8 @@ def surface(
     **Arguments:**
 
     - `mesh`, `points`, `values`, `limits`, `label`, `bar`: as `plot.mesh` takes them, in 3-D.
-    - `patch`: the patch to draw, or a pattern. Default: the bodies, without what is round them; where
-      there are none, the whole outside, as for `".*"`.
+    - `patch`: the patch to draw, or a pattern. Default: the bodies, without what is round them;
+      where there are none, the whole outside, as for `".*"`.
     - `plotter`: pyvista's; a new one, off screen, by default.
 
     **Returns:** the plotter: `plotter.screenshot(path)` writes the picture.

@@ -48,6 +48,8 @@ def zone(file: pathlib.Path, data: bytes, at: int) -> str:
             return "nothing"
         known = {b"NPOIN": "points", b"NELEM": "ids", b"MARKER_ELEMS": "ids"}
         return "any" if b"=" in data[at - len(line) :].split(b"\n")[0] or not words else known.get(words[-1], "any")
+    if data[:1] == b"(":  # Fluent's
+        return "any"
     if file.suffix == ".msh":
         words = re.findall(rb"^\$(\w+)", before, re.MULTILINE)
         is_text = data[:60].split()[2:3] == [b"0"]
@@ -211,6 +213,8 @@ def accepted(file: pathlib.Path, data: bytes, damaged: bytes, at: int, good, fou
     if file.suffix in (".vtk", ".vtu") and "cells faces 0" in good and good["points"].shape == found["points"].shape:
         # a type belongs to all pieces of a cell, and the sense of all faces follows from points
         return "" if (good["points"] != found["points"]).sum() <= 1 else f"{where} changes {wrong}"
+    if data[:1] == b"(" and good["points"].shape == found["points"].shape:  # the sense of faces follows from all points
+        return "" if (good["points"] != found["points"]).sum() <= 2 else f"{where} changes {wrong}"
     numbers = [name for name in wrong if name == "points" or name.startswith("array")]
     if numbers:
         if place == "ids" or len(wrong) > 1:

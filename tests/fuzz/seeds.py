@@ -11,6 +11,7 @@ sys.path.insert(0, str(pathlib.Path(__file__).parents[1]))
 
 import adf
 import exodus
+import fluent
 import foam
 import meshio
 import vtk_files
@@ -127,6 +128,15 @@ def exodus_files(folder: pathlib.Path) -> list[Seed]:
     return [single(folder / f"{form}.e") for form in exodus.FORMS]
 
 
+def fluent_files(folder: pathlib.Path) -> list[Seed]:
+    mesh, seeds = mesh_3d(), []
+    for name, form in (("a.msh", "text"), ("b.msh", "double"), ("c.cas", "float"), ("d.cas.h5", "h5")):
+        cells = {kind: np.asarray(ids) for kind, ids in mesh.cells.items()}
+        fluent.write(folder / name, np.asarray(mesh.points), cells, {"floor": np.arange(4)}, form)
+        seeds.append(single(folder / name))
+    return seeds
+
+
 def mfem_files(folder: pathlib.Path) -> list[Seed]:
     """Order 1 and 2: from order 3 on one number of the file makes several of the mesh."""
     for name, text in {"straight": straight(mesh_3d(), "floor"), "solid": SOLID2}.items():
@@ -229,6 +239,7 @@ FORMATS = {
     "SU2": su2,
     "VTK": vtk,
     "gmsh": gmsh,
+    "Fluent": fluent_files,
     "CGNS": cgns_files,
     "ADF": adf_files,
     "Exodus": exodus_files,

@@ -17,7 +17,7 @@ import pytest
 
 HERE = pathlib.Path(__file__).parent
 COUNT, SEED = int(os.environ.get("JAXMORPH_FUZZ", "100")), int(os.environ.get("JAXMORPH_FUZZ_SEED", "0"))
-FORMATS = ("SU2", "VTK", "gmsh", "CGNS", "ADF", "Exodus", "MFEM", "MED", "PLOT3D", "OpenFOAM")
+FORMATS = ("SU2", "VTK", "gmsh", "Fluent", "CGNS", "ADF", "Exodus", "MFEM", "MED", "PLOT3D", "OpenFOAM")
 FORMATS += ("tables", "surfaces", "plans", "boxes", "fields")
 
 

@@ -2,13 +2,16 @@
 
 import contextlib
 import contextvars
+import gzip
 import os
 import pathlib
 import re
 import secrets
 import shutil
 import stat
+import tempfile
 import zipfile
+import zlib
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -83,6 +86,43 @@ def real_array(path: pathlib.Path, arrays: dict[str, np.ndarray], name: str) -> 
     if arrays[name].dtype.kind not in "fiu":
         raise ValueError(f"{path}: the array {name} holds {arrays[name].dtype}; real numbers expected.")
     return arrays[name].astype(float)
+
+
+UNPACKED = 2 * 10**8, 100
+"""Bytes that a packed file may become in any case, and that a byte of it may become."""
+
+
+@contextlib.contextmanager
+def unpacked(path: pathlib.Path) -> Iterator[pathlib.Path]:
+    """Yields a file, or the unpacked copy of one that ends in .gz, under its name without .gz."""
+    if path.suffix.lower() != ".gz" or path.is_dir():
+        yield path
+        return
+    left = UNPACKED[0] + UNPACKED[1] * path.stat().st_size
+    with tempfile.TemporaryDirectory(prefix="jaxmorph-") as folder:
+        copy = pathlib.Path(folder, path.stem)
+        try:
+            with gzip.open(path) as packed, copy.open("wb") as file:
+                while block := packed.read(1 << 20):
+                    left -= file.write(block)
+                    if left < 0:
+                        raise ValueError(f"{path}: {file.tell() / 1e6:.0f} MB are in it, and more: unpack it first.")
+        except (EOFError, gzip.BadGzipFile, zlib.error) as error:
+            raise ValueError(f"{path}: not a .gz file, or a damaged one ({error}).") from error
+        yield copy
+
+
+@contextlib.contextmanager
+def packed(path: pathlib.Path, name: str) -> Iterator[pathlib.Path]:
+    """Yields a file to write: `path`, or where it ends in .gz a file that is packed into it."""
+    if path.suffix.lower() != ".gz":
+        yield path
+        return
+    with tempfile.TemporaryDirectory(prefix="jaxmorph-") as folder:
+        plain = pathlib.Path(folder, name)
+        yield plain
+        with plain.open("rb") as file, path.open("wb") as out, gzip.GzipFile("", "wb", mtime=0, fileobj=out) as target:
+            shutil.copyfileobj(file, target)
 
 
 class UnwantedError(Exception):

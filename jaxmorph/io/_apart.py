@@ -1,0 +1,38 @@
+"""Other libraries in a process of their own, which a damaged file may end: it ends nothing else."""
+
+import multiprocessing.spawn
+import os
+import pathlib
+import shutil
+import signal
+import subprocess
+import sys
+
+SMALL, UNPACKED = 4 * 10**8, 200
+"""Bytes of memory that any file may need, and that a byte of it may need."""
+
+
+def run_apart(task: str, path: pathlib.Path, size: int, folder: str) -> bytes:
+    """Runs a task of `_apart_script.py` on a file of so many bytes, and returns what it prints.
+
+    Raises `ValueError` for a process that ended by a signal, or with a message.
+    """
+    most, script = SMALL + UNPACKED * size, pathlib.Path(__file__).with_name("_apart_script.py")
+    words = [_python(), "-P", str(script), task, str(path.absolute()), folder, str(most)]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    done = subprocess.run(words, capture_output=True, stdin=subprocess.DEVNULL, env=environment, check=False)
+    if done.returncode < 0:
+        name = signal.Signals(-done.returncode).name
+        raise ValueError(f"a damaged file (its reader ended by {name}, or would have taken {most / 1e6:.0f} MB).")
+    if done.returncode:
+        why = done.stderr.decode(errors="replace").strip().split("\n")[-1]
+        reader = {"vtk": "VTK", "gmsh": "gmsh"}.get(task, "meshio")
+        raise ValueError(f"no mesh that {reader} reads, or a damaged one ({why[:300]}).")
+    return done.stdout
+
+
+def _python() -> str:
+    """Finds Python, where this process may be another program that has Python in it."""
+    program = os.fsdecode(multiprocessing.spawn.get_executable() or "")
+    is_python = "py" in pathlib.Path(program).name.lower()
+    return program if is_python else shutil.which("python3") or "python3"

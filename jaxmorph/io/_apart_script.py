@@ -1,0 +1,177 @@
+"""Reads a file by another library, apart: `_apart_script.py TASK FILE FOLDER BYTES`.
+
+Libraries trust what a file says of itself. A damaged file may end the process, or ask for any
+memory. So this script, which imports nothing of the package, reads the file within `BYTES` of
+memory, and puts into the folder what is read. Tasks are
+
+- `vtk`: each data set in VTK's XML, raw and uncompressed. One line of JSON is printed: the names of
+  the data sets, and what VTK said;
+- `gmsh`: `mesh.pickle`, points in the order of their numbers, and for the elements of each entity
+  gmsh's type, ids of nodes, names, and number;
+- a name of meshio's formats: `mesh.pickle`, meshio's mesh.
+"""
+
+import json
+import pathlib
+import pickle
+import re
+import sys
+from collections.abc import Iterator
+from typing import Any
+
+HEAD = re.compile(rb"# vtk DataFile[^\n]*\n[^\n]*\n\s*\w+\s+DATASET\s+(\w+)", re.IGNORECASE)
+KINDS = {name.upper().replace(" ", "_"): name.replace(" ", "") for name in ("Unstructured Grid", "Structured Grid")}
+KINDS |= {"POLYDATA": "PolyData", "STRUCTURED_POINTS": "StructuredPoints", "RECTILINEAR_GRID": "RectilinearGrid"}
+
+MESHIO = {b"int8": b"signed_char", b"int16": b"short", b"int32": b"int"}
+"""Types that meshio writes into legacy files behind `vtktype`, and `vtktypeu`, and VTK's words."""
+
+
+def main(task: str, file: str, folder: str, most: str) -> None:
+    if task == "vtk":
+        by_vtk(pathlib.Path(file), pathlib.Path(folder), int(most))
+        return
+    try:
+        found = by_gmsh(file, int(most)) if task == "gmsh" else by_meshio(task, file, int(most))
+    except (Exception, SystemExit) as error:  # libraries answer damage by a dozen classes
+        raise SystemExit(f"{type(error).__name__}: {' '.join(str(error).split())[:200]}") from None
+    pathlib.Path(folder, "mesh.pickle").write_bytes(pickle.dumps(found))
+
+
+def by_meshio(kind: str, file: str, most: int) -> Any:
+    import meshio
+
+    limit_memory(most)
+    return meshio.read(file, file_format=kind)
+
+
+def by_gmsh(file: str, most: int) -> tuple[Any, list[tuple[int, Any, list[str], int]]]:
+    import gmsh
+    import numpy as np
+
+    limit_memory(most)
+    gmsh.initialize(argv=["gmsh", "-noenv"], readConfigFiles=False, interruptible=False)
+    gmsh.option.setNumber("General.Terminal", 0)
+    gmsh.open(file)
+    mesh, found = gmsh.model.mesh, []
+    tags, places, _ = map(np.asarray, mesh.getNodes())
+    for level, entity in gmsh.model.getEntities():
+        groups = gmsh.model.getPhysicalGroupsForEntity(level, entity)
+        names = [gmsh.model.getPhysicalName(level, group) or f"group_{group}" for group in groups]
+        for number, _, nodes in zip(*mesh.getElements(level, entity), strict=True):
+            width = mesh.getElementProperties(number)[3]
+            ids = np.searchsorted(np.sort(tags), nodes).reshape(-1, width)
+            found.append((int(number), ids, names, entity))
+    return places.reshape(-1, 3)[np.argsort(tags)], found
+
+
+def by_vtk(path: pathlib.Path, folder: pathlib.Path, most: int) -> None:
+    from vtkmodules import vtkCommonCore
+
+    reader, names = vtk_reader(path), []
+    limit_memory(most)
+    said = vtkCommonCore.vtkStringOutputWindow()
+    vtkCommonCore.vtkOutputWindow.SetInstance(said)
+    vtkCommonCore.vtkLogger.SetStderrVerbosity(vtkCommonCore.vtkLogger.VERBOSITY_OFF)
+    reader.Update()
+    for name, data in data_sets(reader.GetOutputDataObject(0)):
+        if data.IsA("vtkDataSet") and path.suffix.lower() not in (".pvtu", ".vtm"):
+            check_counts(path.read_bytes(), data)
+        write(folder / f"{len(names)}.xml", data)
+        names.append(name)
+    text = said.GetOutput()
+    text = text if isinstance(text, str) else text.decode(errors="replace")  # it may quote bytes of the file
+    print(json.dumps([names, text]))
+
+
+def limit_memory(most: int) -> None:
+    if sys.platform == "linux":
+        import resource
+
+        used = int(pathlib.Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+        hard = resource.getrlimit(resource.RLIMIT_AS)[1]
+        resource.setrlimit(resource.RLIMIT_AS, (used + most, hard))
+
+
+def vtk_reader(path: pathlib.Path) -> Any:
+    from vtkmodules import vtkIOLegacy, vtkIOXML
+
+    if path.suffix.lower() != ".vtk":
+        reader = vtkIOXML.vtkXMLGenericDataObjectReader()
+        reader.SetFileName(str(path))
+        return reader
+    raw = path.read_bytes()
+    head = HEAD.match(raw)
+    if head is None:
+        raise SystemExit("not a .vtk file; `# vtk DataFile Version` and three lines more are expected first")
+    kind = head[1].decode(errors="replace").upper()
+    if kind not in KINDS:
+        raise SystemExit(f"{kind} in it is no mesh; read are {', '.join(KINDS)}")
+    raw = re.sub(rb"(?<=\s)vtktype(u?)(int8|int16|int32)(?=\s)", own_type, raw)
+    reader = getattr(vtkIOLegacy, f"vtk{KINDS[kind]}Reader")()
+    for name in ("Scalars", "Vectors", "Normals", "Tensors", "ColorScalars", "TCoords", "Fields"):
+        getattr(reader, f"ReadAll{name}On")()
+    reader.ReadFromInputStringOn()
+    reader.SetBinaryInputString(raw, len(raw))
+    return reader
+
+
+def check_counts(raw: bytes, data: Any) -> None:
+    """Refuses more numbers, or fewer arrays, than announced: VTK says nothing of them."""
+    fields = (data.GetPointData(), data.GetCellData(), data.GetFieldData())
+    announced = sum(map(int, re.findall(rb"^FIELD \S+ (\d{1,9})\s", raw, re.MULTILINE)))
+    found = sum(field.GetNumberOfArrays() for field in fields)
+    if found < announced or re.search(rb"_DATA\s+\d+\s*\Z", raw[-99:]):
+        raise SystemExit(f"{announced or 'some'} arrays are announced, and {found} are found")
+    first, points = raw.find(b"\nFIELD"), raw.find(b"\nPOINTS ")
+    if 0 <= points < first and b"_DATA" not in raw[points:first]:
+        raise SystemExit("a field of arrays, but neither POINT_DATA nor CELL_DATA before it")
+    if data.GetNumberOfCells() < 1:
+        raise SystemExit("no cells, the file is cut short, or damaged")
+    counts = {rb"<Points>\s*<DataArray[^>]*": 3 * data.GetNumberOfPoints()}
+    if data.IsA("vtkUnstructuredGrid"):
+        sizes = [data.GetNumberOfCells()] * 2 + [data.GetCells().GetNumberOfConnectivityIds()]
+        names = (b"types", b"offsets", b"connectivity")
+        counts |= {rb'<DataArray[^>]*Name="%s"[^>]*' % name: size for name, size in zip(names, sizes, strict=True)}
+    for start, count in counts.items():
+        texts = [text for tag, text in re.findall(rb"(%s)>([^<]*)<" % start, raw) if b'"ascii"' in tag]
+        words = [float(word) for text in texts for word in text.split()]  # a `ValueError` ends the script
+        if texts and len(words) != count:
+            raise SystemExit(f"{len(words)} numbers are found where there are {count}")
+
+
+def own_type(found: re.Match[bytes]) -> bytes:
+    name = MESHIO[found[2]]
+    return b"unsigned_" + name.removeprefix(b"signed_") if found[1] else name
+
+
+def data_sets(data: Any) -> Iterator[tuple[str, Any]]:
+    from vtkmodules.vtkCommonDataModel import vtkCompositeDataSet
+
+    if not isinstance(data, vtkCompositeDataSet):
+        yield "", data
+        return
+    blocks, name = data.NewIterator(), vtkCompositeDataSet.NAME()
+    while not blocks.IsDoneWithTraversal():
+        about = blocks.GetCurrentMetaData() if blocks.HasCurrentMetaData() else None
+        yield about.Get(name) if about and about.Has(name) else "", blocks.GetCurrentDataObject()
+        blocks.GoToNextItem()
+
+
+def write(path: pathlib.Path, data: Any) -> None:
+    from vtkmodules import vtkIOXML
+
+    writer = vtkIOXML.vtkXMLDataObjectWriter.NewWriter(data.GetDataObjectType())
+    if writer is None:
+        raise SystemExit(f"{data.GetClassName()} is no mesh")
+    writer.SetInputData(data)
+    writer.SetDataModeToAppended()
+    writer.EncodeAppendedDataOff()
+    writer.SetCompressorTypeToNone()
+    writer.SetHeaderTypeToUInt64()
+    writer.SetFileName(str(path))
+    writer.Write()
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -1,0 +1,317 @@
+"""Fluent's meshes and cases (.msh, .cas), text or binary: the nodes alone are replaced.
+
+Sections are `(number (head)(body))`, of which nodes (10), cells (12), faces (13) and zones (45, 39)
+are read; 2010 and 3010 are nodes in binary, of 4 and 8 bytes. Numbers of heads and faces are
+hexadecimal. A face is its nodes and the cells on its two sides, 0 for none.
+"""
+
+import dataclasses
+import itertools
+import pathlib
+import re
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxmorph._host.cells.topology import SIDE_TYPES
+from jaxmorph._mesh.exchange import Parts, Patch, checked_parts, distinct, gathered, regions_note
+from jaxmorph._mesh.faces import Faces, following
+from jaxmorph._mesh.polyhedra import cells_of_faces, spread
+
+from ._format import FilePoints, MeshLike, Source, faults_of, own_source
+from ._text import Section, decoded, replaced
+
+NAME = "Fluent"
+INTERIOR, PARENT = 2, 31
+KINDS = {
+    **{INTERIOR: "interior", 3: "wall", 4: "pressure-inlet", 5: "pressure-outlet", 7: "symmetry"},
+    **{8: "periodic-shadow", 9: "pressure-far-field", 10: "velocity-inlet", 12: "periodic", 14: "fan"},
+    **{20: "mass-flow-inlet", 24: "interface", PARENT: "parent", 36: "outflow", 37: "axis"},
+}
+"""Kinds of zones of faces by Fluent's numbers."""
+
+MIXED = (0, 5)
+"""Types of faces of several sizes, whose rows begin with a number of nodes."""
+
+_BEGIN = re.compile(rb"\(\s*(\d+)\b")
+_MARK = re.compile(rb'[()]|"(?:[^"\\]|\\.)*"')
+_HEAD = re.compile(rb"\s*\(([0-9a-fA-F\s]*)\)\s*\(?")
+_ZONE = re.compile(rb"\s*\(\s*(\d+)\s+(\S+)\s+([^\s()]+)")
+
+
+class FaceZone(NamedTuple):
+    """A zone of faces: its number, name and kind, and its faces by their places in the file."""
+
+    number: int
+    name: str
+    kind: str
+    rows: np.ndarray
+
+
+class FaceTable(NamedTuple):
+    """Faces: ids of nodes from 1, their number in each face, and cells (k, 2) from 1."""
+
+    labels: np.ndarray
+    sizes: np.ndarray
+    cells: np.ndarray
+
+
+class NodeSection(NamedTuple):
+    """The coordinates of nodes, the first one's number, and where they stand in the file.
+
+    `kind` is the type of binary numbers, None for a text.
+    """
+
+    first: int
+    points: np.ndarray
+    section: Section
+    kind: np.dtype | None
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class FluentContent(FilePoints):
+    text: bytes
+    parts: tuple[NodeSection, ...]
+
+    def moved(self, points: np.ndarray) -> Iterator[bytes | memoryview]:
+        """Yields the file with other points (n, d), section by section."""
+        done = 0
+        for part in sorted(self.parts, key=lambda part: part.section.start):
+            values = points[part.first - 1 : part.first - 1 + len(part.points)].ravel()
+            start, stop = part.section.start, part.section.stop
+            if part.kind is None:
+                yield from replaced(self.text[done:stop], slice(start - done, stop - done), values)
+            else:
+                yield self.text[done:start] + values.astype(part.kind).tobytes()
+            done = stop
+        yield self.text[done:]
+
+
+@dataclasses.dataclass
+class _FluentText:
+    path: pathlib.Path
+    dimension: int = 0
+    counts: dict[int, int] = dataclasses.field(default_factory=dict)
+    nodes: list[NodeSection] = dataclasses.field(default_factory=list)
+    faces: list[tuple[list[int], FaceTable]] = dataclasses.field(default_factory=list)
+    regions: list[int] = dataclasses.field(default_factory=list)
+    names: dict[int, tuple[str, str]] = dataclasses.field(default_factory=dict)
+
+    def take(self, number: int, section: Section) -> None:
+        kind, width = number % 1000, {2: 4, 3: 8}.get(number // 1000, 0)
+        if number == 2:
+            self.dimension = int(section.content)
+        elif kind in (45, 39) and (zone := _ZONE.match(section.text, section.start)):
+            self.names[int(zone[1])] = decoded(zone[3]), zone[2].decode(errors="replace")
+        elif kind in (58, 59):
+            raise section.error("a mesh that was adapted, with parents of cells, is not read.")
+        elif kind in (10, 12, 13) and (head := _HEAD.match(section.text, section.start)):
+            stop = section.stop if width else section.text.rfind(b")", head.end(), section.stop)
+            body = dataclasses.replace(section, start=head.end(), stop=max(stop, head.end()))
+            self._mesh(kind, [int(word, 16) for word in head[1].split()], body, width)
+
+    def _mesh(self, kind: int, head: list[int], body: Section, width: int) -> None:
+        if head[0] == 0:
+            self.counts[kind] = head[2]
+        elif kind == 12:
+            self.regions.append(head[0])
+        elif kind == 10:
+            self.nodes.append(self._nodes(head, body, width))
+        else:
+            words = np.frombuffer(body.content, "<i4") if width else [int(word, 16) for word in body.content.split()]
+            table = _table(np.asarray(words, np.int64), head[4] if len(head) > 4 else 0)
+            if len(table.cells) != head[2] - head[1] + 1:
+                raise body.error(f"{len(table.cells)} faces, {head[2] - head[1] + 1} expected")
+            self.faces.append((head, table))
+
+    def _nodes(self, head: list[int], body: Section, width: int) -> NodeSection:
+        count, d = head[2] - head[1] + 1, head[4] if len(head) > 4 else self.dimension
+        kind = np.dtype(f"<f{width}") if width else None
+        values = body.rows(np.float64).values if kind is None else np.frombuffer(body.content, kind)
+        if d not in (2, 3) or len(values) != count * d:
+            raise body.error(f"{len(values)} coordinates of nodes, {count} times {d} expected")
+        return NodeSection(head[1], values.reshape(count, d).astype(float), body, kind)
+
+    def content(self, text: bytes) -> FluentContent:
+        parts = sorted(self.nodes, key=lambda part: part.first)
+        rows = [slice(part.first - 1, part.first - 1 + len(part.points)) for part in parts]
+        if not parts or not self.faces or any(a.stop != b.start for a, b in itertools.pairwise([slice(0, 0), *rows])):
+            raise ValueError(
+                f"{self.path}: not a Fluent mesh, or a damaged one: no nodes or faces, or some are missing."
+            )
+        for kind, count in ((10, rows[-1].stop), (13, sum(len(table.cells) for _, table in self.faces))):
+            if self.counts.get(kind, count) != count:
+                what = f"{count} nodes or faces, and {self.counts[kind]} announced"
+                raise ValueError(f"{self.path}: {what}: the file is cut short.")
+        are_single = [part.kind is not None and part.kind.itemsize == 4 for part in parts]
+        singles = [(row, slice(None)) for row, is_single in zip(rows, are_single, strict=True) if is_single]
+        return FluentContent(np.concatenate([part.points for part in parts]), text, tuple(parts), singles=singles)
+
+
+def read(path: pathlib.Path) -> Parts:
+    """Reads points, cells and patches: the zones of faces, but inner ones, with their kinds."""
+    text, found = path.read_bytes(), _FluentText(path)
+    for number, section in _sections(path, text):
+        try:
+            found.take(number, section)
+        except (ValueError, IndexError, OverflowError) as error:
+            if str(path) in str(error):
+                raise
+            raise section.error(f"a damaged section {number} ({error}).") from error
+    content = found.content(text)
+    regions = [found.names.get(number, (f"zone_{number}", ""))[0] for number in found.regions]
+    with faults_of(path):
+        return mesh_of(Source(path, NAME, content), *_joined(found), found.counts.get(12), regions)
+
+
+def write(path: pathlib.Path, mesh: MeshLike) -> None:
+    content: FluentContent = own_source(path, mesh, NAME).content
+    with path.open("wb") as file:
+        file.writelines(content.moved(content.in_file(np.asarray(mesh.points))))
+
+
+def _sections(path: pathlib.Path, text: bytes) -> Iterator[tuple[int, Section]]:
+    at = 0
+    while begin := _BEGIN.search(text, at):
+        number = int(begin[1])
+        if number >= 2000:
+            end = re.compile(rb"\)\s*End of Binary Section\s+%d\s*\)" % number).search(text, begin.end())
+            stop, at = (end.start(), end.end()) if end else (-1, -1)
+        else:
+            stop = _closing(text, begin.end(), number)
+            at = stop + 1
+        if stop < 0:
+            raise ValueError(f"{path}: the section {number} has no end: the file is cut short.")
+        yield number, Section(path, text, begin.end(), stop)
+
+
+def _closing(text: bytes, at: int, number: int) -> int:
+    depth = 1
+    for mark in _MARK.finditer(text, at):
+        depth += {b"(": 1, b")": -1}.get(mark[0], 0)
+        if not depth:
+            return mark.start()
+    return -1
+
+
+def _table(words: np.ndarray, kind: int) -> FaceTable:
+    if kind in MIXED:
+        begins, at, counts = [], 0, words.tolist()
+        while at < len(counts):
+            if counts[at] < 2:
+                raise ValueError(f"a face of {counts[at]} nodes")
+            begins.append(at)
+            at += counts[at] + 3
+        if at != len(counts):
+            raise ValueError("faces that are cut short")
+        first = np.array(begins, np.int64)
+        sizes = words[first]
+        first += 1
+    else:
+        rows, rest = divmod(len(words), kind + 2)
+        if rest or kind < 2:
+            raise ValueError(f"{len(words)} numbers are no faces of {kind} nodes")
+        first, sizes = (kind + 2) * np.arange(rows), np.full(rows, kind)
+    labels = words[spread(first, first + sizes)[0]]
+    return FaceTable(labels, sizes, words[first[:, None] + sizes[:, None] + np.arange(2)])
+
+
+def _joined(found: _FluentText) -> tuple[FaceTable, list[FaceZone]]:
+    zones, first = [], 0
+    for (number, _, _, kind, *_), table in found.faces:
+        name, word = found.names.get(number, (f"zone_{number}", KINDS.get(kind, f"kind_{kind}")))
+        word = KINDS[kind] if kind in (INTERIOR, PARENT) else word
+        zones.append(FaceZone(number, name, word, np.arange(first, first + len(table.cells))))
+        first += len(table.cells)
+    return FaceTable(*map(np.concatenate, zip(*(table for _, table in found.faces), strict=True))), zones
+
+
+def mesh_of(source: Source, table: FaceTable, zones: list[FaceZone], count: int | None, regions: list[str]) -> Parts:
+    """Makes the mesh of all faces; `count` is the number of cells, None if it is not announced."""
+    points = source.content.points
+    _check(table, zones, len(points), count)
+    faces = _outward(table, points)
+    blocks, whole = cells_of_faces(faces, points) if points.shape[1] == 3 else (_plane_cells(faces), None)
+    cells = gathered((kind, corners) for kind, corners, _ in blocks)
+    ids = gathered((kind, cell) for kind, _, cell in blocks)
+    outer = [zone for zone in zones if zone.kind != KINDS[INTERIOR]]
+    nodes = (faces.labels[spread(faces.starts[zone.rows], faces.starts[zone.rows + 1])[0]] for zone in outer)
+    patches, notes = distinct(
+        Patch(zone.name, f"zone_{zone.number}", each) for zone, each in zip(outer, nodes, strict=True)
+    )
+    periodic = [zone.name for zone in outer if zone.kind.startswith("periodic")]
+    notes += (f"the periodic zones {', '.join(periodic)} are patches, and are not paired.",) * bool(periodic)
+    source = dataclasses.replace(
+        source,
+        polyhedra=whole if whole is not None and len(whole.cut) else None,
+        cell_ids=np.concatenate([ids[kind] for kind in sorted(ids)]),  # as JAX sorts types
+        kinds={zone.name: zone.kind for zone in outer},
+        symmetry=tuple(zone.name for zone in outer if zone.kind in ("symmetry", "axis")),
+        notes=(*notes, *regions_note(regions[: len(regions) * (len(regions) > 1)])),
+        **source.content.known,
+    )
+    return checked_parts(points.copy(), cells, patches, source)
+
+
+def _check(table: FaceTable, zones: list[FaceZone], n: int, count: int | None) -> None:
+    if any(zone.kind == KINDS[PARENT] for zone in zones):
+        raise ValueError("a mesh that was adapted, with parents of faces, is not read.")
+    labels, cells = table.labels, table.cells
+    most = len(cells) if count is None else count
+    if labels.min() < 1 or labels.max() > n:
+        raise ValueError(f"a face names node {labels.max()}, but there are {n}.")
+    if cells.min() < 0 or cells.max() > min(most, len(cells)) or (cells.max(axis=1) == 0).any():
+        raise ValueError(f"a face is between cells {cells.min()} to {cells.max()}, but there are {most}; 0 is none.")
+    found = len(np.unique(cells[cells > 0]))
+    if found != (cells.max() if count is None else count):
+        raise ValueError(f"{found} of {most} cells have faces: a damaged file.")
+
+
+def _outward(table: FaceTable, points: np.ndarray) -> Faces:
+    """Makes faces that point out of their owner, the first cell unless there is none.
+
+    Programs differ in the sense of faces: the signed size of the whole mesh tells it.
+    """
+    first, second = table.cells.T - 1
+    starts, labels = np.append(0, np.cumsum(table.sizes)), table.labels - 1
+    labels = _reversed(labels, starts, first < 0)
+    faces = Faces(labels, starts, np.where(first < 0, second, first), np.where(first < 0, -1, second))
+    if points.shape[1] == 2 and (faces.sizes != 2).any():
+        raise ValueError("faces of more than two nodes in a mesh of two dimensions.")
+    here, there, is_outer = points[labels], points[following(labels, starts)], faces.neighbour < 0
+    if points.shape[1] == 2:
+        size = (here[::2, 0] * there[::2, 1] - here[::2, 1] * there[::2, 0])[is_outer].sum()
+    else:
+        areas = np.add.reduceat(np.cross(here, there), starts[:-1])
+        size = np.einsum("fi,fi->f", areas, points[labels[starts[:-1]]])[is_outer].sum()
+    if not np.isfinite(size):
+        raise ValueError("coordinates of its nodes are not finite.")
+    return dataclasses.replace(faces, labels=_reversed(labels, starts, np.full(len(first), size < 0)))
+
+
+def _reversed(labels: np.ndarray, starts: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+    rows, which = spread(starts[:-1], starts[1:])
+    back = starts[which] + starts[which + 1] - 1 - rows
+    return labels[np.where(chosen[which], back, rows)]
+
+
+def _plane_cells(faces: Faces) -> list[tuple[str, np.ndarray, np.ndarray]]:
+    """Makes triangles and quads of edges that have their cell on the left."""
+    ordered, begins = faces.of_cells()
+    ends = faces.corners(ordered, 2)
+    blocks = []
+    for size in np.unique(np.diff(begins)).tolist():
+        cells = np.flatnonzero(np.diff(begins) == size)
+        edges = ends[begins[cells][:, None] + np.arange(size)]
+        corners = np.repeat(edges[:, :1, 0], size, axis=1)
+        for k in range(1, size):
+            at = edges[:, :, 0] == corners[:, k - 1, None]
+            corners[:, k] = edges[np.arange(len(cells)), at.argmax(axis=1), 1]
+        ordered_corners = np.sort(corners, axis=1)
+        is_open = (ordered_corners != np.sort(edges[:, :, 0], axis=1)).any(axis=1)
+        is_open |= (np.diff(ordered_corners, axis=1) == 0).any(axis=1)
+        if size not in (3, 4) or is_open.any():
+            raise ValueError(f"{len(cells)} cells of {size} edges (first cell {cells[is_open.argmax()]}) are not read.")
+        blocks.append((SIDE_TYPES[size], corners, cells))
+    return blocks

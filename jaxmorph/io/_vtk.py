@@ -1,0 +1,204 @@
+"""VTK's files of one mesh, XML and legacy (.vtk): VTK reads them apart, and writes them."""
+
+import dataclasses
+import json
+import os
+import pathlib
+import re
+import tempfile
+import urllib.parse
+from typing import Any
+
+import numpy as np
+
+from jaxmorph._host.cells.topology import VTK_LAGRANGE
+from jaxmorph._mesh import vtk
+from jaxmorph._mesh.exchange import PREFIX, Parts
+from jaxmorph._mesh.export import to_vtk
+
+from ._apart import run_apart
+from ._format import EVERYTHING, Arrays, FilePoints, MeshLike, Source, content_of, faults_of
+
+NAME = "VTK"
+
+GRIDS = {".vtu": "vtkUnstructuredGrid", ".vts": "vtkStructuredGrid", ".vtp": "vtkPolyData"}
+"""What each kind of XML file holds; a legacy file holds any of it."""
+
+FILES_OF_FILES = (".pvtu", ".vtm")
+"""Files that name pieces and blocks in other files."""
+
+TOLD = re.compile(r"(?:ERROR|Warning): In .*\n(?:\w+ \(0x[0-9a-f]+\): )?((?:.+\n)+)")
+"""An error or a warning of VTK, and its sentence."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Encoding:
+    """How a file is written: an XML file's mode (ascii, binary or appended, base64 or raw), its
+    compressor, header and order of bytes; a legacy file's mode, title and version.
+    """
+
+    is_legacy: bool = False
+    mode: str = "binary"
+    is_raw: bool = False
+    compressor: str = "ZLib"
+    header_type: str = "UInt64"
+    byte_order: str = "LittleEndian"
+    title: str = "written by jaxmorph"
+    version: str = "4.2"
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Content:
+    data: Any
+    encoding: Encoding
+
+    @property
+    def arrays(self) -> list[str]:
+        """Names of arrays, but those of patches."""
+        fields = (self.data.GetPointData(), self.data.GetCellData(), self.data.GetFieldData())
+        names = [str(field.GetArrayName(k)) for field in fields for k in range(field.GetNumberOfArrays())]
+        return [name for name in names if not name.startswith(PREFIX)]
+
+    def __reduce__(self) -> tuple:
+        vtk.vtk("util.pickle_support")  # teaches `pickle` VTK's data sets
+        return type(self), (self.data, self.encoding)
+
+
+def read(path: pathlib.Path) -> Parts:
+    with faults_of(path):
+        content = _read(path)
+        mesh = vtk.mesh_of(vtk.unstructured(content.data))
+    places = vtk.coordinates(content.data)
+    points = FilePoints(np.asarray(places, float), singles=EVERYTHING if places.dtype == np.float32 else ())
+    origin = mesh.source
+    source = Source(path, NAME, content, origin.polyhedra, origin.cell_ids, notes=origin.notes, **points.known)
+    return mesh._replace(source=source)
+
+
+def check(path: pathlib.Path, mesh: MeshLike) -> None:
+    suffix = path.suffix.lower()
+    content = content_of(mesh, NAME)
+    if suffix in FILES_OF_FILES:
+        raise ValueError(f"{path}: {suffix} files name other files, and are not written; write .vtu, which holds all.")
+    try:
+        for kind in mesh.cells if content is None else ():
+            vtk.number_of(kind)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+    holds = GRIDS.get(suffix, "vtkDataSet")
+    if suffix != ".vtu" and not (content.data.IsA(holds) if content else holds == "vtkDataSet"):
+        raise ValueError(f"{path}: the cells of the mesh are not those of a {holds}; write .vtu.")
+
+
+def write(path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arrays) -> None:
+    """Writes what was read with other points, or a new grid in double precision.
+
+    The file is encoded as the one that was read, where that was of the same kind.
+    """
+    content, is_legacy = content_of(mesh, NAME), path.suffix.lower() == ".vtk"
+    parts = Parts(mesh.points, mesh.cells, mesh.patches, mesh.source)
+    data = to_vtk(parts, content and content.data, point_data, cell_data)
+    encoding = content.encoding if content and content.encoding.is_legacy == is_legacy else Encoding(is_legacy)
+    path.write_bytes(text_of(vtk.unstructured(data) if path.suffix.lower() == ".vtu" else data, encoding))
+
+
+def text_of(data: Any, encoding: Encoding) -> bytes:
+    """Makes the file. VTK itself tells no error where a device is full, so it writes to memory."""
+    writer = (_legacy_writer if encoding.is_legacy else _xml_writer)(data, encoding)
+    writer.SetInputData(data)
+    writer.WriteToOutputStringOn()
+    writer.Write()
+    if writer.GetErrorCode():
+        raise ValueError(f"VTK does not write this mesh ({writer.GetErrorCode()}).")
+    text = (writer.GetOutputStdString if encoding.is_legacy else writer.GetOutputString)()
+    return text.encode() if isinstance(text, str) else text
+
+
+def _xml_writer(data: Any, encoding: Encoding) -> Any:
+    kind = data.GetClassName().removeprefix("vtk")
+    writer = getattr(vtk.vtk("vtkIOXML"), f"vtkXML{kind}Writer")()
+    getattr(writer, f"SetDataModeTo{encoding.mode.capitalize()}")()
+    writer.SetEncodeAppendedData(not encoding.is_raw)
+    getattr(writer, f"SetCompressorTypeTo{encoding.compressor}")()
+    getattr(writer, f"SetHeaderTypeTo{encoding.header_type}")()
+    getattr(writer, f"SetByteOrderTo{encoding.byte_order}")()
+    return writer
+
+
+def _legacy_writer(data: Any, encoding: Encoding) -> Any:
+    kind = data.GetClassName().removeprefix("vtk")
+    writer = getattr(vtk.vtk("vtkIOLegacy"), f"vtk{kind}Writer")()
+    writer.SetHeader(encoding.title)
+    # before 5.1 files have another order of the nodes of hexahedra, in which VTK does not write
+    is_new = encoding.version > "5" or VTK_LAGRANGE["hexahedron"] in vtk.numbers_of(vtk.unstructured(data))
+    writer.SetFileVersion(51 if is_new else 42)
+    (writer.SetFileTypeToASCII if encoding.mode == "ascii" else writer.SetFileTypeToBinary)()
+    writer.SetPrecision(17)
+    return writer
+
+
+def _encoding(raw: bytes) -> Encoding:
+    legacy = re.match(rb"# vtk DataFile Version (\d\.\d)[^\n]*\n([^\r\n]*)\r?\n\s*(\w+)", raw)
+    if legacy:
+        version, title, mode = (word.decode(errors="replace") for word in legacy.groups())
+        return Encoding(True, mode.lower(), title=title, version=version)
+    tag = re.search(rb"<VTKFile[^>]*>", raw)
+    said = dict(re.findall(r'(\w+)="(\w+)"', tag[0].decode(errors="replace") if tag else ""))
+    modes = {*re.findall(rb'format="(\w+)"', raw)}
+    mode = next((mode for mode in ("appended", "binary") if mode.encode() in modes), "ascii")
+    compressor = re.sub("^vtk|DataCompressor$", "", said.get("compressor", "None"))
+    header, order = said.get("header_type", "UInt32"), said.get("byte_order", "LittleEndian")
+    return Encoding(False, mode, b'encoding="raw"' in raw, compressor, header, order)
+
+
+def _read(path: pathlib.Path) -> Content:
+    raw, named = path.read_bytes(), []
+    if path.suffix.lower() in FILES_OF_FILES:
+        named = [path.parent / os.fsdecode(file) for file in re.findall(rb'(?:Source|file)="([^"]+)"', raw)]
+    size = len(raw) + sum(file.stat().st_size for file in named if file.is_file())
+    data_sets = _read_apart(path, size)
+    if named:
+        return Content(_joined(data_sets), Encoding())
+    ((_, data),) = data_sets
+    if not any(data.IsA(kind) for kind in GRIDS.values()):  # a lattice has no points that can move
+        data = vtk.unstructured(data)
+    return Content(data, _encoding(raw))
+
+
+def _read_apart(path: pathlib.Path, size: int) -> list[tuple[str, Any]]:
+    """Reads data sets and their names in another process, which a damaged file may end."""
+    generic = vtk.vtk("vtkIOXML").vtkXMLGenericDataObjectReader
+    with tempfile.TemporaryDirectory(prefix="jaxmorph-") as folder:
+        names, said = json.loads(run_apart("vtk", path, size, folder))
+        errors = [" ".join(sentence.split())[:200] for sentence in TOLD.findall(said)]
+        if errors or not names:
+            raise ValueError(f"a damaged file, or one cut short ({(errors or ['it holds nothing'])[0]}).")
+        found = []
+        for k, name in enumerate(names):
+            reader = generic()
+            reader.SetFileName(os.path.join(folder, f"{k}.xml"))
+            reader.Update()
+            found.append((name, reader.GetOutputDataObject(0)))
+        return found
+
+
+def _joined(named: list[tuple[str, Any]]) -> Any:
+    """Joins pieces and blocks without ghost cells; blocks of lower dimension become patches."""
+    grids = [(name, vtk.unstructured(data)) for name, data in named]
+    levels = [vtk.dimension_of(grid) for _, grid in grids]
+    joined = vtk.vtk("vtkFiltersCore").vtkAppendFilter()
+    for level, (_, grid) in zip(levels, grids, strict=True):
+        if level == max(levels):
+            joined.AddInputData(grid)
+    joined.Update()
+    whole = joined.GetOutput()
+    whole.RemoveGhostCells()
+    whole.GetFieldData().ShallowCopy(grids[levels.index(max(levels))][1].GetFieldData())
+    place = {point.tobytes(): k for k, point in enumerate(vtk.coordinates(whole))}
+    for level, (name, grid) in zip(levels, grids, strict=True):
+        nodes = [place.get(point.tobytes(), -1) for point in vtk.coordinates(grid)] if level < max(levels) else []
+        if nodes and min(nodes) >= 0:
+            inside = np.zeros(whole.GetNumberOfPoints(), np.uint8)
+            inside[nodes] = 1
+            vtk.add_arrays(whole.GetPointData(), {f"{PREFIX}{urllib.parse.quote(name)}": inside})
+    return whole

@@ -1,0 +1,3 @@
+/* The functions of jmplan.h, compiled as C. */
+#define JMPLAN_IMPLEMENTATION
+#include "jmplan.h"
