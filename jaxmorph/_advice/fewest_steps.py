@@ -52,7 +52,7 @@ class Steps:
 def fewest_steps(
     plan: Plan,
     mesh: Mesh,
-    motion: Callable[[float], Float[Array, "m d"]] | Real[ArrayLike, "m d"],
+    motion: Callable[[float], Real[ArrayLike, "m d"]] | Real[ArrayLike, "m d"],
     *,
     min_jacobian_ratio: float = 0.05,
     max_steps: int = 16,

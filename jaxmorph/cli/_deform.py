@@ -1,7 +1,6 @@
 """`jaxmorph deform`: one mesh, one motion, and other methods where it fails."""
 
 import dataclasses
-import functools
 import itertools
 import warnings
 from collections.abc import Callable
@@ -56,9 +55,14 @@ class Attempt:
     def path(self, steps: int = 1) -> Float[np.ndarray, "k m d"]:
         return self.motion.path(self.base[self.patches.nodes], steps)
 
-    def with_fewest_steps(self, plan: jm.Plan) -> "Attempt":
+    def with_fewest_steps(self, plan: jm.Plan, done: Callable[[float], None]) -> "Attempt":
         wall, least = self.base[self.patches.nodes], self.request.gates.min_jacobian_ratio or 0.0
-        moves = functools.partial(self.motion.at, wall)
+        solves = itertools.count(1)
+
+        def moves(share: float) -> np.ndarray:
+            done(min(next(solves) / (MOST * (MOST + 1) / 2), 1))
+            return self.motion.at(wall, share)
+
         found = jm.fewest_steps(plan, self.patches.mesh, moves, min_jacobian_ratio=least, max_steps=MOST)
         request = dataclasses.replace(self.request, steps=found.count)
         return dataclasses.replace(self, request=request, reached=found.fraction)
@@ -86,8 +90,7 @@ class Attempt:
 def deform(request: Deform, out: Output) -> int:
     with out.progress(f"reading {title(request.file)}"):
         mesh = mesh_of(request.file, request.zone)
-    steps = 1 if request.steps == AUTO else int(request.steps)
-    with quickly_compiled(len(mesh.points) * steps <= SMALL):
+    with quickly_compiled(len(mesh.points) * request.step_count <= SMALL):
         return _deform(request, mesh, out)
 
 
@@ -100,8 +103,8 @@ def _deform(request: Deform, mesh: Mesh, out: Output) -> int:
         chunks = patches.chunks(request.chunk)
         nodes, plan = next(chunks)
     if request.steps == AUTO:
-        with out.progress("seeking the fewest steps"):
-            attempt = attempt.with_fewest_steps(plan)
+        with out.progress("seeking the fewest steps") as stage:
+            attempt = attempt.with_fewest_steps(plan, stage.done)
             request = attempt.request
     n, d = mesh.points.shape
     cells = ", ".join(f"{number} {kind}" for kind, number in mesh.cell_counts.items())
@@ -109,11 +112,11 @@ def _deform(request: Deform, mesh: Mesh, out: Output) -> int:
     say_motion(request, patches, plan, attempt.path()[-1], out)
     if attempt.reached is not None:
         reach = f"keep the cells for {attempt.reached:.1%} of the motion" if attempt.reached < 1 else "keep the cells"
-        out.say(f"steps    {request.steps} {reach}", reached=attempt.reached)
+        out.say(f"steps    {request.step_count} {reach}", reached=attempt.reached)
     with out.progress("judging the cells"):
         judging.result()  # it raises for limits on measures that the cells do not have
-    with out.progress(f"deforming in {count(request.steps, 'step')}") as stage:
-        way = attempt.way(itertools.chain([(nodes, plan)], chunks), request.steps, stage.done)
+    with out.progress(f"deforming in {count(request.step_count, 'step')}") as stage:
+        way = attempt.way(itertools.chain([(nodes, plan)], chunks), request.step_count, stage.done)
     return _written(attempt, way, nodes, plan, out)
 
 
@@ -141,7 +144,7 @@ def _inspected(
     attempt: Attempt, nodes: np.ndarray, plan: jm.Plan, points: np.ndarray, out: Output
 ) -> tuple[jm.Inspection, jm.BoundaryQuality]:
     with out.progress("inspecting the motion"):
-        moved = points[nodes] if attempt.request.steps == 1 and plan.points.dtype == points.dtype else None
+        moved = points[nodes] if attempt.request.step_count == 1 and plan.points.dtype == points.dtype else None
         inspection = jm.inspect(plan, attempt.path()[-1], mesh=attempt.patches.mesh, nodes=nodes, moved=moved)
         for warning in inspection.warnings:
             out.warn(warning)
@@ -163,7 +166,7 @@ def _tell(
     ]
     rows = [row.replace("first cell height", "first-cell height") for row in rows]
     rows += [f"{name.replace('_', ' '):<23}{'-':>12}{value:>12.5g}" for name, value in overshoots.items()]
-    say_verdict(verdict, out, is_straight=way.is_straight, steps=attempt.request.steps, more=rows)
+    say_verdict(verdict, out, is_straight=way.is_straight, steps=attempt.request.step_count, more=rows)
     if boundary.nodes:
         out.say(wrapped(f"boundary: {boundary}"))
         measures = {name: getattr(boundary, name) for name in boundary.nodes}
@@ -222,7 +225,7 @@ def say_motion(request: Deform, patches: Patches, plan: jm.Plan, u: np.ndarray, 
     for pair in patches.periodic:
         out.say(wrapped(f"periodic {pair.patch}, {pair.partner}: {count(len(mesh.patch(str(pair.patch))), 'pair')}"))
     name, sources = described(request.method, plan)
-    out.say(f"method   {name}, {count(request.steps, 'step')}", method=name, steps=request.steps)
+    out.say(f"method   {name}, {count(request.step_count, 'step')}", method=name, steps=request.step_count)
     moving = {name: len(mesh.patch(name)) for name in patches.moving}
     out.say(moving=moving, largest=float(way.max()), sources=sources)
 
@@ -258,7 +261,7 @@ def _trials(attempt: Attempt) -> list[jm.Cure]:
     patches, request = attempt.patches, attempt.request
     found = [jm.Cure(method="default"), *jm.cures(patches.boundary, attempt.path()[-1])]
     if attempt.reached is None:
-        found = [dataclasses.replace(cure, steps=cure.steps * request.steps) for cure in found]
+        found = [dataclasses.replace(cure, steps=cure.steps * request.step_count) for cure in found]
     else:
         found = [cure for cure in found if cure.steps == 1]  # more steps were sought
     return [cure for cure in found if cure.method != request.method.method]
@@ -267,7 +270,7 @@ def _trials(attempt: Attempt) -> list[jm.Cure]:
 def _flags(attempt: Attempt, cure: jm.Cure) -> str:
     flags = [f"--sliding {' '.join(cure.sliding)} in place of --fixed"] if cure.sliding else []
     flags += [f"--method {cure.method}"] if cure.method else []
-    return " ".join([*flags, *([f"--steps {cure.steps}"] if cure.steps != attempt.request.steps else [])])
+    return " ".join([*flags, *([f"--steps {cure.steps}"] if cure.steps != attempt.request.step_count else [])])
 
 
 def _works(attempt: Attempt, cure: jm.Cure) -> bool:

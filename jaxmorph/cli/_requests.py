@@ -242,6 +242,11 @@ class Deform:
     speech: Speech = part(Speech)
 
     @property
+    def step_count(self) -> int:
+        """Steps; 1 until their number is sought."""
+        return 1 if isinstance(self.steps, str) else self.steps
+
+    @property
     def moving(self) -> tuple[str, ...]:
         return tuple(dict.fromkeys(name for group in self.groups for name in group.patches))
 

@@ -109,7 +109,11 @@ SHOWN = 12
 
 
 def patch_names(names: Sequence[str], patches: Collection[str], groups: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
-    """Lists patches of names: a patch, a group, or the matches of a whole regular expression."""
+    """Lists patches of names: a patch, a group, or the matches of a whole regular expression.
+
+    `groups` has lists of patches by name. **Raises:** `ValueError` for a name without any, with the
+    names that there are.
+    """
     listed: list[str] = []
     for name in names:
         if name in patches:
