@@ -136,7 +136,7 @@ def _in_2d(side: "FlatSide", moving: np.ndarray, verdict: jm.Verdict) -> bytes:
 
 
 def _averaged(mesh: jm.Mesh, values: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
-    """Means over the cells at each node, then over each cell's nodes: single triangles are noise."""
+    """Means over the cells at each node, then over its nodes: single triangles are noise."""
     kinds = [np.asarray(ids) for ids in mesh.cells.values()]
     cell = np.repeat(np.arange(len(values)), np.concatenate([np.full(len(ids), ids.shape[1]) for ids in kinds]))
     node, counts = np.concatenate([ids.ravel() for ids in kinds]), np.isfinite(values)
@@ -188,7 +188,8 @@ def _owners(mesh: jm.Mesh, faces: Iterable[Int[np.ndarray, "k c"]]) -> Int[np.nd
     cells, nodes = np.repeat(np.asarray(mesh.cell_ids), sizes), np.concatenate([ids.ravel() for ids in kinds.values()])
     table = csr_array((np.repeat(solid, sizes).astype(float), (nodes, cells)))
     table.data = np.minimum(table.data, 1)  # pieces of a cell share nodes
-    return np.concatenate([sum(table[column] for column in ids.T).argmax(axis=1) for ids in faces])
+    shared: list[Any] = [sum(table[column] for column in ids.T) for ids in faces]
+    return np.concatenate([counts.argmax(axis=1) for counts in shared])
 
 
 def _counterclockwise(points: Float[np.ndarray, "n 2"], ids: Int[np.ndarray, "k c"]) -> Int[np.ndarray, "k c"]:
