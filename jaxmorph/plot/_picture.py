@@ -70,7 +70,8 @@ def _moved(mesh: jm.Mesh, places: Float[np.ndarray, "n d"]) -> Int[np.ndarray, "
 
 def _in_3d(path: pathlib.Path, mesh: jm.Mesh, places: Float[np.ndarray, "n 3"], moving: np.ndarray) -> bytes | None:
     nodes = np.union1d(moving, mesh.patch(*bodies(mesh)))
-    only, patch = jm.Mesh(mesh.points, mesh.cells, {"drawn": nodes}), "drawn" if len(nodes) else None
+    only = jm.Mesh(mesh.points, mesh.cells, {"drawn": nodes}, mesh.source)
+    patch = "drawn" if len(nodes) else None
     if path.suffix.lower() == ".html":
         page(path, only, places, patch=patch)
         return None
@@ -126,7 +127,7 @@ def _in_2d(side: "FlatSide", moving: np.ndarray, verdict: jm.Verdict) -> bytes:
         worst = own.rows["max", name]
         axis.plot(*np.array(worst.near)[side.axes], "x", color=BLUE, markersize=7, markeredgewidth=1.5)
         title = f"{state}\n" if len(states) > 1 and rows == 1 else f"{state}: " if len(states) > 1 else ""
-        axis.set_title(f"{title}largest {label} {worst.value:.3g} (×)", fontsize="medium")
+        axis.set_title(f"{title}largest {label} {round(worst.value, 9):.3g} (×)", fontsize="medium")
         axis.label_outer()
     bar = figure.colorbar(axes[0].collections[0], ax=axes, location="bottom", aspect=40)
     bar.set_label(f"{label}, mean of the cells at each node")
