@@ -82,16 +82,9 @@ def convergence(
     panels = {"objective": history.values} | {name: history.column(name) for name in history.names}
     axes = _stack(ax, len(panels))
     for axis, (name, column) in zip(axes, panels.items(), strict=True):
-        style: dict[str, Any] = {"color": BLUE} if axis is axes[0] else {"color": DARK}
-        many = {"marker": "."} if column.ndim == 1 else {"linewidth": 0.8}
-        axis.plot(np.arange(len(history)), column, **style, **many)
-        low, high = axis.get_ylim()
-        for side, bound in zip((-np.inf, np.inf), bounds.get(name, (-np.inf, np.inf)), strict=True):
-            if np.isfinite(bound):
-                low, high = min(low, bound - 0.05 * (high - low)), max(high, bound + 0.05 * (high - low))
-                axis.axhline(bound, color=ORANGE, linestyle="--")
-                axis.axhspan(bound, np.sign(side) * 1e300, color=LIGHT, alpha=0.5, linewidth=0)
-        axis.set_ylim(low, high)
+        style: dict[str, Any] = {"marker": "."} if column.ndim == 1 else {"linewidth": 0.8}
+        axis.plot(np.arange(len(history)), column, color=BLUE if axis is axes[0] else DARK, **style)
+        _shade_beyond(axis, bounds.get(name, (-np.inf, np.inf)))
         axis.set_title(name.replace("_", " "), loc="left", fontsize="medium", pad=3)
         axis.grid(color=RULE)
         axis.set_axisbelow(True)
@@ -99,6 +92,17 @@ def convergence(
     axes[-1].set_xlabel("iteration")
     axes[-1].locator_params("x", integer=True)
     return axes[0]
+
+
+def _shade_beyond(axis: Axes, bounds: tuple[float | int, float | int]) -> None:
+    low, high = axis.get_ylim()
+    room, known = 0.05 * (high - low), [bound for bound in bounds if np.isfinite(bound)]
+    low, high = min(low, *(bound - room for bound in known), low), max(high, *(bound + room for bound in known), high)
+    axis.set_ylim(low, high)
+    for bound, end in zip(bounds, (low, high), strict=True):
+        if np.isfinite(bound):
+            axis.axhline(bound, color=ORANGE, linestyle="--")
+            axis.axhspan(bound, end, color=LIGHT, alpha=0.5, linewidth=0)
 
 
 def _stack(ax: Axes | None, count: int) -> list[Axes]:
@@ -111,4 +115,4 @@ def _stack(ax: Axes | None, count: int) -> list[Axes]:
         raise ValueError("`ax` stands in no grid: give axes of plt.subplots.")
     rows = place.subgridspec(count, 1)
     ax.set_subplotspec(rows[0])
-    return [ax, *(ax.figure.add_subplot(row, sharex=ax) for row in list(rows)[1:])]
+    return [ax, *(ax.figure.add_subplot(rows[row], sharex=ax) for row in range(1, count))]

@@ -70,7 +70,8 @@ def _moved(mesh: jm.Mesh, places: Float[np.ndarray, "n d"]) -> Int[np.ndarray, "
 
 def _in_3d(path: pathlib.Path, mesh: jm.Mesh, places: Float[np.ndarray, "n 3"], moving: np.ndarray) -> bytes | None:
     nodes = np.union1d(moving, mesh.patch(*bodies(mesh)))
-    only, patch = jm.Mesh(mesh.points, mesh.cells, {"drawn": nodes}), "drawn" if len(nodes) else None
+    only = jm.Mesh(mesh.points, mesh.cells, {"drawn": nodes}, mesh.source)
+    patch = "drawn" if len(nodes) else None
     if path.suffix.lower() == ".html":
         page(path, only, places, patch=patch)
         return None
@@ -126,7 +127,7 @@ def _in_2d(side: "FlatSide", moving: np.ndarray, verdict: jm.Verdict) -> bytes:
         worst = own.rows["max", name]
         axis.plot(*np.array(worst.near)[side.axes], "x", color=BLUE, markersize=7, markeredgewidth=1.5)
         title = f"{state}\n" if len(states) > 1 and rows == 1 else f"{state}: " if len(states) > 1 else ""
-        axis.set_title(f"{title}largest {label} {worst.value:.3g} (×)", fontsize="medium")
+        axis.set_title(f"{title}largest {label} {round(worst.value, 9):.3g} (×)", fontsize="medium")
         axis.label_outer()
     bar = figure.colorbar(axes[0].collections[0], ax=axes, location="bottom", aspect=40)
     bar.set_label(f"{label}, mean of the cells at each node")
@@ -136,7 +137,7 @@ def _in_2d(side: "FlatSide", moving: np.ndarray, verdict: jm.Verdict) -> bytes:
 
 
 def _averaged(mesh: jm.Mesh, values: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
-    """Means over the cells at each node, then over each cell's nodes: single triangles are noise."""
+    """Means over the cells at each node, then over its nodes: single triangles are noise."""
     kinds = [np.asarray(ids) for ids in mesh.cells.values()]
     cell = np.repeat(np.arange(len(values)), np.concatenate([np.full(len(ids), ids.shape[1]) for ids in kinds]))
     node, counts = np.concatenate([ids.ravel() for ids in kinds]), np.isfinite(values)
@@ -188,7 +189,8 @@ def _owners(mesh: jm.Mesh, faces: Iterable[Int[np.ndarray, "k c"]]) -> Int[np.nd
     cells, nodes = np.repeat(np.asarray(mesh.cell_ids), sizes), np.concatenate([ids.ravel() for ids in kinds.values()])
     table = csr_array((np.repeat(solid, sizes).astype(float), (nodes, cells)))
     table.data = np.minimum(table.data, 1)  # pieces of a cell share nodes
-    return np.concatenate([sum(table[column] for column in ids.T).argmax(axis=1) for ids in faces])
+    shared: list[Any] = [sum(table[column] for column in ids.T) for ids in faces]
+    return np.concatenate([counts.argmax(axis=1) for counts in shared])
 
 
 def _counterclockwise(points: Float[np.ndarray, "n 2"], ids: Int[np.ndarray, "k c"]) -> Int[np.ndarray, "k c"]:

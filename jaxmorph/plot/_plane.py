@@ -394,7 +394,7 @@ def window_of(mesh: jm.Mesh, nodes: Int[np.ndarray, " k"] | None, *states: Any) 
 
 
 def window_round(body: Float[np.ndarray, "k 2"], points: Float[np.ndarray, "n 2"]) -> Window:
-    """Leaves room round a body; where little more is left, of internal flow, it is the mesh's own."""
+    """Leaves room round a body; of internal flow it is the whole mesh's."""
     low, high = body.min(axis=0), body.max(axis=0)
     room = ROOM * (high - low).max()
     low, high = np.maximum(low - room, points.min(axis=0)), np.minimum(high + room, points.max(axis=0))
