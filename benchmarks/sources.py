@@ -21,7 +21,7 @@ from _measure import about, table
 from _walls import bump, camber, flap, up
 
 import jaxmorph as jm
-from jaxmorph import cases
+from jaxmorph import cases, plot
 
 COUNTS = (8, 16, 32, 64, 128)
 FIXED = 40
@@ -86,14 +86,16 @@ def errors(base: np.ndarray, fixed: np.ndarray, motions: np.ndarray) -> dict[str
 def draw(ax: Any, found: dict[str, Errors]) -> None:
     """Draws the largest errors as lines, the mean ones dashed, on logarithmic scales."""
     for k, (name, error) in enumerate(found.items()):
-        order, style = np.argsort(error.sources), {"color": f"C{k}", "marker": "osD^v"[k]}
+        colour = (plot.BLUE, plot.ORANGE, plot.GREEN, plot.DARK)[k]
+        order, style = np.argsort(error.sources), {"color": colour, "marker": "osD^"[k]}
         ax.loglog(error.sources[order], error.largest[order], "-", label=name, **style)
         ax.loglog(error.sources[order], error.mean[order], "--", fillstyle="none", **style)
     ax.set_xticks(COUNTS, list(map(str, COUNTS)))
     ax.minorticks_off()
     ax.set_ylabel("error on the surface /\nlargest displacement")
     ax.grid(color="#dddddd")
-    ax.legend(frameon=False, fontsize="small")
+    for line, marks, name in (("-", "full", "largest"), ("--", "none", "mean")):
+        ax.plot([], [], f"o{line}", color=plot.GREY, fillstyle=marks, label=name)
 
 
 def seconds(count: int) -> None:
@@ -135,12 +137,13 @@ def main() -> None:
             ]
             table(rows, ("reduction", *(f"{count} asked" for count in COUNTS)))
     if asked.picture:
-        figure, axes = plt.subplots(1, 2, figsize=(8, 4), sharey=True, layout="constrained")
-        for ax, (name, each) in zip(axes, found.items(), strict=True):
+        figure, axes = plt.subplots(2, 1, figsize=(5, 6.4), sharex=True, layout="constrained")
+        for ax, letter, (name, each) in zip(axes, "ab", found.items(), strict=True):
             draw(ax, each)
-            ax.set_xlabel(f"sources, of the {len(parts[name][0])} nodes on the {name}")
-        axes[1].set_ylabel("")
-        figure.savefig(asked.picture, dpi=120)
+            ax.set_xlabel("sources")
+            ax.text(0.03, 0.04, f"{letter}  {name}, {len(parts[name][0])} nodes", transform=ax.transAxes)
+        figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3, frameon=False)
+        figure.savefig(asked.picture, dpi=160)
 
 
 if __name__ == "__main__":

@@ -1,13 +1,16 @@
 """`jaxmorph deform --picture`."""
 
+import itertools
 import tomllib
 
+import foam
 import matplotlib
 
 matplotlib.use("Agg")
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from meshes import bricks, write_ring
 from meshes import ring as ring_mesh
 from PIL import Image
@@ -80,6 +83,70 @@ def test_a_mesh_one_cell_wide_is_drawn_in_2d(tmp_path, lift):
     plot.picture(tmp_path / "flat.png", flat, moved, moving=flat.patch("wall"))
     pictures = [np.asarray(Image.open(tmp_path / f"{name}.png")) for name in ("slab", "flat")]
     assert np.array_equal(*pictures) == (lift == 0)
+
+
+@pytest.fixture
+def figures(monkeypatch):
+    """The figures that are saved."""
+    saved, save = [], Figure.savefig
+    monkeypatch.setattr(
+        Figure, "savefig", lambda self, *args, **settings: saved.append(self) or save(self, *args, **settings)
+    )
+    return saved
+
+
+def channel(columns=30):
+    """Triangles in a channel ten times as long as high, of several sizes, whose floor has a bump to move."""
+    places = 10 * np.linspace(0, 1, columns + 1) ** 1.2
+    x, y = (grid.ravel() for grid in np.meshgrid(places, np.linspace(0, 1, 5)))
+    corner = (np.arange(4)[:, None] * (columns + 1) + np.arange(columns)).ravel()
+    a, b, c, d = corner, corner + 1, corner + columns + 2, corner + columns + 1
+    cells = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
+    floor = np.flatnonzero(y == 0)
+    patches = {"bump": floor[(x[floor] > 4) & (x[floor] < 6)], "roof": np.flatnonzero(y == 1)}
+    return jm.Mesh(np.column_stack([x, y]), {"triangle": cells}, patches)
+
+
+def test_of_internal_flow_the_whole_mesh_is_in_view_and_the_numbers_are_those_of_the_table(tmp_path, figures):
+    """The channel fills the width, its two states one above the other; each cell has a mean of its neighbours."""
+    mesh = channel()
+    moved = np.array(mesh.points)
+    moved[mesh.patch("bump"), 1] += 0.1
+    verdict = jm.judge(mesh, moved)
+    plot.picture(tmp_path / "channel.png", mesh, moved)
+    first, second = figures[0].axes[:2]
+    assert (first.get_xlim(), first.get_ylim()) == ((0, 10), (0, 1))
+    assert first.get_position().x1 - first.get_position().x0 > 0.8
+    assert second.get_position().y1 < first.get_position().y0
+    for axis, own in ((first, verdict.before), (second, verdict)):
+        worst = own.rows["max", "skewness"]
+        assert axis.get_title().endswith(f"largest skewness {worst.value:.3g} (×)")
+        np.testing.assert_allclose(np.ravel(axis.lines[-1].get_data()), worst.near)
+    ids, skewness = mesh.cells["triangle"], np.asarray(verdict.corners.skewness)
+    at_nodes = np.array([skewness[(ids == k).any(axis=1)].mean() for k in range(len(mesh.points))])
+    np.testing.assert_allclose(second.collections[0].get_array(), at_nodes[ids].mean(axis=1))
+    assert figures[0].axes[2].get_xlabel() == "skewness, mean of the cells at each node"
+
+
+def test_of_polyhedra_one_layer_thick_the_measure_is_that_of_the_table(tmp_path, figures):
+    """A pentagon and a triangle in a case: they are judged by faces, and so they are named and drawn in 2-D."""
+    plane = np.array([[0, 0, 0], [2, 0, 0], [2, 1, 0], [1, 1.7, 0], [0, 1, 0], [2.2, 2, 0]])
+    cells = []
+    for rim in ([0, 1, 2, 3, 4], [2, 5, 3]):
+        walls = [[a, b, b + 6, a + 6] for a, b in itertools.pairwise([*rim, rim[0]])]
+        cells.append([rim[::-1], [node + 6 for node in rim], *walls])
+    mesh = io.read(
+        foam.write_case(tmp_path / "case", np.concatenate([plane, plane + np.array([0, 0, 0.1])]), cells, foam.PATCHES)
+    )
+    worst = jm.judge(mesh).rows["max", "face_skewness"]
+    plot.picture(tmp_path / "two.png", mesh)
+    axis, bar = figures[0].axes
+    assert axis.get_title() == f"largest face skewness {worst.value:.3g} (×)"
+    assert bar.get_xlabel().startswith("face skewness")
+    np.testing.assert_allclose(np.ravel(axis.lines[-1].get_data()), worst.near[:2])
+    assert (axis.get_xlim(), axis.get_ylim()) == ((0, 2.2), (0, 2))
+    drawn, own = np.asarray(axis.collections[0].get_array()), np.asarray(jm.face_quality(mesh).skewness)
+    assert own.min() <= drawn.min() < drawn.max() <= own.max() == worst.value
 
 
 @pytest.mark.nightly

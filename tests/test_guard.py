@@ -1,9 +1,11 @@
 """The guard of an optimisation: a smooth constraint on cells, the rows of those that bind, and the history of iterations."""
 
 import json
+import re
 
 import jax
 import jax.numpy as jnp
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 import scipy.optimize
@@ -126,8 +128,40 @@ def test_a_history_goes_on_after_a_kill(tmp_path):
     again.add([1.0, 2.0], np.inf)
     assert [json.loads(line)["value"] for line in file.read_text().splitlines()] == [2.0, 1.5, None]
     assert len(shapes.History(file)) == 3
-    labels = plot.convergence(again).get_legend_handles_labels()[1]
-    assert labels == ["objective over the first", "lift", "smallest of thickness", "ratio"]
+
+
+def test_each_iteration_is_a_line_and_the_first_compiles(tmp_path, capsys):
+    history = shapes.History(tmp_path / "wing.jsonl")
+    history.add([0.0], 0.25, constraints={"lift": 0.5, "thickness": [0.3, 0.1]}, measures={"ratio": np.nan})
+    history.add([0.5], np.inf)
+    first, second = capsys.readouterr().err.splitlines()
+    assert re.fullmatch(
+        r"iteration 0: 0\.25, lift 0\.5, thickness 0\.1 to 0\.3, ratio nan \([\d.e-]+ s, with compiling\)", first
+    )
+    assert re.fullmatch(r"iteration 1: nan \([\d.e-]+ s\)", second)
+
+
+@pytest.mark.parametrize("is_given", [False, True])
+def test_what_an_optimisation_did_has_a_panel_and_a_scale_for_each(tmp_path, is_given):
+    history = shapes.History(tmp_path / "wing.jsonl")
+    for k in range(4):
+        history.add([k], 1e-3 * k, constraints={"lift": 0.5 + 1e-3 * k, "thickness": [0.1, 0.2 * k]})
+    given = plt.subplots(1, 2)[1][1] if is_given else None
+    first = plot.convergence(history, bounds={"lift": (0.45, np.inf)}, ax=given)
+    assert given in (None, first)
+    panels = first.figure.axes[is_given:]
+    assert [panel.get_title(loc="left") for panel in panels] == ["objective", "lift", "thickness"]
+    lines = [[line.get_ydata() for line in panel.lines] for panel in panels]
+    np.testing.assert_array_equal(lines[0], [history.values])
+    np.testing.assert_array_equal(lines[1][0], history.column("lift"))
+    np.testing.assert_array_equal(lines[1][1], [0.45, 0.45])
+    np.testing.assert_array_equal(lines[2], history.column("thickness").T)
+    assert panels[0].get_ylim()[1] < 0.01 < panels[1].get_ylim()[0] < 0.45  # the bound is in view
+    assert panels[1].get_position().y1 < panels[0].get_position().y0
+    with pytest.raises(ValueError, match="no iteration has drag; there are: lift, thickness"):
+        plot.convergence(history, bounds={"drag": (0.0, 1.0)})
+    with pytest.raises(ValueError, match="in no grid"):
+        plot.convergence(history, ax=plt.figure().add_axes((0, 0, 1, 1)))
 
 
 def test_what_is_no_history_is_told(tmp_path):

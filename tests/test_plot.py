@@ -161,7 +161,7 @@ def test_pictures_show_the_bodies_and_some_room(airfoil):
 @pytest.mark.parametrize("label", [None, "skewness"])
 def test_values_bring_a_bar_unless_told_otherwise(label):
     (bar,) = plot.mesh(mixed(), values=[0.0, 1.0, 0.5], label=label).child_axes
-    assert bar.get_ylabel() == (label or "")
+    assert bar.get_ylabel() == (label or "values of the cells")
     assert not plot.mesh(mixed(), values=[0.0, 1.0, 0.5], label=label, bar=False).child_axes
     for bar in (True, False):
         plotter = plot.surface(bricks(), values=np.arange(27.0), label=label, bar=bar)
@@ -337,6 +337,16 @@ def test_before_and_after_in_3d():
 
 
 @pytest.mark.nightly
+def test_without_a_patch_bodies_are_drawn_in_3d_and_not_what_is_round_them():
+    mesh = cases.wing(points=600, first_cell=1e-3)
+    moved = np.asarray(mesh.points) * [1, 1, 1.1]
+    counts = [sum(part.n_cells for part in plot.surface(mesh, patch=patch).meshes) for patch in (None, "wing", ".*")]
+    assert counts[0] == counts[1] < counts[2] == sum(map(len, jm.boundary_faces(mesh).values()))
+    wall = np.asarray(mesh.points)[mesh.patch("wing")]
+    for part in plot.before_after_3d(mesh, moved).meshes:
+        assert (np.abs(part.points) <= np.abs(wall).max(axis=0) * 1.1 + 1e-9).all()
+
+
 def test_one_state_is_seen_through_the_other():
     """A body that grows hides what it was, and one that shrinks what became of it, unless both let light through."""
     mesh = bricks()

@@ -441,7 +441,10 @@ DEFINITION = f"FFD_DEFINITION= (MAIN, 0,-1,0, 1,-1,0, 1,1,0, 0,1,0, {', '.join('
         ({"kind": "FFD_CAMBER_2D", "param": "(MAIN, 7)", "more": TABLE}, "i = 7; box MAIN has control points 0 to 3"),
         ({"kind": "FFD_CAMBER", "param": "(MAIN, 1, 0)", "more": TABLE}, "FFD_CAMBER in a mesh in 2-D"),
         ({"kind": "FFD_CAMBER_2D", "param": "(MAIN, 1)", "more": TABLE + "FFD_CONTINUITY= C1\n"}, "C1 is not taken"),
-        ({"kind": "FFD_CAMBER_2D", "param": "(MAIN, 1)", "more": TABLE + "FFD_COORD_SYSTEM= POLAR\n"}, "POLAR is not"),
+        (
+            {"kind": "FFD_CAMBER_2D", "param": "(MAIN, 1)", "more": TABLE + "FFD_COORD_SYSTEM= POLAR\n"},
+            "POLAR is not taken; CARTESIAN is",
+        ),
         ({"kind": "FFD_CAMBER_2D, SCALE", "param": "(MAIN, 1); (1)", "value": "1, 1"}, "SU2 moves by one"),
     ],
 )
@@ -460,6 +463,7 @@ def test_the_angle_of_attack_is_told_and_left_alone(folder):
 
 
 # SU2's own tutorials in what concerns the mesh: RAE2822, NACA0012 (unsteady), the wedge, the bend; each with what is said of it
+CORNERS = f"0, -1, 0, 1, -1, 0, 1, 1, 0, 0, 1, 0, {', '.join('0' * 12)}"
 TUTORIALS = {
     "RAE2822": ("HICKS_HENNE", "( 1, 0.5 )", "0.01", "OPT_RELAX_FACTOR= 1E2\nOPT_LINE_SEARCH_BOUND= 1E6\n",
                 ["the wall moves by 0.99.* times its own length: OPT_RELAX_FACTOR= 100 multiplies"]),
@@ -470,6 +474,11 @@ TUTORIALS = {
                  ["MARKER_INTERNAL= the mesh has no marker FWH1"]),
     "wedge": ("FFD_CONTROL_POINT_2D", "(MAIN, 3,0, 0,1.0,0,0 )", "0.5", TABLE + "FFD_CONTINUITY= 2ND_DERIVATIVE\n",
               ["DV_PARAM= FFD_CONTROL_POINT_2D has 5 parameters, left out: 0 0"]),
+    "heat": ("FFD_SETTING", "(( UPPER, 14, 1, 0.0, 1.0 ), ( LOWER, 14, 1, 0.0, 1.0 ))", "0",
+             f"FFD_DEFINITION= (UPPER, {CORNERS}); \\\n (LOWER, {CORNERS}, 0.0)\nFFD_DEGREE= ( 14, 1, 0); ( 14, 1, 0)\n",
+             ["FFD_DEFINITION= box LOWER has 24 numbers, left out: 0.0"]),
+    "RBF": ("HICKS_HENNE", "( 1, 0.5 )", "0.1", "DEFORM_KIND= RBF\nRBF_DATA_REDUCTION= YES\nRBF_GREEDY_TOLERANCE= 1E-3\n",
+            ["not honoured .*: DEFORM_KIND= RBF"]),
     "bend": ("TRANSLATION", "(0, 1, 0)", "0.1", "MARKER_SYM= ( symmetry )\nDEFORM_COEFF = 1.0e6\nDEFORM_LIMIT = 1E6\n",
              ["MARKER_SYM= the mesh has no marker symmetry"]),
     "checks": ("HICKS_HENNE", "(1, 0.3)", "0.01", "FFD_INTPREV= YES\nCONVEXITY_CHECK= TRUE\nHOLD_GRID_FIXED= NO\n",
@@ -485,7 +494,10 @@ def test_what_su2_would_do_otherwise_is_told_and_its_tutorials_run(folder, case)
         warnings.simplefilter("always")
         read = config(folder, *given)
     assert len(told) == len(says)
-    assert read.names
+    assert bool(read.names) == (given[0] != "FFD_SETTING")
+    if not read.names:
+        assert [box.name for box in read.boxes] == ["UPPER", "LOWER"]
+        np.testing.assert_array_equal(read.boxes[1].control[-1, -1], [1, 1])
     for each, warning in zip(says, told, strict=True):
         assert re.search(each, str(warning.message))
         assert warning.filename == __file__

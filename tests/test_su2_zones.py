@@ -81,6 +81,31 @@ def test_a_wall_between_zones_moves_in_both(path):
         assert int(jm.quality(mesh).inverted) == 0
 
 
+def test_a_config_moves_one_zone_and_draws_it(path, capsys):
+    config = path.with_name("def.cfg")
+    config.write_text(
+        "MESH_FILENAME= a.su2\nMESH_OUT_FILENAME= b.su2\nDV_KIND= TRANSLATION\nDV_PARAM= (1, 0, 0)\nDV_VALUE= -0.125\n"
+        "DV_MARKER= ( zone2_right )\nMARKER_SYM= ( zone2_low, zone2_high )\n"
+    )
+    refused(capsys, ["su2", "def", str(config)], "a.su2: the file holds 2 zones, .* --zone 1 is the first")
+    refused(capsys, ["su2", "def", str(config), "--zone", "3"], "MESH_FILENAME= .*a.su2 has 2 zones, not the zone 3")
+    refused(capsys, ["su2", "dot", str(config), "--picture", "b.png"], "--picture is for su2 def")
+    picture = path.with_name("b.png")
+    said = printed(capsys, ["su2", "def", str(config), "--zone", "2", "--picture", str(picture)])
+    assert f"picture  {picture}" in said
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    before, after = halves(path), halves(path.with_name("b.su2"))
+    assert [a == b for a, b in zip(before, after, strict=True)] == [True, True, False]
+    second = io.read_zones(path.with_name("b.su2"))[1]
+    np.testing.assert_allclose(second.points[second.patch("zone2_right"), 0], 2 - 0.125)
+    refused(capsys, ["info", str(path), "--picture", "a.png"], "--picture is of one zone, .* has 2: quality --zone 1")
+    for words in (["info", str(path.with_name("one.su2"))], ["quality", str(path), "--zone", "1"]):
+        io.write(path.with_name("one.su2"), square(3))
+        picture.unlink()
+        assert f"picture  {picture}" in printed(capsys, [*words, "--picture", str(picture)])
+        assert picture.exists()
+
+
 def test_what_is_refused(path):
     zones, target = io.read_zones(path), path.with_name("b.su2")
     all_refused(

@@ -5,7 +5,6 @@ import pathlib
 import sys
 import time
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -13,7 +12,6 @@ import jaxmorph as jm
 from jaxmorph import cases, io, plot  # before matplotlib: it says what to install
 
 # isort: split
-import matplotlib
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
@@ -28,7 +26,9 @@ FAR_FIELD = jm.KDTree(2)
 LEAVES = (1, 2, 4, 8)
 """Leaves of the wall's trees to compare, with four sources a leaf."""
 
-STYLE: dict[Any, Any] = {"font.size": 13, "axes.titlesize": 15, "axes.labelsize": 14}
+SIZE = 5.5, 4.6
+"""Inches of a figure, in which 10 points are legible at a column of a journal and on a phone."""
+
 AIRFOIL: plot.Window = ((-0.35, 1.45), (-0.62, 0.48))
 TRAILING_EDGE: plot.Window = ((0.915, 1.035), (-0.2325, -0.1592))
 LARGEST = 0.5
@@ -200,43 +200,43 @@ def table(heads: Sequence[tuple[str, ...]], rows: Sequence[tuple[str, ...]]) -> 
 
 
 def figure5(path: pathlib.Path, mesh: jm.Mesh, outcomes: Sequence[Outcome]) -> None:
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(13.33, 7.5), dpi=150, layout="constrained")
-        axes = figure.subplots(2, len(outcomes), squeeze=False)
-        for column, outcome in zip(axes.T, outcomes, strict=True):
+    figure = Figure(figsize=SIZE, dpi=200, layout="constrained")
+    axes = figure.subplots(2, len(outcomes), squeeze=False)
+    letters = iter("abcdefgh")
+    for row, window in zip(axes, (AIRFOIL, TRAILING_EDGE), strict=True):
+        for axis, outcome in zip(row, outcomes, strict=True):
             skewness = np.asarray(outcome.reports[-1].skewness)
-            for axis, window in zip(column, (AIRFOIL, TRAILING_EDGE), strict=True):
-                plot.mesh(mesh, outcome.points, values=skewness, limits=(0, LARGEST), window=window, bar=False, ax=axis)
-                axis.tick_params(labelsize=11)
-                axis.locator_params(nbins=6)
-            column[0].set_title(f"{outcome.study.title}: largest skewness {outcome.skewness[-1][1]:.2f}")
-            (left, right), (low, high) = TRAILING_EDGE
-            frame = {"fill": False, "color": plot.BLUE, "linewidth": 2.5}
-            column[0].add_patch(Rectangle((left, low), right - left, high - low, **frame))
-            column[1].set_xlabel("x / chord")
-        for axis, what in zip(axes[:, 0], ("airfoil", "trailing edge and wake"), strict=True):
-            axis.set_ylabel(f"{what}\ny / chord")
-        bar = figure.colorbar(axes[0, 0].collections[0], ax=axes, aspect=35, pad=0.01)
-        bar.set_label("skewness of the cells")
-        figure.savefig(path)
+            plot.mesh(mesh, outcome.points, values=skewness, limits=(0, LARGEST), window=window, bar=False, ax=axis)
+            axis.set(xlabel="x / chord", ylabel="y / chord")
+            axis.locator_params(nbins=3)
+            frame = {"facecolor": "w", "linewidth": 0, "pad": 2}
+            axis.text(0.03, 0.95, next(letters), transform=axis.transAxes, va="top", weight="bold", bbox=frame)
+    (left, right), (low, high) = TRAILING_EDGE
+    for axis, outcome in zip(axes[0], outcomes, strict=True):
+        axis.set_title(f"{outcome.study.title}\nlargest skewness {outcome.skewness[-1][1]:.2f}", fontsize="medium")
+        axis.add_patch(Rectangle((left, low), right - left, high - low, fill=False, color=plot.BLUE, linewidth=1.5))
+    for axis in axes[1]:
+        axis.spines[:].set(color=plot.BLUE, linewidth=1.5)
+    figure.colorbar(axes[0, 0].collections[0], ax=axes, location="bottom", aspect=40, label="skewness of the cells")
+    figure.savefig(path)
 
 
 def figure6(path: pathlib.Path, start: jm.QualityReport, outcomes: Sequence[Outcome], angles: Sequence[float]) -> None:
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(13.33, 5.6), dpi=150, layout="constrained")
-        axes = figure.subplots(1, 2)
-        undeformed = float(start.mean_skewness), float(start.max_skewness)
-        for outcome, style in zip(outcomes, _styles(outcomes), strict=True):
-            for column, axis in enumerate(axes):
-                values = [undeformed[column], *(pair[column] for pair in outcome.skewness)]
-                axis.plot([0, *angles], values, label=outcome.study.name, **style)
-        for axis, what in zip(axes, ("Mean skewness, weighted by area", "Largest skewness"), strict=True):
-            axis.set(title=what, xlabel="angle of rotation in degrees", xticks=[0, *angles])
-            axis.grid(axis="y", color="#dddddd")
-            axis.set_axisbelow(True)
-            axis.spines[["top", "right"]].set_visible(False)
-        figure.legend(*axes[0].get_legend_handles_labels(), loc="outside right center", frameon=False)
-        figure.savefig(path)
+    figure = Figure(figsize=SIZE, dpi=200, layout="constrained")
+    axes = figure.subplots(1, 2)
+    undeformed = float(start.mean_skewness), float(start.max_skewness)
+    for outcome, style in zip(outcomes, _styles(outcomes), strict=True):
+        for column, axis in enumerate(axes):
+            values = [undeformed[column], *(pair[column] for pair in outcome.skewness)]
+            axis.plot([0, *angles], values, label=outcome.study.name, **style)
+    for axis, what in zip(axes, ("a   mean skewness", "b   largest skewness"), strict=True):
+        axis.set_title(what, fontsize="medium", loc="left")
+        axis.set(xlabel="rotation in degrees", xticks=[0, *angles])
+        axis.grid(axis="y", color="#dddddd")
+        axis.set_axisbelow(True)
+        axis.spines[["top", "right"]].set_visible(False)
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", frameon=False, ncols=2)
+    figure.savefig(path)
 
 
 def _styles(outcomes: Sequence[Outcome]) -> list[dict]:

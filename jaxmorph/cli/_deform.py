@@ -19,7 +19,7 @@ from ._method import Chunks, Patches, described, mesh_of, patches_of
 from ._motion import Motion, motion
 from ._output import Output, coordinates, count, title, wrapped
 from ._requests import AUTO, Deform
-from ._way import Way, faults, followed, in_background, in_double, is_kept, say_verdict, writing
+from ._way import Way, check_picture, draw, faults, followed, in_background, in_double, is_kept, say_verdict, writing
 
 SMALL = 10_000
 """Points, times steps, below which compile time dominates."""
@@ -195,18 +195,8 @@ def _wall_numbers(attempt: Attempt, points: np.ndarray) -> dict[str, tuple[float
 
 
 def _write_beside(attempt: Attempt, way: Way, verdict: jm.Verdict, out: Output) -> None:
-    picture = attempt.request.picture
     write_job(attempt.request, attempt.motion, out)
-    if picture is not None:
-        try:
-            with out.progress("drawing"):
-                from jaxmorph import plot
-
-                reports: Any = attempt.before.corners, verdict.corners
-                plot.picture(picture, way.mesh, way.stored, moving=attempt.patches.nodes, reports=reports)
-            out.say(f"picture  {picture}", picture=str(picture))
-        except (ValueError, OSError) as error:  # the mesh is worth more
-            out.warn(f"no picture: {error}")
+    draw(attempt.request.picture, way.mesh, out, way.stored, moving=attempt.patches.nodes, verdict=verdict)
 
 
 def check(request: Deform, mesh: Mesh) -> None:
@@ -218,10 +208,7 @@ def check(request: Deform, mesh: Mesh) -> None:
             io.check_lattice_output(group.lattice)
         if group.patches and not len(mesh.patch(*group.patches)):
             raise ValueError(f"--moving {' '.join(group.patches)}: there are no nodes in it.")
-    if request.picture is not None:
-        if mesh.points.shape[1] == 2 and request.picture.suffix.lower() != ".png":
-            raise ValueError(f"--picture {request.picture}: a picture of this mesh ends in .png.")
-        from jaxmorph import plot  # noqa: F401  raises where an extra is missing
+    check_picture(request.picture, mesh)
 
 
 def say_motion(request: Deform, patches: Patches, plan: jm.Plan, u: np.ndarray, out: Output) -> None:

@@ -180,6 +180,10 @@ def _check_sensitivity(request: SensitivityRequest) -> None:
 
 def _check_export(request: ExportRequest) -> None:
     _check_input(request.file)
+    if request.method.dtype == "float32":
+        raise ValueError("--dtype float32: a plan in a file is in double precision. Leave the flag away.")
+    if METHODS[request.method.method].needs_cells:
+        raise ValueError(f"--method {request.method.method} solves on the cells, which a plan in a file does not hold.")
     if is_folder(request.file):
         if request.output is not None:
             raise ValueError(
@@ -195,6 +199,8 @@ def _check_export(request: ExportRequest) -> None:
 def _check_su2(request: SU2) -> None:
     if request.action == "def" and request.sensitivity is not None:
         raise ValueError("--sensitivity is for su2 dot, and su2 def moves the mesh.")
+    if request.action == "dot" and request.picture is not None:
+        raise ValueError("--picture is for su2 def, and su2 dot moves no mesh.")
     options = su2.checked_options(request.file, definition=request.definition)
     _check_input(options.mesh_file)
     if request.sensitivity is not None:
@@ -202,13 +208,24 @@ def _check_su2(request: SU2) -> None:
     if request.action == "def":
         output = request.output or options.output
         _check_mesh_output(output)
-        check_apart([("OUT", output)], {"the config is": [request.file], "the mesh is": [options.mesh_file]})
+        inputs = {"the config is": [request.file], "the mesh is": [options.mesh_file]}
+        check_apart([("OUT", output), *_picture_of(request)], inputs)
     elif request.output is not None:
         output_path(request.output)
 
 
+def _picture_of(request: SU2 | Quality | Info) -> list[tuple[str, Path]]:
+    return [] if request.picture is None else [("--picture", request.picture)]
+
+
+def _check_info(request: Info) -> None:
+    _check_input(request.file)
+    check_apart(_picture_of(request), {"the mesh is": [request.file]})
+
+
 def _check_quality(request: Quality) -> None:
     _check_input(request.file)
+    check_apart(_picture_of(request), {"the mesh is": [request.file, request.moved]})
     if request.moved is not None:
         _check_input(request.moved)
     elif request.gates.min_jacobian_ratio is not None:
@@ -234,7 +251,7 @@ OF_COMMAND: dict[Any, Callable[[Any], None]] = {
     NativeRequest: lambda request: None,
     SU2: _check_su2,
     Quality: _check_quality,
-    Info: lambda request: _check_input(request.file),
+    Info: _check_info,
     Convert: _check_convert,
     Demo: _check_demo,
 }

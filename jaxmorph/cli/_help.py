@@ -222,7 +222,7 @@ first file that is there of SOLUTION_ADJ_FILENAME, VOLUME_SENS_FILENAME and
 SURFACE_SENS_FILENAME.
 
 examples:
-  jaxmorph su2 def config.cfg
+  jaxmorph su2 def config.cfg --picture moved.png
   jaxmorph su2 dot config.cfg
   jaxmorph su2 dot --definition config.cfg --sensitivity restart_adj_cd.csv
 
@@ -238,7 +238,7 @@ area or volume. FILE2 is the mesh of FILE with other coordinates: inverted cells
 and ratios are then relative to FILE.
 
 examples:
-  jaxmorph quality airfoil.su2
+  jaxmorph quality airfoil.su2 --picture airfoil.png
   jaxmorph quality airfoil.su2 pitched.su2 --max-non-orthogonality 70
   jaxmorph quality wing.su2 --proof
 

@@ -11,13 +11,14 @@ from jaxmorph import Mesh, _demo, io
 from ._method import mesh_of
 from ._output import Output, count, some, title, wrapped
 from ._requests import Convert, Demo, Info, Quality
-from ._way import faults
+from ._way import check_picture, draw, faults
 
 
 def quality(request: Quality, out: Output) -> int:
     with out.progress("reading"):
         mesh = mesh_of(request.file, request.zone)
         moved = None if request.moved is None else mesh_of(request.moved, request.zone)
+    check_picture(request.picture, mesh)
     with out.progress("judging the cells"):
         if moved is not None:
             _check_same(request, mesh, moved)
@@ -28,6 +29,7 @@ def quality(request: Quality, out: Output) -> int:
     out.say("\n\n".join(tables), gates=verdict.gate_facts, after=verdict.facts)
     if verdict.before is not None:
         out.say(before=verdict.before.facts)
+    draw(request.picture, mesh, out, points, verdict=verdict)
     bad = faults(verdict) + ([] if proof is None else _proven(proof, out))
     for sentence in bad:
         out.complain(sentence)
@@ -43,7 +45,10 @@ def _proven(proof: jm.Proof, out: Output) -> list[str]:
 def info(request: Info, out: Output) -> int:
     with out.progress("reading"):
         is_su2 = request.file.suffix.lower() == ".su2"
-        meshes = io.read_zones(request.file) if is_su2 else (io.read(request.file),)
+        meshes = list(io.read_zones(request.file) if is_su2 else [io.read(request.file)])
+    if len(meshes) > 1 and request.picture is not None:
+        raise ValueError(f"--picture is of one zone, {request.file} has {len(meshes)}: quality --zone 1 --picture ...")
+    check_picture(request.picture, meshes[0])
     zones: list[dict[str, Any]] = []
     for number, mesh in enumerate(meshes, start=1):
         facts = _facts(mesh)
@@ -52,6 +57,7 @@ def info(request: Info, out: Output) -> int:
         zones.append({key: value for key, value in facts.items() if value or key in ALWAYS})
     facts = zones[0] if len(zones) == 1 else {"zones": zones}
     out.say(None, **facts)
+    draw(request.picture, meshes[0], out)
     return 0
 
 

@@ -44,6 +44,9 @@ def _output(name: str) -> Path:
     return path
 
 
+PICTURE: dict[str, Any] = {"type": _output, "everyday": True}
+
+
 def _change(word: str) -> tuple[str, tuple[float, ...]]:
     name, _, numbers = word.rpartition("=")
     try:
@@ -216,9 +219,7 @@ class Deform:
     decomposed: bool = switch("IN is a decomposed OpenFOAM case: move its parts one by one, or under mpiexec several")
     job: Path | None = flag("read the flags from a TOML file")
     save_job: Path | None = flag("write a TOML file with the flags of this run", type=_output)
-    picture: Path | None = flag(
-        "draw the mesh before and after: .png, in 3-D also a page (.html)", type=_output, everyday=True
-    )
+    picture: Path | None = flag("draw the mesh before and after: .png, in 3-D also a page (.html)", **PICTURE)
     zone: int | None = flag(ZONE)
     groups: tuple[MotionFlags, ...] = several(MotionFlags)
     boundary: BoundaryFlags = part(BoundaryFlags)
@@ -289,7 +290,7 @@ class SensitivityRequest:
 class ExportRequest:
     file: Path = positional(MESH, "IN")
     output: Path | None = positional("the plan; not given for an OpenFOAM case", "OUT", nargs="?", type=_output)
-    zone: int | None = flag(ZONE)
+    zone: int | None = flag("of an SU2 file with several zones the zone IZONE= N")
     moving: tuple[str, ...] = _patches(WHAT_MOVES, section="surface", everyday=True)
     boundary: BoundaryFlags = part(BoundaryFlags)
     method: MethodFlags = part(MethodFlags)
@@ -312,6 +313,8 @@ class SU2:
     )
     output: Path | None = flag("where to write (default as the config file says)", *OUTPUT, metavar="OUT", type=_output)
     definition: bool = switch("the design variables of DEFINITION_DV in place of DV_KIND")
+    zone: int | None = flag(ZONE)
+    picture: Path | None = flag("def: draw the mesh before and after: .png, in 3-D also .html", **PICTURE)
     method: MethodFlags = part(MethodFlags)
     allow_inverted: bool = switch("write OUT even when cells are inverted", section=BAD)
     speech: Speech = part(Speech)
@@ -325,6 +328,7 @@ class Quality:
     moved: Path | None = positional("the same mesh, deformed", "FILE2", nargs="?")
     proof: bool = switch("prove that cells fold nowhere inside, or show where they do")
     zone: int | None = flag("of SU2 files with several zones the zone IZONE= N")
+    picture: Path | None = flag("draw the mesh by its skewness: .png, in 3-D also a page (.html)", **PICTURE)
     gates: Gates = part(Gates)
     speech: Speech = part(Speech)
 
@@ -332,6 +336,7 @@ class Quality:
 @dataclasses.dataclass(frozen=True)
 class Info:
     file: Path = positional(MESH, "FILE")
+    picture: Path | None = flag("draw the mesh by its skewness: .png, in 3-D also a page (.html)", **PICTURE)
     speech: Speech = part(Speech)
 
 

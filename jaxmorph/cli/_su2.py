@@ -16,12 +16,12 @@ from ._early import check_apart
 from ._method import described, method_of
 from ._output import Output, count, steepest, title
 from ._requests import SU2
-from ._way import Way, faults, is_kept, say_verdict
+from ._way import Way, check_picture, draw, faults, is_kept, say_verdict
 
 
 def run(request: SU2, out: Output) -> int:
     with out.progress(f"reading {title(request.file)}"):
-        config = su2.read_config(request.file, definition=request.definition)
+        config = su2.read_config(request.file, definition=request.definition, zone=request.zone)
     mesh, factors = config.mesh, np.asarray(config.shape.scales)
     n, d = mesh.points.shape
     out.say(f"{mesh.source.path.name}: {n} points in {d}-D", points=n)
@@ -58,7 +58,8 @@ def _listed(numbers: np.ndarray) -> str:
 def _deform(request: SU2, config: su2.Config, out: Output) -> int:
     mesh, output, bad = config.mesh, request.output or config.output, []
     io.check_output(output, mesh)
-    moved = mesh
+    check_picture(request.picture, mesh)
+    moved, verdict = mesh, None
     if config.names:
         with out.progress("preparing"):
             plan = _plan(request, config, request.method.dtype)
@@ -76,6 +77,7 @@ def _deform(request: SU2, config: su2.Config, out: Output) -> int:
             verdict = Way(output, mesh, (points,)).judge()
         say_verdict(verdict, out)
         bad = faults(verdict)
+    draw(request.picture, mesh, out, moved.points, moving=mesh.patch(*config.moving), verdict=verdict)
     if not is_kept(bad, request.allow_inverted, output, out):
         return 1
     if config.boxes:

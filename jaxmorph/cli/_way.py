@@ -118,6 +118,28 @@ def writing(write: Callable[..., None], *arguments: Any) -> Iterator[Callable[[]
             call.result()
 
 
+def check_picture(picture: Path | None, mesh: Mesh) -> None:
+    """Raises `ValueError` or `ImportError` for a picture that is sure to fail."""
+    if picture is not None:
+        if mesh.points.shape[1] == 2 and picture.suffix.lower() != ".png":
+            raise ValueError(f"--picture {picture}: a picture of this mesh ends in .png.")
+        from jaxmorph import plot  # noqa: F401  raises where an extra is missing
+
+
+def draw(picture: Path | None, mesh: Mesh, out: Output, points: Any = None, **settings: Any) -> None:
+    """Draws a mesh, or before and after; one that fails is a warning: the rest is worth more."""
+    if picture is None:
+        return
+    try:
+        with out.progress("drawing"):
+            from jaxmorph import plot
+
+            plot.picture(picture, mesh, points, **settings)
+        out.say(f"picture  {picture}", picture=str(picture))
+    except (ValueError, OSError) as error:
+        out.warn(f"no picture: {error}")
+
+
 def faults(verdict: jm.Verdict) -> list[str]:
     return verdict.faults(lambda gate: "--proven" if gate.name == PROVEN else f"{flag_of(gate.name)} {gate.limit:g}")
 

@@ -7,7 +7,7 @@ Plots take matplotlib's axes `ax` or pyvista's `plotter`, by default a new one, 
 from ._curves import convergence as convergence
 from ._curves import histogram as histogram
 from ._files import page as page
-from ._files import picture as picture
+from ._picture import picture as picture
 from ._plane import Window as Window
 from ._plane import before_after as before_after
 from ._plane import graph as graph

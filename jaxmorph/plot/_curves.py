@@ -10,8 +10,8 @@ import jaxmorph as jm
 from jaxmorph.extend import checked
 from jaxmorph.shapes import History
 
-from ._plane import Axes, given_or_new, legend_above
-from ._style import BLUE, DARK, GREEN, GREY, ORANGE, RULE
+from ._plane import Axes, given_or_new, legend_above, plt
+from ._style import BLUE, DARK, GREEN, GREY, LIGHT, ORANGE, RULE, WIDTH
 
 
 @checked
@@ -53,32 +53,66 @@ def _of_cells(report: jm.QualityReport, measure: str) -> Float[np.ndarray, " k"]
 
 
 @checked
-def convergence(history: History, *, ax: Axes | None = None) -> Axes:
-    """Draws an optimisation's progress: the objective over its first value against the iterations,
-    with its constraints and measures.
+def convergence(
+    history: History,
+    *,
+    bounds: Mapping[str, tuple[float | int, float | int]] | None = None,
+    ax: Axes | None = None,
+) -> Axes:
+    """Draws an optimisation's progress: the objective, each constraint and each measure against the
+    iterations, one below the other, each on its own scale; what is beyond bounds is shaded.
 
     **Arguments:**
 
     - `history`: a `shapes.History`.
-    - `ax`: matplotlib's axes; new ones by default.
+    - `bounds`: least and largest values of constraints and measures by name, one of them infinite
+      or not: `{"lift": (0.5, np.inf)}`.
+    - `ax`: matplotlib's axes in a grid, whose place the panels share; new ones by default.
 
-    **Returns:** the axes. **Raises:** `ValueError` where there is nothing to draw.
+    **Returns:** the axes of the objective, the first.
+
+    **Raises:** `ValueError` where there is nothing to draw, and for bounds of an unknown name.
     """
+    bounds = {} if bounds is None else bounds
     if not len(history):
         raise ValueError(f"`history`: {history.path} has no iteration yet.")
-    ax, steps, values = given_or_new(ax), np.arange(len(history)), history.values
-    first = values[0] if np.isfinite(values[0]) and values[0] else 1.0
-    ax.plot(steps, values / first, "o-", color=ORANGE, label="objective over the first" if first != 1 else "objective")
-    for k, name in enumerate(history.names):
-        column = history.column(name)
-        style: dict[str, Any] = {"color": (BLUE, GREEN, DARK, GREY)[k % 4], "linestyle": ("-", "--")[k // 4 % 2]}
-        if column.ndim == 1:
-            ax.plot(steps, column, marker=".", label=name, **style)
-        else:  # of several the one nearest to its bound
-            ax.plot(steps, column.min(axis=1), marker=".", label=f"smallest of {name}", **style)
-    ax.set_xlabel("iteration")
-    ax.locator_params("x", integer=True)
-    ax.grid(color=RULE)
-    ax.set_axisbelow(True)
-    legend_above(ax)
-    return ax
+    if unknown := [name for name in bounds if name not in history.names]:
+        known = ", ".join(history.names) or "none"
+        raise ValueError(f"`bounds`: no iteration has {', '.join(unknown)}; there are: {known}.")
+    panels = {"objective": history.values} | {name: history.column(name) for name in history.names}
+    axes = _stack(ax, len(panels))
+    for axis, (name, column) in zip(axes, panels.items(), strict=True):
+        style: dict[str, Any] = {"marker": "."} if column.ndim == 1 else {"linewidth": 0.8}
+        axis.plot(np.arange(len(history)), column, color=BLUE if axis is axes[0] else DARK, **style)
+        _shade_beyond(axis, bounds.get(name, (-np.inf, np.inf)))
+        axis.set_title(name.replace("_", " "), loc="left", fontsize="medium", pad=3)
+        axis.grid(color=RULE)
+        axis.set_axisbelow(True)
+        axis.label_outer()
+    axes[-1].set_xlabel("iteration")
+    axes[-1].locator_params("x", integer=True)
+    return axes[0]
+
+
+def _shade_beyond(axis: Axes, bounds: tuple[float | int, float | int]) -> None:
+    low, high = axis.get_ylim()
+    room, known = 0.05 * (high - low), [bound for bound in bounds if np.isfinite(bound)]
+    low, high = min(low, *(bound - room for bound in known), low), max(high, *(bound + room for bound in known), high)
+    axis.set_ylim(low, high)
+    for bound, end in zip(bounds, (low, high), strict=True):
+        if np.isfinite(bound):
+            axis.axhline(bound, color=ORANGE, linestyle="--")
+            axis.axhspan(bound, end, color=LIGHT, alpha=0.5, linewidth=0)
+
+
+def _stack(ax: Axes | None, count: int) -> list[Axes]:
+    """Makes axes one below the other, with one axis of iterations, in the place of one."""
+    if ax is None:
+        size = WIDTH, 0.6 + 1.15 * count
+        return list(plt.subplots(count, sharex=True, squeeze=False, figsize=size, layout="constrained")[1].ravel())
+    place = ax.get_subplotspec()
+    if place is None:
+        raise ValueError("`ax` stands in no grid: give axes of plt.subplots.")
+    rows = place.subgridspec(count, 1)
+    ax.set_subplotspec(rows[0])
+    return [ax, *(ax.figure.add_subplot(rows[row], sharex=ax) for row in range(1, count))]

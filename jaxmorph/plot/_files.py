@@ -1,7 +1,6 @@
-"""Files: a picture of what became of a mesh, and a page to turn and deform it."""
+"""A page to turn and deform a mesh."""
 
 import importlib
-import io
 import json
 import os
 import pathlib
@@ -9,16 +8,15 @@ import re
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 import jaxmorph as jm
-from jaxmorph.extend import checked, complete, output_path, rows_of
+from jaxmorph.extend import checked, complete, output_path
 
-from . import _plane
-from ._outside import outlines, outside
-from ._plane import Figure, plt, round_numbers, to_hex
-from ._space import before_after_3d, view_axes, viewer_of
-from ._style import DARK, DISPLACEMENT, Limits, Values, colour_scale, finite
+from ._outside import outlines, outside, patches_of
+from ._plane import plt, round_numbers, to_hex
+from ._space import view_axes, viewer_of
+from ._style import DARK, DISPLACEMENT, UNNAMED, Limits, Values, colour_scale
 
 SLIDER = """
 const panel = document.createElement("form");
@@ -58,96 +56,6 @@ HALF_VIEW = np.tan(np.deg2rad(15))
 SEEN = 1.15
 """Width that a page's camera sees, over the largest side of the scene."""
 
-Reports = tuple[jm.QualityReport, jm.QualityReport]
-
-
-@checked
-def picture(
-    path: str | os.PathLike[str],
-    before: jm.Mesh,
-    points: Float[Any, "n d"],
-    *,
-    moving: Int[np.ndarray, " m"],
-    reports: Reports | None = None,
-) -> None:
-    """Writes a mesh before and after: in 2-D the skewness at moving nodes, in 3-D their surface.
-
-    A mesh in 3-D that is one cell wide, and moves in its plane, is drawn as one in 2-D.
-
-    **Arguments:**
-
-    - `path`: a .png; in 3-D also .html, a page to turn and deform the surface.
-    - `before`, `points`: the undeformed mesh, and positions (n, d) of its nodes afterwards.
-    - `moving`: ids of the moving nodes.
-    - `reports`: the quality before and after, for a picture in 2-D. Default: computed.
-
-    **Raises:** `ValueError` for another ending.
-    """
-    finite(points)
-    d, moving = before.points.shape[1], rows_of("moving", moving, len(before.points))
-    path = output_path(path, *((".png",) if d == 2 else (".png", ".html")))
-    flat = None if d == 2 or path.suffix.lower() != ".png" else _in_plane(before, np.asarray(points))
-    if flat is not None:
-        before, points, nodes = flat
-        d, reports, moving = 2, None, np.flatnonzero(np.isin(nodes, moving))
-    if d == 2:
-        drawn = _in_2d(before, np.asarray(points), moving, reports or (jm.quality(before), jm.quality(before, points)))
-    else:
-        only = jm.Mesh(before.points, before.cells, {"moving": moving})
-        if path.suffix.lower() == ".html":
-            page(path, only, points, patch="moving")
-            return
-        drawn = _in_3d(only, points)
-    with complete(path) as partial:
-        partial.write_bytes(drawn)
-
-
-def _in_3d(only: jm.Mesh, points: Float[Any, "n 3"]) -> bytes:
-    plotter, file = before_after_3d(only, points, patch="moving"), io.BytesIO()
-    plt.imsave(file, plotter.screenshot(return_img=True), format="png")
-    plotter.close()
-    return file.getvalue()
-
-
-def _in_2d(before: jm.Mesh, points: Float[np.ndarray, "n 2"], moving: np.ndarray, reports: Reports) -> bytes:
-    states = np.asarray(before.points), points
-    window = _plane.window_round(np.concatenate([state[moving] for state in states]), np.concatenate(states))
-    width, height = (side[1] - side[0] for side in window)
-    figure = Figure(figsize=(8, 1.5 + 3.6 * min(height / width, 1.5)), dpi=200, layout="constrained")
-    axes = figure.subplots(1, 2, sharey=True)
-    largest = max(float(report.max_skewness) for report in reports)
-    for axis, state, report, title in zip(axes, states, reports, ("undeformed", "deformed"), strict=True):
-        colours: dict[str, Any] = {"values": report.skewness, "limits": (0, largest or 1)}
-        _plane.mesh(before, state, **colours, window=window, bar=False, ax=axis)
-        axis.set_title(f"{title}: largest skewness {float(report.max_skewness):.3g}")
-        axis.label_outer()
-    figure.colorbar(axes[0].collections[0], ax=axes, location="bottom", aspect=50, label="skewness")
-    file = io.BytesIO()
-    figure.savefig(file, format="png")
-    return file.getvalue()
-
-
-def _in_plane(before: jm.Mesh, points: Float[np.ndarray, "n 3"]) -> tuple[jm.Mesh, np.ndarray, np.ndarray] | None:
-    """Returns a side of a 3-D mesh one cell wide: 2-D mesh, moved points, node ids; else None."""
-    base = np.asarray(before.points)
-    height, size = base - base.min(axis=0), np.ptp(base, axis=0)
-    near = 1e-6 * size.max()
-    is_layer = (size > near) & ((height < near) | (height > size - near)).all(axis=0)
-    thin = int(np.argmin(np.where(is_layer, size, np.inf)))
-    if not is_layer[thin] or np.abs(points - base)[:, thin].max() > near:
-        return None
-    side = height[:, thin] < near
-    faces = {kind: ids[side[ids].all(axis=1)] for kind, ids in jm.boundary_faces(before).items()}
-    nodes, flat = np.flatnonzero(side), np.delete(base, thin, axis=1)
-    number = np.cumsum(side) - 1
-    cells = {kind: number[_counterclockwise(flat, ids)] for kind, ids in faces.items() if len(ids)}
-    return jm.Mesh(flat[nodes], cells), np.delete(points, thin, axis=1)[nodes], nodes
-
-
-def _counterclockwise(points: Float[np.ndarray, "n 2"], ids: Int[np.ndarray, "k c"]) -> Int[np.ndarray, "k c"]:
-    (a, b), (c, d) = ((points[ids[:, k]] - points[ids[:, 0]]).T for k in (1, 2))
-    return np.where((a * d - b * c < 0)[:, None], ids[:, ::-1], ids)
-
 
 @checked
 def page(
@@ -160,7 +68,7 @@ def page(
     label: str | None = None,
     patch: str | None = None,
 ) -> pathlib.Path:
-    """Makes an interactive page (.html) of a 3-D mesh's outside or patch, with a slider.
+    """Makes an interactive page (.html) of a 3-D mesh's bodies or patch, with a slider.
 
     Any browser with WebGL opens it from disk, without a network. The file is 1.2 MB larger than the
     surface. Between the two ends of the slider nodes go in straight lines.
@@ -172,7 +80,7 @@ def page(
     - `values`: one for each cell, which colours it wherever the slider stands. Default: the length
       of each node's displacement, in the mesh's units.
     - `limits`, `label`: as in `mesh`.
-    - `patch`: the patch to show. Default: the whole outside.
+    - `patch`: as `surface` takes it.
 
     **Returns:** the path of the file, which is there whole or not at all.
 
@@ -184,8 +92,9 @@ def page(
         k3d: Any = importlib.import_module("k3d")  # its own types know no time series
     except ImportError as error:
         raise ImportError("pages need k3d: pip install 'jaxmorph[plot]'") from error
-    faces = outside(mesh, points, values, patch)
-    before, after = (np.asarray(part.points, float) for part in (outside(mesh, None, None, patch), faces))
+    patches = patches_of(mesh, patch)
+    faces = outside(mesh, points, values, patches)
+    before, after = (np.asarray(part.points, float) for part in (outside(mesh, None, None, patches), faces))
     triangles = faces.cast_to_unstructured_grid().triangulate()
     lengths = np.linalg.norm(after - before, axis=1).astype(np.float32)
     colours, (low, high), style = _shade(lengths, triangles.cell_data.get("values"), limits)
@@ -200,7 +109,7 @@ def page(
     scene += k3d.lines(places, edges, name="edges", **LINES)
     words = {
         "TITLE": path.stem,
-        "LABEL": label or ("displacement" if values is None else "values of the cells"),
+        "LABEL": label or ("displacement" if values is None else UNNAMED),
         "COLOURS": ", ".join(to_hex(colour) for colour in plt.get_cmap(colours)(np.linspace(0, 1, 9))),
         "TICKS": [(100 * (tick - low) / (high - low), f"{tick:.6g}") for tick in round_numbers(low, high, 4)],
         "HALF_VIEW": HALF_VIEW,

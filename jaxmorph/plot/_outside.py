@@ -1,5 +1,6 @@
 """The outside of 3-D meshes, and their cells near a plane, for pyvista; curved cells in pieces."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -7,7 +8,7 @@ import numpy as np
 import jaxmorph as jm
 from jaxmorph.extend import lagrange_types
 
-from ._style import SEGMENTS, cell_values, finite
+from ._style import SEGMENTS, bodies, cell_values, check_cells, finite
 
 PIECES = 1_000_000
 """Pieces that a picture has about at most: edges of large meshes have fewer."""
@@ -38,18 +39,23 @@ def outlines(section: Any) -> Any:
     return lines_of(section.points, np.unique(edges[counts == 1, :2], axis=0))
 
 
-def outside(mesh: jm.Mesh, points: Any, values: Any, patch: str | None) -> Any:
-    """Returns outer faces, of all or a patch; `whole` is the face of a piece of a curved one."""
-    on_patch = None if patch is None else mesh.patch(patch)
+def patches_of(mesh: jm.Mesh, patch: str | None) -> Sequence[str]:
+    check_cells(mesh)
+    return bodies(mesh) if patch is None else (patch,)
+
+
+def outside(mesh: jm.Mesh, points: Any, values: Any, patches: Sequence[str]) -> Any:
+    """Returns outer faces, of all or patches; `whole` is the face of a piece of a curved one."""
+    on_patch = mesh.patch(*patches) if patches else None
     if mesh.is_curved:
-        faces = _curved_faces(mesh, points, values, patch)
+        faces = _curved_faces(mesh, points, values, patches)
     else:
         grid = grid_of(mesh, points, values)
         faces = skin(grid) if mesh.polyhedra is None else _polygons(mesh.polyhedra.faces, grid, mesh.cell_ids)
         if on_patch is not None:
             faces = faces.extract_points(np.isin(faces.point_data["node"], on_patch), adjacent_cells=False)
     if faces.n_cells == 0:
-        owner = "the mesh" if patch is None else f"patch {patch!r}"
+        owner = f"patch {', '.join(map(repr, patches))}" if patches else "the mesh"
         raise ValueError(f"there is nothing to draw: no face of the outside has all its nodes in {owner}.")
     return faces
 
@@ -94,9 +100,9 @@ def grid_of(mesh: jm.Mesh, points: Any, values: Any) -> Any:
     return grid
 
 
-def _curved_faces(mesh: jm.Mesh, points: Any, values: Any, patch: str | None) -> Any:
+def _curved_faces(mesh: jm.Mesh, points: Any, values: Any, patches: Sequence[str]) -> Any:
     """Returns outer faces of curved cells in pieces, all or those with all nodes on a patch."""
-    surface, owner = mesh.moved(_places(mesh, points)).skin(*([] if patch is None else [patch]))
+    surface, owner = mesh.moved(_places(mesh, points)).skin(*patches)
     if not sum(map(len, surface.cells.values())):
         return pyvista().PolyData()
     grid = _refined(surface)

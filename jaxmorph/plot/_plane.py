@@ -20,11 +20,13 @@ from ._style import (
     ORANGE,
     SEGMENTS,
     TALLEST,
+    UNNAMED,
     WIDTH,
     Limits,
     Values,
     bodies,
     cell_values,
+    check_cells,
     finite,
     scale_of,
 )
@@ -51,6 +53,9 @@ THINNEST, THICKEST, WALL = 0.01, 0.5, 1.4
 NARROW = 0.8
 """Width in points below which cells show their colour and no line."""
 
+SEEN = 0.5
+"""The part of the area below which lines of the cells that are wide enough for one are left out."""
+
 LABEL = 0.3
 """Inches of an axis for a number at least: numbers of a small window have many digits."""
 
@@ -62,8 +67,9 @@ STEPS = 1, 2, 2.5, 5, 10
 
 FOUR_CORNERS = {"line": [0, 1, 1, 0], "triangle": [0, 1, 2, 2], "quad": [0, 1, 2, 3]}
 
-ROOM = 0.4
-"""Margin around the bodies, relative to their extent, unless a window is given."""
+ROOM, INTERNAL = 0.4, 0.7
+"""Margin around the bodies, relative to their extent, unless a window is given; and the part of the
+mesh, along one axis, beyond which the window is the mesh's own."""
 
 
 @checked
@@ -95,8 +101,8 @@ def mesh(
     - `label`: what the values are, beside the colour bar.
     - `bar`: False leaves out the colour bar. For several axes that share one:
       `figure.colorbar(ax.collections[0], ax=axes)`.
-    - `window`: ((left, right), (bottom, top)); by default the bodies and some room round them.
-      `whole(mesh.points)` shows all.
+    - `window`: ((left, right), (bottom, top)); by default the bodies and some room round them;
+      of internal flow, and by `whole(mesh.points)`, all.
     - `ax`: matplotlib's axes; new ones by default, in a figure of the window's shape.
 
     **Returns:** the axes.
@@ -109,7 +115,7 @@ def mesh(
         raise ValueError(f"there are no `values` that are {label!r}.")
     every = None if values is None else cell_values(mesh, values)
     drawn = cells.drawn(window)
-    window = _window(window, mesh, points)
+    window = window_of(mesh, None, points) if window is None else window
     seen, shown = cells.inside(window), np.zeros(len(cells.ids)) if every is None else every
     colours, ends, *beyond = scale_of(shown[seen], cells.areas[seen], limits)
     ax = show(given_or_new(ax, window, bar=bar and values is not None), window)
@@ -120,7 +126,7 @@ def mesh(
         faces.set_clim(*ends)
         if bar:
             extend = ("neither", "min", "max", "both")[beyond[0] + 2 * beyond[1]]
-            ax.figure.colorbar(faces, cax=ax.inset_axes((1.02, 0, 0.03, 1)), label=label or "", extend=extend)
+            ax.figure.colorbar(faces, cax=ax.inset_axes((1.02, 0, 0.03, 1)), label=label or UNNAMED, extend=extend)
     draw_lines(ax, cells, drawn, window, DARK, least=0 if every is None else NARROW)
     draw_walls(ax, cells, DARK)
     return ax
@@ -136,7 +142,7 @@ def before_after(
     """
     before, after = PlaneCells.of(mesh, None), PlaneCells.of(mesh, points)
     old, new = before.drawn(window), after.drawn(window)
-    window = _window(window, mesh, None, points)
+    window = window_of(mesh, None, None, points) if window is None else window
     ax = show(given_or_new(ax, window, above=0.35), window)
     ax.set_facecolor(LIGHT)  # where there was no mesh
     fill(ax, before.outlines[old], facecolors="white")
@@ -214,8 +220,7 @@ class PlaneCells:
             raise ValueError(
                 f"this is for 2-D meshes, not {mesh}; see `plot.surface`, `plot.cut` and `plot.before_after_3d`."
             )
-        if not sum(map(len, mesh.cells.values())):
-            raise ValueError(f"there is nothing to draw: {mesh} has no cells.")
+        check_cells(mesh)
         points = finite(mesh.points if points is None else mesh.moved(np.asarray(points)).points)
         cells = {kind: np.asarray(ids) for kind, ids in mesh.cells.items()}
         order = max(lagrange_types()[kind].order for kind in cells)
@@ -298,7 +303,9 @@ def draw_lines(
 ) -> None:
     edges, _, narrowest = cells.edges(seen)
     to_points = 72 * ax.get_window_extent().width / ax.figure.dpi / (window[0][1] - window[0][0])
-    chosen = narrowest * to_points >= least
+    chosen, areas = narrowest * to_points >= least, narrowest * np.linalg.norm(np.ptp(edges, axis=1), axis=1)
+    if areas[chosen].sum() < SEEN * areas.sum():  # single lines here and there are no mesh
+        return
     widths = np.clip(narrowest[chosen] * to_points / 6, THINNEST, THICKEST)
     lines = LineCollection(list(edges[chosen]), colors=colour, linewidths=widths, rasterized=True)
     ax.add_collection(lines, autolim=False)
@@ -377,19 +384,18 @@ def whole(points: Float[Any, "n 2"]) -> Window:
     return (left, right), (bottom, top)
 
 
-def _window(given: Window | None, mesh: jm.Mesh, *states: Any) -> Window:
-    if given is not None:
-        return given
-    base = np.asarray(mesh.points)
-    states = tuple(base if points is None else np.asarray(points) for points in states)
-    everything, nodes = np.concatenate(states), bodies(base, mesh.patches)
+def window_of(mesh: jm.Mesh, nodes: Int[np.ndarray, " k"] | None, *states: Any) -> Window:
+    """Chooses the window round nodes, by default the bodies', in all states of the mesh."""
+    states = tuple(np.asarray(mesh.points if points is None else points) for points in states)
+    everything, nodes = np.concatenate(states), mesh.patch(*bodies(mesh)) if nodes is None else nodes
     if not len(nodes):
         return whole(everything)
     return window_round(np.concatenate([points[nodes] for points in states]), everything)
 
 
 def window_round(body: Float[np.ndarray, "k 2"], points: Float[np.ndarray, "n 2"]) -> Window:
+    """Leaves room round a body; of internal flow it is the whole mesh's."""
     low, high = body.min(axis=0), body.max(axis=0)
     room = ROOM * (high - low).max()
     low, high = np.maximum(low - room, points.min(axis=0)), np.minimum(high + room, points.max(axis=0))
-    return whole(np.stack([low, high]))
+    return whole(points if (high - low > INTERNAL * np.ptp(points, axis=0)).any() else np.stack([low, high]))

@@ -10,9 +10,9 @@ from jaxtyping import Float
 import jaxmorph as jm
 from jaxmorph.extend import checked
 
-from ._outside import NOTHING, grid_of, near_plane, outlines, outside, pyvista, skin
+from ._outside import NOTHING, grid_of, near_plane, outlines, outside, patches_of, pyvista, skin
 from ._plane import ROOM, TextPath, findfont, plt, round_numbers
-from ._style import BLUE, DARK, GREY, ORANGE, STILL, Limits, Values, bodies, scale_of
+from ._style import BLUE, DARK, GREY, ORANGE, STILL, UNNAMED, Limits, Values, bodies, scale_of
 
 LIT = {"ambient": 0.4, "diffuse": 0.7}
 LINES = {"show_edges": True, "edge_color": DARK, "edge_opacity": 0.6, "line_width": 0.5}
@@ -45,31 +45,32 @@ def surface(
     patch: str | None = None,
     plotter: Any = None,
 ) -> Any:
-    """Draws a 3-D mesh's outside, or one patch, each face coloured by its cell's value.
+    """Draws a 3-D mesh's bodies, or one patch, each face coloured by its cell's value.
 
     A surface without values is lit. With values it is not lit, so that its colours match the bar.
 
     **Arguments:**
 
     - `mesh`, `points`, `values`, `limits`, `label`, `bar`: as `plot.mesh` takes them, in 3-D.
-    - `patch`: the patch to draw. Default: the whole outside.
+    - `patch`: the patch to draw, or a pattern. Default: the bodies, without what is round them;
+      where there are none, the whole outside, as for `".*"`.
     - `plotter`: pyvista's; a new one, off screen, by default.
 
     **Returns:** the plotter: `plotter.screenshot(path)` writes the picture.
 
     **Raises:** `ValueError` as `mesh` does, for a mesh in 2-D, an unknown `patch`, and no faces.
     """
-    return _draw(outside(mesh, points, values, patch), limits, label, bar, plotter)
+    return _draw(outside(mesh, points, values, patches_of(mesh, patch)), limits, label, bar, plotter)
 
 
 @checked
 def before_after_3d(mesh: jm.Mesh, points: Float[Any, "n 3"], *, patch: str | None = None, plotter: Any = None) -> Any:
-    """Draws a 3-D mesh's outside or patch: undeformed orange, deformed blue (paper, figure 7a).
+    """Draws a 3-D mesh's bodies or patch: undeformed orange, deformed blue (paper, figure 7a).
 
     Both are translucent; faces that hardly move are grey, and drawn once. Arguments, result and
     errors are as of `surface`.
     """
-    before, after = (outside(mesh, state, None, patch) for state in (None, points))
+    before, after = (outside(mesh, state, None, patches_of(mesh, patch)) for state in (None, points))
     new, plotter = plotter is None, new_plotter() if plotter is None else plotter
     moved = np.linalg.norm(after.points - before.points, axis=1)
     is_still = np.ones(after.n_cells, bool)
@@ -118,11 +119,11 @@ def cut(
         grid.cell_data["whole"] = np.asarray(mesh.cell_ids)
     # through nodes, up to round-off, the plane would cut cells on both sides of it by turns
     origin = origin + 1e-9 * grid.length * normal
-    body = np.asarray(grid.points)[bodies(np.asarray(mesh.points), mesh.patches)]
+    body = np.asarray(grid.points)[mesh.patch(*bodies(mesh))]
     near = _met(body, normal, origin) if plotter is None else None
     section, walls = (
         _cropped(part.slice(normal=normal.tolist(), origin=origin.tolist()), near, view_axes(viewer)[1:])
-        for part in (grid, outside(mesh, points, None, None))
+        for part in (grid, outside(mesh, points, None, ()))
     )
     drawn = _draw(section, limits, label, bar, plotter, is_cut=True)
     for lines, width in ((outlines(section), 1), (walls, 3.5)):
@@ -213,7 +214,7 @@ def viewer_of(part: Any, motion: np.ndarray | None = None) -> np.ndarray:
 
 
 def add_bar(plotter: Any, label: str | None, limits: tuple[float | int, float | int], beyond: dict[str, str]) -> None:
-    title = (label or "").replace("|", "\u2223")  # VTK begins a column at an ASCII bar
+    title = (label or UNNAMED.replace(" of", "\nof")).replace("|", "\u2223")  # VTK begins a column at an ASCII bar
     bar = plotter.add_scalar_bar(f"{title}\n", vertical=True, fmt="%.6g", color=DARK, width=0.05, **beyond)
     bar.SetUnconstrainedFontSize(True)
     bar.SetUseCustomLabels(True)

@@ -23,6 +23,9 @@ COLOURS = "YlOrBr"
 DISPLACEMENT = "YlGnBu"
 """For lengths of displacements: of another hue, ordered by lightness too."""
 
+UNNAMED = "values of the cells"
+"""What a bar says of values without a label."""
+
 WIDTH, TALLEST = 5.0, 5.0
 """A new figure's width and largest height in inches: 10 points are legible at 3.5 inches too."""
 
@@ -42,6 +45,11 @@ def finite(points: Any) -> np.ndarray:
     if not np.isfinite(array).all():
         raise ValueError(f"{(~np.isfinite(array)).sum()} of {array.size} numbers of `points` are not finite.")
     return array
+
+
+def check_cells(mesh: jm.Mesh) -> None:
+    if not sum(map(len, mesh.cells.values())):
+        raise ValueError(f"there is nothing to draw: {mesh} has no cells.")
 
 
 def cell_values(mesh: jm.Mesh, values: Any) -> np.ndarray:
@@ -95,13 +103,14 @@ def _usual_limits(values: Real[np.ndarray, " k"], sizes: Float[np.ndarray, " k"]
     return low, high if high - low > 1e-9 * max(abs(low), abs(high)) else low + max(abs(low), 1)
 
 
-def bodies(points: Float[np.ndarray, "n d"], patches: Any) -> np.ndarray:
-    """Lists nodes of bodies: patches with a node inside all points' box, on two sides at most."""
+def bodies(mesh: jm.Mesh) -> list[str]:
+    """Names bodies: patches with a node inside all points' box, on two sides at most."""
+    points = np.asarray(mesh.points)
     low, high = points.min(axis=0), points.max(axis=0)
-    near = 1e-6 * (high - low)
-    found = [np.zeros(0, int)]
-    for nodes in map(np.asarray, patches.values()):
-        sides = np.concatenate([points[nodes] <= low + near, points[nodes] >= high - near], axis=1)
-        if len(nodes) and sides.any(axis=0).sum() <= 2 and not sides.any(axis=1).all():
-            found.append(nodes)
-    return np.unique(np.concatenate(found))
+    near, found = 1e-6 * (high - low), []
+    for name, nodes in mesh.patches.items():
+        own = points[np.asarray(nodes)]
+        sides = np.concatenate([own <= low + near, own >= high - near], axis=1)
+        if len(own) and sides.any(axis=0).sum() <= 2 and not sides.any(axis=1).all():
+            found.append(name)
+    return found

@@ -3,6 +3,8 @@
 import json
 import math
 import os
+import sys
+import time
 from collections.abc import Mapping
 from typing import Any
 
@@ -23,7 +25,8 @@ class History:
         history.add(design, drag, constraints={"lift": lift}, measures=measures)
 
     An existing file is read first, less a truncated last line: the run goes on from its last
-    iteration. `plot.convergence(history)` draws it.
+    iteration. Each new one is a line on the error stream too, with the seconds since the one
+    before; the first takes longer, for it compiles. `plot.convergence(history)` draws it.
 
     **Raises:** `ValueError` for a file of anything else, with its line, and a missing folder.
     """
@@ -32,7 +35,7 @@ class History:
     def __init__(self, path: str | os.PathLike[str]):
         self.path = output_path(path)
         self.rows: list[dict[str, Any]] = []
-        self._end = 0
+        self._end, self._began, self._word = 0, time.monotonic(), ", with compiling"
         if not self.path.exists():
             return
         content = input_path(self.path).read_bytes()
@@ -113,7 +116,20 @@ class History:
             file.flush()
             os.fsync(file.fileno())
             self._end = file.tell()
+        print(self._line(row), file=sys.stderr, flush=True)
         self.rows.append(row)
+        self._began, self._word = time.monotonic(), ""
+
+    def _line(self, row: dict[str, Any]) -> str:
+        others = [f"{name} {_shown(numbers)}" for name, numbers in (row["constraints"] | row["measures"]).items()]
+        seconds = f"{time.monotonic() - self._began:.3g} s{self._word}"
+        return f"iteration {len(self)}: {', '.join([_shown(row['value']), *others])} ({seconds})"
+
+
+def _shown(value: Any) -> str:
+    numbers = [float("nan") if number is None else number for number in (value if isinstance(value, list) else [value])]
+    ends = dict.fromkeys(f"{end(numbers):.6g}" for end in (min, max)) if numbers else ["none"]
+    return " to ".join(ends)
 
 
 def _numbers(name: str, value: Any) -> Any:

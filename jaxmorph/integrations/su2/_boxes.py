@@ -12,6 +12,7 @@ import scipy.interpolate
 from jaxtyping import Array, Float, Int
 
 from jaxmorph import Mesh, boundary_faces, io, shapes
+from jaxmorph.extend import warn
 
 from ._motion import AbstractPart, check_axis
 from ._options import KINDS, Options, Variable
@@ -184,10 +185,12 @@ def _definition(options: Options, d: int) -> list[tuple[str, shapes.Hexahedron]]
 
 
 def _corners(options: Options, name: str, words: list[str]) -> Float[np.ndarray, "8 3"]:
-    if len(words) != 24:
+    if len(words) < 24:
         found = f"24 numbers for box {name}, eight corners, expected; found {len(words)}"
         raise options.error("FFD_DEFINITION", found)
-    return np.reshape([options.number("FFD_DEFINITION", word) for word in words], (8, 3))
+    if len(words) > 24:  # as in tutorials of SU2
+        warn(f"{options.path}: FFD_DEFINITION= box {name} has 24 numbers, left out: {' '.join(words[24:])}.")
+    return np.reshape([options.number("FFD_DEFINITION", word) for word in words[:24]], (8, 3))
 
 
 def _counts(options: Options, degrees: list[str], d: int) -> list[int]:

@@ -98,7 +98,7 @@ class Config:
 
 
 @checked
-def read_config(path: str | os.PathLike[str], *, definition: bool = False) -> Config:
+def read_config(path: str | os.PathLike[str], *, definition: bool = False, zone: int | None = None) -> Config:
     """Reads a config file of SU2, and the mesh that it names.
 
         config = su2.read_config("inv_NACA0012.cfg")
@@ -110,6 +110,7 @@ def read_config(path: str | os.PathLike[str], *, definition: bool = False) -> Co
     - `path`: the config file; names of files in it are relative to its folder.
     - `definition`: True takes the design variables of `DEFINITION_DV`, with its scales, at the
       values of `DV_VALUE_NEW` (else all at rest). Default: the variables of `DV_KIND`.
+    - `zone`: the zone `IZONE= N` of a mesh with several. Default: the mesh has one.
 
     **Raises:** `ValueError` for unsupported kinds, words and numbers, each with its option.
 
@@ -118,7 +119,7 @@ def read_config(path: str | os.PathLike[str], *, definition: bool = False) -> Co
     """
     options = read_options(pathlib.Path(path))
     listed, markers = checked_variables(options, definition)
-    mesh, kinds = io.read(options.mesh_file), {variable.kind for variable in listed}
+    mesh, kinds = _mesh(options, zone), {variable.kind for variable in listed}
     sorts, is_setting = {KINDS[kind].sort for kind in kinds}, "FFD_SETTING" in kinds
     is_whole, is_moving = "mesh" in sorts, is_setting or not sorts <= {"nothing", "flow"}
     moving = tuple(mesh.patches) if is_whole else _present(options, mesh, "DV_MARKER", markers, is_moving)
@@ -143,6 +144,15 @@ def read_config(path: str | os.PathLike[str], *, definition: bool = False) -> Co
     )
     _warn_of_results(config, listed)
     return config
+
+
+def _mesh(options: Options, zone: int | None) -> Mesh:
+    if zone is None:
+        return io.read(options.mesh_file)
+    zones = io.read_zones(options.mesh_file)
+    if not 1 <= zone <= len(zones):
+        raise options.error("MESH_FILENAME", f"{options.mesh_file} has {len(zones)} zones, not the zone {zone}")
+    return zones[zone - 1]
 
 
 def _without(names: Iterable[str], others: Collection[str]) -> tuple[str, ...]:

@@ -122,7 +122,7 @@ class Options:
     def choice(self, name: str, default: str, *known: str) -> str:
         word = self.text(name, default).upper()
         if word not in known:
-            raise self.error(name, f"{word} is not taken; {', '.join(known)} are")
+            raise self.error(name, f"{word} is not taken; {', '.join(known)} {'is' if len(known) == 1 else 'are'}")
         return word
 
     @property
