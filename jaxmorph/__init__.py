@@ -26,6 +26,7 @@ if typing.TYPE_CHECKING:  # `as` makes a name public for type checkers; `_NAMES`
     from ._advice.largest_step import LargestStep as LargestStep, largest_step as largest_step
     from ._advice.valid_steps import ValidSteps as ValidSteps
     from ._boundary.boundary import Boundary as Boundary
+    from ._boundary.facets import Facets as Facets
     from ._boundary.outer_faces import FreeFaces as FreeFaces, boundary_faces as boundary_faces
     from ._boundary.periodic import Periodic as Periodic
     from ._boundary.slide import Revolution as Revolution, Slide as Slide
@@ -129,6 +130,7 @@ _NAMES = {
     "._advice.largest_step": "LargestStep largest_step",
     "._advice.valid_steps": "ValidSteps",
     "._boundary.boundary": "Boundary",
+    "._boundary.facets": "Facets",
     "._boundary.outer_faces": "FreeFaces boundary_faces",
     "._boundary.periodic": "Periodic",
     "._boundary.slide": "Revolution Slide",

@@ -15,6 +15,7 @@ from jaxmorph import Mesh
 
 from .._host.package.arguments import between, checked, rows_of
 from .._kernels.callback import host_call
+from .._kernels.values import namespace, norm
 from ._arguments import Numbers, known_positions, positions
 from ._shape import AbstractLinearShape, Move
 from ._walls import faces_of, wall_faces
@@ -121,7 +122,7 @@ def _elements(points: np.ndarray, pieces: list[tuple[np.ndarray, float]]) -> tup
     m = len(points)
     masses, stiffness = np.zeros(m), sparse.csr_matrix((m, m))
     for ids, weight in pieces:
-        size, local = _stiffness(points[ids])
+        size, local = stiffness_of(points[ids])
         if (size <= 0).any():
             raise ValueError(
                 f"{(size <= 0).sum()} faces have no size, first with nodes {ids[int(np.argmin(size))].tolist()}."
@@ -132,13 +133,14 @@ def _elements(points: np.ndarray, pieces: list[tuple[np.ndarray, float]]) -> tup
     return masses, stiffness
 
 
-def _stiffness(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def stiffness_of(corners: Any) -> tuple[Any, Any]:
     """Returns sizes (k,) and stiffnesses (k, c, c) of segments or triangles (k, c, d)."""
+    xp = namespace(corners)
     if corners.shape[1] == 2:
-        size = np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)
-        local, scale = np.array([[1, -1], [-1, 1]])[None], np.where(size > 0, size, 1)
+        size = norm(corners[:, 1] - corners[:, 0])
+        local, scale = np.array([[1, -1], [-1, 1]])[None], xp.where(size > 0, size, 1)
     else:
-        sides = np.roll(corners, -1, axis=1) - np.roll(corners, -2, axis=1)  # opposite each corner
-        size = 0.5 * np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
-        local, scale = np.einsum("kia,kja->kij", sides, sides), 4 * np.where(size > 0, size, 1)
+        sides = xp.roll(corners, -1, axis=1) - xp.roll(corners, -2, axis=1)  # opposite each corner
+        size = 0.5 * norm(xp.cross(sides[:, 0], sides[:, 1]))
+        local, scale = xp.einsum("kia,kja->kij", sides, sides), 4 * xp.where(size > 0, size, 1)
     return size, local / scale[:, None, None]
