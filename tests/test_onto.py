@@ -115,6 +115,35 @@ def test_the_sharp_edge_of_an_airfoil_goes_onto_the_sharp_edge():
     assert np.abs(np.log(growth[1:] / growth[:-1])).max() < 0.03  # spacing
 
 
+def test_curves_that_are_named_go_onto_each_other():
+    """The tails as if no angle told them; in 3-D the nose's line too, which is not sharp."""
+    (ring, edges), (other, segments) = section(1e-12, 0.12, 25), section(0.03, 0.14, 41, chord=1.05)
+    wall, onto = jm.Facets(ring, edges, angle=3.2), jm.Facets(other, segments, angle=3.2)
+    assert not len(wall.sharp)
+    x = ring + shapes.onto(wall, onto, features=[([24], [40])])
+    np.testing.assert_allclose(x[24], other[40], atol=1e-12)
+    (points, quads), (places, faces) = (
+        extruded(*each, np.linspace(0, 1, 4)) for each in ((ring, edges), (other, segments))
+    )
+    wall, onto = jm.Facets(points, quads), jm.Facets(places, faces)
+    lines = [
+        (np.arange(k, len(points), len(ring)), np.arange(j, len(places), len(other))) for k, j in ((24, 40), (0, 0))
+    ]
+    x = points + shapes.onto(wall, onto, symmetry=Z, features=lines)
+    for rows, ids in lines:
+        assert np.abs(x[rows, :2] - places[ids[0], :2]).max() < 1e-12
+        np.testing.assert_allclose(x[rows, 2], points[rows, 2], atol=0.01)
+    assert float(onto.distance(x).max()) < 1e-12
+
+
+def test_numbering_of_the_wall_does_not_matter():
+    points, faces = ball(80)
+    order, onto = np.random.default_rng(1).permutation(80), target(300)
+    u = shapes.onto(jm.Facets(points, faces), onto)
+    mixed = jm.Facets(points[order], np.argsort(order)[faces][::-1, ::-1])
+    np.testing.assert_allclose(shapes.onto(mixed, onto), u[order], atol=1e-9)
+
+
 @pytest.mark.parametrize("span", [(0, 1), (-0.3, 1.2)])
 def test_an_extruded_airfoil_stays_between_its_planes(span):
     (ring, edges), (other, segments) = section(1e-12, 0.12, 25), section(0.03, 0.14, 41, chord=1.05)

@@ -1,24 +1,27 @@
 """Triangulated surfaces, polylines in 2-D: their closest places, traced, and their edges."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, ArrayLike, Float, Int, Real
 
 from .._host.cells.adjacency import handedness, neighbours, parts_of
 from .._host.cells.topology import DIMENSION
 from .._host.linear.products import cofactors, determinant, dot, normals, unit_rows
-from .._host.package.arguments import checked, finite_array, rows_of
+from .._host.package.arguments import as_array, checked, finite_array, rows_of
 from .._host.surface.gaps import closest
 from .._kernels.callback import host_call
 from .._kernels.module import Module
-from .._kernels.values import area_vectors, array, norm
+from .._kernels.values import area_vectors, array, is_known, norm
 from .._mesh.mesh import Mesh
 from .faces import SmoothFaces, nearest_of
 from .outer_faces import boundary_faces
+
+Numbers = Real[ArrayLike, "..."] | Sequence[Any]
 
 SHARP, NEWTON, WALK, SEEN = np.pi / 3, 12, 6, -0.5
 """Turn at a sharp edge. To a place along the normals: steps, facets on the way, and the share of a
@@ -62,13 +65,14 @@ class Facets(Module):
     @checked
     def __init__(self, points: Any, faces: Any, *, smooth: bool = False, angle: float = SHARP, sides: Any = None):
         known = finite_array("points", points, (None, 2), (None, 3))
-        self.points, self.sides = points if isinstance(points, jax.Array) else array(known), sides
+        self.points, self.sides = points if isinstance(points, jax.Array) else array(known), None
         self.smooth, self.angle = smooth, angle
         exact = known.astype(float) + 0.0  # no -0.0
         _, first, place = np.unique(exact, axis=0, return_index=True, return_inverse=True)
         self.welded = first[place.ravel()]
         faces = _simplices(faces, exact)
         if sides is not None:
+            self.sides = finite_array("sides", sides, faces.shape[:1] + exact.shape[1:])
             self.faces = self.corners = self.beside = faces
             self.origins, self.part, self.sharp, self.rim = (np.zeros(0, int),) * 2 + (np.zeros((0, 1), int),) * 2
             return
@@ -104,11 +108,13 @@ class Facets(Module):
         rows = [place[ids][(place[ids] >= 0).all(axis=1)] for ids in faces]
         return Facets(mesh.points[nodes], [ids for ids in rows if len(ids)], smooth=smooth, angle=angle)
 
-    def at(self, points: Any) -> "Facets":
+    @checked
+    def at(self, points: Numbers) -> "Facets":
         """Moves the points to other places (n, d). Traced; the edges stay as they were found."""
-        return eqx.tree_at(lambda facets: facets.points, self, jnp.asarray(points))
+        return eqx.tree_at(lambda facets: facets.points, self, self._like("points", points, len(self.points)))
 
-    def closest(self, x: Any, facing: Any = None, *, along: bool = False) -> Float[Array, "m d"]:
+    @checked
+    def closest(self, x: Numbers, facing: Numbers | None = None, *, along: bool = False) -> Float[Array, "m d"]:
         """Finds the closest place to each of `x` (m, d). Traced.
 
         The host finds the face, so that a derivative is that of the closest place on it. With
@@ -116,18 +122,32 @@ class Facets(Module):
         thin body are told apart. On a smooth surface, or with `along`, it is the place from which
         `x` is seen along the normals, interpolated between vertices: it moves without jumps.
         """
-        return _closest(self, jnp.asarray(x), facing, along and self.sides is None)
+        x = self._like("x", x)
+        facing = None if facing is None else self._like("facing", facing, len(x))
+        return _closest(self, x, facing, along and self.sides is None)
 
-    def face(self, x: Any, facing: Any = None) -> Int[Array, " m"]:
+    @checked
+    def face(self, x: Numbers, facing: Numbers | None = None) -> Int[Array, " m"]:
         """Finds the row of the face that has the place of `closest`. Traced; the host finds it."""
-        x, none = jnp.asarray(x), jnp.zeros((0, self.points.shape[1]))
+        x, none = self._like("x", x), jnp.zeros((0, self.points.shape[1]))
+        facing = None if facing is None else self._like("facing", facing, len(x))
         given = (x, facing, jnp.asarray(self.points), jnp.asarray(self.faces), self.sides)
         given = jax.lax.stop_gradient([none if each is None else jnp.asarray(each) for each in given])
         return host_call(_found, jax.ShapeDtypeStruct(x.shape[:1], np.int32), *given)
 
-    def distance(self, x: Any) -> Float[Array, " m"]:
+    @checked
+    def distance(self, x: Numbers) -> Float[Array, " m"]:
         """Measures the distance of each of `x` (m, d) from the closest place. Traced."""
-        return norm(jnp.asarray(x) - self.closest(x))
+        x = self._like("x", x)
+        return norm(x - self.closest(x))
+
+    def _like(self, name: str, values: Any, count: int | None = None) -> Float[Array, "m d"]:
+        values, d = jnp.asarray(values), self.points.shape[1]
+        if values.ndim != 2 or values.shape[1] != d or (count is not None and len(values) != count):
+            raise ValueError(f"`{name}` has shape {values.shape}; expected ({count or 'm'}, {d}).")
+        if is_known(values) and not np.isfinite(np.asarray(values)).all():
+            raise ValueError(f"`{name}` holds numbers that are not finite.")
+        return values
 
     def areas(self) -> Float[Array, "k d"]:
         """Computes area vectors of the faces, in 2-D as long as the segments. Traced."""
@@ -201,10 +221,11 @@ def _simplices(faces: Any, points: np.ndarray) -> Int[np.ndarray, "k c"]:
     widths = (2,) if points.shape[1] == 2 else (2, 3, 4)
     several, found = isinstance(faces, list | tuple) and len(faces) and np.ndim(faces[0]) == 2, []
     for given in faces if several else [faces]:
-        shape = np.shape(given)
+        given = as_array("faces", given)
+        shape = given.shape
         if len(shape) != 2 or shape[1] not in widths:
             raise ValueError(f"`faces` has shape {shape}; expected (k, 2) in 2-D, (k, 3) or (k, 4) in 3-D.")
-        ids = rows_of("faces", np.ravel(given), len(points)).reshape(shape)
+        ids = rows_of("faces` of `points", given.ravel(), len(points)).reshape(shape)
         if shape[1] == 4:
             lengths = [np.linalg.norm(points[ids[:, k + 2]] - points[ids[:, k]], axis=1) for k in (0, 1)]
             ids = np.where((lengths[0] > lengths[1] * (1 + 1e-9))[:, None], np.roll(ids, -1, axis=1), ids)

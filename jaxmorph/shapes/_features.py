@@ -14,6 +14,7 @@ from jaxmorph import Facets, Plane
 from .._host.cells.adjacency import parts_of
 from .._host.package.errors import MeshError, place_of
 from .._kernels.module import Module
+from ._arguments import rows_of
 
 SAME, REACH = 1e-6, 0.25
 """Shares of the extent: distance of points that are on a plane; the farthest edge or corner."""
@@ -147,8 +148,10 @@ def _corners(
 def guides_of(wall: Facets, target: Facets, planes: Sequence[Plane], features: Sequence[Any]) -> tuple[Rail, ...]:
     """Finds which nodes of the wall stay on which curves and points of the target."""
     slack = SAME * np.ptp(np.asarray(wall.points), axis=0).max()
+    if not all(isinstance(pair, list | tuple) and len(pair) == 2 for pair in features):
+        raise ValueError("`features` must be pairs: ids of nodes of the wall, and of points of the target.")
     own, other = (
-        Curves.of(facets, planes, slack, [pair[side] for pair in features])
+        Curves.of(facets, planes, slack, [rows_of("features", pair[side], len(facets.points)) for pair in features])
         for side, facets in enumerate((wall, target))
     )
     guides = [guide for kinds in sorted({*own.corners.values()}) for guide in _on_points(own, other, kinds)]

@@ -117,24 +117,26 @@ class Onto(Module):
             target = target.at(points)
         return _moved(self, x, target)
 
-    def places(self, y: Float[Array, "m d"], facing: Float[Array, "m d"], target: Facets | None) -> Float[Array, "m d"]:
+    def _places(
+        self, y: Float[Array, "m d"], facing: Float[Array, "m d"], target: Facets | None
+    ) -> Float[Array, "m d"]:
         if target is None:
             assert self.function is not None
             places = jnp.asarray(self.function(y), y.dtype)
             for _ in self.borders:
-                places = jnp.asarray(self.function(self.in_planes(places)), y.dtype)
-            return self.in_planes(places)
+                places = jnp.asarray(self.function(self._in_planes(places)), y.dtype)
+            return self._in_planes(places)
         places = target.closest(y, facing, along=True)
         for guide in self.guides:
             places = places.at[guide.rows].set(guide.places(y, facing, jnp.asarray(target.points)))
-        return self.in_planes(places)
+        return self._in_planes(places)
 
-    def in_planes(self, y: Float[Array, "m d"]) -> Float[Array, "m d"]:
+    def _in_planes(self, y: Float[Array, "m d"]) -> Float[Array, "m d"]:
         for plane, rows in self.borders:
             y = y.at[rows].add(-height_of(y[rows], plane)[:, None] * jnp.asarray(plane.normal, y.dtype)[None])
         return y
 
-    def weights(
+    def _weights(
         self, y: Float[Array, "m d"], facing: Float[Array, "m d"], mass: Float[Array, " m"], hard: Float[Array, " m"]
     ):
         """Weights (m, d, d) of distances from places: across the wall, across curves, or whole."""
@@ -150,7 +152,7 @@ class Onto(Module):
             weights = weights.at[rows].add(hard[rows, None, None] * jnp.outer(normal, normal)[None])
         return weights
 
-    def nearer(self, y: Float[Array, "m d"], step: Any, start: Float[Array, "m d"], target: Facets | None) -> Any:
+    def _nearer(self, y: Float[Array, "m d"], step: Any, start: Float[Array, "m d"], target: Facets | None) -> Any:
         # Each face keeps its shape, at last turned as the wall is now: K y = K R x_0. Each node is
         # drawn to the tangent plane at its closest place c: N y = N c. The length of K falls: the
         # wall first goes as a whole, at the end its faces only resist sliding.
@@ -161,8 +163,8 @@ class Onto(Module):
         mass = jnp.zeros(m, y.dtype).at[faces].add(size[:, None] / d)
         stiff = jnp.zeros(m, y.dtype).at[faces].add(jnp.diagonal(local, axis1=1, axis2=2))
         facing = self.wall.at(y).normals()
-        weights = self.weights(y, facing, mass, mass + HARD * stiff)
-        off = _times(weights, self.places(y, facing, target) - y)
+        weights = self._weights(y, facing, mass, mass + HARD * stiff)
+        off = _times(weights, self._places(y, facing, target) - y)
         turned = _rotated(start[faces], area_vectors(start[faces]), area_vectors(y[faces])) if self.is_exact else None
         shape = start[faces] if turned is None else jnp.where(is_last, turned, start[faces])
         off = off.at[faces].add(_times(local, shape - y[faces]))
@@ -183,9 +185,9 @@ def _moved(onto: Onto, x: Float[Array, "m d"], target: Facets | None) -> Float[A
         jnp.matmul(x, jnp.asarray(onto.turn, x.dtype).T, precision="highest") + jnp.asarray(onto.shift, x.dtype)[None]
     )
     is_last = np.arange(len(onto.lengths)) >= STEPS
-    nearer = lambda y, step: (onto.nearer(y, step, start, target), None)  # noqa: E731
+    nearer = lambda y, step: (onto._nearer(y, step, start, target), None)  # noqa: E731
     y = jax.lax.scan(nearer, start, (jnp.asarray(onto.lengths, x.dtype), is_last))[0]
-    return onto.places(y, onto.wall.at(y).normals(), target) if onto.is_exact else onto.in_planes(y)
+    return onto._places(y, onto.wall.at(y).normals(), target) if onto.is_exact else onto._in_planes(y)
 
 
 def _times(matrices: Float[Array, "k i j"], vectors: Any) -> Any:
