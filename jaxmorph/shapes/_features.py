@@ -157,7 +157,7 @@ def guides_of(wall: Facets, target: Facets, planes: Sequence[Plane], features: S
     guides = [guide for kinds in sorted({*own.corners.values()}) for guide in _on_points(own, other, kinds)]
     taken = np.concatenate([np.zeros(0, int), *(guide.rows for guide in guides)])
     kinds = range(own.kinds.max(initial=0) + 1)
-    return (*(guide for kind in kinds for guide in _on_curves(own, other, kind, len(planes), taken)), *guides)
+    return (*(guide for kind in kinds for guide in _on_curves(own, other, kind, taken)), *guides)
 
 
 def _on_points(own: Curves, other: Curves, kinds: tuple[int, ...]) -> list[Rail]:
@@ -166,6 +166,7 @@ def _on_points(own: Curves, other: Curves, kinds: tuple[int, ...]) -> list[Rail]
     if not len(ids):
         return []
     away, chosen = _best(own, rows, other.points[ids], other.normals[ids])
+    away |= max(kinds) > 0
     rows, ids, places = rows[away], ids[chosen][away], other.points[ids[chosen]][away]
     pairs = KDTree(places).query_pairs(0, output_type="ndarray") if len(rows) else np.zeros((0, 2), int)
     if len(pairs):
@@ -186,7 +187,7 @@ def _best(own: Curves, rows: np.ndarray, places: np.ndarray, looks: np.ndarray) 
     return away[np.arange(len(rows)), best] <= reach, best
 
 
-def _on_curves(own: Curves, other: Curves, kind: int, planes: int, taken: np.ndarray) -> list[Rail]:
+def _on_curves(own: Curves, other: Curves, kind: int, taken: np.ndarray) -> list[Rail]:
     """A chain goes onto the chains of its kind that are closest to its nodes, and look alike."""
     guides, chains = [], other.chains(kind)
     curves = [Facets(other.points, edges, sides=np.zeros((len(edges), 3))) for edges in chains]
@@ -194,7 +195,7 @@ def _on_curves(own: Curves, other: Curves, kind: int, planes: int, taken: np.nda
         rows = np.setdiff1d(edges, taken)
         places = np.stack([np.asarray(curve.closest(own.points[rows])) for curve in curves], axis=1)
         near, best = _best(own, rows, places, np.stack([other.normals[ids].mean(axis=(0, 1)) for ids in chains]))
-        near |= 0 < kind <= planes
+        near |= kind > 0  # a plane or a name leaves no choice
         if near.any():
             onto, rows = np.concatenate([chains[number] for number in np.unique(best[near])]), rows[near]
             sides = other.normals[onto].mean(axis=1) * (kind > 0)

@@ -28,6 +28,9 @@ from ._smooth import stiffness_of
 FIRST, LAST, STEPS, SETTLED = 0.5, 0.01, 8, 4
 """First and last length over the wall's extent; steps from one to the other, and at the last."""
 
+FAR = 0.2
+"""Distance over the wall's extent from which on there are three times as many steps."""
+
 HARD, STILL = 100.0, 1e-4
 """Weight of edges, corners and planes over the stiffness; of staying, against sliding away."""
 
@@ -103,7 +106,10 @@ class Onto(Module):
         else:
             self.function = target
         last = length or LAST * extent
-        self.lengths = np.append(np.geomspace(max(FIRST * extent, last), last, STEPS), np.full(SETTLED, last))
+        start = x @ self.turn.T + self.shift
+        far = np.linalg.norm(np.asarray(target.closest(start) if self.target else target(start)) - start, axis=1).max()
+        steps = STEPS * (3 if far > FAR * extent else 1)
+        self.lengths = np.append(np.geomspace(max(FIRST * extent, last), last, steps), np.full(SETTLED, last))
 
     def __call__(self, x: Numbers, points: Numbers | None = None) -> Float[Array, "m d"]:
         """Takes nodes (m, d) to places; `points` (n, d) are the target's, by default as given."""
