@@ -98,11 +98,8 @@ class Facets(Module):
 
         **Raises:** `ValueError` for no faces.
         """
-        d, linear = mesh.points.shape[1], mesh.linear
         nodes = mesh.patch(*patches) if patches else np.arange(len(mesh.points))
-        faces = [np.asarray(ids) for kind, ids in linear.cells.items() if DIMENSION[kind] == d - 1 and len(ids)]
-        if (patches and any(DIMENSION[kind] == d for kind in linear.cells)) or not faces:
-            faces = [ids[:, ::-1] for ids in boundary_faces(mesh, *patches).values()]
+        faces = _faces_of(mesh, patches)
         place = np.full(len(mesh.points), -1)
         place[nodes] = np.arange(len(nodes))
         rows = [place[ids][(place[ids] >= 0).all(axis=1)] for ids in faces]
@@ -217,23 +214,33 @@ def _along_normals(
     return jnp.concatenate([1 - jnp.sum(at, keepdims=True), at])
 
 
+def _faces_of(mesh: Mesh, patches: tuple[str, ...]) -> list[np.ndarray]:
+    d, cells = mesh.points.shape[1], mesh.linear.cells
+    faces = [np.asarray(ids) for kind, ids in cells.items() if DIMENSION[kind] == d - 1 and len(ids)]
+    is_filled = any(DIMENSION[kind] == d for kind in cells)
+    if faces and not (patches and is_filled):
+        return faces
+    return [ids[:, ::-1] for ids in boundary_faces(mesh, *patches).values()]
+
+
 def _simplices(faces: Any, points: np.ndarray) -> Int[np.ndarray, "k c"]:
-    widths = (2,) if points.shape[1] == 2 else (2, 3, 4)
-    several, found = isinstance(faces, list | tuple) and len(faces) and np.ndim(faces[0]) == 2, []
-    for given in faces if several else [faces]:
-        given = as_array("faces", given)
-        shape = given.shape
-        if len(shape) != 2 or shape[1] not in widths:
-            raise ValueError(f"`faces` has shape {shape}; expected (k, 2) in 2-D, (k, 3) or (k, 4) in 3-D.")
-        ids = rows_of("faces` of `points", given.ravel(), len(points)).reshape(shape)
-        if shape[1] == 4:
-            lengths = [np.linalg.norm(points[ids[:, k + 2]] - points[ids[:, k]], axis=1) for k in (0, 1)]
-            ids = np.where((lengths[0] > lengths[1] * (1 + 1e-9))[:, None], np.roll(ids, -1, axis=1), ids)
-            ids = np.concatenate([ids[:, [0, 1, 2]], ids[:, [0, 2, 3]]])
-        found.append(ids)
+    several = isinstance(faces, list | tuple) and len(faces) and np.ndim(faces[0]) == 2
+    found = [_triangles(as_array("faces", given), points) for given in (faces if several else [faces])]
     if not sum(map(len, found)) or len({ids.shape[1] for ids in found}) > 1:
         raise ValueError(f"`faces` holds {[ids.shape for ids in found]}; expected triangles and quads, or segments.")
     return np.concatenate(found)
+
+
+def _triangles(ids: np.ndarray, points: np.ndarray) -> Int[np.ndarray, "k c"]:
+    """Cuts quads along the shorter diagonal; leaves triangles and segments."""
+    if ids.ndim != 2 or ids.shape[1] not in ((2,) if points.shape[1] == 2 else (2, 3, 4)):
+        raise ValueError(f"`faces` has shape {ids.shape}; expected (k, 2) in 2-D, (k, 3) or (k, 4) in 3-D.")
+    ids = rows_of("faces` of `points", ids.ravel(), len(points)).reshape(*ids.shape)
+    if ids.shape[1] < 4:
+        return ids
+    first, second = (np.linalg.norm(points[ids[:, k + 2]] - points[ids[:, k]], axis=1) for k in (0, 1))
+    ids = np.where((first > second * (1 + 1e-9))[:, None], np.roll(ids, -1, axis=1), ids)
+    return np.concatenate([ids[:, [0, 1, 2]], ids[:, [0, 2, 3]]])
 
 
 def _beside(vertices: Int[np.ndarray, "k c"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -148,16 +148,18 @@ def _corners(
 def guides_of(wall: Facets, target: Facets, planes: Sequence[Plane], features: Sequence[Any]) -> tuple[Rail, ...]:
     """Finds which nodes of the wall stay on which curves and points of the target."""
     slack = SAME * np.ptp(np.asarray(wall.points), axis=0).max()
-    if not all(isinstance(pair, list | tuple) and len(pair) == 2 for pair in features):
-        raise ValueError("`features` must be pairs: ids of nodes of the wall, and of points of the target.")
-    own, other = (
-        Curves.of(facets, planes, slack, [rows_of("features", pair[side], len(facets.points)) for pair in features])
-        for side, facets in enumerate((wall, target))
-    )
+    ids = _named(features, len(wall.points)), _named([pair[::-1] for pair in features], len(target.points))
+    own, other = (Curves.of(facets, planes, slack, named) for facets, named in zip((wall, target), ids, strict=True))
     guides = [guide for kinds in sorted({*own.corners.values()}) for guide in _on_points(own, other, kinds)]
     taken = np.concatenate([np.zeros(0, int), *(guide.rows for guide in guides)])
     kinds = range(own.kinds.max(initial=0) + 1)
     return (*(guide for kind in kinds for guide in _on_curves(own, other, kind, taken)), *guides)
+
+
+def _named(features: Sequence[Any], count: int) -> list[Int[np.ndarray, " k"]]:
+    if not all(isinstance(pair, list | tuple) and len(pair) == 2 for pair in features):
+        raise ValueError("`features` must be pairs: ids of nodes of the wall, and of points of the target.")
+    return [rows_of("features", ids, count) for ids, _ in features]
 
 
 def _on_points(own: Curves, other: Curves, kinds: tuple[int, ...]) -> list[Rail]:

@@ -86,11 +86,7 @@ class Onto(Module):
         planes = (symmetry,) if isinstance(symmetry, Plane) else tuple(symmetry)
         x, rim = np.asarray(wall.points, float), np.unique(wall.rim)
         extent, d = np.ptp(x, axis=0).max(), x.shape[1]
-        dimensions = {d, *(len(plane.normal) for plane in planes)}
-        if isinstance(target, Facets):
-            dimensions.add(target.points.shape[1])
-        if len(dimensions) > 1:
-            raise ValueError(f"the wall is in {d}-D, its target or a plane in {max(dimensions - {d})}-D.")
+        _check_dimensions(d, target, planes)
         self.wall, self.is_exact, self.function, self.target = wall, length == 0, None, None
         self.turn, self.shift = _rigid(wall, target, planes)
         self.borders = tuple((plane, rim[np.abs(plane.height(x[rim])) <= SAME * extent]) for plane in planes)
@@ -107,7 +103,9 @@ class Onto(Module):
             self.function = target
         last = length or LAST * extent
         start = x @ self.turn.T + self.shift
-        far = np.linalg.norm(np.asarray(target.closest(start) if self.target else target(start)) - start, axis=1).max()
+        far = np.linalg.norm(
+            np.asarray(target.closest(start) if isinstance(target, Facets) else target(start)) - start, axis=1
+        ).max()
         steps = STEPS * (3 if far > FAR * extent else 1)
         self.lengths = np.append(np.geomspace(max(FIRST * extent, last), last, steps), np.full(SETTLED, last))
 
@@ -233,6 +231,14 @@ def _turned(target: Facets, start: Facets) -> Facets:
     return Facets(target.points, faces, smooth=target.smooth, angle=target.angle)
 
 
+def _check_dimensions(d: int, target: Facets | Callable, planes: Sequence[Plane]) -> None:
+    others = {len(plane.normal) for plane in planes}
+    if isinstance(target, Facets):
+        others.add(target.points.shape[1])
+    if others - {d}:
+        raise ValueError(f"the wall is in {d}-D, its target or a plane in {max(others - {d})}-D.")
+
+
 FITS, SAMPLE, NEAR, WHOLE = 20, 300, 0.05, 0.1
 """Of a rigid fit: most steps and nodes; a distance that needs none; share of whole distances."""
 
@@ -244,14 +250,8 @@ def _rigid(wall: Facets, target: Facets | Callable, planes: Sequence[Plane]) -> 
     Chen and Medioni, Object modelling by registration, Image and Vision Computing 10, 1992.
     """
     x, normals, d = np.asarray(wall.points, float), np.asarray(wall.normals(), float), wall.points.shape[1]
-    some, starts = np.random.default_rng(0).permutation(len(x))[:SAMPLE], [(np.eye(d), np.zeros(d))]
+    some, starts = np.random.default_rng(0).permutation(len(x))[:SAMPLE], _starts(x, target, planes)
     function = target.closest if isinstance(target, Facets) else target
-    if isinstance(target, Facets) and not planes:
-        other = np.asarray(target.points, float)[np.unique(target.faces)]
-        own, axes = (np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2] for points in (x, other))
-        turns = [(axes.T * signs) @ own for signs in itertools.product((1, -1), repeat=d)]
-        turns = sorted((turn for turn in turns if np.linalg.det(turn) > 0), key=lambda turn: -np.trace(turn))
-        starts += [(turn, other.mean(axis=0) - turn @ x.mean(axis=0)) for turn in turns]
     motions = _free_motions(planes, d)
 
     def off(turn, shift):
@@ -267,6 +267,19 @@ def _rigid(wall: Facets, target: Facets | Callable, planes: Sequence[Plane]) -> 
         left = np.sqrt(np.mean(off(turn, shift)[1] ** 2))
         best, least = ((turn, shift), left) if left < least / 2 else (best, least)
     return best
+
+
+def _starts(x: np.ndarray, target: Facets | Callable, planes: Sequence[Plane]) -> list[tuple[np.ndarray, np.ndarray]]:
+    """From where the wall is, and with its axes laid on the target's, the smallest turn first."""
+    d = x.shape[1]
+    starts = [(np.eye(d), np.zeros(d))]
+    if planes or not isinstance(target, Facets):
+        return starts
+    other = np.asarray(target.points, float)[np.unique(target.faces)]
+    own, axes = (np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2] for points in (x, other))
+    turns = [(axes.T * signs) @ own for signs in itertools.product((1, -1), repeat=d)]
+    turns = sorted((turn for turn in turns if np.linalg.det(turn) > 0), key=lambda turn: -np.trace(turn))
+    return starts + [(turn, other.mean(axis=0) - turn @ x.mean(axis=0)) for turn in turns]
 
 
 def _fitted(y, off, normals, motions, turn, shift):
