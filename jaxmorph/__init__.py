@@ -34,6 +34,7 @@ if typing.TYPE_CHECKING:  # `as` makes a name public for type checkers; `_NAMES`
     from ._advice.turn import Turn as Turn
     from ._advice.valid_steps import ValidSteps as ValidSteps
     from ._boundary.boundary import Boundary as Boundary
+    from ._boundary.facets import Facets as Facets
     from ._boundary.outer_faces import FreeFaces as FreeFaces, boundary_faces as boundary_faces
     from ._boundary.periodic import Periodic as Periodic
     from ._boundary.slide import Revolution as Revolution, Slide as Slide
@@ -141,6 +142,7 @@ _NAMES = {
     "._advice.turn": "Turn",
     "._advice.valid_steps": "ValidSteps",
     "._boundary.boundary": "Boundary",
+    "._boundary.facets": "Facets",
     "._boundary.outer_faces": "FreeFaces boundary_faces",
     "._boundary.periodic": "Periodic",
     "._boundary.slide": "Revolution Slide",

@@ -32,7 +32,7 @@ if typing.TYPE_CHECKING:  # `_NAMES` repeats it
     from ._kernels.callback import host_call as host_call
     from ._kernels.compile import float64_mode as float64_mode, quickly_compiled as quickly_compiled
     from ._kernels.module import Module as Module
-    from ._kernels.values import is_known as is_known
+    from ._kernels.values import area_vectors as area_vectors, is_known as is_known, norm as norm
     # isort: on
 
 _NAMES = {
@@ -46,7 +46,7 @@ _NAMES = {
     "_kernels.callback": "host_call",
     "_kernels.compile": "float64_mode quickly_compiled",
     "_kernels.module": "Module",
-    "_kernels.values": "is_known",
+    "_kernels.values": "area_vectors is_known norm",
 }
 _MODULES = {name: module for module, names in _NAMES.items() for name in names.split()}
 

@@ -61,6 +61,8 @@ LOOP = np.array([[0, 1], [1, 2], [2, 3], [3, 0]])
 FOLDER = pathlib.Path(tempfile.mkdtemp(prefix="jaxmorph-nonsense-"))
 (FOLDER / "moves.dat").write_text("".join(f"{node} 0.0 0.0\n" for node in WALL))
 np.savez(FOLDER / "moves.npz", displacement=U, ids=WALL)
+np.savez(FOLDER / "curve.npz", points=X, lines=LOOP)
+FACETS = jm.Facets(X, LOOP)
 np.savez(FOLDER / "every.npz", sensitivity=POINTS)
 SPACE = {"mesh": BRICKS, "points": PLACES, "values": np.zeros(8)}
 SQUARE = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
@@ -99,6 +101,9 @@ def history() -> shapes.History:
 OWNERS: dict[str, Callable[[], Any]] = {
     "io.Decomposed": decomposed,
     "jm.Boundary": Lazy(lambda: jm.Boundary(MESH, "wall", "far")),
+    "jm.Facets": lambda: FACETS,
+    "shapes.Onto": Lazy(lambda: shapes.Onto(FACETS, FACETS)),
+    "shapes.Offset": Lazy(lambda: shapes.Offset(FACETS)),
     "jm.FaceQuality": Lazy(lambda: jm.face_quality(BRICKS, PLACES)),
     "jm.Mesh": lambda: MESH,
     "jm.Plan": plan,
@@ -135,6 +140,14 @@ GOOD: dict[str, dict[str, Any]] = {
     "plot": {"path": FOLDER / "a.png", "patch": "floor", "reduction": jm.AllPoints()},
     "io": {"path": FOLDER / "a.vtu"},
     "jm.curve": {"mesh": Lazy(lambda: jm.elevate(MESH, 2)), "surface": np.asarray(MESH.points)[WALL]},
+    **each(
+        "jm.Facets.closest jm.Facets.face jm.Facets.distance jm.Facets.at", {"points": X, "facing": np.ones((4, 2))}
+    ),
+    "jm.Facets": {"points": X, "faces": LOOP, "sides": np.ones((4, 2))},
+    "jm.Facets.of": {"*": "wall"},
+    "io.read_facets": {"path": FOLDER / "curve.npz"},
+    **each("shapes.onto shapes.Onto", {"wall": FACETS, "target": FACETS}),
+    "shapes.Offset": {"wall": FACETS, "field": np.ones(4)},
     "jm.Mesh": {"cells": {"quad": np.asarray(MESH.cells["quad"])}, "patches": {"a": [0, 1]}},
     "jm.Mesh.from_meshio": {"mesh": Lazy(MESH.to_meshio)},
     "jm.Mesh.from_pyvista": {"grid": Lazy(MESH.to_pyvista)},

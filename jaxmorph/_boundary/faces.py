@@ -84,10 +84,10 @@ class Faceted(AbstractWall):
 
     def nearest(self, x: Float[Array, "k d"]) -> tuple[Float[Array, "k d"], Float[Array, "k d"]]:
         vertices = jnp.asarray(self.vertices, x.dtype)
-        normals = self._normals(vertices)
+        normals = self.normals(vertices)
         return jax.lax.map(lambda point: self._nearest(point, vertices, normals), x, batch_size=BLOCK)
 
-    def _normals(self, vertices: Float[Array, "v d"]) -> Float[Array, "v d"]:
+    def normals(self, vertices: Float[Array, "v d"]) -> Float[Array, "v d"]:
         """Computes unit normals at the vertices, smoothed over their faces."""
         areas = area_vectors(vertices[jnp.asarray(self.faces)])
         total = jnp.zeros_like(vertices).at[jnp.asarray(self.faces)].add(areas[:, None])
@@ -113,12 +113,12 @@ class Faceted(AbstractWall):
 
 def _closest(x: Float[Array, " d"], corners: Float[Array, "w d d"]) -> tuple[Float[Array, " d"], Int[Array, ""]]:
     """Finds the nearest place of triangles, or of lines, and the number of its face."""
-    places = jax.vmap(_nearest_of, in_axes=(None, 0))(x, corners)
+    places = jax.vmap(nearest_of, in_axes=(None, 0))(x, corners)
     chosen = jnp.argmin(jax.lax.stop_gradient(jnp.sum((places - x[None]) ** 2, axis=1)))
     return places[chosen], chosen
 
 
-def _nearest_of(x: Float[Array, " d"], corners: Float[Array, "d d"]) -> Float[Array, " d"]:
+def nearest_of(x: Float[Array, " d"], corners: Float[Array, "c d"]) -> Float[Array, " d"]:
     if len(corners) == 2:
         return _on_edge(x, corners[0], corners[1])
     first, second, third = corners
@@ -167,7 +167,7 @@ class CurvedFaces(Faceted):
     sides: Int[Array | np.ndarray, "q s"]
     kind: str = eqx.field(static=True)
 
-    def _normals(self, vertices):
+    def normals(self, vertices):
         return vertices  # a polynomial has its own normals
 
     def _nearest(self, x, vertices, normals):
@@ -248,7 +248,7 @@ class SmoothFaces(Faceted):
     Source: Boubekeur and Alexa, Phong tessellation, ACM Trans. Graph. 27, 2008.
     """
 
-    def _normals(self, vertices):
+    def normals(self, vertices):
         """Unit normals at the vertices, exact on a sphere (a circle in 2-D). At a rim, where faces
         lie on one side only, the normals of inner vertices go on. Source: Max, Weights for
         computing vertex normals from facet normals, J. Graph. Tools 4, 1999.

@@ -5,6 +5,7 @@ import itertools
 import warnings
 from collections.abc import Callable
 from concurrent.futures import Future
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from jaxmorph.extend import complete, quickly_compiled
 
 from ._job import text_of
 from ._method import Chunks, Patches, described, mesh_of, patches_of
-from ._motion import Motion, motion
+from ._motion import Motion, distances, motion
 from ._output import Output, coordinates, count, title, wrapped
 from ._requests import AUTO, Deform
 from ._way import Way, check_picture, draw, faults, followed, in_background, in_double, is_kept, say_verdict, writing
@@ -166,6 +167,9 @@ def _tell(
     ]
     rows = [row.replace("first cell height", "first-cell height") for row in rows]
     rows += [f"{name.replace('_', ' '):<23}{'-':>12}{value:>12.5g}" for name, value in overshoots.items()]
+    off = distances(attempt.request, attempt.patches.mesh, way.stored)
+    rows += [f"{f'distance from {file}':<23}{a.max():>12.5g}{b.max():>12.5g}" for file, (_, a, b) in off.items()]
+    out.say(distance={file: {"before": a.max(), "after": b.max()} for file, (_, a, b) in off.items()})
     say_verdict(verdict, out, is_straight=way.is_straight, steps=attempt.request.step_count, more=rows)
     if boundary.nodes:
         out.say(wrapped(f"boundary: {boundary}"))
@@ -196,7 +200,36 @@ def _wall_numbers(attempt: Attempt, points: np.ndarray) -> dict[str, tuple[float
 
 def _write_beside(attempt: Attempt, way: Way, verdict: jm.Verdict, out: Output) -> None:
     write_job(attempt.request, attempt.motion, out)
-    draw(attempt.request.picture, way.mesh, out, way.stored, moving=attempt.patches.nodes, verdict=verdict)
+    picture = attempt.request.picture
+    draw(picture, way.mesh, out, way.stored, moving=attempt.patches.nodes, verdict=verdict)
+    if picture is not None:
+        for name, wall in distances(attempt.request, attempt.patches.mesh, way.stored).items():
+            file = picture.with_name(f"{picture.stem}_distance_{Path(name).stem}.png")
+            draw_distance(file, *wall)
+            out.say(f"picture  {file}")
+
+
+def draw_distance(file: Path, wall: jm.Facets, before: np.ndarray, after: np.ndarray) -> None:
+    """Draws the distances of a wall's nodes from its target, before and after, in one scale."""
+    import matplotlib.pyplot as plt
+
+    points, faces = np.asarray(wall.points), np.asarray(wall.faces)
+    figure = plt.figure(figsize=(10, 4))
+    scale = {"vmin": 0.0, "vmax": max(before.max(), 1e-300)}
+    for k, (when, off) in enumerate((("before", before), ("after", after))):
+        axes: Any = figure.add_subplot(1, 2, 1 + k, projection="3d" if points.shape[1] == 3 else None)
+        axes.set_title(f"distance {when}, up to {off.max():.3g}")
+        if points.shape[1] == 2:
+            drawn = axes.scatter(*points.T, c=off, s=8, **scale)
+        else:
+            drawn = axes.plot_trisurf(*points.T, triangles=faces, antialiased=False)
+            drawn.set_array(off[faces].mean(axis=1))
+            drawn.set_clim(scale["vmin"], scale["vmax"])
+        axes.set_aspect("equal")
+        figure.colorbar(drawn, ax=axes, shrink=0.7)
+    with complete(file) as partial:
+        figure.savefig(partial, format="png", dpi=120)
+    plt.close(figure)
 
 
 def check(request: Deform, mesh: Mesh) -> None:

@@ -154,7 +154,7 @@ def _inputs_of(request: Deform) -> dict[str, Sequence[Path | str | None]]:
 
 
 def _files_of(group: MotionFlags) -> Iterator[Path | str]:
-    files = (group.displacement, group.displacement_from, group.box, group.hicks_henne, group.cst)
+    files = (group.displacement, group.displacement_from, group.onto, group.box, group.hicks_henne, group.cst)
     yield from (file for file in files if isinstance(file, Path))
     yield from (file for file, _ in group.mode)
 

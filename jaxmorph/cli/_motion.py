@@ -67,7 +67,8 @@ def motion(request: Deform, mesh: Mesh, moving: Int[np.ndarray, " m"]) -> Motion
     """
     groups, chains, parameters, boxes = request.groups, {}, {}, []
     for group in groups:
-        key, patch = _key(group, chains), MovingPatch(group, mesh, mesh.patch(*group.patches))
+        key = _key(group, chains)
+        patch = MovingPatch(group, mesh, mesh.patch(*group.patches), request.boundary.symmetry)
         try:
             parts = patch.parts()
         except ValueError as error:
@@ -164,6 +165,7 @@ class MovingPatch(NamedTuple):
     group: MotionFlags
     mesh: Mesh
     nodes: np.ndarray
+    symmetry: tuple[str, ...] = ()
 
     @property
     def dimension(self) -> int:
@@ -219,6 +221,26 @@ def _displacement(patch: MovingPatch) -> Parametrised:
     u = io.read_displacement(group.displacement, patch.mesh, patch.nodes, **how)
     turn = jm.Turn.of(np.asarray(patch.mesh.points)[patch.nodes], u)
     return shapes.Function(lambda x, share: x + turn.at(share), 0.0), 1.0
+
+
+def _onto(patch: MovingPatch) -> Parametrised:
+    points, nodes, d = np.asarray(patch.mesh.points), patch.nodes, patch.dimension
+    borders = [patch.mesh.patch(name) for name in patch.mesh.patch_names(*patch.symmetry)]
+    planes = [jm.Plane.through(points, border) for border in borders if len(np.intersect1d(border, nodes)) >= d - 1]
+    wall, target = jm.Facets.of(patch.mesh, *patch.group.patches), io.read_facets(str(patch.group.onto), d)
+    u = shapes.onto(wall, target, symmetry=planes)
+    return shapes.Function(lambda x, factor: x + factor * u, 0.0), 1.0
+
+
+def distances(request: Deform, mesh: Mesh, points: Points) -> dict[str, tuple[jm.Facets, np.ndarray, np.ndarray]]:
+    """Measures walls that went onto targets: wall, distances before and after, by file."""
+    found = {}
+    for group in request.groups:
+        if group.onto is not None:
+            nodes, target = mesh.patch(*group.patches), io.read_facets(group.onto, points.shape[1])
+            off = [np.asarray(target.distance(x[nodes])) for x in (np.asarray(mesh.points, float), points)]
+            found[group.onto.name] = (jm.Facets.of(mesh, *group.patches), *off)
+    return found
 
 
 def _modes(patch: MovingPatch) -> Parametrised:
@@ -306,6 +328,7 @@ def _on_sides(
 
 PARTS: dict[str, Callable[[MovingPatch], Parametrised]] = {
     "displacement": _displacement,
+    "onto": _onto,
     "mode": _modes,
     "box": _box,
     "hicks_henne": _bumps,

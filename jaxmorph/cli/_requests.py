@@ -113,6 +113,7 @@ class MotionFlags:
         choices=("position", "displacement"),
         default="position",
     )
+    onto: Path | None = flag("a surface onto which the patches go: .stl, .obj, .npz, a mesh")
     mode: tuple[tuple[str, float], ...] = flag(
         "a file of displacements, and a factor; may be repeated", metavar=("FILE", "AMPLITUDE"), nargs=2, default=()
     )
@@ -137,7 +138,7 @@ class MotionFlags:
         return ", ".join(self.patches)
 
 
-MOTIONS = ("rotate", "translate", "scale", "bend", "twist", "mode", "displacement", "box", "hicks_henne", "cst")
+MOTIONS = ("rotate", "translate", "scale", "bend", "twist", "mode", "displacement", "onto", "box", "hicks_henne", "cst")
 """The fields of a group that move something."""
 
 

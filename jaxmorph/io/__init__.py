@@ -7,6 +7,7 @@ from ._boxes import read_box as read_box
 from ._boxes import with_boxes as with_boxes
 from ._boxes import write_lattice as write_lattice
 from ._displacement import read_displacement as read_displacement
+from ._displacement import read_facets as read_facets
 from ._registry import as_written as as_written
 from ._registry import cell_arrays as cell_arrays
 from ._registry import check_output as check_output

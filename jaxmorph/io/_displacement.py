@@ -8,11 +8,12 @@ import re
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxmorph import Mesh
+from jaxmorph import Facets, Mesh
 from jaxmorph._host.package.arguments import checked
 from jaxmorph._host.package.files import input_path, read_arrays, real_array
 from jaxmorph._host.surface.gaps import closest, fans
 
+from ._registry import read
 from ._surface import check_values, read_named, read_surface
 from ._text import parse, scan
 
@@ -68,6 +69,29 @@ def read_displacement(
     _check_ids(path, ids, numbers)
     values = values[np.argsort(ids)][np.argsort(np.argsort(moving))]
     return values - points[moving] if is_position else values
+
+
+@checked
+def read_facets(path: str | os.PathLike[str], d: int = 3, *, smooth: bool = False) -> Facets:
+    """Reads a surface in 3-D, a curve in 2-D: a scan, or the tessellation of a CAD model.
+
+    **Arguments:**
+
+    - `path`: .stl, .obj, .npz of `points` and `triangles` (2-D: `lines`), or a mesh, of which its
+      faces count, else its boundary.
+    - `d`: 2 takes x and y of .obj. Default 3.
+    - `smooth`: as `Facets` takes it.
+
+    **Raises:** `ValueError` for a damaged file, and for triangles in 2-D or lines in 3-D.
+    """
+    path = input_path(path)
+    if path.suffix.lower() not in READERS:
+        return Facets.of(read(path), smooth=smooth)
+    shape = read_shape(path)
+    if shape.points.shape[1] < d or shape.simplices.shape[1] != d:
+        found = f"faces of {shape.simplices.shape[1]} points in {shape.points.shape[1]}-D"
+        raise ValueError(f"{path}: {'lines' if d == 2 else 'triangles'} in {d}-D are expected, found {found}.")
+    return Facets(shape.points[:, :d], shape.simplices, smooth=smooth)
 
 
 def _check_ids(path: pathlib.Path, ids: np.ndarray, moving: np.ndarray) -> None:

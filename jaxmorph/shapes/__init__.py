@@ -25,6 +25,9 @@ from ._motions import rotate as rotate
 from ._motions import scale as scale
 from ._motions import translate as translate
 from ._motions import twist as twist
+from ._offset import Offset as Offset
+from ._onto import Onto as Onto
+from ._onto import onto as onto
 from ._section import Chord as Chord
 from ._section import upper_side as upper_side
 from ._shape import AbstractLinearShape as AbstractLinearShape

@@ -12,7 +12,7 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from jaxmorph import Mesh
-from jaxmorph.extend import between, checked, host_call, rows_of
+from jaxmorph.extend import between, checked, host_call, norm, rows_of
 
 from ._arguments import Numbers, known_positions, positions
 from ._shape import AbstractLinearShape, Move
@@ -120,7 +120,7 @@ def _elements(points: np.ndarray, pieces: list[tuple[np.ndarray, float]]) -> tup
     m = len(points)
     masses, stiffness = np.zeros(m), sparse.csr_matrix((m, m))
     for ids, weight in pieces:
-        size, local = _stiffness(points[ids])
+        size, local = stiffness_of(points[ids])
         if (size <= 0).any():
             raise ValueError(
                 f"{(size <= 0).sum()} faces have no size, first with nodes {ids[int(np.argmin(size))].tolist()}."
@@ -131,13 +131,14 @@ def _elements(points: np.ndarray, pieces: list[tuple[np.ndarray, float]]) -> tup
     return masses, stiffness
 
 
-def _stiffness(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def stiffness_of(corners: Any) -> tuple[Any, Any]:
     """Returns sizes (k,) and stiffnesses (k, c, c) of segments or triangles (k, c, d)."""
+    xp = np if isinstance(corners, np.ndarray) else jnp
     if corners.shape[1] == 2:
-        size = np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)
-        local, scale = np.array([[1, -1], [-1, 1]])[None], np.where(size > 0, size, 1)
+        size = norm(corners[:, 1] - corners[:, 0])
+        local, scale = np.array([[1, -1], [-1, 1]])[None], xp.where(size > 0, size, 1)
     else:
-        sides = np.roll(corners, -1, axis=1) - np.roll(corners, -2, axis=1)  # opposite each corner
-        size = 0.5 * np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
-        local, scale = np.einsum("kia,kja->kij", sides, sides), 4 * np.where(size > 0, size, 1)
+        sides = xp.roll(corners, -1, axis=1) - xp.roll(corners, -2, axis=1)  # opposite each corner
+        size = 0.5 * norm(xp.cross(sides[:, 0], sides[:, 1]))
+        local, scale = xp.einsum("kia,kja->kij", sides, sides), 4 * xp.where(size > 0, size, 1)
     return size, local / scale[:, None, None]

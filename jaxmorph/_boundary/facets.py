@@ -1,0 +1,300 @@
+"""Triangulated surfaces, polylines in 2-D: their closest places, traced, and their edges."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float, Int, Real
+
+from .._host.cells.adjacency import handedness, neighbours, parts_of
+from .._host.cells.topology import DIMENSION
+from .._host.linear.products import cofactors, determinant, dot, normals, unit_rows
+from .._host.package.arguments import as_array, checked, finite_array, rows_of
+from .._host.surface.gaps import closest
+from .._kernels.callback import host_call
+from .._kernels.module import Module
+from .._kernels.values import area_vectors, array, is_known, norm
+from .._mesh.mesh import Mesh
+from .faces import SmoothFaces, nearest_of
+from .outer_faces import boundary_faces
+
+Numbers = Real[ArrayLike, "..."] | Sequence[Any]
+
+SHARP, NEWTON, WALK, SEEN = np.pi / 3, 12, 6, -0.5
+"""Turn at a sharp edge. To a place along the normals: steps, facets on the way, and the share of a
+facet by which it may be outside."""
+
+
+class Facets(Module):
+    """A surface of triangles in 3-D, or a curve of segments: of a file, a CAD model or a mesh.
+
+    Points at one place are one vertex. Faces are turned to one sense, part by part; faces without
+    extent are left out. Faces that turn by more than `angle` meet at a sharp edge.
+
+    **Arguments:**
+
+    - `points`: (n, d).
+    - `faces`: rows of points, (k, 3) or (k, 4) in 3-D, (k, 2) in 2-D and for curves in 3-D, one
+      array or several. Quads are cut along the shorter diagonal.
+    - `smooth`: False: the surface is its facets. True: the smooth one through their vertices, with
+      the sharp edges kept, as Phong tessellation has it. Default False.
+    - `angle`: radians. Default pi / 3.
+    - `sides`: normals (k, d) of segments in 3-D, if they are known.
+
+    **Raises:** `ValueError` for faces of another shape, ids that are no rows, and no faces.
+
+    Source: Boubekeur and Alexa, Phong tessellation, ACM Trans. Graph. 27, 2008.
+    """
+
+    points: Float[Array | np.ndarray, "n d"]
+    faces: Int[Array | np.ndarray, "k c"]
+    beside: Int[Array | np.ndarray, "k c"]  # the face beyond each edge (2-D: end) that is not sharp, else the face
+    corners: Int[Array | np.ndarray, "k c"]  # as `faces`, numbered apart on the sides of sharp edges
+    origins: Int[Array | np.ndarray, " v"]  # the point of each number in `corners`
+    welded: Int[Array | np.ndarray, " n"]  # the vertex of each point: the first point at its place
+    part: Int[Array | np.ndarray, " k"]
+    sharp: Int[Array | np.ndarray, "s e"]  # edges (2-D: vertices) between faces that turn
+    rim: Int[Array | np.ndarray, "r e"]  # edges (2-D: vertices) of one face
+    sides: Float[Array | np.ndarray, "k d"] | None
+    smooth: bool = eqx.field(static=True)
+    angle: float = eqx.field(static=True)
+
+    @checked
+    def __init__(self, points: Any, faces: Any, *, smooth: bool = False, angle: float = SHARP, sides: Any = None):
+        known = finite_array("points", points, (None, 2), (None, 3))
+        self.points, self.sides = points if isinstance(points, jax.Array) else array(known), None
+        self.smooth, self.angle = smooth, angle
+        exact = known.astype(float) + 0.0  # no -0.0
+        _, first, place = np.unique(exact, axis=0, return_index=True, return_inverse=True)
+        self.welded = first[place.ravel()]
+        faces = _simplices(faces, exact)
+        if sides is not None:
+            self.sides = finite_array("sides", sides, faces.shape[:1] + exact.shape[1:])
+            self.faces = self.corners = self.beside = faces
+            self.origins, self.part, self.sharp, self.rim = (np.zeros(0, int),) * 2 + (np.zeros((0, 1), int),) * 2
+            return
+        vertices = self.welded[faces]
+        faces = faces[(np.sort(vertices, axis=1)[:, 1:] > np.sort(vertices, axis=1)[:, :-1]).all(axis=1)]
+        beside, sign, self.part = _beside(self.welded[faces])
+        self.faces = np.where(sign[:, None] < 0, faces[:, ::-1], faces)
+        vertices = self.welded[self.faces]
+        beside = _beside(vertices)[0]
+        unit = unit_rows(normals(exact[vertices])) if vertices.shape[1] == exact.shape[1] else np.ones((len(faces), 1))
+        turns = np.sum(unit[:, None] * unit[beside], axis=2) < np.cos(angle)
+        self.sharp, self.rim = _borders(vertices, beside, turns)
+        self.beside = np.where((beside < 0) | turns, np.arange(len(beside))[:, None], beside)
+        self.corners, self.origins = _split(vertices, (beside >= 0) & ~turns)
+
+    @staticmethod
+    @checked
+    def of(mesh: Mesh, *patches: str, smooth: bool = False, angle: float = SHARP) -> "Facets":
+        """Takes the facets of a mesh: its faces as cells, else the boundary of its cells.
+
+        With `patches` they are the faces of these, and row i is node `mesh.patch(*patches)[i]`.
+        Normals of a boundary point from the body into the mesh.
+
+        **Raises:** `ValueError` for no faces.
+        """
+        nodes = mesh.patch(*patches) if patches else np.arange(len(mesh.points))
+        faces = _faces_of(mesh, patches)
+        place = np.full(len(mesh.points), -1)
+        place[nodes] = np.arange(len(nodes))
+        rows = [place[ids][(place[ids] >= 0).all(axis=1)] for ids in faces]
+        return Facets(mesh.points[nodes], [ids for ids in rows if len(ids)], smooth=smooth, angle=angle)
+
+    @checked
+    def at(self, points: Numbers) -> "Facets":
+        """Moves the points to other places (n, d). Traced; the edges stay as they were found."""
+        return eqx.tree_at(lambda facets: facets.points, self, self._like("points", points, len(self.points)))
+
+    @checked
+    def closest(self, x: Numbers, facing: Numbers | None = None, *, along: bool = False) -> Float[Array, "m d"]:
+        """Finds the closest place to each of `x` (m, d). Traced.
+
+        The host finds the face, so that a derivative is that of the closest place on it. With
+        `facing`, directions (m, d), a face that looks the other way has no place: the sides of a
+        thin body are told apart. On a smooth surface, or with `along`, it is the place from which
+        `x` is seen along the normals, interpolated between vertices: it moves without jumps.
+        """
+        x = self._like("x", x)
+        facing = None if facing is None else self._like("facing", facing, len(x))
+        return _closest(self, x, facing, along and self.sides is None)
+
+    @checked
+    def face(self, x: Numbers, facing: Numbers | None = None) -> Int[Array, " m"]:
+        """Finds the row of the face that has the place of `closest`. Traced; the host finds it."""
+        x, none = self._like("x", x), jnp.zeros((0, self.points.shape[1]))
+        facing = None if facing is None else self._like("facing", facing, len(x))
+        given = (x, facing, jnp.asarray(self.points), jnp.asarray(self.faces), self.sides)
+        given = jax.lax.stop_gradient([none if each is None else jnp.asarray(each) for each in given])
+        return host_call(_found, jax.ShapeDtypeStruct(x.shape[:1], np.int32), *given)
+
+    @checked
+    def distance(self, x: Numbers) -> Float[Array, " m"]:
+        """Measures the distance of each of `x` (m, d) from the closest place. Traced."""
+        x = self._like("x", x)
+        return norm(x - self.closest(x))
+
+    def _like(self, name: str, values: Any, count: int | None = None) -> Float[Array, "m d"]:
+        values, d = jnp.asarray(values), self.points.shape[1]
+        if values.ndim != 2 or values.shape[1] != d or (count is not None and len(values) != count):
+            raise ValueError(f"`{name}` has shape {values.shape}; expected ({count or 'm'}, {d}).")
+        if is_known(values) and not np.isfinite(np.asarray(values)).all():
+            raise ValueError(f"`{name}` holds numbers that are not finite.")
+        return values
+
+    def areas(self) -> Float[Array, "k d"]:
+        """Computes area vectors of the faces, in 2-D as long as the segments. Traced."""
+        return area_vectors(jnp.asarray(self.points)[jnp.asarray(self.faces)])
+
+    def normals(self) -> Float[Array, "n d"]:
+        """Computes unit normals at the points; at a sharp edge, the mean of its sides. Traced."""
+        above = _above(self, jnp.asarray(self.points))
+        total = jnp.zeros_like(self.points, above.dtype).at[self.origins].add(above)
+        length = norm(total)
+        return (total / jnp.where(length > 0, length, 1)[:, None])[self.welded]
+
+
+def _above(facets: Facets, points: Float[Array, "n d"]) -> Float[Array, "v d"]:
+    vertices, corners = points[jnp.asarray(facets.origins)], jnp.asarray(facets.corners)
+    return SmoothFaces(np.arange(len(vertices)), vertices, corners, np.zeros((len(vertices), 1), int)).normals(vertices)
+
+
+@eqx.filter_jit
+def _closest(facets: Facets, x: Float[Array, "m d"], facing: Any, along: bool) -> Float[Array, "m d"]:
+    points, face = jnp.asarray(facets.points), facets.face(x, facing)
+    flat = jax.vmap(nearest_of)(x, points[jnp.asarray(facets.faces)[face]])
+    if not (facets.smooth or along):
+        return flat
+    faces, beside, numbers = (jnp.asarray(ids, np.int32) for ids in (facets.faces, facets.beside, facets.corners))
+    above = _above(facets, points)
+
+    def shares(x, face, steps):
+        return _along_normals(x, points[faces[face]], above[numbers[face]], steps)
+
+    def found(x, face):
+        # From the host's facet over the edges beyond which the place is, until it is inside.
+        def walk(face, _):
+            at = shares(x, face, NEWTON // 2)
+            lowest = jnp.argmin(at)
+            return jnp.where(at[lowest] < 0, beside[face, (lowest + 1) % len(at)], face), None
+
+        face = jax.lax.scan(walk, face, length=WALK)[0]
+        at, corners, normals = shares(x, face, NEWTON), points[faces[face]], above[numbers[face]]
+        inside, at = jnp.min(at), jnp.clip(at, 0, 1)
+        at = at / jnp.sum(at)
+        place, along = at @ corners, at @ normals
+        unit, lift = along / norm(along), (at * jnp.sum((corners - place[None]) * normals, axis=1)) @ normals
+        return place + 0.5 * facets.smooth * jnp.sum(lift * unit) * unit, inside
+
+    places, inside = jax.vmap(found)(x, face)
+    # far from a rough surface no place may be seen along the normals
+    return jnp.where(inside[:, None] > SEEN, places, flat)
+
+
+def _along_normals(
+    x: Float[Array, " d"], corners: Float[Array, "c d"], normals: Float[Array, "c d"], steps: int
+) -> Float[Array, " c"]:
+    # Shares of the corners in the place p from which x is seen along the normal n: p + h n = x, by
+    # Newton's method. A smooth surface lies above p as in Phong tessellation, but along n.
+    sides, bends = corners[1:] - corners[:1], normals[1:] - normals[:1]
+
+    def nearer(z, _):
+        along = normals[0] + z[:-1] @ bends
+        off, columns = corners[0] + z[:-1] @ sides + z[-1] * along - x, [*(sides + z[-1] * bends), along]
+        size = determinant(columns)
+        change = jnp.stack([dot(row, off) for row in cofactors(columns)])
+        return z - change / jnp.where(size != 0, size, jnp.inf), None
+
+    start = jnp.append(jnp.full(len(sides), 1 / len(corners), x.dtype), jnp.zeros((), x.dtype))
+    at = jax.lax.scan(nearer, start, length=steps)[0][:-1]
+    return jnp.concatenate([1 - jnp.sum(at, keepdims=True), at])
+
+
+def _faces_of(mesh: Mesh, patches: tuple[str, ...]) -> list[np.ndarray]:
+    d, cells = mesh.points.shape[1], mesh.linear.cells
+    faces = [np.asarray(ids) for kind, ids in cells.items() if DIMENSION[kind] == d - 1 and len(ids)]
+    is_filled = any(DIMENSION[kind] == d for kind in cells)
+    if faces and not (patches and is_filled):
+        return faces
+    return [ids[:, ::-1] for ids in boundary_faces(mesh, *patches).values()]
+
+
+def _simplices(faces: Any, points: np.ndarray) -> Int[np.ndarray, "k c"]:
+    several = isinstance(faces, list | tuple) and len(faces) and np.ndim(faces[0]) == 2
+    found = [_triangles(as_array("faces", given), points) for given in (faces if several else [faces])]
+    if not sum(map(len, found)) or len({ids.shape[1] for ids in found}) > 1:
+        raise ValueError(f"`faces` holds {[ids.shape for ids in found]}; expected triangles and quads, or segments.")
+    return np.concatenate(found)
+
+
+def _triangles(ids: np.ndarray, points: np.ndarray) -> Int[np.ndarray, "k c"]:
+    """Cuts quads along the shorter diagonal; leaves triangles and segments."""
+    if ids.ndim != 2 or ids.shape[1] not in ((2,) if points.shape[1] == 2 else (2, 3, 4)):
+        raise ValueError(f"`faces` has shape {ids.shape}; expected (k, 2) in 2-D, (k, 3) or (k, 4) in 3-D.")
+    ids = rows_of("faces` of `points", ids.ravel(), len(points)).reshape(*ids.shape)
+    if ids.shape[1] < 4:
+        return ids
+    first, second = (np.linalg.norm(points[ids[:, k + 2]] - points[ids[:, k]], axis=1) for k in (0, 1))
+    ids = np.where((first > second * (1 + 1e-9))[:, None], np.roll(ids, -1, axis=1), ids)
+    return np.concatenate([ids[:, [0, 1, 2]], ids[:, [0, 2, 3]]])
+
+
+def _beside(vertices: Int[np.ndarray, "k c"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Finds the face (k, c) beyond each edge (2-D: corner) or -1, the sense and the part (k,)."""
+    if vertices.shape[1] == 3:
+        cells, columns = {"triangle": vertices}, [0, 1, 2]
+    else:  # a segment is a strip of one quad, whose sides are its ends
+        cells, columns = {"quad": np.concatenate([vertices, vertices[:, ::-1] + vertices.max() + 1], axis=1)}, [3, 1]
+    neighbour, flipped = neighbours(cells)
+    sign, part = handedness(cells, neighbour, flipped)
+    return neighbour.reshape(len(vertices), -1)[:, columns], sign, np.unique(part, return_inverse=True)[1]
+
+
+def _edges(vertices: Int[np.ndarray, "k c"]) -> Int[np.ndarray, "k c e"]:
+    return np.stack([vertices, np.roll(vertices, -1, axis=1)][: vertices.shape[1] - 1], axis=2)
+
+
+def _borders(vertices: np.ndarray, beside: np.ndarray, turns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    edges = np.sort(_edges(vertices), axis=2)
+    sharp = np.unique(edges[(beside >= 0) & turns], axis=0)
+    single, count = np.unique(edges[beside < 0], axis=0, return_counts=True)
+    return np.concatenate([sharp, single[count > 1]]), single[count == 1]
+
+
+def _split(vertices: np.ndarray, smooth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    # Two faces share a corner where they meet smoothly; corners that hang together are one vertex.
+    width, beside = vertices.shape[1], _beside(vertices)[0]
+    face, edge = np.nonzero(smooth)
+    first, second = [], []
+    for nodes in np.moveaxis(_edges(vertices)[face, edge], 1, 0):
+        for rows, faces in ((first, face), (second, beside[face, edge])):
+            rows.append(faces * width + np.argmax(vertices[faces] == nodes[:, None], axis=1))
+    number = parts_of(np.concatenate(first), np.concatenate(second), vertices.size)
+    origins = np.zeros(number.max() + 1, int)
+    origins[number] = vertices.ravel()
+    return number.reshape(vertices.shape), origins
+
+
+def _found(x: np.ndarray, facing: np.ndarray, points: np.ndarray, faces: np.ndarray, sides: np.ndarray) -> np.ndarray:
+    # XLA's programs flush the smallest numbers to zero. SciPy's tree, which steps from zero to the
+    # next number, would never end: no coordinate is near zero here.
+    low = points.min(axis=0) - 1.5 * np.ptp(points, axis=0).max()
+    corners, x = points.astype(float)[faces] - low, x.astype(float) - low
+    face = closest(corners, x)[0]
+    if not len(facing):
+        return face
+    unit = sides if len(sides) else unit_rows(normals(corners))
+    away = np.flatnonzero(np.sum(unit[face] * facing, axis=1) < 0)
+    # These look for the closest face again, among those that look along the largest component.
+    axis = np.abs(facing[away]).argmax(axis=1)
+    ahead = np.sign(facing[away, axis])
+    for k in range(x.shape[1]):
+        for sign in (1, -1):
+            rows, kept = away[(axis == k) & (ahead == sign)], np.flatnonzero(sign * unit[:, k] > 0)
+            if len(rows) and len(kept):
+                face[rows] = kept[closest(corners[kept], x[rows])[0]]
+    return face

@@ -1,0 +1,220 @@
+"""Edges and corners of a wall, and those of its target onto which they go."""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
+
+from jaxmorph import Facets, MeshError, Plane
+from jaxmorph.extend import Module
+
+from ._arguments import rows_of
+
+SAME, REACH = 1e-6, 0.25
+"""Shares of the extent: distance of points that are on a plane; the farthest edge or corner."""
+
+
+class Rail(Module):
+    """Nodes `rows` (c,) of a wall that stay on points `ids` (c,) of the target, or on a `curve`.
+
+    `beside` (c, 2) are the neighbours of each node along the wall's own curve.
+    """
+
+    rows: Int[np.ndarray | Array, " c"]
+    beside: Int[np.ndarray | Array, "c 2"]
+    ids: Int[np.ndarray | Array, " c"] | None = None
+    curve: Facets | None = None
+
+    def places(self, x: Float[Array, "m d"], facing: Float[Array, "m d"], points: Float[Array, "n d"]) -> Any:
+        return (
+            points[self.ids] if self.curve is None else self.curve.at(points).closest(x[self.rows], facing[self.rows])
+        )
+
+
+class Clip(Module):
+    """The points of a surface cut off at a plane: `pairs` (n, 2) of points before it was cut. They
+    are one point twice, or the ends of an edge. Those `on` the plane stand where it cuts the edge.
+    """
+
+    pairs: Int[np.ndarray | Array, "n 2"]
+    on: Bool[np.ndarray | Array, " n"]
+    plane: Plane
+
+    def __call__(self, points: Float[Array, "k d"]) -> Float[Array, "n d"]:
+        a, b = points[self.pairs[:, 0]], points[self.pairs[:, 1]]
+        first, second = (height_of(end, self.plane) for end in (a, b))
+        apart = first - second
+        place = a + jnp.where(apart != 0, first / jnp.where(apart != 0, apart, 1), 0)[:, None] * (b - a)
+        place = place - height_of(place, self.plane)[:, None] * jnp.asarray(self.plane.normal, a.dtype)[None]
+        return jnp.where(self.on[:, None], place, a)
+
+
+def height_of(x: Float[Array, "n d"], plane: Plane) -> Float[Array, " n"]:
+    normal, origin = (jnp.asarray(vector, x.dtype) for vector in (plane.normal, plane.origin))
+    return jnp.matmul(x - origin[None], normal, precision="highest")
+
+
+def clipped(target: Facets, plane: Plane, side: float, slack: float) -> tuple[Clip, Facets]:
+    """Cuts a target off at a plane, and keeps one side (1 or -1)."""
+    # A face becomes the polygon of its corners on this side and of its edges that cross the plane,
+    # in this order around it. A polygon of four is two triangles.
+    points, faces = np.asarray(target.points, float), np.asarray(target.faces)
+    height, width = side * plane.height(points), faces.shape[1]
+    height = np.where(np.abs(height) <= slack, 0, height)
+    table = np.stack([faces, faces, faces, np.roll(faces, -1, axis=1)], axis=2).reshape(len(faces), -1, 2)
+    table = table[:, : 2 * width - (width == 2)]
+    ends = height[table]
+    kept = np.where(table[..., 0] == table[..., 1], ends[..., 0] >= 0, ends[..., 0] * ends[..., 1] < 0)
+    kept &= (height[faces] != 0).any(axis=1)[:, None]
+    order, count = np.argsort(~kept, axis=1, kind="stable"), kept.sum(axis=1)
+    polygon = np.sort(np.take_along_axis(table, order[..., None], axis=1), axis=2)
+    cuts = [polygon[count >= width][:, list(range(width))], polygon[count > 3][:, [0, 2, 3][:width]]]
+    pairs, place = np.unique(np.concatenate(cuts).reshape(-1, 2), axis=0, return_inverse=True)
+    if not len(pairs) or not (on := (height[pairs[:, 0]] == 0) | (pairs[:, 0] != pairs[:, 1])).any():
+        raise ValueError(
+            f"the target ends {np.abs(height).min():.3g} before the symmetry plane through {tuple(np.round(plane.origin, 6).tolist())}. "
+            "Extend the target, or leave the plane out."
+        )
+    clip = Clip(pairs, on, plane)
+    faces = place.reshape(-1, width)
+    return clip, Facets(clip(jnp.asarray(points)), faces, smooth=target.smooth, angle=target.angle)
+
+
+@dataclasses.dataclass(frozen=True)
+class Curves:
+    """Edges (s, 2) of a surface, in 2-D points (s, 1), by `kinds`: 0 for sharp ones, k for those on
+    the border in the k-th plane, then named ones. `corners` are by place the kinds that meet there.
+    """
+
+    points: np.ndarray
+    normals: np.ndarray
+    edges: np.ndarray
+    kinds: np.ndarray
+    corners: dict[int, tuple[int, ...]]
+
+    @classmethod
+    def of(cls, facets: Facets, planes: Sequence[Plane], slack: float, ids: Sequence[Any]) -> "Curves":
+        points, normals = np.asarray(facets.points, float), np.asarray(facets.normals())
+        rim, faces = np.asarray(facets.rim), np.asarray(facets.faces)
+        found = [np.asarray(facets.sharp) if not len(ids) else rim[:0]]
+        found += [rim[(np.abs(plane.height(points[rim])) <= slack).all(axis=1)] for plane in planes]
+        sides = np.sort(np.concatenate([faces[:, [k, k - 1]] for k in range(faces.shape[1])]), axis=1)
+        for named in ids:
+            edges = np.unique(sides[np.isin(sides, named).all(axis=1)], axis=0)
+            found.append(np.reshape(named, (-1, 1)) if rim.shape[1] == 1 else edges)
+        edges, kinds = np.concatenate(found), np.repeat(np.arange(len(found)), [len(part) for part in found])
+        return cls(points, normals, edges, kinds, _corners(points, edges, kinds, rim, len(planes)))
+
+    def chains(self, kind: int) -> list[np.ndarray]:
+        """The edges of a kind in parts between corners; none in 2-D, where all are corners."""
+        edges = self.edges[self.kinds == kind]
+        if edges.shape[1] == 1 or not len(edges):
+            return []
+        own = len(self.points) + np.arange(edges.size).reshape(edges.shape)  # a corner joins no edges
+        ends = np.where(np.isin(edges, list(self.corners)), own, edges)
+        part = _parts(ends, len(self.points) + edges.size)[ends[:, 0]]
+        return [edges[part == number] for number in np.unique(part)]
+
+
+def _corners(
+    points: np.ndarray, edges: np.ndarray, kinds: np.ndarray, rim: np.ndarray, planes: int
+) -> dict[int, tuple[int, ...]]:
+    nodes, number = np.unique(edges, return_inverse=True)
+    number, total = number.reshape(edges.shape), np.zeros((len(nodes), points.shape[1]))
+    met = np.zeros((len(nodes), max(kinds.max(initial=0), planes) + 1), bool)
+    met[number, kinds[:, None]] = True
+    if edges.shape[1] == 1:
+        at = np.arange(len(nodes))
+    else:
+        # Two directions away from a node cancel on a straight curve; at 60 degrees their sum has
+        # length 1. An edge that ends at the border of the surface slides along itself.
+        along = points[edges[:, 1]] - points[edges[:, 0]]
+        along = along / np.linalg.norm(along, axis=1, keepdims=True)
+        np.add.at(total, number, np.stack([along, -along], axis=1))
+        count = np.bincount(number.ravel())
+        is_single = ~np.isin(nodes, rim) | met[:, planes + 1 :].any(axis=1)
+        is_end = np.where(count == 1, is_single, (count > 2) | (np.sum(total**2, axis=1) > 1))
+        is_end &= ~met[:, 1 : planes + 1].any(axis=1)
+        at = np.flatnonzero(is_end | (met.sum(axis=1) > 1))
+    return {int(nodes[k]): tuple(np.flatnonzero(met[k]).tolist()) for k in at}
+
+
+def guides_of(wall: Facets, target: Facets, planes: Sequence[Plane], features: Sequence[Any]) -> tuple[Rail, ...]:
+    """Finds which nodes of the wall stay on which curves and points of the target."""
+    slack = SAME * np.ptp(np.asarray(wall.points), axis=0).max()
+    ids = _named(features, len(wall.points)), _named([pair[::-1] for pair in features], len(target.points))
+    own, other = (Curves.of(facets, planes, slack, named) for facets, named in zip((wall, target), ids, strict=True))
+    guides = [guide for kinds in sorted({*own.corners.values()}) for guide in _on_points(own, other, kinds)]
+    taken = np.concatenate([np.zeros(0, int), *(guide.rows for guide in guides)])
+    kinds = range(own.kinds.max(initial=0) + 1)
+    return (*(guide for kind in kinds for guide in _on_curves(own, other, kind, taken)), *guides)
+
+
+def _named(features: Sequence[Any], count: int) -> list[Int[np.ndarray, " k"]]:
+    if not all(isinstance(pair, list | tuple) and len(pair) == 2 for pair in features):
+        raise ValueError("`features` must be pairs: ids of nodes of the wall, and of points of the target.")
+    return [rows_of("features", ids, count) for ids, _ in features]
+
+
+def _on_points(own: Curves, other: Curves, kinds: tuple[int, ...]) -> list[Rail]:
+    """A corner goes onto the closest corner of the same kinds of curves, that looks alike."""
+    rows, ids = (np.array([at for at, met in side.corners.items() if met == kinds], int) for side in (own, other))
+    if not len(ids):
+        return []
+    away, chosen = _best(own, rows, other.points[ids], other.normals[ids])
+    away |= max(kinds) > 0
+    rows, ids, places = rows[away], ids[chosen][away], other.points[ids[chosen]][away]
+    pairs = KDTree(places).query_pairs(0, output_type="ndarray") if len(rows) else np.zeros((0, 2), int)
+    if len(pairs):
+        raise MeshError(
+            f"{len(np.unique(pairs))} corners of the wall share one of the target, at {tuple(np.round(places[pairs[0, 0]], 6).tolist())}, one is "
+            "node {node}. Name pairs in `features`, or find fewer edges by the `angle` of `Facets`.",
+            rows[np.unique(pairs)],
+        )
+    return [Rail(rows, np.stack([rows, rows], axis=1), ids)] if len(rows) else []
+
+
+def _best(own: Curves, rows: np.ndarray, places: np.ndarray, looks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Whether each node has a candidate (q, d) or (c, q, d) within reach, and the best one."""
+    reach = REACH * np.ptp(own.points, axis=0).max()
+    away = np.linalg.norm(own.points[rows][:, None] - places, axis=2)
+    turned = np.linalg.norm(own.normals[rows][:, None] - looks, axis=2)
+    best = (away + reach * turned).argmin(axis=1)
+    return away[np.arange(len(rows)), best] <= reach, best
+
+
+def _on_curves(own: Curves, other: Curves, kind: int, taken: np.ndarray) -> list[Rail]:
+    """A chain goes onto the chains of its kind that are closest to its nodes, and look alike."""
+    guides, chains = [], other.chains(kind)
+    curves = [Facets(other.points, edges, sides=np.zeros((len(edges), 3))) for edges in chains]
+    for edges in own.chains(kind) if chains else []:
+        rows = np.setdiff1d(edges, taken)
+        places = np.stack([np.asarray(curve.closest(own.points[rows])) for curve in curves], axis=1)
+        near, best = _best(own, rows, places, np.stack([other.normals[ids].mean(axis=(0, 1)) for ids in chains]))
+        near |= kind > 0  # a plane or a name leaves no choice
+        if near.any():
+            onto, rows = np.concatenate([chains[number] for number in np.unique(best[near])]), rows[near]
+            sides = other.normals[onto].mean(axis=1) * (kind > 0)
+            guides.append(Rail(rows, _beside(rows, edges), None, Facets(other.points, onto, sides=sides)))
+    return guides
+
+
+def _beside(rows: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """Neighbours (c, 2) of nodes along edges; the node itself in place of a missing one."""
+    both = np.concatenate([edges, edges[:, ::-1]])
+    both = both[np.lexsort(both.T[::-1])]
+    first, last = np.searchsorted(both[:, 0], rows), np.searchsorted(both[:, 0], rows, side="right") - 1
+    return np.stack([np.where(first == last, rows, both[first, 1]), both[last, 1]], axis=1)
+
+
+def _parts(edges: np.ndarray, count: int) -> np.ndarray:
+    """Connected parts of nodes (count,) by edges (e, 2)."""
+    return connected_components(coo_array((np.ones(len(edges)), tuple(edges.T)), shape=(count, count)), directed=False)[
+        1
+    ]

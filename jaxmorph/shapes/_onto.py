@@ -1,0 +1,352 @@
+"""A wall onto a target: a scan, another CAD surface, or a function of closest places."""
+
+import itertools
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+from scipy import sparse
+from scipy.linalg import null_space
+from scipy.sparse.linalg import splu
+from scipy.spatial.transform import Rotation
+
+from jaxmorph import Facets, MeshError, Plane
+from jaxmorph.extend import Module, area_vectors, between, checked, host_call, norm
+
+from ._arguments import Numbers, positions
+from ._features import SAME, Clip, Rail, clipped, guides_of, height_of
+from ._smooth import stiffness_of
+
+FIRST, LAST, STEPS, SETTLED = 0.5, 0.01, 8, 4
+"""First and last length over the wall's extent; steps from one to the other, and at the last."""
+
+FAR = 0.2
+"""Distance over the wall's extent from which on there are three times as many steps."""
+
+HARD, STILL = 100.0, 1e-4
+"""Weight of edges, corners and planes over the stiffness; of staying, against sliding away."""
+
+
+class Onto(Module):
+    """Takes a wall onto a target: `onto(x, points)` has the nodes' new places. Traced in both.
+
+    The nodes end on the target, sharp edges and corners on sharp edges and corners, the border in a
+    symmetry plane on the target's section. Faces of the wall keep their shape as well as they can,
+    so that its spacing stays. A rigid motion comes first where the wall is far off, and that halves
+    the distance. This motion and the edges are found once, with the nodes given here.
+
+    **Arguments:**
+
+    - `wall`: such as `Facets.of(mesh, "wing")`.
+    - `target`: `Facets` of any resolution, open, or larger than the wall. Or a function that takes
+      positions (m, d) to the closest places (m, d) of a surface, without a search for edges.
+    - `symmetry`: planes in which the border of the wall stays. Default: none.
+    - `features`: pairs of curves by ids, nodes of the wall and points of the target: edges between
+      the first go onto edges between the second (in 2-D nodes onto points). Default: sharp edges.
+    - `length`: 0, the default: the wall goes onto the target. Else it stays near the target,
+      without waves much shorter than this length, such as the noise of a scan.
+
+    **Raises:** `ValueError` for different dimensions, a target that does not reach a plane, and
+    corners that would share one of the target.
+
+    Source: Amberg, Romdhani and Vetter, Optimal step nonrigid ICP algorithms, CVPR 2007; Sorkine
+    and Alexa, As-rigid-as-possible surface modeling, SGP 2007.
+    """
+
+    wall: Facets
+    target: Facets | None
+    function: Callable | None = eqx.field(static=True)
+    clips: tuple[Clip, ...]
+    guides: tuple[Rail, ...]
+    borders: tuple[tuple[Plane, Int[np.ndarray | Array, " b"]], ...]
+    turn: Float[Array | np.ndarray, "d d"]
+    shift: Float[Array | np.ndarray, " d"]
+    lengths: Float[Array | np.ndarray, " s"]
+    is_exact: bool = eqx.field(static=True)
+
+    @checked
+    def __init__(
+        self,
+        wall: Facets,
+        target: Facets | Callable,
+        *,
+        symmetry: Plane | Sequence[Plane] = (),
+        features: Sequence[Any] = (),
+        length: float = 0.0,
+    ):
+        between("length", length, 0, ends="[)")
+        planes = (symmetry,) if isinstance(symmetry, Plane) else tuple(symmetry)
+        x, rim = np.asarray(wall.points, float), np.unique(wall.rim)
+        extent, d = np.ptp(x, axis=0).max(), x.shape[1]
+        _check_dimensions(d, target, planes)
+        self.wall, self.is_exact, self.function, self.target = wall, length == 0, None, None
+        self.turn, self.shift = _rigid(wall, target, planes)
+        self.borders = tuple((plane, rim[np.abs(plane.height(x[rim])) <= SAME * extent]) for plane in planes)
+        self.clips, self.guides = (), ()
+        if isinstance(target, Facets):
+            start = wall.at(x @ self.turn.T + self.shift)
+            for plane in planes:
+                clip, target = clipped(target, plane, np.sign(np.median(plane.height(x))), SAME * extent)
+                self.clips += (clip,)
+            self.target = _turned(target, start)
+            if self.is_exact or features:  # edges of noise are none
+                self.guides = guides_of(start, self.target, planes, features)
+        else:
+            self.function = target
+        last = length or LAST * extent
+        start = x @ self.turn.T + self.shift
+        far = np.linalg.norm(
+            np.asarray(target.closest(start) if isinstance(target, Facets) else target(start)) - start, axis=1
+        ).max()
+        steps = STEPS * (3 if far > FAR * extent else 1)
+        self.lengths = np.append(np.geomspace(max(FIRST * extent, last), last, steps), np.full(SETTLED, last))
+
+    def __call__(self, x: Numbers, points: Numbers | None = None) -> Float[Array, "m d"]:
+        """Takes nodes (m, d) to places; `points` (n, d) are the target's, by default as given."""
+        x, target = positions(x), self.target
+        if x.shape != self.wall.points.shape:
+            raise ValueError(f"`x` has shape {x.shape}; this wall has {self.wall.points.shape}.")
+        if target is not None and points is not None:
+            points = positions(points, "points")
+            for clip in self.clips:
+                points = clip(points)
+            target = target.at(points)
+        return _moved(self, x, target)
+
+    def _places(
+        self, y: Float[Array, "m d"], facing: Float[Array, "m d"], target: Facets | None
+    ) -> Float[Array, "m d"]:
+        if target is None:
+            assert self.function is not None
+            places = jnp.asarray(self.function(y), y.dtype)
+            for _ in self.borders:
+                places = jnp.asarray(self.function(self._in_planes(places)), y.dtype)
+            return self._in_planes(places)
+        places = target.closest(y, facing, along=True)
+        for guide in self.guides:
+            places = places.at[guide.rows].set(guide.places(y, facing, jnp.asarray(target.points)))
+        return self._in_planes(places)
+
+    def _in_planes(self, y: Float[Array, "m d"]) -> Float[Array, "m d"]:
+        for plane, rows in self.borders:
+            y = y.at[rows].add(-height_of(y[rows], plane)[:, None] * jnp.asarray(plane.normal, y.dtype)[None])
+        return y
+
+    def _weights(
+        self, y: Float[Array, "m d"], facing: Float[Array, "m d"], mass: Float[Array, " m"], hard: Float[Array, " m"]
+    ):
+        """Weights (m, d, d) of distances from places: across the wall, across curves, or whole."""
+        one = jnp.eye(y.shape[1], dtype=y.dtype)
+        weights = mass[:, None, None] * facing[:, :, None] * facing[:, None]
+        for guide in self.guides:
+            along = y[guide.beside[:, 1]] - y[guide.beside[:, 0]]
+            squared = jnp.sum(along**2, axis=1)
+            share = along[:, :, None] * along[:, None] / jnp.where(squared > 0, squared, 1)[:, None, None]
+            weights = weights.at[guide.rows].set(hard[guide.rows, None, None] * (one[None] - share))
+        for plane, rows in self.borders:
+            normal = jnp.asarray(plane.normal, y.dtype)
+            weights = weights.at[rows].add(hard[rows, None, None] * jnp.outer(normal, normal)[None])
+        return weights
+
+    def _nearer(self, y: Float[Array, "m d"], step: Any, start: Float[Array, "m d"], target: Facets | None) -> Any:
+        # Each face keeps its shape, at last turned as the wall is now: K y = K R x_0. Each node is
+        # drawn to the tangent plane at its closest place c: N y = N c. The length of K falls: the
+        # wall first goes as a whole, at the end its faces only resist sliding.
+        length, is_last = step
+        faces, (m, d) = jnp.asarray(self.wall.faces), y.shape
+        size, local = stiffness_of(start[faces])
+        local = length**2 * local
+        mass = jnp.zeros(m, y.dtype).at[faces].add(size[:, None] / d)
+        stiff = jnp.zeros(m, y.dtype).at[faces].add(jnp.diagonal(local, axis1=1, axis2=2))
+        facing = self.wall.at(y).normals()
+        weights = self._weights(y, facing, mass, mass + HARD * stiff)
+        off = _times(weights, self._places(y, facing, target) - y)
+        turned = _rotated(start[faces], area_vectors(start[faces]), area_vectors(y[faces])) if self.is_exact else None
+        shape = start[faces] if turned is None else jnp.where(is_last, turned, start[faces])
+        off = off.at[faces].add(_times(local, shape - y[faces]))
+        weights = weights + STILL * mass[:, None, None] * jnp.eye(d, dtype=y.dtype)[None]
+
+        def product(v):
+            return _times(weights, v).at[faces].add(_times(local, v[faces]))
+
+        def solve(_, right):
+            return host_call(_solved, jax.ShapeDtypeStruct((m, d), y.dtype), faces, local, weights, right)
+
+        return y + jax.lax.custom_linear_solve(product, off, solve, symmetric=True)
+
+
+@eqx.filter_jit
+def _moved(onto: Onto, x: Float[Array, "m d"], target: Facets | None) -> Float[Array, "m d"]:
+    start = (
+        jnp.matmul(x, jnp.asarray(onto.turn, x.dtype).T, precision="highest") + jnp.asarray(onto.shift, x.dtype)[None]
+    )
+    is_last = np.arange(len(onto.lengths)) >= STEPS
+    nearer = lambda y, step: (onto._nearer(y, step, start, target), None)  # noqa: E731
+    y = jax.lax.scan(nearer, start, (jnp.asarray(onto.lengths, x.dtype), is_last))[0]
+    return onto._places(y, onto.wall.at(y).normals(), target) if onto.is_exact else onto._in_planes(y)
+
+
+def _times(matrices: Float[Array, "k i j"], vectors: Any) -> Any:
+    form = "kij,kj->ki" if vectors.ndim == 2 else "kij,kjd->kid"
+    return jnp.einsum(form, matrices, vectors, precision="highest")
+
+
+def _rotated(corners: Float[Array, "k c d"], old: Float[Array, "k d"], new: Float[Array, "k d"]) -> Any:
+    """Turns faces by the shortest way, as their area vectors turned."""
+    old, new = (each / jnp.where(norm(each) > 0, norm(each), 1)[:, None] for each in (old, new))
+    cosine = jnp.sum(old * new, axis=1)[:, None, None]
+    if corners.shape[2] == 2:
+        sine = (old[:, 0] * new[:, 1] - old[:, 1] * new[:, 0])[:, None, None]
+        return cosine * corners + sine * jnp.stack([-corners[..., 1], corners[..., 0]], axis=-1)
+    axis = jnp.broadcast_to(jnp.cross(old, new)[:, None], corners.shape)
+    across = jnp.cross(axis, corners)
+    return corners + across + jnp.cross(axis, across) / jnp.maximum(1 + cosine, 0.01)
+
+
+def _solved(faces: np.ndarray, local: np.ndarray, weights: np.ndarray, right: np.ndarray) -> np.ndarray:
+    m, d = right.shape
+    places = [np.broadcast_to(ids, local.shape).ravel() for ids in (faces[:, :, None], faces[:, None])]
+    bent = sparse.coo_matrix((local.ravel().astype(float), places), (m, m))
+    own = sparse.bsr_matrix((weights.astype(float), np.arange(m), np.arange(m + 1)))
+    matrix = (sparse.kron(bent, np.eye(d)) + own).tocsc()
+    factors = splu(matrix, "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    return factors.solve(right.ravel().astype(float)).reshape(m, d)
+
+
+def _turned(target: Facets, start: Facets) -> Facets:
+    """Turns parts of the target that look the other way than the wall's nodes that are closest."""
+    face, areas = np.asarray(target.face(start.points)), np.asarray(target.areas())
+    alike = np.sum(areas[face] / np.linalg.norm(areas[face], axis=1)[:, None] * np.asarray(start.normals()), axis=1)
+    votes = np.bincount(np.asarray(target.part)[face], alike, minlength=int(target.part.max()) + 1)
+    is_other = (np.where(votes == 0, alike.sum(), votes) < 0)[target.part]
+    faces = np.where(is_other[:, None], target.faces[:, ::-1], target.faces)
+    return Facets(target.points, faces, smooth=target.smooth, angle=target.angle)
+
+
+def _check_dimensions(d: int, target: Facets | Callable, planes: Sequence[Plane]) -> None:
+    others = {len(plane.normal) for plane in planes}
+    if isinstance(target, Facets):
+        others.add(target.points.shape[1])
+    if others - {d}:
+        raise ValueError(f"the wall is in {d}-D, its target or a plane in {max(others - {d})}-D.")
+
+
+FITS, SAMPLE, NEAR, WHOLE = 20, 300, 0.05, 0.1
+"""Of a rigid fit: most steps and nodes; a distance that needs none; share of whole distances."""
+
+
+def _rigid(wall: Facets, target: Facets | Callable, planes: Sequence[Plane]) -> tuple[np.ndarray, np.ndarray]:
+    """Finds a turn (d, d) and a shift (d,) that halve the distance, from here and from the axes.
+
+    Nodes go to the tangent planes at their closest places, again and again; planes stay. Source:
+    Chen and Medioni, Object modelling by registration, Image and Vision Computing 10, 1992.
+    """
+    x, normals, d = np.asarray(wall.points, float), np.asarray(wall.normals(), float), wall.points.shape[1]
+    some, starts = np.random.default_rng(0).permutation(len(x))[:SAMPLE], _starts(x, target, planes)
+    function = target.closest if isinstance(target, Facets) else target
+    motions = _free_motions(planes, d)
+
+    def off(turn, shift):
+        y = x[some] @ turn.T + shift
+        return y, np.asarray(function(y), float) - y
+
+    best, least = starts[0], np.sqrt(np.mean(off(*starts[0])[1] ** 2))
+    for turn, shift in starts:
+        for _ in range(FITS if least > NEAR * np.ptp(x, axis=0).max() else 0):
+            turn, shift, is_done = _fitted(*off(turn, shift), normals[some] @ turn.T, motions, turn, shift)
+            if is_done:
+                break
+        left = np.sqrt(np.mean(off(turn, shift)[1] ** 2))
+        best, least = ((turn, shift), left) if left < least / 2 else (best, least)
+    return best
+
+
+def _starts(x: np.ndarray, target: Facets | Callable, planes: Sequence[Plane]) -> list[tuple[np.ndarray, np.ndarray]]:
+    """From where the wall is, and with its axes laid on the target's, the smallest turn first."""
+    d = x.shape[1]
+    starts = [(np.eye(d), np.zeros(d))]
+    if planes or not isinstance(target, Facets):
+        return starts
+    other = np.asarray(target.points, float)[np.unique(target.faces)]
+    own, axes = (np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2] for points in (x, other))
+    turns = [(axes.T * signs) @ own for signs in itertools.product((1, -1), repeat=d)]
+    turns = sorted((turn for turn in turns if np.linalg.det(turn) > 0), key=lambda turn: -np.trace(turn))
+    return starts + [(turn, other.mean(axis=0) - turn @ x.mean(axis=0)) for turn in turns]
+
+
+def _fitted(y, off, normals, motions, turn, shift):
+    """One step: a small share of the whole distance keeps a cylinder from sliding along itself."""
+    d, middle = y.shape[1], y.mean(axis=0)
+    arm, ahead, to = (np.pad(rows, ((0, 0), (0, 3 - d))) for rows in (y - middle, normals, off))
+    axes = [ahead, *(np.broadcast_to(WHOLE * axis, arm.shape) for axis in np.eye(3))]
+    matrix = np.concatenate([np.concatenate([np.cross(arm, axis), axis], axis=1) for axis in axes])
+    right = np.concatenate([np.sum(axis * to, axis=1) for axis in axes])
+    change = motions @ np.linalg.lstsq(matrix @ motions, right, rcond=1e-9)[0]
+    step = Rotation.from_rotvec(change[:3]).as_matrix()[:d, :d]
+    new = step @ turn, step @ (shift - middle) + middle + change[3 : 3 + d]
+    is_done = np.linalg.norm(change[:3]) + np.linalg.norm(change[3:]) / np.linalg.norm(arm) < 1e-6
+    return *new, is_done
+
+
+def _free_motions(planes: Sequence[Plane], d: int) -> np.ndarray:
+    """A basis (6, k) of turns and shifts that keep planes, and in 2-D that of the drawing."""
+    rows = [np.zeros((1, 6))]
+    for normal in [np.pad(plane.normal, (0, 3 - d)) for plane in planes] + [np.eye(3)[2]] * (3 - d):
+        rows += [np.hstack([np.cross(np.eye(3), normal), np.zeros((3, 3))]), np.hstack([np.zeros(3), normal])[None]]
+    return null_space(np.concatenate(rows))
+
+
+@checked
+def onto(
+    wall: Facets,
+    target: Facets | Callable,
+    *,
+    symmetry: Plane | Sequence[Plane] = (),
+    features: Sequence[Any] = (),
+    length: float = 0.0,
+) -> Float[np.ndarray, "m d"]:
+    """Computes the displacement (m, d) of a wall's nodes onto a target, on the host.
+
+    Arguments and errors are those of `Onto`, which is traced. `target.distance(x)` tells how far
+    nodes are from it.
+
+    **Raises:** `MeshError` too, with the nodes, where the way is not one to one: faces fold or
+    collapse, or inner nodes end on the border of the target.
+    """
+    x, made = np.asarray(wall.points), Onto(wall, target, symmetry=symmetry, features=features, length=length)
+    moved = np.asarray(made(x))
+    _check_one_to_one(made, x, moved)
+    return moved - x
+
+
+COLLAPSED = 0.01
+"""Share of a face's size that must be left, of the median of all."""
+
+
+def _check_one_to_one(made: Onto, x: np.ndarray, moved: np.ndarray) -> None:
+    faces, before, after = np.asarray(made.wall.faces), made.wall.at(x), made.wall.at(moved)
+    ahead = [
+        np.sum(np.asarray(wall.areas()) * np.asarray(wall.normals())[faces].mean(axis=1), axis=1)
+        for wall in (before, after)
+    ]
+    left = ahead[1] / np.where(ahead[0] > 0, ahead[0], np.inf)
+    bad, what = faces[(left < COLLAPSED * np.median(left)) & (ahead[0] > 0)], "fold over or collapse"
+    inner = np.setdiff1d(faces, made.wall.rim)
+    if made.target is not None and made.is_exact and not len(bad) and len(inner):
+        rim, points = np.asarray(made.target.rim), made.target.points
+        off = np.full(len(inner), np.inf)
+        if len(rim):
+            border = Facets(points, np.broadcast_to(rim, (len(rim), 2)), sides=np.zeros((len(rim), x.shape[1])))
+            off = np.asarray(border.distance(moved[inner]))
+        bad, what = inner[off < 1e-9 * np.ptp(x, axis=0).max()][:, None], "end on the border of the target"
+    if len(bad):
+        many = f"{len(bad)} of {len(faces)} faces" if bad.shape[1] > 1 else f"{len(bad)} inner nodes"
+        raise MeshError(
+            f"{many} of the wall {what}, at node {{node}} near {tuple(np.round(x[bad[0, 0]], 6).tolist())}: the way onto the target is not one to "
+            "one there. Extend or repair the target, name pairs of curves in `features`, or give a `length` to stay near it.",
+            np.unique(bad),
+        )
