@@ -31,6 +31,7 @@ if typing.TYPE_CHECKING:  # `as` makes a name public for type checkers; `_NAMES`
         largest_step as largest_step,
     )
     from ._advice.methods import METHODS as METHODS
+    from ._advice.turn import Turn as Turn
     from ._advice.valid_steps import ValidSteps as ValidSteps
     from ._boundary.boundary import Boundary as Boundary
     from ._boundary.outer_faces import FreeFaces as FreeFaces, boundary_faces as boundary_faces
@@ -137,6 +138,7 @@ _NAMES = {
     "._advice.inspection": "Inspection",
     "._advice.largest_step": "DesignedMesh LargestStep largest_step",
     "._advice.methods": "METHODS",
+    "._advice.turn": "Turn",
     "._advice.valid_steps": "ValidSteps",
     "._boundary.boundary": "Boundary",
     "._boundary.outer_faces": "FreeFaces boundary_faces",

@@ -27,6 +27,7 @@ if typing.TYPE_CHECKING:  # `_NAMES` repeats it
         output_path as output_path,
     )
     from ._host.package.ranks import Agreement as Agreement, Alone as Alone, together as together
+    from ._host.package.text import decoded as decoded, patch_names as patch_names
     from ._host.surface.gaps import closest as closest, fans as fans
     from ._kernels.callback import host_call as host_call
     from ._kernels.compile import float64_mode as float64_mode, quickly_compiled as quickly_compiled
@@ -40,6 +41,7 @@ _NAMES = {
     "_host.package.errors": "warn",
     "_host.package.files": "appearing_if complete input_path output_path",
     "_host.package.ranks": "Agreement Alone together",
+    "_host.package.text": "decoded patch_names",
     "_host.surface.gaps": "closest fans",
     "_kernels.callback": "host_call",
     "_kernels.compile": "float64_mode quickly_compiled",

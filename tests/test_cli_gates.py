@@ -152,3 +152,39 @@ def test_skewness_of_faces_in_3d(kind):
             worst = max(worst, np.linalg.norm(by) / max(reach, (0.2 if common else 0.4) * np.linalg.norm(across)))
         expected.append(worst)
     np.testing.assert_allclose(jm.face_quality(jm.Mesh(points, {kind: cells})).skewness, expected, rtol=1e-10)
+
+
+def test_as_many_steps_as_it_takes(here, capsys):
+    """By an angle, and by a file of new positions alone: the surface turns on its way, in as many steps as by hand."""
+    motion = ("--rotate", "150", "--about", "0.3", "0")
+    assert deform("one.su2", *motion, "--no-dry-run") == 1
+    assert deform("turned.su2", *motion, "--steps", "auto", "--save-job", "auto.toml") == 0
+    said = capsys.readouterr().out
+    count = int(re.search(r"^steps    (\d+) keep the cells$", said, flags=re.MULTILINE)[1])
+    assert count > 1
+    assert deform("fewer.su2", *motion, "--steps", str(count - 1), "--no-dry-run") == 1
+    assert main(["deform", "ring.su2", "again.su2", "--job", "auto.toml"]) == 0
+    wall, points = np.arange(24), io.read("turned.su2").points
+    np.savetxt("turned.dat", np.column_stack([wall, points[:24]]), fmt="%.17g")
+    assert deform("file.su2", "--displacement", "turned.dat", "--steps", "auto", "--json") == 0
+    facts = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert (facts["steps"], facts["reached"]) == (count, 1)
+    for other in ("again.su2", "file.su2"):
+        np.testing.assert_allclose(io.read(other).points, points, rtol=0, atol=1e-9)
+
+
+@pytest.mark.slow
+def test_where_steps_do_not_suffice_the_share_and_a_cure_are_told(here, capsys):
+    motion = ("--rotate", "130", "--method", "graph", "--min-jacobian-ratio", "0.05", "--steps", "auto")
+    assert deform("far.su2", *motion) == 1
+    said = capsys.readouterr()
+    assert re.search(r"^steps    16 keep the cells for \d\d\.\d% of the motion$", said.out, flags=re.MULTILINE)
+    assert "--sliding far in place of --fixed --steps 1 works." in said.err
+
+
+def test_seeking_steps_wants_the_whole_mesh(here, capsys):
+    assert deform("chunks.su2", "--rotate", "5", "--steps", "auto", "--chunk", "50") == 2
+    assert "--chunk needs a number of --steps" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        deform("word.su2", "--rotate", "5", "--steps", "few")
+    assert "steps are a whole number or auto, found 'few'" in capsys.readouterr().err

@@ -67,10 +67,16 @@ def test_every_flag_is_described(said, command):
         ("jaxmorph de", {"deform", "demo"}),
         ("jaxmorph deform a.su2 b.su2 --ma", {f"--max-{name}" for name in MEASURES}),
         ("jaxmorph deform a.su2 b.su2 --method p", {"published"}),
+        ("jaxmorph deform a.su2 b.su2 --moving w", {"wall", "wake"}),
+        ("jaxmorph deform a.su2 b.su2 --rotate 3 --moving wall --fixed ", {"wall", "wake", "far"}),
+        ("jaxmorph deform none.su2 b.su2 --moving ", set()),
+        ("jaxmorph demo ", {"naca0015", "-h", "--help", "-o", "--output"}),
     ],
 )
 def test_a_shell_completes(tmp_path, line, expected):
     """As bash asks through argcomplete: the words come back on descriptor 8."""
+    tags = "MARKER_TAG= wall\n% MARKER_TAG= old\n MARKERTAG =wake % behind\nMARKER_TAG= far\n"
+    (tmp_path / "a.su2").write_text(f"NDIME= 2\n{tags}")
     code = "import os, sys; from jaxmorph.cli import main; os.dup2(1, 8); sys.argv = ['jaxmorph']; main()"
     asked = {"_ARGCOMPLETE": "1", "COMP_LINE": line, "COMP_POINT": str(len(line)), "_ARGCOMPLETE_IFS": "\n"}
     done = subprocess.run(

@@ -3,6 +3,7 @@
 import functools
 import re
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -13,7 +14,6 @@ from scipy.spatial.transform import Rotation
 
 import jaxmorph as jm
 from jaxmorph import cases
-from jaxmorph._advice.cures import Turn
 from jaxmorph._advice.inspect import missed
 
 
@@ -291,11 +291,11 @@ def test_what_sources_miss_is_what_scipys_interpolation_by_distances_misses(coun
     np.testing.assert_allclose(missed(points, u, rows), expected, rtol=1e-9)
 
 
-def sleeve():
+def sleeve(around=80, layers=13):
     """An ellipse with axes 2 and 1 in a round sleeve of radius 1.6."""
-    lattice = ring(80, np.linspace(1, 1.6, 13), ("body", "sleeve"))
-    share = np.linspace(0, 1, 13)[:, None, None]
-    circle = lattice.points[:80]
+    lattice = ring(around, np.linspace(1, 1.6, layers), ("body", "sleeve"))
+    share = np.linspace(0, 1, layers)[:, None, None]
+    circle = lattice.points[:around]
     points = (1 - share) * circle * [1.0, 0.5] + share * 1.6 * circle
     return jm.Mesh(points.reshape(-1, 2), lattice.cells, lattice.patches)
 
@@ -334,12 +334,15 @@ def test_advice_on_folded_cells_cures(name):
         assert f"With sliding=['{outer}'] in place of `fixed` none folds." in said
         moved = jm.deform(jm.prepare(mesh, "body", sliding=outer), u)
     else:
-        found = re.search(r"With (\d) steps none folds: `march\(plan, path\)`(, on a path that turns)?", said)
+        found = re.search(
+            r"With (\d) steps none folds: `march\(plan, jm.Turn.of\(plan.moving_points, u\).path\((\d)\)\)`", said
+        )
         assert found
-        count = int(found[1])
-        turning = [turned(x, 60 * k / count) + (u - turned(x, 60)) * k / count for k in range(1, count + 1)]
-        straight = [u * k / count for k in range(1, count + 1)]
-        moved = jm.march(plan, np.stack(turning if found[2] else straight))[1]
+        count, degrees = int(found[1]), 60 if name.startswith("sleeve") else 0
+        assert int(found[2]) == count
+        path = [turned(x, degrees * k / count) + (u - turned(x, degrees)) * k / count for k in range(1, count + 1)]
+        np.testing.assert_allclose(jm.Turn.of(x, u).path(count), path, rtol=0, atol=1e-12)
+        moved = jm.march(plan, np.stack(path))[1]
     assert int(jm.quality(mesh, moved).inverted) == 0
     assert jm.inspect(plan, 0.9 * share * u, mesh=mesh).folds == ""
 
@@ -359,7 +362,67 @@ def test_a_cylinder_with_flat_ends_is_round_about_its_axis_alone():
     arms = np.random.default_rng(0).normal(size=(20, 3))
     for vector, holds in (([0, 0, 1.0], True), ([0, 1.0, 0], False)):
         body, (u, half) = arms + centre, (Rotation.from_rotvec(np.array(vector) / k).apply(arms) - arms for k in (1, 2))
-        found = Turn.of(body, u)
-        np.testing.assert_allclose(found.path(body, u, 3)[-1], u, atol=1e-12)
-        np.testing.assert_allclose(found.path(body, u, 2)[0], half, atol=1e-12)
-        assert [found.keeps(points, 3) for points in (side, end)] == [holds, holds]
+        found = jm.Turn.of(body, u)
+        np.testing.assert_allclose(found.path(3)[-1], u, atol=1e-12)
+        np.testing.assert_allclose(found.path(2)[0], half, atol=1e-12)
+        assert [found.keeps(points) for points in (side, end)] == [holds, holds]
+
+
+def test_a_plate_turns_in_its_plane():
+    """Nodes on a line: any spin about the line is as near, and one in space would squeeze the plate on its way."""
+    plate = np.linspace([1, 2], [3, 2], 9)
+    for degrees in (30, 90, -170):
+        path = jm.Turn.of(plate, turned(plate, degrees)).path(4)
+        for k, u in enumerate(path, start=1):
+            np.testing.assert_allclose(u, turned(plate, degrees * k / 4), rtol=0, atol=1e-13)
+    for x, u in ((plate, turned(plate, 3)), (plate[:1], np.array([[1.0, 2.0]])), (0 * plate, plate)):
+        np.testing.assert_allclose(jm.Turn.of(x, u).path(4), [u / 4, u / 2, 0.75 * u, u], rtol=0, atol=1e-15)
+
+
+def test_single_precision_stays_on_the_way():
+    x = ring(12).points[:12]
+    at = jm.Turn.of(x.astype(np.float32), turned(x, 90).astype(np.float32)).at(0.5)
+    assert at.dtype == np.float32
+    np.testing.assert_allclose(at, turned(x, 45), rtol=0, atol=1e-6)
+
+
+LARGE = {
+    "ellipse turned by 90 degrees": (functools.partial(sleeve, 160, 25), lambda x: turned(x, 90)),
+    "bump of 95 % of a channel": (channel, lambda x: 0.95 * np.exp(-((x[:, :1] - 2) ** 2) / 0.5) * [0, 1]),
+}
+
+
+@pytest.mark.parametrize("name", LARGE)
+def test_a_large_motion_passes_in_one_call_and_is_differentiated(name):
+    make, motion = LARGE[name]
+    mesh = make()
+    (outer,) = set(mesh.patches) - {"body"}
+    plan = jm.prepare(mesh, "body", outer)
+    u = motion(np.asarray(plan.moving_points))
+    assert int(jm.quality(mesh, jm.deform(plan, u)).inverted) > 20
+    steps = jm.fewest_steps(plan, mesh, u, min_jacobian_ratio=0.0)
+    assert (steps.fraction, int(steps.report.inverted)) == (1, 0)
+    assert 1 < steps.count <= 4
+    np.testing.assert_allclose(steps.points[plan.moving], plan.moving_points + u, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(steps.path_to(u), steps.path, rtol=0, atol=1e-15)
+    weights, way = np.random.default_rng(0).normal(size=mesh.points.shape), np.cos(3 * u + 1)
+
+    @jax.jit
+    def objective(u):
+        return jnp.sum(weights * jnp.sin(jm.replay(steps.plans, steps.path_to(u))))
+
+    h = 1e-6
+    difference = (objective(u + h * way) - objective(u - h * way)) / (2 * h)
+    np.testing.assert_allclose(np.vdot(jax.grad(objective)(u), way), difference, rtol=1e-6)
+
+
+def test_a_sleeve_slides_where_no_number_of_steps_follows():
+    """135 degrees: straight edges cannot follow; the round outer patch turns with the body."""
+    mesh = sleeve()
+    plan = jm.prepare(mesh, "body", "sleeve")
+    u = turned(np.asarray(plan.moving_points), 135)
+    assert jm.fewest_steps(plan, mesh, u, max_steps=8, min_jacobian_ratio=0.0).fraction < 0.75
+    cure = next(jm.cures(jm.Boundary(mesh, "body", "sleeve"), u))
+    assert cure.sliding == ("sleeve",)
+    moved = jm.deform(jm.prepare(mesh, "body", sliding=cure.sliding), u)
+    assert float(jm.quality(mesh, moved).min_jacobian_ratio) > 0.95

@@ -174,6 +174,22 @@ def test_a_packed_file_is_what_is_in_it(tmp_path, ending):
             io.read(packed)
 
 
+HOSTILE = {
+    "a.mesh": "MeshVersionFormatted 2\nDimension 3\nVertices\n9999999999\n0 0 0 1\n",
+    "a.vol": "mesh3d\npoints\n99999999999\n0 0 0\n",
+    "a.cas": "(2 3)(10 (0 1 ffffffff 0 3))(10 (1 1 ffffffff 1 3)(0 0 0))(13 (1 1 2 3 3)(1 2 3 1 0))",
+    "a.unv": "    -1\n  2411\n         1         1         1        11\n   0.0D+00   0.0D+00   1.0D+00\n",
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_a_file_that_asks_for_gigabytes_is_refused(tmp_path, name):
+    """By its name, in a process that may not take them."""
+    (tmp_path / name).write_text(HOSTILE[name])
+    with pytest.raises(ValueError, match=rf"{name}[:,]"):
+        io.read(tmp_path / name)
+
+
 @pytest.mark.parametrize("ending", UNREAD)
 def test_a_known_kind_is_told_by_its_name(tmp_path, ending, capsys):
     with pytest.raises(ValueError, match=f"by its ending this is {UNREAD[ending][:9]}"):

@@ -384,5 +384,6 @@ def test_the_command_exports(library, tmp_path, capsys):
     with Opened(library, tmp_path / "ring.plan") as opened:
         assert (opened.d, opened.n, opened.m) == (2, len(ring().points), 24)
     refused(capsys, [words[0], words[1], *words[3:]], "OUT is missing")
-    refused(capsys, [*words, "--method", "elasticity"], "LinearElasticity cannot be exported")
+    refused(capsys, [*words, "--method", "elasticity"], "elasticity solves on the cells")
+    refused(capsys, [*words, "--dtype", "float32"], "double precision. Leave the flag away")
     assert printed(capsys, ["native"]).strip() == str(native.folder)

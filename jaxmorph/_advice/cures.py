@@ -1,13 +1,11 @@
 """What keeps a motion from folding cells: each cure is tried before it is named."""
 
-import contextlib
 import dataclasses
 import warnings
 from collections.abc import Iterator
 
 import numpy as np
 from jaxtyping import ArrayLike, Float, Real
-from scipy.spatial.transform import Rotation
 
 from .._boundary.boundary import Boundary, with_cells
 from .._host.package.arguments import checked, finite_array
@@ -19,10 +17,9 @@ from .._plan.steps import march
 from .._quality.quality import quality
 from .largest_step import largest_step
 from .methods import METHODS, MOST_POINTS
+from .turn import Turn
 
 STEPS = 2, 4, 8  # numbers of steps that are tried
-ROUND = 1e-3  # largest change of radius, or of place along the axis, over the radius, of a round patch
-TURNS = 0.1  # angle of a motion in radians from which on its path turns, and round patches may slide
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,46 +39,6 @@ class Cure:
         if self.sliding:
             return f"sliding={[*self.sliding]} in place of `fixed`"
         return f"{self.steps} steps" if self.steps > 1 else f"jm.{METHODS[self.method].path}()"
-
-
-@dataclasses.dataclass(frozen=True)
-class Turn:
-    """The rigid motion, in space, nearest to a displacement; `shift` is along the axis."""
-
-    rotation: Rotation
-    centre: Float[np.ndarray, "3"]
-    shift: Float[np.ndarray, "3"]
-
-    @classmethod
-    def of(cls, points: Float[np.ndarray, "m 3"], u: Float[np.ndarray, "m 3"]) -> "Turn":
-        middle, way, rotation = points.mean(axis=0), u.mean(axis=0), Rotation.identity()
-        with contextlib.suppress(ValueError), warnings.catch_warnings():  # nodes at one place, or on one line
-            warnings.simplefilter("ignore")
-            found = Rotation.align_vectors(points + u - middle - way, points - middle)[0]
-            rotation = found if found.magnitude() > TURNS else rotation
-        change = np.eye(3) - rotation.as_matrix()
-        arm = np.linalg.lstsq(change, way, rcond=1e-9)[0]
-        return cls(rotation, middle + arm, way - change @ arm)
-
-    def path(self, points: Float[np.ndarray, "m 3"], u: Float[np.ndarray, "m 3"], steps: int) -> list[np.ndarray]:
-        """The displacement at the end of each step; all but the rotation grows evenly."""
-        arms = points - self.centre
-        rest = u + arms - self.rotation.apply(arms)
-        shares = [step / steps for step in range(1, steps + 1)]
-        return [(self.rotation**share).apply(arms) - arms + share * rest for share in shares]
-
-    def keeps(self, points: Float[np.ndarray, "k 3"], dimension: int) -> bool:
-        if not self.rotation.magnitude():
-            return False
-        axis = self.rotation.as_rotvec() / self.rotation.magnitude()
-        height = (points - self.centre) @ axis
-        radius = np.linalg.norm(points - self.centre - height[:, None] * axis, axis=1)
-        slack = ROUND * radius.max()
-        return bool(np.ptp(radius) <= slack or (dimension == 3 and np.ptp(height) <= slack))
-
-
-def in_space(points: Float[np.ndarray, "k d"]) -> Float[np.ndarray, "k 3"]:
-    return np.pad(points.astype(float), ((0, 0), (0, 3 - points.shape[1])))
 
 
 @checked
@@ -106,14 +63,14 @@ def cures(boundary: Boundary, u: Real[ArrayLike, "m d"]) -> Iterator[Cure]:
 
 
 def _cures(boundary: Boundary, mesh: Mesh, u: Float[np.ndarray, "m d"]) -> Iterator[Cure]:
-    points, dimension = in_space(np.asarray(mesh.points)), mesh.points.shape[1]
-    if len(points) > MOST_POINTS[dimension]:
+    points = np.asarray(mesh.points)
+    if len(points) > MOST_POINTS[points.shape[1]]:
         return
-    turn = Turn.of(points[boundary.moving], in_space(u))
+    turn = Turn.of(points[boundary.moving], u)
     names = tuple(
         name
         for name, nodes in mesh.patches.items()
-        if len(nodes) and np.isin(nodes, boundary.fixed).all() and turn.keeps(points[nodes], dimension)
+        if len(nodes) and np.isin(nodes, boundary.fixed).all() and turn.keeps(points[nodes])
     )
     if names:
         yield Cure(sliding=names)
@@ -130,9 +87,7 @@ def advice_on_folds(plan: Plan, mesh: Mesh, u: Float[np.ndarray, "m d"], count: 
         if _folds_none(plan, mesh, u, cure):
             how = ""
             if cure.steps > 1:
-                turn = Turn.of(in_space(np.asarray(plan.moving_points)), in_space(u))
-                turns = ", on a path that turns as the wall does (`shapes.path`)" if turn.rotation.magnitude() else ""
-                how = f": `march(plan, path)`{turns}"
+                how = f": `march(plan, jm.Turn.of(plan.moving_points, u).path({cure.steps}))`"
             return f"{said}. With {cure} none folds{how}."
         tried.append(str(cure))
     last = f"{', '.join(tried)} do not cure it" if tried else "jm.fewest_steps tells how many steps it takes"
@@ -151,9 +106,7 @@ def _folds_none(plan: Plan, mesh: Mesh, u: np.ndarray, cure: Cure) -> bool:
 def _moved(plan: Plan, mesh: Mesh, u: np.ndarray, cure: Cure) -> np.ndarray:
     moving, fixed, points = np.asarray(plan.moving), np.asarray(plan.fixed), np.asarray(mesh.points)
     if cure.steps > 1:
-        base, motion = in_space(points[moving]), in_space(u)
-        path = Turn.of(base, motion).path(base, motion, cure.steps)
-        return np.asarray(march(plan, np.stack(path)[..., : points.shape[1]])[1])
+        return np.asarray(march(plan, Turn.of(points[moving], u).path(cure.steps))[1])
     if cure.sliding:
         others, planes = np.setdiff1d(fixed, mesh.patch(*cure.sliding)), plan.images.planes
         cured = prepare(mesh, moving, others, method=plan.method, symmetry=planes, sliding=cure.sliding)

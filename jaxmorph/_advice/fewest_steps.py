@@ -5,7 +5,8 @@ import itertools
 from collections.abc import Callable
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float, Real
 
 from .._host.package.arguments import between, checked, finite_array, whole
 from .._improve.improve import Improvement, improve_of
@@ -14,6 +15,7 @@ from .._plan.plan import Plan
 from .._plan.steps import march
 from .._quality.quality import quality
 from .._quality.report import QualityReport
+from .turn import Turn
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,12 +38,21 @@ class Steps:
     path: Float[Array, "k m d"]
     improvement: Improvement | None = None
 
+    def path_to(self, u: Real[ArrayLike, "m d"]) -> Float[Array, "k m d"]:
+        """Computes the path whose end is `u` (m, d): `path`, and what `u` adds, in equal parts.
+
+        Traced and linear in `u`, so that `replay(steps.plans, steps.path_to(u))` has derivatives by
+        `u`. The turn of `path` stays.
+        """
+        shares = jnp.arange(1, self.count + 1, dtype=self.path.dtype) / self.count
+        return self.path + shares[:, None, None] * (jnp.asarray(u) - self.path[-1])[None]
+
 
 @checked
 def fewest_steps(
     plan: Plan,
     mesh: Mesh,
-    motion: Callable[[float], Float[Array, "m d"]],
+    motion: Callable[[float], Real[ArrayLike, "m d"]] | Real[ArrayLike, "m d"],
     *,
     min_jacobian_ratio: float = 0.05,
     max_steps: int = 16,
@@ -62,8 +73,8 @@ def fewest_steps(
 
     - `plan`: what `prepare` returned.
     - `mesh`: the mesh whose cells are judged.
-    - `motion`: `motion(t)` for t from 0 to 1 is the total displacement (m, d) of the moving nodes;
-      `motion(1)` is all of it.
+    - `motion`: the displacement (m, d) of the moving nodes, on the way that turns as it
+      does (`Turn`). Or a function: `motion(t)` for t from 0 to 1 is the total displacement.
     - `min_jacobian_ratio`: the least corner Jacobian, relative to its initial value, default 0.05.
     - `max_steps`: the most steps to try, default 16.
     - `improve`: whether to improve a mesh that even `max_steps` steps tangle, default False.
@@ -78,6 +89,8 @@ def fewest_steps(
     between("min_jacobian_ratio", min_jacobian_ratio, 0, 1, "[)")
     plan.check_mesh(mesh)
     expected = (plan.n_moving, plan.points.shape[1])
+    if not callable(motion):
+        motion = Turn.of(np.asarray(plan.moving_points), finite_array("motion", motion, expected)).at
 
     def tried(count: int, fraction: float = 1.0, mend: bool = False) -> Steps:
         parts = [finite_array("motion(t)", motion(fraction * (j + 1) / count), expected) for j in range(count)]

@@ -1,8 +1,7 @@
 """The mesh: points, cells, and patches of boundary nodes."""
 
 import dataclasses
-import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -14,7 +13,7 @@ from .._host.cells.lagrange import ORDERS, node_keys, of_order
 from .._host.cells.pieces import boundary_sides, linear_cells
 from .._host.cells.topology import CORNERS, DIMENSION, SHAPES, solid
 from .._host.package.arguments import check, checked, shown, whole
-from .._host.package.text import similar
+from .._host.package.text import patch_names
 from .._kernels.module import Module
 from .._kernels.values import is_known
 from . import exchange, export, vtk
@@ -266,50 +265,6 @@ class Mesh(Module):
         cells = ", ".join(f"{len(corners)} {kind}" for kind, corners in self.cells.items()) or "no cells"
         patches = ", ".join(f"{name} ({len(nodes)})" for name, nodes in self.patches.items()) or "none"
         return f"Mesh({n} points in {d}-D; {cells}; patches: {patches})"
-
-
-SHOWN = 12
-"""Names that an error lists."""
-
-
-def patch_names(names: Sequence[str], patches: Collection[str], groups: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
-    """Lists patches of names: a patch, a group, or the matches of a whole regular expression."""
-    listed: list[str] = []
-    for name in names:
-        if name in patches:
-            listed.append(name)
-        elif name in groups:
-            listed += [patch for patch in groups[name] if patch in patches]
-        else:
-            listed += _matched(name, patches, groups)
-    return tuple(dict.fromkeys(listed))
-
-
-def _matched(pattern: str, patches: Collection[str], groups: Mapping[str, Sequence[str]]) -> list[str]:
-    try:
-        matched = [name for name in patches if re.fullmatch(pattern, name)]
-    except re.error:
-        matched = []
-    if not matched:
-        raise ValueError(
-            f"no patch is called {pattern!r}{_hint(pattern, [*patches, *groups])}; {_known(patches, groups)}."
-        )
-    return matched
-
-
-def _hint(name: str, known: Sequence[str]) -> str:
-    shell = re.sub(r"(?<![.\])])\*", ".*", name)
-    if shell != name and not re.search(r"[\[(\\]", shell) and any(re.fullmatch(shell, patch) for patch in known):
-        return f" (patterns are regular expressions: {shell!r})"
-    near = similar(name, known)
-    return f" (did you mean {near!r}?)" if near else ""
-
-
-def _known(patches: Collection[str], groups: Mapping[str, Sequence[str]]) -> str:
-    names = [repr(name) for name in patches]
-    more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
-    of_groups = f", and the groups {', '.join(map(repr, groups))}" if groups else ""
-    return f"this mesh has: {', '.join(names[:SHOWN]) or 'none'}{more}{of_groups}"
 
 
 @checked

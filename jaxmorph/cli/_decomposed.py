@@ -126,7 +126,7 @@ def _prepared(request: Deform, surface: jm.Mesh, out: Output) -> tuple[jm.Surfac
     check(request, surface)
     patches = patches_of(request, surface)
     moves = motion(request, surface, patches.nodes)
-    path = moves.path(np.asarray(surface.points)[patches.nodes], request.steps)
+    path = moves.path(np.asarray(surface.points)[patches.nodes], request.step_count)
     with out.progress("preparing the surface"):
         half = patches.half()
     out.say(f"{title(request.file)}: boundary of {len(surface.points)} nodes in {surface.points.shape[1]}-D")

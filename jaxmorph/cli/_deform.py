@@ -18,11 +18,14 @@ from ._job import text_of
 from ._method import Chunks, Patches, described, mesh_of, patches_of
 from ._motion import Motion, motion
 from ._output import Output, coordinates, count, title, wrapped
-from ._requests import Deform
+from ._requests import AUTO, Deform
 from ._way import Way, check_picture, draw, faults, followed, in_background, in_double, is_kept, say_verdict, writing
 
 SMALL = 10_000
 """Points, times steps, below which compile time dominates."""
+
+MOST = 16
+"""Steps that `--steps auto` tries at most."""
 
 PATIENCE = 120.0
 """Seconds of an attempt after which no other is tried."""
@@ -30,12 +33,16 @@ PATIENCE = 120.0
 
 @dataclasses.dataclass(frozen=True)
 class Attempt:
-    """All that an attempt needs but method and steps; `judging` runs in another thread."""
+    """All that an attempt needs but method and steps; `judging` runs in another thread.
+
+    With `reached`, the steps of the request were found: they keep the cells for this share of it.
+    """
 
     request: Deform
     patches: Patches
     motion: Motion
     judging: Future[jm.Verdict]
+    reached: float | None = None
 
     @property
     def before(self) -> jm.Verdict:
@@ -47,6 +54,18 @@ class Attempt:
 
     def path(self, steps: int = 1) -> Float[np.ndarray, "k m d"]:
         return self.motion.path(self.base[self.patches.nodes], steps)
+
+    def with_fewest_steps(self, plan: jm.Plan, done: Callable[[float], None]) -> "Attempt":
+        wall, least = self.base[self.patches.nodes], self.request.gates.min_jacobian_ratio or 0.0
+        solves = itertools.count(1)
+
+        def moves(share: float) -> np.ndarray:
+            done(min(next(solves) / (MOST * (MOST + 1) / 2), 1))
+            return self.motion.at(wall, share)
+
+        found = jm.fewest_steps(plan, self.patches.mesh, moves, min_jacobian_ratio=least, max_steps=MOST)
+        request = dataclasses.replace(self.request, steps=found.count)
+        return dataclasses.replace(self, request=request, reached=found.fraction)
 
     def way(self, chunks: Chunks, steps: int, done: Callable[[float], None] = lambda share: None) -> Way:
         """Moves the points by chunks, in double precision; only `--proven` keeps all steps."""
@@ -71,7 +90,7 @@ class Attempt:
 def deform(request: Deform, out: Output) -> int:
     with out.progress(f"reading {title(request.file)}"):
         mesh = mesh_of(request.file, request.zone)
-    with quickly_compiled(len(mesh.points) * request.steps <= SMALL):
+    with quickly_compiled(len(mesh.points) * request.step_count <= SMALL):
         return _deform(request, mesh, out)
 
 
@@ -83,14 +102,21 @@ def _deform(request: Deform, mesh: Mesh, out: Output) -> int:
     with out.progress("preparing"):
         chunks = patches.chunks(request.chunk)
         nodes, plan = next(chunks)
+    if request.steps == AUTO:
+        with out.progress("seeking the fewest steps") as stage:
+            attempt = attempt.with_fewest_steps(plan, stage.done)
+            request = attempt.request
     n, d = mesh.points.shape
     cells = ", ".join(f"{number} {kind}" for kind, number in mesh.cell_counts.items())
     out.say(f"{title(request.file)}: {n} points in {d}-D, {cells}", points=n)
     say_motion(request, patches, plan, attempt.path()[-1], out)
+    if attempt.reached is not None:
+        reach = f"keep the cells for {attempt.reached:.1%} of the motion" if attempt.reached < 1 else "keep the cells"
+        out.say(f"steps    {request.step_count} {reach}", reached=attempt.reached)
     with out.progress("judging the cells"):
         judging.result()  # it raises for limits on measures that the cells do not have
-    with out.progress(f"deforming in {count(request.steps, 'step')}") as stage:
-        way = attempt.way(itertools.chain([(nodes, plan)], chunks), request.steps, stage.done)
+    with out.progress(f"deforming in {count(request.step_count, 'step')}") as stage:
+        way = attempt.way(itertools.chain([(nodes, plan)], chunks), request.step_count, stage.done)
     return _written(attempt, way, nodes, plan, out)
 
 
@@ -118,7 +144,7 @@ def _inspected(
     attempt: Attempt, nodes: np.ndarray, plan: jm.Plan, points: np.ndarray, out: Output
 ) -> tuple[jm.Inspection, jm.BoundaryQuality]:
     with out.progress("inspecting the motion"):
-        moved = points[nodes] if attempt.request.steps == 1 and plan.points.dtype == points.dtype else None
+        moved = points[nodes] if attempt.request.step_count == 1 and plan.points.dtype == points.dtype else None
         inspection = jm.inspect(plan, attempt.path()[-1], mesh=attempt.patches.mesh, nodes=nodes, moved=moved)
         for warning in inspection.warnings:
             out.warn(warning)
@@ -140,7 +166,7 @@ def _tell(
     ]
     rows = [row.replace("first cell height", "first-cell height") for row in rows]
     rows += [f"{name.replace('_', ' '):<23}{'-':>12}{value:>12.5g}" for name, value in overshoots.items()]
-    say_verdict(verdict, out, is_straight=way.is_straight, steps=attempt.request.steps, more=rows)
+    say_verdict(verdict, out, is_straight=way.is_straight, steps=attempt.request.step_count, more=rows)
     if boundary.nodes:
         out.say(wrapped(f"boundary: {boundary}"))
         measures = {name: getattr(boundary, name) for name in boundary.nodes}
@@ -199,7 +225,7 @@ def say_motion(request: Deform, patches: Patches, plan: jm.Plan, u: np.ndarray, 
     for pair in patches.periodic:
         out.say(wrapped(f"periodic {pair.patch}, {pair.partner}: {count(len(mesh.patch(str(pair.patch))), 'pair')}"))
     name, sources = described(request.method, plan)
-    out.say(f"method   {name}, {count(request.steps, 'step')}", method=name, steps=request.steps)
+    out.say(f"method   {name}, {count(request.step_count, 'step')}", method=name, steps=request.step_count)
     moving = {name: len(mesh.patch(name)) for name in patches.moving}
     out.say(moving=moving, largest=float(way.max()), sources=sources)
 
@@ -233,16 +259,18 @@ def _advice(attempt: Attempt, out: Output) -> str:
 def _trials(attempt: Attempt) -> list[jm.Cure]:
     """Lists cures in the order in which they are tried: the default method first."""
     patches, request = attempt.patches, attempt.request
-    found = [jm.Cure(method="default")]
-    found += jm.cures(patches.boundary, attempt.path()[-1])
-    found = [dataclasses.replace(cure, steps=cure.steps * request.steps) for cure in found]
+    found = [jm.Cure(method="default"), *jm.cures(patches.boundary, attempt.path()[-1])]
+    if attempt.reached is None:
+        found = [dataclasses.replace(cure, steps=cure.steps * request.step_count) for cure in found]
+    else:
+        found = [cure for cure in found if cure.steps == 1]  # more steps were sought
     return [cure for cure in found if cure.method != request.method.method]
 
 
 def _flags(attempt: Attempt, cure: jm.Cure) -> str:
     flags = [f"--sliding {' '.join(cure.sliding)} in place of --fixed"] if cure.sliding else []
     flags += [f"--method {cure.method}"] if cure.method else []
-    return " ".join([*flags, *([f"--steps {cure.steps}"] if cure.steps != attempt.request.steps else [])])
+    return " ".join([*flags, *([f"--steps {cure.steps}"] if cure.steps != attempt.request.step_count else [])])
 
 
 def _works(attempt: Attempt, cure: jm.Cure) -> bool:

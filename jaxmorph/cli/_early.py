@@ -1,5 +1,6 @@
 """What is sure to fail, told before JAX is imported and the mesh is read."""
 
+import itertools
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -13,8 +14,10 @@ from jaxmorph.extend import input_path, output_path
 from jaxmorph.integrations import su2
 
 from ._job import job_of
+from ._names import check_names
 from ._parser import flag_of, values_of
 from ._requests import (
+    AUTO,
     LIMITS,
     MOTIONS,
     SU2,
@@ -48,6 +51,8 @@ def check(request: Request) -> None:
     _check_values(values_of(request))
     if isinstance(request, Deform | ModesRequest | SensitivityRequest | ExportRequest | SU2):
         _check_sources(request.method)
+    if isinstance(request, Deform | ModesRequest | SensitivityRequest | ExportRequest):
+        check_names(request.file, [*request.moving, *itertools.chain(*vars(request.boundary).values())])
 
 
 def check_apart(
@@ -109,6 +114,8 @@ def _check_way(request: Deform) -> None:
     elif not request.file.is_dir():
         raise ValueError(f"{request.file}: no folder of an OpenFOAM case.")
     for name in ("chunk", "decomposed"):
+        if getattr(request, name) and request.steps == AUTO:
+            raise ValueError(f"--{name} needs a number of --steps: {AUTO} judges the whole mesh after each trial.")
         if getattr(request, name) and METHODS[request.method.method].needs_cells:
             raise ValueError(f"--{name} is not for {request.method.method}, which solves for all nodes at once.")
 
@@ -173,6 +180,10 @@ def _check_sensitivity(request: SensitivityRequest) -> None:
 
 def _check_export(request: ExportRequest) -> None:
     _check_input(request.file)
+    if request.method.dtype == "float32":
+        raise ValueError("--dtype float32: a plan in a file is in double precision. Leave the flag away.")
+    if METHODS[request.method.method].needs_cells:
+        raise ValueError(f"--method {request.method.method} solves on the cells, which a plan in a file does not hold.")
     if is_folder(request.file):
         if request.output is not None:
             raise ValueError(
@@ -269,7 +280,7 @@ def _is_vector(values: Sequence[float], *counts: int) -> bool:
 
 
 CHECKS: tuple[tuple[str, Callable[[Any], Any], str], ...] = (
-    ("steps chunk zone", lambda number: number >= 1, "must be 1 or more, found {}."),
+    ("steps chunk zone", lambda number: number == AUTO or number >= 1, "must be 1 or more, found {}."),
     ("rotate bend twist", np.isfinite, "needs an angle in degrees, found {}."),
     ("scale", lambda values: _is_vector(values, 1), "needs 1, 2 or 3 numbers, found: {}."),
     ("translate about axis along", _is_vector, "needs 2 or 3 numbers, found: {}."),

@@ -57,7 +57,9 @@ describe that motion. The order is fixed: displacement file, modes, box,
 scaling, twist, bend, rotation, translation. A patch named by several --moving
 gets the motions in turn. A node of several patches moves once, and they must
 agree there. With --steps N the mesh follows in N steps, each with 1/N of every
-angle, factor, translation and displacement.
+angle, factor, translation and displacement; where a displacement file turns the
+patches, they turn on the way. --steps auto seeks the fewest steps, up to 16,
+that invert no cell, nor go below --min-jacobian-ratio.
 
 NAME is a patch, a regular expression for a whole name ("motorBike.*"), or a
 group of the file (inGroups of an OpenFOAM case). Every patch with boundary

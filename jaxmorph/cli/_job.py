@@ -13,7 +13,7 @@ from typing import Any, get_args
 from jaxmorph._host.package.text import read
 
 from ._parser import Fields, flags_of, is_switch, made, meant, settings_of, values_of
-from ._requests import BoundaryFlags, Deform, MethodFlags, MotionFlags, SensitivityRequest, Speech, table
+from ._requests import AUTO, BoundaryFlags, Deform, MethodFlags, MotionFlags, SensitivityRequest, Speech, steps, table
 
 NO_KEYS = ("job", "save_job", "set", *(field.name for field in dataclasses.fields(Speech)))
 """Flags that are not keys of a job; `set` is a table of it."""
@@ -23,6 +23,7 @@ TYPES = {
     float: ((int, float), "a number", "numbers"),
     bool: ((bool,), "true or false", ""),
     table: ((str, dict), "text", "texts"),
+    steps: ((int, str), "a whole number or auto", ""),
 }
 """Types in TOML by the type of a flag, and their names; others are text, also a patch such as 5."""
 
@@ -167,6 +168,8 @@ def job_of(request: SensitivityRequest) -> Deform | None:
     if (request.moving, request.boundary, request.method) != ((), BoundaryFlags(), MethodFlags()):
         raise ValueError("--job names patches and method. Remove the flags of patches and methods.")
     values = read_job(request.job)
+    if values.get("steps") == AUTO:
+        raise ValueError(f"{request.job}: steps = {AUTO!r}: the number is needed. --save-job of deform writes it.")
     values |= {"file": request.file, "output": request.output, "job": request.job}
     values["set"] = [*values["set"], *request.set]
     return made(Deform, argparse.Namespace(**values))

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
+import jaxmorph as jm
 from jaxmorph import Mesh, io, shapes
 from jaxmorph._host.package.text import read
 from jaxmorph.extend import input_path
@@ -37,6 +38,10 @@ class Motion:
 
     def path(self, surface: Points, steps: int) -> Float[np.ndarray, "k m d"]:
         return np.asarray(shapes.path(self.shape, surface, self.parameters, steps))
+
+    def at(self, surface: Points, share: float) -> Points:
+        values = jax.tree.map(lambda a, b: a + share * (b - a), self.shape.neutral(), self.parameters)
+        return dataclasses.replace(self, parameters=values).path(surface, 1)[0]
 
     def varied(self, changes: Mapping[str, Sequence[float]]) -> "Motion":
         try:
@@ -212,7 +217,8 @@ def _displacement(patch: MovingPatch) -> Parametrised:
     assert group.displacement is not None
     how: dict[str, Any] = {"before": group.displacement_from, "is_position": group.displacement_is == "position"}
     u = io.read_displacement(group.displacement, patch.mesh, patch.nodes, **how)
-    return shapes.Function(lambda x, factor: x + factor * u, 0.0), 1.0
+    turn = jm.Turn.of(np.asarray(patch.mesh.points)[patch.nodes], u)
+    return shapes.Function(lambda x, share: x + turn.at(share), 0.0), 1.0
 
 
 def _modes(patch: MovingPatch) -> Parametrised:

@@ -116,7 +116,8 @@ class Parser(argparse.ArgumentParser):
             settings = settings | {"help": argparse.SUPPRESS}
         if section not in self.sections:
             self.sections[section] = self.add_argument_group(section)
-        self.sections[section].add_argument(*names, **settings)
+        plain = {name: value for name, value in settings.items() if name != "completer"}
+        self.sections[section].add_argument(*names, **plain).completer = settings.get("completer")
 
     def add_fields(self, fields: Fields) -> None:
         for field, owner in flags_of(fields):

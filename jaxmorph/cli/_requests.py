@@ -8,13 +8,15 @@ from typing import Any, ClassVar
 
 import jaxmorph as jm
 
+from ._names import completer
 from ._parser import Angle, Fields, flag, one_of, part, positional, several, switch
 
 MESH = "a mesh file (.su2, .vtu, .vtk, .msh, .cgns, .med, .exo, .e, .xyz, .p3d ...) or an OpenFOAM case"
 ZONE = "of an SU2 file with several zones the zone IZONE= N alone; all others are written as they are"
 WHAT_MOVES = 'patches that move: names, or patterns as "wing.*"'
-NAMES = [*jm.METHODS]
+NAMES, DEMOS = [*jm.METHODS], ["naca0015"]
 
+AUTO = "auto"  # as many steps as it takes
 BAD, OUTPUT = "when cells are bad", ("--output", "-o")
 SHAPES: dict[str, Any] = {"section": "shapes", "everyday": True}
 
@@ -26,6 +28,13 @@ def table(word: str) -> Path | Table:
         return json.loads(word) if word.lstrip().startswith("{") else Path(word)
     except (json.JSONDecodeError, RecursionError) as error:
         raise argparse.ArgumentTypeError(f"not a table in JSON ({error})") from None
+
+
+def steps(word: str) -> int | str:
+    try:
+        return AUTO if word == AUTO else int(word)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"steps are a whole number or {AUTO}, found {word!r}") from None
 
 
 def _output(name: str) -> Path:
@@ -61,7 +70,8 @@ CHANGES_HELP = "new values of design variables, such as twist=2 or 'box[1,2,0]=0
 
 
 def _patches(what: str, *names: str, **settings: Any) -> Any:
-    return flag(what, *names, **{"default": (), "metavar": "NAME", "nargs": "+", "action": "extend"} | settings)
+    several = {"default": (), "metavar": "NAME", "nargs": "+", "action": "extend", "completer": completer}
+    return flag(what, *names, **several | settings)
 
 
 class InGroup(argparse.Action):
@@ -215,7 +225,14 @@ class Deform:
     boundary: BoundaryFlags = part(BoundaryFlags)
     set: tuple[tuple[str, tuple[float, ...]], ...] = flag(CHANGES_HELP, section="design variables", **CHANGES)
     method: MethodFlags = part(MethodFlags)
-    steps: int = flag("number of steps (default 1)", default=1, section="method", everyday=True)
+    steps: int | str = flag(
+        "steps (default 1), or auto: the fewest without folds",
+        default=1,
+        metavar="N",
+        type=steps,
+        section="method",
+        everyday=True,
+    )
     chunk: int | None = flag(
         "prepare and move N points at a time: less memory before cells are judged, more time", section="method"
     )
@@ -223,6 +240,11 @@ class Deform:
     allow_inverted: bool = switch("write OUT even when cells are inverted or a gate fails", section=BAD)
     dry_run: bool = switch("do not try other flags for advice", "--no-dry-run", default=True, section=BAD)
     speech: Speech = part(Speech)
+
+    @property
+    def step_count(self) -> int:
+        """Steps; 1 until their number is sought."""
+        return 1 if isinstance(self.steps, str) else self.steps
 
     @property
     def moving(self) -> tuple[str, ...]:
@@ -268,7 +290,7 @@ class SensitivityRequest:
 class ExportRequest:
     file: Path = positional(MESH, "IN")
     output: Path | None = positional("the plan; not given for an OpenFOAM case", "OUT", nargs="?", type=_output)
-    zone: int | None = flag(ZONE)
+    zone: int | None = flag("of an SU2 file with several zones the zone IZONE= N")
     moving: tuple[str, ...] = _patches(WHAT_MOVES, section="surface", everyday=True)
     boundary: BoundaryFlags = part(BoundaryFlags)
     method: MethodFlags = part(MethodFlags)
@@ -328,7 +350,7 @@ class Convert:
 @dataclasses.dataclass(frozen=True)
 class Demo:
     case: str = positional(
-        "naca0015 (default)", "CASE", nargs="?", default="naca0015", type=one_of("demo", ["naca0015"])
+        "naca0015 (default)", "CASE", nargs="?", default="naca0015", choices=DEMOS, type=one_of("demo", DEMOS)
     )
     output: Path = flag("where to write (default jaxmorph-demo)", *OUTPUT, metavar="DIR", default=Path("jaxmorph-demo"))
 

@@ -41,8 +41,8 @@ def sensitivity(request: SensitivityRequest, out: Output) -> int:
         if job is None or moves is None:
             _write_nodes(request, plan, given, out)
         else:
-            with out.progress(f"pulling back through {count(job.steps, 'step')}"):
-                plans = plan if job.steps == 1 else jm.march(plan, moves.path(wall, job.steps))[0]
+            with out.progress(f"pulling back through {count(job.step_count, 'step')}"):
+                plans = plan if job.step_count == 1 else jm.march(plan, moves.path(wall, job.step_count))[0]
                 gradient = shapes.pullback(moves.shape, plans, moves.parameters, given)
             _write_variables(request, moves, gradient, out)
     out.wrote(request.output)

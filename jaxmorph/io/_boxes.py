@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
+import jaxmorph as jm
 from jaxmorph import Mesh
 from jaxmorph._host.package.arguments import checked, finite_array
 from jaxmorph._host.package.files import complete, input_path, output_path
 from jaxmorph._host.package.text import LATTICES, read
 from jaxmorph._mesh import vtk
 from jaxmorph._mesh.exchange import gathered
-from jaxmorph.shapes import FreeForm, Hexahedron
 
 from ._format import Source, faults_of, source_of
 from ._su2 import NAME, Keyword, by_zones
@@ -36,7 +36,7 @@ HALF = 0.5
 @checked
 def read_box(
     source: str | os.PathLike[str] | Mapping[str, Any], dimensions: int
-) -> tuple[FreeForm | Hexahedron, Float[np.ndarray, "*counts d"]]:
+) -> "tuple[jm.shapes.FreeForm | jm.shapes.Hexahedron, Float[np.ndarray, '*counts d']]":
     """Reads a box of control points, and the displacements of its control points.
 
     The table has `low` and `high` (two corners of a box along the axes), or `corners` (eight, in
@@ -74,7 +74,7 @@ def read_box(
     return box, control
 
 
-def _box_of(table: dict[str, Any], d: int) -> FreeForm | Hexahedron:
+def _box_of(table: dict[str, Any], d: int) -> "jm.shapes.FreeForm | jm.shapes.Hexahedron":
     needed = NEEDED | ({"corners"} if "corners" in table else {"low", "high"})
     if not needed <= set(table) <= needed | OPTIONAL or not isinstance(table["moved"], list):
         listed = ", ".join(table) or "nothing"
@@ -84,11 +84,11 @@ def _box_of(table: dict[str, Any], d: int) -> FreeForm | Hexahedron:
         raise ValueError(f"degree and continuity are whole numbers, found {options}.")
     if "corners" in table:
         rows = table["corners"] if isinstance(table["corners"], list) else [table["corners"]]
-        return Hexahedron(np.array([_numbers("corners", row, d) for row in rows]), counts, **options)
+        return jm.shapes.Hexahedron(np.array([_numbers("corners", row, d) for row in rows]), counts, **options)
     low, high = (_numbers(name, table[name], d) for name in ("low", "high"))
     if not (low < high).all():
         raise ValueError("low must be below high.")
-    return FreeForm(low, np.diag(high - low), counts, **options)
+    return jm.shapes.FreeForm(low, np.diag(high - low), counts, **options)
 
 
 def _counts(given: Any, d: int) -> list[int]:
@@ -150,7 +150,7 @@ class Box:
     """
 
     name: str
-    shape: Hexahedron
+    shape: "jm.shapes.Hexahedron"
     control: Points
     surface: Surface = dataclasses.field(default_factory=dict)
     level: int = 0
@@ -258,7 +258,9 @@ def _box(keywords: Sequence[Keyword], n: int, d: int) -> Box:
     if len(corners) != 2**d:
         raise at.error(f"box {name} has {len(corners)} corners; {2**d} expected in {d}-D.")
     try:
-        shape = Hexahedron(corners, (degrees + 1).tolist(), degree=(orders - 1).tolist() if is_spline else None)
+        shape = jm.shapes.Hexahedron(
+            corners, (degrees + 1).tolist(), degree=(orders - 1).tolist() if is_spline else None
+        )
     except ValueError as error:
         raise at.error(f"box {name}: {error}") from error
     control = _control(_rows(table, "FFD_CONTROL_POINTS", at, 6), shape, at)
@@ -285,7 +287,7 @@ def _rows(table: Mapping[str, Keyword], name: str, at: Section, width: int) -> F
     return rows.values.reshape(-1, width)
 
 
-def _control(rows: Float[np.ndarray, "k 6"], shape: Hexahedron, at: Section) -> Points:
+def _control(rows: Float[np.ndarray, "k 6"], shape: "jm.shapes.Hexahedron", at: Section) -> Points:
     """Sorts control points by their numbers; in 2-D, two above each other become their mean."""
     d = len(shape.counts)
     counts = (*shape.counts, *(2,) * (3 - d))

@@ -12,12 +12,12 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int, PyTree
 
+import jaxmorph as jm
 from jaxmorph import Mesh
 from jaxmorph._host.package.arguments import checked, finite_array, rows_of
 from jaxmorph._host.package.files import complete, input_path, output_path
 from jaxmorph._host.package.rounding import rows_in
 from jaxmorph._host.package.text import GRADIENTS, SENSITIVITIES
-from jaxmorph.shapes import names
 
 from ._format import source_of
 from ._surface import check_values, read_named, read_table
@@ -158,9 +158,10 @@ def write_gradient(path: str | os.PathLike[str], parameters: PyTree, gradient: P
 
     **Raises:** `ValueError` for another ending, and for a gradient of another structure.
     """
-    path, variables = check_gradient_output(path), names(parameters)
-    if names(gradient) != variables:
-        raise ValueError(f"a gradient of {len(names(gradient))} numbers for {len(variables)} design variables.")
+    path, variables = check_gradient_output(path), jm.shapes.names(parameters)
+    given = jm.shapes.names(gradient)
+    if given != variables:
+        raise ValueError(f"a gradient of {len(given)} numbers for {len(variables)} design variables.")
     trees = (jax.tree.leaves(tree) for tree in (parameters, gradient))
     rows = list(zip(variables, *([float(x) for leaf in tree for x in np.ravel(leaf)] for tree in trees), strict=True))
     stream = io.StringIO()

@@ -10,18 +10,12 @@ from typing import Any
 
 import numpy as np
 
+from jaxmorph._host.package.text import decoded as decoded
+
 ENOUGH = 1 << 14
 """Bytes from which SciPy's writer of Matrix Market files pays: `repr`'s digits, much faster."""
 
 _FORTRAN = bytes.maketrans(b"Dd", b"ee")
-
-
-def decoded(raw: bytes) -> str:
-    """Decodes a name in a file: UTF-8, or else Latin-1, which older programs write."""
-    try:
-        return raw.decode()
-    except UnicodeDecodeError:
-        return raw.decode("latin-1")
 
 
 def parse(text: bytes, dtype: type) -> np.ndarray:

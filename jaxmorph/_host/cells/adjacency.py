@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from ..package.cores import by_blocks, in_order
 from .topology import FACES
@@ -93,6 +92,8 @@ def handedness(
 def parts_of(first: np.ndarray, second: np.ndarray, count: int) -> np.ndarray:
     """Connected parts of nodes (count,); `first` (e,) and `second` (e,) are connected."""
     graph = coo_array((np.ones(len(first), dtype=bool), (first, second)), shape=(count, count))
+    from scipy.sparse.csgraph import connected_components  # 0.1 s, which few commands need
+
     return connected_components(graph, directed=False)[1]
 
 

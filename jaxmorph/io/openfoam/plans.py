@@ -10,7 +10,8 @@ from jaxmorph import Layer, Mesh, Plan, export
 from jaxmorph._host.package.arguments import checked
 from jaxmorph._host.package.files import named
 
-from .case import content_of
+from .._format import source_of
+from .case import NAME, content_of
 from .parts import Decomposed, global_nodes
 
 PLAN = "jaxmorph.plan"
@@ -34,24 +35,16 @@ def export_case(path: str | os.PathLike[str], mesh: Mesh, plan: Plan) -> list[pa
     **Returns:** the files. **Raises:** `ValueError` as `jm.export` does, for a mesh of another
     source, for a case between wedges, and for parts of another mesh.
     """
-    place = pathlib.Path(path)
-    if not place.is_dir():
-        raise ValueError(f"{path}: no folder of an OpenFOAM case.")
-    content = getattr(mesh.source, "content", None)
-    if content is None or not hasattr(content, "plane"):
-        raise ValueError("`mesh` was not read from an OpenFOAM case: use jm.export(plan, path).")
-    if content.plane is not None and content.plane.kind == "wedge":
-        raise ValueError(f"{path}: a case between wedges; OpenFOAM moves both planes, and a plan moves one.")
+    place, content = pathlib.Path(path), _content(path, mesh)
     plan.check_mesh(mesh)
     region = place.name if place.parent.name == "constant" else ""
     root = place.parent.parent if region else place
     file = root / "constant" / region / PLAN
     with named(file):
         export(plan, file, layer=_layer(content))
-    files = [file]
     if not (root / "processor0").is_dir():
-        return files
-    case = Decomposed(path)
+        return [file]
+    case, files = Decomposed(path), [file]
     for k in range(len(case)):
         part = case.read(k)
         ids = global_nodes(part)
@@ -60,6 +53,17 @@ def export_case(path: str | os.PathLike[str], mesh: Mesh, plan: Plan) -> list[pa
         files.append(case.folder(k) / "constant" / region / PLAN)
         export(plan, files[-1], nodes=rows, layer=_layer(content_of(part)))
     return files
+
+
+def _content(path: str | os.PathLike[str], mesh: Mesh) -> Any:
+    if not pathlib.Path(path).is_dir():
+        raise ValueError(f"{path}: no folder of an OpenFOAM case.")
+    source = source_of(mesh, NAME)
+    if source is None or source.content is None:
+        raise ValueError("`mesh` was not read from an OpenFOAM case: use jm.export(plan, path).")
+    if source.content.plane is not None and source.content.plane.kind == "wedge":
+        raise ValueError(f"{path}: a case between wedges; OpenFOAM moves both planes, and a plan moves one.")
+    return source.content
 
 
 def _layer(content: Any) -> Layer | None:
