@@ -28,7 +28,7 @@ def each(names: str, value: Any) -> dict[str, Any]:
 
 BUILT = words("""
 io.Box jm.BoundaryQuality jm.Comparison jm.Control jm.Cure jm.FaceQuality jm.FreeFaces jm.Improvement jm.Inspection
-jm.LargestStep jm.MeshError jm.Plan jm.Proof jm.QualityReport jm.SmoothQuality jm.Steps jm.Surface jm.SurfaceHalf jm.Verdict
+jm.LargestStep jm.MeshError jm.Plan jm.Proof jm.QualityReport jm.SmoothQuality jm.Steps jm.Surface jm.SurfaceHalf jm.Turn jm.Verdict
 jm.WallQuality shapes.Fit shapes.QualityRows shapes.Stations
 """)
 """Classes whose constructors the library alone calls."""
@@ -104,6 +104,8 @@ OWNERS: dict[str, Callable[[], Any]] = {
     "jm.Plan": plan,
     "jm.Proof": Lazy(lambda: jm.proof(MESH)),
     "jm.QualityReport": report,
+    "jm.Steps": Lazy(lambda: jm.fewest_steps(plan(), MESH, U)),
+    "jm.Turn": Lazy(lambda: jm.Turn.of(np.asarray(MESH.points)[WALL], U)),
     "jm.Verdict": Lazy(lambda: jm.judge(MESH)),
     "jm.SurfaceHalf": Lazy(lambda: jm.prepare_surface(jm.Boundary(MESH, "wall", "far"), method=jm.InverseDistance())),
     "shapes.FreeForm": lambda: BOX,
@@ -385,7 +387,7 @@ SENSE = {
     "shapes.scale.factors": "number",
     **each("jm.QualityReport.worst.k jm.FaceQuality.worst.k jm.Proof.worst.k", "beyond"),
     **each("io.check_output.mesh io.periodic.mesh io.symmetry.mesh io.read_displacement.mesh io.write.mesh", "empty"),
-    **each("io.as_written.mesh io.boxes.mesh io.with_boxes.mesh", "empty"),
+    **each("io.as_written.mesh io.losses.mesh io.boxes.mesh io.with_boxes.mesh", "empty"),
     "continuity": "less",
     **each("shapes.History.path io.Decomposed.check_output.path", "ending"),
     "shapes.History.add.value": "none list nan array",

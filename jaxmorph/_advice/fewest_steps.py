@@ -38,6 +38,7 @@ class Steps:
     path: Float[Array, "k m d"]
     improvement: Improvement | None = None
 
+    @checked
     def path_to(self, u: Real[ArrayLike, "m d"]) -> Float[Array, "k m d"]:
         """Computes the path whose end is `u` (m, d): `path`, and what `u` adds, in equal parts.
 

@@ -45,7 +45,7 @@ def _proven(proof: jm.Proof, out: Output) -> list[str]:
 def info(request: Info, out: Output) -> int:
     with out.progress("reading"):
         is_su2 = request.file.suffix.lower() == ".su2"
-        meshes: list[Mesh] = [*io.read_zones(request.file)] if is_su2 else [io.read(request.file)]
+        meshes = list(io.read_zones(request.file) if is_su2 else [io.read(request.file)])
     if len(meshes) > 1 and request.picture is not None:
         raise ValueError(f"--picture is of one zone, {request.file} has {len(meshes)}: quality --zone 1 --picture ...")
     check_picture(request.picture, meshes[0])

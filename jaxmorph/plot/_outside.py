@@ -8,7 +8,7 @@ import numpy as np
 import jaxmorph as jm
 from jaxmorph.extend import lagrange_types
 
-from ._style import SEGMENTS, bodies, cell_values, finite
+from ._style import SEGMENTS, bodies, cell_values, check_cells, finite
 
 PIECES = 1_000_000
 """Pieces that a picture has about at most: edges of large meshes have fewer."""
@@ -40,6 +40,7 @@ def outlines(section: Any) -> Any:
 
 
 def patches_of(mesh: jm.Mesh, patch: str | None) -> Sequence[str]:
+    check_cells(mesh)
     return bodies(mesh) if patch is None else (patch,)
 
 

@@ -18,7 +18,7 @@ from . import _plane
 from ._files import page
 from ._plane import Figure, plt
 from ._space import before_after_3d, surface
-from ._style import BLUE, STILL, WIDTH, bodies, finite
+from ._style import BLUE, STILL, WIDTH, bodies, check_cells, finite
 
 FLAT = 0.45
 """Height over width of a window below which two of them stand one above the other."""
@@ -49,6 +49,7 @@ def picture(
 
     **Raises:** `ValueError` for another ending.
     """
+    check_cells(before)
     places = finite(before.points if points is None else before.moved(np.asarray(points)).points)
     path = output_path(path, *((".png",) if places.shape[1] == 2 else (".png", ".html")))
     nodes = _moved(before, places) if moving is None else rows_of("moving", moving, len(before.points))

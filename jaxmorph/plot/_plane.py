@@ -26,6 +26,7 @@ from ._style import (
     Values,
     bodies,
     cell_values,
+    check_cells,
     finite,
     scale_of,
 )
@@ -219,8 +220,7 @@ class PlaneCells:
             raise ValueError(
                 f"this is for 2-D meshes, not {mesh}; see `plot.surface`, `plot.cut` and `plot.before_after_3d`."
             )
-        if not sum(map(len, mesh.cells.values())):
-            raise ValueError(f"there is nothing to draw: {mesh} has no cells.")
+        check_cells(mesh)
         points = finite(mesh.points if points is None else mesh.moved(np.asarray(points)).points)
         cells = {kind: np.asarray(ids) for kind, ids in mesh.cells.items()}
         order = max(lagrange_types()[kind].order for kind in cells)

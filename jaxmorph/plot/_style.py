@@ -47,6 +47,11 @@ def finite(points: Any) -> np.ndarray:
     return array
 
 
+def check_cells(mesh: jm.Mesh) -> None:
+    if not sum(map(len, mesh.cells.values())):
+        raise ValueError(f"there is nothing to draw: {mesh} has no cells.")
+
+
 def cell_values(mesh: jm.Mesh, values: Any) -> np.ndarray:
     """Returns a value for each of `mesh.cells`, from one a cell, or one a whole polyhedron."""
     cells, known = len(mesh.cell_ids), f"{len(mesh.cell_ids)} cells"
