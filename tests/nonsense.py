@@ -380,7 +380,10 @@ SENSE = {
     **each("jm.march.path jm.replay.path jm.judge.points shapes.project.gradient", "nan infinite"),
     **each("jm.Limits.min_jacobian_ratio", "below beyond"),
     **{"jm.judge.part": "less"},
-    **each("jm.deform.u jm.pullback.u jm.velocity.u shapes.FreeForm.raise_if_torn.control", "nan infinite"),
+    **each(
+        "jm.Steps.path_to.u jm.deform.u jm.pullback.u jm.velocity.u shapes.FreeForm.raise_if_torn.control",
+        "nan infinite",
+    ),
     **each("u_dot cotangent jm.distortion.points jm.inverted.points jm.quality.points", "nan infinite"),
     **each("jm.face_quality.points jm.refit.points jm.smooth_quality.points", "nan infinite"),
     **each("jm.proof.points jm.proven_margin.points", "nan infinite"),

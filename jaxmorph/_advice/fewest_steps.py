@@ -45,6 +45,8 @@ class Steps:
         Traced and linear in `u`, so that `replay(steps.plans, steps.path_to(u))` has derivatives by
         `u`. The turn of `path` stays.
         """
+        if np.shape(u) != self.path.shape[1:]:
+            raise ValueError(f"`u` has shape {np.shape(u)}; the path ends at {self.path.shape[1:]}.")
         shares = jnp.arange(1, self.count + 1, dtype=self.path.dtype) / self.count
         return self.path + shares[:, None, None] * (jnp.asarray(u) - self.path[-1])[None]
 

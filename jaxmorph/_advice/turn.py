@@ -75,8 +75,10 @@ class Turn:
         whole("steps", steps)
         return jnp.stack([*(self.at(step / steps) for step in range(1, steps)), jnp.asarray(self.u)])
 
-    def keeps(self, points: Float[np.ndarray, "k d"]) -> bool:
+    @checked
+    def keeps(self, points: Real[ArrayLike, "k d"]) -> bool:
         """Whether the rotation takes a surface to itself: round about its axis, or flat across."""
+        points = finite_array("points", points, (None, self.u.shape[1]))
         if not self.angle:
             return False
         arms = in_space(points) - self.centre

@@ -78,7 +78,7 @@ def clipped(target: Facets, plane: Plane, side: float, slack: float) -> tuple[Cl
     pairs, place = np.unique(np.concatenate(cuts).reshape(-1, 2), axis=0, return_inverse=True)
     if not len(pairs) or not (on := (height[pairs[:, 0]] == 0) | (pairs[:, 0] != pairs[:, 1])).any():
         raise ValueError(
-            f"the target ends {np.abs(height).min():.3g} before the symmetry plane through {tuple(np.round(plane.origin, 6).tolist())}. "
+            f"the target ends {np.abs(height).min():.3g} before the symmetry plane through {_place(plane.origin)}. "
             "Extend the target, or leave the plane out."
         )
     clip = Clip(pairs, on, plane)
@@ -173,7 +173,7 @@ def _on_points(own: Curves, other: Curves, kinds: tuple[int, ...]) -> list[Rail]
     pairs = KDTree(places).query_pairs(0, output_type="ndarray") if len(rows) else np.zeros((0, 2), int)
     if len(pairs):
         raise MeshError(
-            f"{len(np.unique(pairs))} corners of the wall share one of the target, at {tuple(np.round(places[pairs[0, 0]], 6).tolist())}, one is "
+            f"{len(np.unique(pairs))} corners of the wall share one of the target, at {_place(places[pairs[0, 0]])}, one is "
             "node {node}. Name pairs in `features`, or find fewer edges by the `angle` of `Facets`.",
             rows[np.unique(pairs)],
         )
@@ -211,6 +211,10 @@ def _beside(rows: np.ndarray, edges: np.ndarray) -> np.ndarray:
     both = both[np.lexsort(both.T[::-1])]
     first, last = np.searchsorted(both[:, 0], rows), np.searchsorted(both[:, 0], rows, side="right") - 1
     return np.stack([np.where(first == last, rows, both[first, 1]), both[last, 1]], axis=1)
+
+
+def _place(point: np.ndarray) -> str:
+    return f"({', '.join(f'{x:.6g}' for x in point)})"
 
 
 def _parts(edges: np.ndarray, count: int) -> np.ndarray:

@@ -345,8 +345,9 @@ def _check_one_to_one(made: Onto, x: np.ndarray, moved: np.ndarray) -> None:
         bad, what = inner[off < 1e-9 * np.ptp(x, axis=0).max()][:, None], "end on the border of the target"
     if len(bad):
         many = f"{len(bad)} of {len(faces)} faces" if bad.shape[1] > 1 else f"{len(bad)} inner nodes"
+        place = ", ".join(f"{each:.6g}" for each in x[bad[0, 0]])
         raise MeshError(
-            f"{many} of the wall {what}, at node {{node}} near {tuple(np.round(x[bad[0, 0]], 6).tolist())}: the way onto the target is not one to "
+            f"{many} of the wall {what}, at node {{node}} near ({place}): the way onto the target is not one to "
             "one there. Extend or repair the target, name pairs of curves in `features`, or give a `length` to stay near it.",
             np.unique(bad),
         )
