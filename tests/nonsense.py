@@ -389,7 +389,7 @@ SENSE = {
     **each("jm.proof.points jm.proven_margin.points", "nan infinite"),
     **each("jm.wall_quality.points jm.soft_maximum.values plot.values", "nan infinite number axis"),
     **each("jm.save.path jm.export.path jm.soft_maximum.axis", "ending less list"),
-    **each("jm.KDTree.with_sources.points jm.Plane.through.points", "short"),
+    **each("jm.KDTree.with_sources.points jm.Plane.through.points jm.Turn.keeps.points", "short"),
     "jm.Mesh.points": "nan infinite short",
     **each("jm.Mesh.moved.points jm.Mesh.in_file_order.points", "nan infinite"),
     **each("jm.Periodic.patch jm.Periodic.partner jm.Slide.patch", "word beyond huge below"),
