@@ -463,7 +463,7 @@ def test_the_angle_of_attack_is_told_and_left_alone(folder):
 
 
 # SU2's own tutorials in what concerns the mesh: RAE2822, NACA0012 (unsteady), the wedge, the bend; each with what is said of it
-CORNERS = f"0, -1, 0, 1, -1, 0, 1, 1, 0, 0, 1, 0, {', '.join('0' * 12)}"
+HALF_BOX = f"0, -1, 0, 1, -1, 0, 1, 1, 0, 0, 1, 0, {', '.join('0' * 12)}"
 TUTORIALS = {
     "RAE2822": ("HICKS_HENNE", "( 1, 0.5 )", "0.01", "OPT_RELAX_FACTOR= 1E2\nOPT_LINE_SEARCH_BOUND= 1E6\n",
                 ["the wall moves by 0.99.* times its own length: OPT_RELAX_FACTOR= 100 multiplies"]),
@@ -475,7 +475,7 @@ TUTORIALS = {
     "wedge": ("FFD_CONTROL_POINT_2D", "(MAIN, 3,0, 0,1.0,0,0 )", "0.5", TABLE + "FFD_CONTINUITY= 2ND_DERIVATIVE\n",
               ["DV_PARAM= FFD_CONTROL_POINT_2D has 5 parameters, left out: 0 0"]),
     "heat": ("FFD_SETTING", "(( UPPER, 14, 1, 0.0, 1.0 ), ( LOWER, 14, 1, 0.0, 1.0 ))", "0",
-             f"FFD_DEFINITION= (UPPER, {CORNERS}); \\\n (LOWER, {CORNERS}, 0.0)\nFFD_DEGREE= ( 14, 1, 0); ( 14, 1, 0)\n",
+             f"FFD_DEFINITION= (UPPER, {HALF_BOX}); \\\n (LOWER, {HALF_BOX}, 0.0)\nFFD_DEGREE= ( 14, 1, 0); ( 14, 1, 0)\n",
              ["FFD_DEFINITION= box LOWER has 24 numbers, left out: 0.0"]),
     "RBF": ("HICKS_HENNE", "( 1, 0.5 )", "0.1", "DEFORM_KIND= RBF\nRBF_DATA_REDUCTION= YES\nRBF_GREEDY_TOLERANCE= 1E-3\n",
             ["not honoured .*: DEFORM_KIND= RBF"]),
