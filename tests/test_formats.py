@@ -13,13 +13,16 @@ import pytest
 from formats import ENDINGS, OTHERS, SINGLE, rewritten, write, written
 from meshes import bricks
 from plot3d import write as write_plot3d
+from runs import over
 
 import jaxmorph as jm
 from jaxmorph import io
 from jaxmorph.cli import main
 
+APART = (".vtu", ".vtk", ".meshb", ".xdmf", ".unv", ".inp", ".ugrid")  # read in a process of its own
 
-@pytest.mark.parametrize("source", ENDINGS)
+
+@over("source", fast=[each for each in ENDINGS if each not in APART], slow=[each for each in ENDINGS if each in APART])
 def test_every_pair_is_decided_before_any_work(tmp_path, capsys, source):
     mesh = io.read(written(tmp_path, source))
     moved = mesh.moved(np.asarray(mesh.points) + 1)

@@ -392,7 +392,7 @@ LARGE = {
 }
 
 
-@pytest.mark.parametrize("name", LARGE)
+@over("name", fast=[*LARGE][:1], slow=[*LARGE][1:])
 def test_a_large_motion_passes_in_one_call_and_is_differentiated(name):
     make, motion = LARGE[name]
     mesh = make()
@@ -416,6 +416,7 @@ def test_a_large_motion_passes_in_one_call_and_is_differentiated(name):
     np.testing.assert_allclose(np.vdot(jax.grad(objective)(u), way), difference, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_sleeve_slides_where_no_number_of_steps_follows():
     """135 degrees: straight edges cannot follow; the round outer patch turns with the body."""
     mesh = sleeve()

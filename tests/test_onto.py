@@ -60,7 +60,7 @@ def roughness(facets):
     return np.median(np.arccos(np.clip(np.einsum("kd,ked->ke", unit, unit[np.asarray(facets.beside)]), -1, 1)))
 
 
-@pytest.mark.parametrize("smooth", [False, True])
+@pytest.mark.parametrize("smooth", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_a_ball_goes_onto_an_ellipsoid_with_a_bump(smooth):
     mesh = layered()
     wall, onto = jm.Facets.of(mesh, "wall"), target(smooth=smooth)
@@ -77,6 +77,7 @@ def test_a_ball_goes_onto_an_ellipsoid_with_a_bump(smooth):
     assert np.ptp(np.log(sizes[1] / sizes[0])) < 0.7 * np.ptp(np.log(nearest / sizes[0]))  # than closest points alone
 
 
+@pytest.mark.slow
 def test_numbering_sense_and_soup_of_the_target_do_not_matter():
     wall, onto = jm.Facets(*ball(100)), target(300)
     u = shapes.onto(wall, onto)
@@ -92,6 +93,7 @@ def test_numbering_sense_and_soup_of_the_target_do_not_matter():
         np.testing.assert_allclose(shapes.onto(wall, other), u, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_target_elsewhere_is_found_by_a_rigid_motion():
     wall, onto = jm.Facets(*ball(100)), target(300)
     wall = jm.Facets(wall.points * np.array([[1.25, 1.0, 0.9]]), wall.faces)
@@ -115,6 +117,7 @@ def test_the_sharp_edge_of_an_airfoil_goes_onto_the_sharp_edge():
     assert np.abs(np.log(growth[1:] / growth[:-1])).max() < 0.03  # spacing
 
 
+@pytest.mark.slow
 def test_curves_that_are_named_go_onto_each_other():
     """The tails as if no angle told them; in 3-D the nose's line too, which is not sharp."""
     (ring, edges), (other, segments) = section(1e-12, 0.12, 25), section(0.03, 0.14, 41, chord=1.05)
@@ -136,6 +139,7 @@ def test_curves_that_are_named_go_onto_each_other():
     assert float(onto.distance(x).max()) < 1e-12
 
 
+@pytest.mark.slow
 def test_numbering_of_the_wall_does_not_matter():
     points, faces = ball(80)
     order, onto = np.random.default_rng(1).permutation(80), target(300)
@@ -144,6 +148,7 @@ def test_numbering_of_the_wall_does_not_matter():
     np.testing.assert_allclose(shapes.onto(mixed, onto), u[order], atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("span", [(0, 1), (-0.3, 1.2)])
 def test_an_extruded_airfoil_stays_between_its_planes(span):
     (ring, edges), (other, segments) = section(1e-12, 0.12, 25), section(0.03, 0.14, 41, chord=1.05)
@@ -159,6 +164,7 @@ def test_an_extruded_airfoil_stays_between_its_planes(span):
         shapes.onto(wall, jm.Facets(*extruded(other, segments, [0.2, 1])), symmetry=Z)
 
 
+@pytest.mark.slow
 def test_edges_and_corners_of_a_box_go_onto_those_of_a_turned_box():
     cube = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
     sides = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
@@ -185,6 +191,7 @@ def refined(corners, quads, count):
     return different, place.ravel()[np.concatenate([pieces + k * len(shares) for k in range(len(quads))])]
 
 
+@pytest.mark.slow
 def test_a_scan_with_noise_is_smoothed():
     (ring, edges), rng = section(0.02, 0.12, 41), np.random.default_rng(0)
     half, segments = section(0.02, 0.12, 21)
@@ -217,6 +224,7 @@ def test_derivatives_by_both_surfaces_equal_differences():
         assert float(jnp.sum(gradient * along)) == pytest.approx(slope, rel=1e-8, abs=1e-8)
 
 
+@pytest.mark.slow
 def test_many_targets_at_once():
     (ring, edges), (other, segments) = section(1e-12, 0.12, 21), section(0.02, 0.14, 41)
     made = shapes.Onto(jm.Facets(ring, edges), jm.Facets(other, segments))
@@ -229,6 +237,7 @@ def test_many_targets_at_once():
         made(ring[1:])
 
 
+@pytest.mark.slow
 def test_a_function_of_closest_places_is_a_target():
     points, faces = ball(150)
     keep = (points[faces].mean(axis=1)[:, 2] > 0.1).nonzero()[0]
