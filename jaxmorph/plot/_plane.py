@@ -274,7 +274,8 @@ def _sides(
     cell = lagrange_types()[kind]
     corners = FOUR_CORNERS[cell.shape]
     edges = {frozenset(edge[:2].tolist()): edge for edge in cell.edges}
-    powers = [np.vander(at, cell.order + 1) for at in (along, np.linspace(0, 1, cell.order + 1))]
+    places = np.append([0, 1], np.arange(1, cell.order) / cell.order)  # of an edge's nodes: both ends come first
+    powers = [np.vander(at, cell.order + 1) for at in (along, places)]
     weights = powers[0] @ np.linalg.inv(powers[1])
     sides, between = [], []
     for first, second in zip(corners, [*corners[1:], corners[0]], strict=True):
