@@ -1,6 +1,7 @@
 """Inverse distance weighting (Luke, Collins and Blades, J. Comput. Phys. 231, 2012)."""
 
 from collections.abc import Mapping
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -115,11 +116,17 @@ class InverseDistanceField(AbstractField):
         squared = jnp.maximum(squared_distances(points, self.surface), (SMALLEST * extent) ** 2)
         least = jax.lax.stop_gradient(squared.min(axis=1, keepdims=True))
         ratio = least / squared
-        largest = float(jnp.finfo(points.dtype).max) ** 0.25  # squared in derivatives, and added up
-        bound = largest ** (2 / (near - far)) if near > far else jnp.inf
+        bound = nearest_bound(self.method, points.dtype)
         local = alpha**near * jnp.minimum(extent**2 / least, bound) ** ((near - far) / 2)
         weights = self.factors.area[None] * (_power(ratio, far) + local * _power(ratio, near))
         return weights / weights.sum(axis=1, keepdims=True)
+
+
+def nearest_bound(method: InverseDistance, dtype: Any) -> float:
+    """The largest (L / r)^2 in the weight of the nearest nodes."""
+    far, near = method.far, method.near
+    largest = float(jnp.finfo(dtype).max) ** 0.25  # squared in derivatives, and added up
+    return largest ** (2 / (near - far)) if near > far else float("inf")
 
 
 def _power(squared: Float[Array, "..."], exponent: float) -> Float[Array, "..."]:

@@ -12,13 +12,13 @@ from scipy.sparse import csr_array, vstack
 
 from .base import AbstractMethod
 from .delaunay import DelaunayGraph
-from .inverse_distance import SMALLEST, InverseDistance, InverseDistanceFactors
+from .inverse_distance import SMALLEST, InverseDistance, InverseDistanceFactors, nearest_bound
 from .local import LocalCorrection
 from .multiscale import Hierarchy, Multiscale
 from .nearwall import NearWall
 from .rbf import basis as bases
 from .rbf.expansion import Expansion, RBFFactors
-from .rbf.fitted import FitFactors, FittedRBF, WallIds
+from .rbf.fitted import FitFactors, FittedRBF, WallIds, deflection
 from .rbf.rbf import RBF
 from .reconstruction import SurfaceReconstruction
 from .sparse import Interpolation
@@ -167,7 +167,7 @@ def _(method: SurfaceReconstruction, tape, ids, factors, rows) -> Field:
 @recorded.register(DelaunayGraph)
 @recorded.register(LocalCorrection)
 def _(method, tape, ids, factors, rows) -> Field:
-    return _interpolated(rows.u)
+    return _Interpolated(rows.u)
 
 
 @recorded.register
@@ -181,7 +181,7 @@ def _(method: Multiscale, tape, ids: Hierarchy, factors, rows) -> Field:
     order = np.asarray(_topological(row, column, count))
     arrays = tape.array(below.indptr, "i8"), tape.array(below.indices, "i4"), tape.array(below.data)
     tape.step("forward", values, -1, *arrays, tape.array(order, "i4"))
-    return _interpolated(values)
+    return _Interpolated(values)
 
 
 def _topological(row: np.ndarray, column: np.ndarray, count: int) -> np.ndarray:
@@ -202,12 +202,12 @@ def _(method: NearWall, tape, ids, factors, rows) -> Field:
 
     def add(tape: Tape, out: int, places: Places) -> None:
         place, outside = places.placed, np.asarray(places.placed.outside)
-        if isinstance(place.correction, Interpolation) and not isinstance(method.correction, Multiscale):
-            inner = _matrix(places.of(place.correction, outside), count)
-            tape.sparse(out, rows.u, _matrix(places.of(place.wall), count) + inner)
+        wall, inner = _matrix(places.of(place.wall), count), places.of(place.correction, outside)
+        if isinstance(correction, _Interpolated) and correction.values == rows.u:  # one product in place of two
+            tape.sparse(out, rows.u, wall + _matrix(inner, count))
         else:
-            tape.sparse(out, rows.u, _matrix(places.of(place.wall), count))
-            correction(tape, out, places.of(place.correction, outside))
+            tape.sparse(out, rows.u, wall)
+            correction(tape, out, inner)
 
     return add
 
@@ -220,8 +220,14 @@ def _system_of(factors: RBFFactors) -> np.ndarray:
     return (matrix + matrix.T) / 2
 
 
-def _interpolated(values: int) -> Field:
-    return lambda tape, out, places: tape.sparse(out, values, _matrix(places, tape.rows[values]))
+@dataclasses.dataclass(frozen=True)
+class _Interpolated:
+    """A field of weighted sums of the rows of a register."""
+
+    values: int
+
+    def __call__(self, tape: Tape, out: int, places: Places) -> None:
+        tape.sparse(out, self.values, _matrix(places, tape.rows[self.values]))
 
 
 def _matrix(places: Places, columns: int) -> csr_array:
@@ -239,8 +245,7 @@ def _matrix(places: Places, columns: int) -> csr_array:
 
 @recorded.register
 def _(method: InverseDistance, tape, ids, factors: InverseDistanceFactors, rows) -> Field:
-    alpha, extent, most = float(method.alpha), float(factors.extent), float(np.finfo(float).max) ** 0.25
-    bound = most ** (2 / (method.near - method.far)) if method.near > method.far else np.inf
+    alpha, extent, bound = float(method.alpha), float(factors.extent), nearest_bound(method, np.float64)
     numbers = tape.array([method.far, method.near, alpha, extent, bound, (SMALLEST * extent) ** 2])
 
     def add(tape: Tape, out: int, places: Places) -> None:
@@ -319,11 +324,17 @@ class _Fit:
         polynomial[:moving] = factors.polynomial[ids.moving]
         polynomial[moving + fixed :][: len(ids.far)] = factors.ring
         tape.dense(values, affine, polynomial)
-        held, rings, behind = _chosen(ids.fixed, count), _rings(ids, count), _behind_tips(ids, count)
+        held, rings, behind = self._outside
         empty = csr_array((moving, count))
         tape.sparse(values, u, _stacked([empty, held, 0 * rings, behind], tail))
         tape.sparse(values, rest, _stacked([empty, 0 * held, rings], tail))
         return _expansion(self.method.rbf.expansion, tape, factors.rbf, values)
+
+    @functools.cached_property
+    def _outside(self) -> tuple[csr_array, csr_array, csr_array]:
+        """Values at fixed sources, rings and behind tips, of those at the surface's rows."""
+        count = len(self.rows.is_held)
+        return _chosen(self.ids.fixed, count), _rings(self.ids, count), _behind_tips(self.ids, count)
 
     def _solved(self, rest: int, affine: int) -> Sequence[tuple[float, int]]:
         """Records the solves of the fit and of least squares, each with its share."""
@@ -333,8 +344,7 @@ class _Fit:
         held = np.flatnonzero(self.rows.is_held[ids.fixed])
         others = np.delete(np.arange(factors.outside.shape[1]), held)
         outside, at_nodes, along = map(tape.register, (len(others), len(ids.nodes), len(ids.edges)))
-        matrices = _chosen(ids.fixed, count), _rings(ids, count), _behind_tips(ids, count)
-        tape.sparse(outside, rest, csr_array(vstack(matrices))[others])
+        tape.sparse(outside, rest, csr_array(vstack(self._outside))[others])
         tape.step("take", at_nodes, rest, tape.array(ids.nodes, "i4"))
         of_affine, solved = factors.polynomial[ids.fixed[held]], []
         if share > 0:
@@ -369,8 +379,7 @@ def _stacked(blocks: Sequence[csr_array], rows: int) -> csr_array:
 
 def _rings(ids: WallIds, count: int) -> csr_array:
     """`WallIds.at_rings` as a matrix."""
-    squared = ids.reach**2
-    fade = (1 - squared + squared * np.log(squared)) / max(1, len(ids.moving))
+    fade = np.asarray(deflection(ids.reach)) / max(1, len(ids.moving))
     rows, columns = map(np.ravel, np.meshgrid(np.arange(len(fade)), ids.moving, indexing="ij"))
     return csr_array((fade[rows], (rows, columns)), (len(fade), count))
 

@@ -55,14 +55,17 @@ def by_gmsh(file: str, most: int) -> tuple[Any, list[tuple[int, Any, list[str], 
     gmsh.open(file)
     mesh, found = gmsh.model.mesh, []
     tags, places, _ = map(np.asarray, mesh.getNodes())
+    # gmsh's tags of nodes have gaps and any order: node i is the one with the i-th smallest tag
+    order = np.argsort(tags)
+    ascending = tags[order]
     for level, entity in gmsh.model.getEntities():
         groups = gmsh.model.getPhysicalGroupsForEntity(level, entity)
         names = [gmsh.model.getPhysicalName(level, group) or f"group_{group}" for group in groups]
         for number, _, nodes in zip(*mesh.getElements(level, entity), strict=True):
             width = mesh.getElementProperties(number)[3]
-            ids = np.searchsorted(np.sort(tags), nodes).reshape(-1, width)
+            ids = np.searchsorted(ascending, nodes).reshape(-1, width)
             found.append((int(number), ids, names, entity))
-    return places.reshape(-1, 3)[np.argsort(tags)], found
+    return places.reshape(-1, 3)[order], found
 
 
 def by_vtk(path: pathlib.Path, folder: pathlib.Path, most: int) -> None:

@@ -445,48 +445,33 @@ static void jm_field(const jm_plan *q, const jm_step *s, int64_t first, int64_t 
     else jm_mean(d, points, sources, numbers, shares, jm_real(q, s->array[4]), last - first, rows, in, out, bar);
 }
 
-/* One step for rows first to last of its register. `in` is the register that it reads: as columns for JM_KERNEL. */
-static int jm_apply(const jm_plan *q, const jm_step *s, int64_t first, int64_t last, const double *in, double *out) {
-    const int64_t d = q->d;
+/* One step for rows first to last of its register. `in` is the register that it reads: as columns for JM_KERNEL.
+   Turned: takes the cotangent `out`, which it may change, and adds to the cotangent `bar` of the other register. */
+static int jm_apply(const jm_plan *q, const jm_step *s, int64_t first, int64_t last, const double *in, double *out, double *bar, int turned) {
+    const int64_t d = q->d, n = (last - first) * d;
+    const int32_t *from;
     switch (s->code) {
-    case JM_ADD: for (int64_t i = 0; i < (last - first) * d; i++) out[i] += (double)s->number * in[first * d + i]; return 0;
-    case JM_SHIFT: for (int64_t i = 0; i < (last - first) * d; i++) out[i] += jm_real(q, s->array[0])[first * d + i]; return 0;
+    case JM_ADD:
+        if (turned) jm_axpy((double)s->number, out, bar + first * d, n);
+        else jm_axpy((double)s->number, in + first * d, out, n);
+        return 0;
+    case JM_SHIFT: if (!turned) jm_axpy(1, jm_real(q, s->array[0]) + first * d, out, n); return 0;
     case JM_TAKE:
-        for (int64_t i = first; i < last; i++) for (int64_t k = 0; k < d; k++)
-            out[(i - first) * d + k] += in[(int64_t)jm_int(q, s->array[0])[i] * d + k];
+        from = jm_int(q, s->array[0]);
+        for (int64_t i = first; i < last; i++) for (int64_t k = 0; k < d; k++) {
+            if (turned) bar[from[i] * d + k] += out[(i - first) * d + k];
+            else out[(i - first) * d + k] += in[from[i] * d + k];
+        }
         return 0;
     case JM_SPARSE:
-        if (d == 2) jm_sparse(2, jm_long(q, s->array[0]), jm_int(q, s->array[1]), jm_real(q, s->array[2]), first, last, in, out, NULL);
-        else jm_sparse(3, jm_long(q, s->array[0]), jm_int(q, s->array[1]), jm_real(q, s->array[2]), first, last, in, out, NULL);
+        if (d == 2) jm_sparse(2, jm_long(q, s->array[0]), jm_int(q, s->array[1]), jm_real(q, s->array[2]), first, last, in, out, bar);
+        else jm_sparse(3, jm_long(q, s->array[0]), jm_int(q, s->array[1]), jm_real(q, s->array[2]), first, last, in, out, bar);
         return 0;
-    case JM_KERNEL: case JM_MEAN: jm_field(q, s, first, last, in, out, NULL); return 0;
-    case JM_PUT: case JM_PLANE: case JM_TURN: jm_rows(q, s, first, last, in, out, NULL, 0); return 0;
-    case JM_PAIR: case JM_COPY: jm_pair(q, s, out, 0); return 0;
-    case JM_FORWARD: jm_forward(q, s, out, 0); return 0;
-    case JM_DENSE: return jm_product(q, s, in, out, 0);
-    default: return jm_solve(q, s, out);
-    }
-}
-
-/* The transpose: takes the cotangent `out` of the step's register, which it may change, and adds to that of the other. */
-static int jm_turn(const jm_plan *q, const jm_step *s, int64_t first, int64_t last, double *out, double *bar) {
-    const int64_t d = q->d;
-    switch (s->code) {
-    case JM_ADD: for (int64_t i = 0; i < (last - first) * d; i++) bar[first * d + i] += (double)s->number * out[i]; return 0;
-    case JM_SHIFT: return 0;
-    case JM_TAKE:
-        for (int64_t i = first; i < last; i++) for (int64_t k = 0; k < d; k++)
-            bar[(int64_t)jm_int(q, s->array[0])[i] * d + k] += out[(i - first) * d + k];
-        return 0;
-    case JM_SPARSE:
-        if (d == 2) jm_sparse(2, jm_long(q, s->array[0]), jm_int(q, s->array[1]), jm_real(q, s->array[2]), first, last, NULL, out, bar);
-        else jm_sparse(3, jm_long(q, s->array[0]), jm_int(q, s->array[1]), jm_real(q, s->array[2]), first, last, NULL, out, bar);
-        return 0;
-    case JM_KERNEL: case JM_MEAN: jm_field(q, s, first, last, NULL, out, bar); return 0;
-    case JM_PUT: case JM_PLANE: case JM_TURN: jm_rows(q, s, first, last, NULL, out, bar, 1); return 0;
-    case JM_PAIR: case JM_COPY: jm_pair(q, s, out, 1); return 0;
-    case JM_FORWARD: jm_forward(q, s, out, 1); return 0;
-    case JM_DENSE: return jm_product(q, s, out, bar, 1);
+    case JM_KERNEL: case JM_MEAN: jm_field(q, s, first, last, in, out, bar); return 0;
+    case JM_PUT: case JM_PLANE: case JM_TURN: jm_rows(q, s, first, last, in, out, bar, turned); return 0;
+    case JM_PAIR: case JM_COPY: jm_pair(q, s, out, turned); return 0;
+    case JM_FORWARD: jm_forward(q, s, out, turned); return 0;
+    case JM_DENSE: return jm_product(q, s, turned ? out : in, turned ? bar : out, turned);
     default: return jm_solve(q, s, out);
     }
 }
@@ -684,14 +669,15 @@ static int64_t jm_fit_size(const jm_plan *q) {
     return size;
 }
 
-static int jm_run(const jm_plan *q, const jm_step *s, double *registers) {
-    double *in = jm_register(q, registers, s->in), *columns = NULL;
+/* One step for all rows of its register. */
+static int jm_whole(const jm_plan *q, const jm_step *s, double *registers, int turned) {
+    double *other = jm_register(q, registers, s->in), *columns = NULL, *in;
     int failed;
-    if (s->code == JM_KERNEL) {
-        if (!(columns = (double *)malloc((size_t)(jm_room(q, s) + 1) * sizeof(double)))) return 1;
-        jm_columns(in, q->rows[s->in], q->d, columns);
-    }
-    failed = jm_apply(q, s, 0, q->rows[s->out], columns ? columns : in, jm_register(q, registers, s->out));
+    if (s->code == JM_KERNEL && !(columns = (double *)calloc((size_t)(jm_room(q, s) + 1), sizeof(double)))) return 1;
+    if (columns && !turned) jm_columns(other, q->rows[s->in], q->d, columns);
+    in = columns ? columns : other;
+    failed = jm_apply(q, s, 0, q->rows[s->out], in, jm_register(q, registers, s->out), turned ? in : NULL, turned);
+    if (columns && turned) jm_add_columns(1, columns, q->rows[s->in], q->d, other);
     free(columns);
     return failed;
 }
@@ -700,7 +686,7 @@ double *jm_fit(const jm_plan *q, const double *u) {
     double *fit = (double *)calloc((size_t)jm_fit_size(q), sizeof(double)), *more;
     if (!fit) return NULL;
     memcpy(fit, u, (size_t)(q->m * q->d) * sizeof(double));
-    for (int64_t k = 0; k < q->first; k++) if (jm_run(q, q->step + k, fit)) { free(fit); return NULL; }
+    for (int64_t k = 0; k < q->first; k++) if (jm_whole(q, q->step + k, fit, 0)) { free(fit); return NULL; }
     more = fit + q->place[q->registers];
     for (int64_t k = q->first; k < q->steps; k++) {
         const jm_step *s = q->step + k;
@@ -715,7 +701,7 @@ static void jm_move_rows(const jm_plan *q, const double *fit, int64_t first, int
     memset(points, 0, (size_t)((last - first) * q->d) * sizeof(double));
     for (int64_t k = q->first; k < q->steps; k++) {
         const jm_step *s = q->step + k;
-        jm_apply(q, s, first, last, s->code == JM_KERNEL ? more : s->in < 0 ? NULL : fit + q->place[s->in], points);
+        jm_apply(q, s, first, last, s->code == JM_KERNEL ? more : s->in < 0 ? NULL : fit + q->place[s->in], points, NULL, 0);
         more += jm_room(q, s);
     }
 }
@@ -751,7 +737,7 @@ static void jm_pull_rows(const jm_plan *q, int64_t first, int64_t last, double *
     for (int64_t k = q->steps - 1; k >= q->first; k--) {
         const jm_step *s = q->step + k;
         more -= jm_room(q, s);
-        jm_turn(q, s, first, last, out, s->code == JM_KERNEL ? more : jm_register(q, registers, s->in));
+        jm_apply(q, s, first, last, NULL, out, s->code == JM_KERNEL ? more : jm_register(q, registers, s->in), 1);
     }
 }
 
@@ -762,16 +748,6 @@ static void jm_pull_part(const jm_plan *q, const double *points_bar, int64_t fir
         memcpy(out, points_bar + at * q->d, (size_t)((end - at) * q->d) * sizeof(double));
         jm_pull_rows(q, at, end, out, registers, registers + q->place[q->registers]);
     }
-}
-
-static int jm_turn_whole(const jm_plan *q, const jm_step *s, double *registers) {
-    double *bar = jm_register(q, registers, s->in), *columns = NULL;
-    int failed;
-    if (s->code == JM_KERNEL && !(columns = (double *)calloc((size_t)(jm_room(q, s) + 1), sizeof(double)))) return 1;
-    failed = jm_turn(q, s, 0, q->rows[s->out], jm_register(q, registers, s->out), columns ? columns : bar);
-    if (columns) jm_add_columns(1, columns, q->rows[s->in], q->d, bar);
-    free(columns);
-    return failed;
 }
 
 /* Parts of the points, as many for any number of threads, have sums of their own: equal bits. */
@@ -795,7 +771,7 @@ int jm_pullback(const jm_plan *q, const double *points_bar, double *u_bar) {
         if (s->code == JM_KERNEL) jm_add_columns(1, more, q->rows[s->in], q->d, registers + q->place[s->in]);
         more += jm_room(q, s);
     }
-    for (int64_t k = q->first - 1; k >= 0 && !failed; k--) failed = jm_turn_whole(q, q->step + k, registers);
+    for (int64_t k = q->first - 1; k >= 0 && !failed; k--) failed = jm_whole(q, q->step + k, registers, 1);
     if (!failed) memcpy(u_bar, registers, (size_t)(q->m * q->d) * sizeof(double));
     free(registers);
     return failed;

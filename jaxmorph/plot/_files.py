@@ -87,11 +87,7 @@ def page(
     **Raises:** `ValueError` as `surface` does, for another ending and a missing folder;
     `ImportError` for a missing k3d.
     """
-    path = output_path(path, ".html", ".htm")
-    try:
-        k3d: Any = importlib.import_module("k3d")  # its own types know no time series
-    except ImportError as error:
-        raise ImportError("pages need k3d: pip install 'jaxmorph[plot]'") from error
+    path, k3d = output_path(path, ".html", ".htm"), _k3d()
     patches = patches_of(mesh, patch)
     faces = outside(mesh, points, values, patches)
     before, after = (np.asarray(part.points, float) for part in (outside(mesh, None, None, patches), faces))
@@ -118,6 +114,14 @@ def page(
     with complete(path) as partial:
         partial.write_bytes(code)
     return path
+
+
+def _k3d() -> Any:
+    """The package, as its own types know no time series."""
+    try:
+        return importlib.import_module("k3d")
+    except ImportError as error:
+        raise ImportError("pages need k3d: pip install 'jaxmorph[plot]'") from error
 
 
 def _shade(lengths: np.ndarray, values: Any, limits: Limits | None) -> tuple[str, Limits, dict[str, Any]]:

@@ -146,8 +146,13 @@ class WallIds(eqx.Module):
         It is the share of the deflection of a plate that is held at the far field and pushed in the
         middle.
         """
-        mean, squared = values[self.moving].mean(axis=0), self.reach.astype(values.dtype) ** 2
-        return (1 - squared + squared * jnp.log(squared))[:, None] * mean[None]
+        return deflection(self.reach.astype(values.dtype))[:, None] * values[self.moving].mean(axis=0)[None]
+
+
+def deflection(reach: Float[Array | np.ndarray, " r"]) -> Float[Array, " r"]:
+    """The share of the walls' motion at a share of the way to the far field."""
+    squared = reach**2
+    return 1 - squared + squared * jnp.log(squared)
 
 
 def _at_tips(
