@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import scipy.linalg
 from scipy.sparse import csr_array, vstack
@@ -379,7 +380,7 @@ def _stacked(blocks: Sequence[csr_array], rows: int) -> csr_array:
 
 def _rings(ids: WallIds, count: int) -> csr_array:
     """`WallIds.at_rings` as a matrix."""
-    fade = np.asarray(deflection(ids.reach)) / max(1, len(ids.moving))
+    fade = np.asarray(deflection(jnp.asarray(ids.reach))) / max(1, len(ids.moving))
     rows, columns = map(np.ravel, np.meshgrid(np.arange(len(fade)), ids.moving, indexing="ij"))
     return csr_array((fade[rows], (rows, columns)), (len(fade), count))
 

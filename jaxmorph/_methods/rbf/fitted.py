@@ -149,7 +149,7 @@ class WallIds(eqx.Module):
         return deflection(self.reach.astype(values.dtype))[:, None] * values[self.moving].mean(axis=0)[None]
 
 
-def deflection(reach: Float[Array | np.ndarray, " r"]) -> Float[Array, " r"]:
+def deflection(reach: Float[Array, " r"]) -> Float[Array, " r"]:
     """The share of the walls' motion at a share of the way to the far field."""
     squared = reach**2
     return 1 - squared + squared * jnp.log(squared)
