@@ -138,15 +138,6 @@ HOMES = {"Content", "Elements", "Form", "Patch", "_Content"}
 """Names of classes that files of several formats define: the list may only shrink."""
 
 
-def test_type_checkers_see_the_public_names():
-    import jaxmorph as jm
-
-    (block,) = (node for node in tree_of(ROOT / "jaxmorph" / "__init__.py").body if isinstance(node, ast.If))
-    imports = [node for node in block.body if isinstance(node, ast.ImportFrom)]
-    seen = {alias.name: node.module and f".{node.module}" for node in imports for alias in node.names}
-    assert {name: module or "" for name, module in seen.items()} == jm._MODULES
-
-
 def test_outer_rooms_import_public_names_alone():
     outer = [each for each in imports_between_rooms() if each.rooms[0] in OUTER and each.rooms[1] != "_demo"]
     inner = {(each.rooms[0], each.module.removeprefix("jaxmorph.")) for each in outer}
