@@ -201,12 +201,14 @@ def sections(path: pathlib.Path, data: bytes, at: int) -> Iterator[tuple[str, Se
 
 def physical_names(section: Section, form: MeshFormat) -> Names:
     count, *rows = [row for row in section.content.split(b"\n") if row.strip()] or [b""]
-    matches = list(filter(None, map(_NAME.fullmatch, rows)))
-    if not count.strip().isdigit() or not int(count) == len(rows) == len(matches):
+    if count.strip() != b"%d" % len(rows):
         raise section.error(f"{len(rows)} lines of names in $PhysicalNames; as many as announced expected.")
-    names = {(match[1] and int(match[1]), int(match[2])): decoded(match[4] or match[3]) for match in matches}
-    if form.has_levels and any(level is None for level, _ in names):
-        raise section.error("a dimension, a tag and a name expected.", [match[1] for match in matches].index(None) + 1)
+    names: Names = {}
+    for k, row in enumerate(rows, start=1):
+        match = _NAME.fullmatch(row)
+        if match is None or (form.has_levels and match[1] is None):
+            raise section.error("a dimension, a tag and a name expected.", k)
+        names[int(match[1]) if match[1] else None, int(match[2])] = decoded(match[4] or match[3])
     return names
 
 
@@ -393,23 +395,21 @@ def _lines(stream: Stream) -> Iterator[tuple[str, np.ndarray]]:
         raise stream.section.error(f"{len(rows.counts) - 1} lines of elements, not as many as announced.", 0)
     values, counts, first = rows.values, rows.counts[1:], rows.first[1:]
     is_first = stream.version < 2
-    head = 5 if is_first else 3
+    head, at = (5, [2, 3]) if is_first else (3, [3, 4])
     message = "an element has a number, a type, and numbers of tags or of nodes."
     rows.refuse(1 + np.flatnonzero(counts < head), lambda k: message)
-    numbers, tags = values[first + 1], np.zeros_like(first) if is_first else values[first + 2]
-    known, place = np.unique(numbers, return_inverse=True)
-    corners = np.array([_kind(number)[1] for number in known.tolist()], np.int64)[place]
-    wanted = head + tags + corners
-    wrong = (counts != wanted) | (tags < 0) | (is_first & (values[first + head - 1] != corners))
-    rows.refuse(1 + np.flatnonzero(wrong), lambda k: f"{counts[k - 1]} numbers, {wanted[k - 1]} expected.")
-    given = 2 if is_first else tags
-    for number in dict.fromkeys(numbers.tolist()):
-        chosen, (kind, count) = numbers == number, _kind(number)
-        at = first[chosen, None] + np.concatenate([[2, 3] if is_first else [3, 4], head + np.arange(count)])
-        at[:, 2:] += tags[chosen, None]
-        table = values[np.minimum(at, len(values) - 1)]
-        table[:, :2] *= np.arange(2) < np.broadcast_to(given, len(numbers))[chosen, None]
-        yield kind, table
+    types = values[first + 1]
+    for number in dict.fromkeys(types.tolist()):
+        kind, corners = _kind(number)
+        chosen = np.flatnonzero(types == number)
+        start, size = first[chosen, None], counts[chosen]
+        told = values[start[:, 0] + head - 1]  # of nodes, or of tags
+        tags, nodes = (0, told) if is_first else (told, corners)
+        wrong = (size != head + tags + nodes) | (nodes != corners) | (told < 0)
+        rows.refuse(1 + chosen[wrong], lambda k: f"{counts[k - 1]} numbers, not those of its type and tags.")
+        table = values[np.minimum(start + at, len(values) - 1)]
+        table *= np.arange(2) < (2 if is_first else told[:, None])
+        yield kind, np.concatenate([table, values[start + size[:, None] + np.arange(-corners, 0)]], axis=1)
 
 
 def _old_blocks(stream: Stream) -> Iterator[tuple[str, np.ndarray]]:
