@@ -133,7 +133,7 @@ def test_a_mesh_in_space_that_lies_in_a_plane_has_two_coordinates(tmp_path):
         (("elements\n3", "elements\n4"), "a number of elements expected, and as many rows"),
         ((mfem_meshes.FLAT, "MFEM mesh v1.0\n"), "no elements, boundary, vertices in this file; it is cut short"),
         (("boundary\n", "frontier\n"), "no boundary in this file"),
-        (("v1.0", "v1.2"), "no line mfem_mesh_end at the end of this file; it is cut short"),
+        (("v1.0", "v1.2"), "no line mfem_mesh_end in this file; it is cut short"),
         (("vertices\n6", "vertices\n600000"), "600000 vertices do not fit into a file of"),
         (
             ("Ordering: 1", "Ordering: 7"),

@@ -6,7 +6,6 @@ hexadecimal. A face is its nodes and the cells on its two sides, 0 for none.
 """
 
 import dataclasses
-import itertools
 import pathlib
 import re
 from collections.abc import Iterator
@@ -68,17 +67,21 @@ class NodeSection(NamedTuple):
     section: Section
     kind: np.dtype | None
 
+    @property
+    def rows(self) -> slice:
+        return slice(self.first - 1, self.first - 1 + len(self.points))
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class FluentContent(FilePoints):
     text: bytes
-    parts: tuple[NodeSection, ...]
+    parts: list[NodeSection]
 
     def moved(self, points: np.ndarray) -> Iterator[bytes | memoryview]:
         """Yields the file with other points (n, d), section by section."""
         done = 0
         for part in sorted(self.parts, key=lambda part: part.section.start):
-            values = points[part.first - 1 : part.first - 1 + len(part.points)].ravel()
+            values = points[part.rows].ravel()
             start, stop = part.section.start, part.section.stop
             if part.kind is None:
                 yield from replaced(self.text[done:stop], slice(start - done, stop - done), values)
@@ -90,7 +93,8 @@ class FluentContent(FilePoints):
 
 @dataclasses.dataclass
 class _FluentText:
-    path: pathlib.Path
+    """What sections say: counts by kind, nodes, faces behind their heads, and zones by number."""
+
     dimension: int = 0
     counts: dict[int, int] = dataclasses.field(default_factory=dict)
     nodes: list[NodeSection] = dataclasses.field(default_factory=list)
@@ -135,23 +139,29 @@ class _FluentText:
 
     def content(self, text: bytes) -> FluentContent:
         parts = sorted(self.nodes, key=lambda part: part.first)
-        rows = [slice(part.first - 1, part.first - 1 + len(part.points)) for part in parts]
-        if not parts or not self.faces or any(a.stop != b.start for a, b in itertools.pairwise([slice(0, 0), *rows])):
-            raise ValueError(
-                f"{self.path}: not a Fluent mesh, or a damaged one: no nodes or faces, or some are missing."
-            )
-        for kind, count in ((10, rows[-1].stop), (13, sum(len(table.cells) for _, table in self.faces))):
-            if self.counts.get(kind, count) != count:
-                what = f"{count} nodes or faces, and {self.counts[kind]} announced"
-                raise ValueError(f"{self.path}: {what}: the file is cut short.")
-        are_single = [part.kind is not None and part.kind.itemsize == 4 for part in parts]
-        singles = [(row, slice(None)) for row, is_single in zip(rows, are_single, strict=True) if is_single]
-        return FluentContent(np.concatenate([part.points for part in parts]), text, tuple(parts), singles=singles)
+        ends = [0, *(part.rows.stop for part in parts)]
+        if not parts or not self.faces or [part.rows.start for part in parts] != ends[:-1]:
+            raise ValueError("not a Fluent mesh, or a damaged one: no nodes or faces, or some are missing.")
+        found = {10: ends[-1], 13: sum(len(table.cells) for _, table in self.faces)}
+        for kind in found.keys() & self.counts.keys():
+            if self.counts[kind] != found[kind]:
+                what = f"{found[kind]} nodes or faces, and {self.counts[kind]} announced"
+                raise ValueError(f"{what}: the file is cut short.")
+        singles = [(part.rows, slice(None)) for part in parts if part.kind == np.float32]
+        return FluentContent(np.concatenate([part.points for part in parts]), text, parts, singles=singles)
+
+    def zones(self) -> Iterator[FaceZone]:
+        first = 0
+        for (number, _, _, kind, *_), table in self.faces:
+            name, word = self.names.get(number, (f"zone_{number}", KINDS.get(kind, f"kind_{kind}")))
+            word = KINDS[kind] if kind in (INTERIOR, PARENT) else word
+            yield FaceZone(number, name, word, np.arange(first, first + len(table.cells)))
+            first += len(table.cells)
 
 
 def read(path: pathlib.Path) -> Parts:
     """Reads points, cells and patches: the zones of faces, but inner ones, with their kinds."""
-    text, found = path.read_bytes(), _FluentText(path)
+    text, found = path.read_bytes(), _FluentText()
     for number, section in _sections(path, text):
         try:
             found.take(number, section)
@@ -159,10 +169,11 @@ def read(path: pathlib.Path) -> Parts:
             if str(path) in str(error):
                 raise
             raise section.error(f"a damaged section {number} ({error}).") from error
-    content = found.content(text)
     regions = [found.names.get(number, (f"zone_{number}", ""))[0] for number in found.regions]
     with faults_of(path):
-        return mesh_of(Source(path, NAME, content), *_joined(found), found.counts.get(12), regions)
+        source = Source(path, NAME, found.content(text))
+        table = FaceTable(*map(np.concatenate, zip(*(table for _, table in found.faces), strict=True)))
+        return mesh_of(source, table, list(found.zones()), found.counts.get(12), regions)
 
 
 def write(path: pathlib.Path, mesh: MeshLike) -> None:
@@ -179,14 +190,14 @@ def _sections(path: pathlib.Path, text: bytes) -> Iterator[tuple[int, Section]]:
             end = re.compile(rb"\)\s*End of Binary Section\s+%d\s*\)" % number).search(text, begin.end())
             stop, at = (end.start(), end.end()) if end else (-1, -1)
         else:
-            stop = _closing(text, begin.end(), number)
+            stop = _closing(text, begin.end())
             at = stop + 1
         if stop < 0:
             raise ValueError(f"{path}: the section {number} has no end: the file is cut short.")
         yield number, Section(path, text, begin.end(), stop)
 
 
-def _closing(text: bytes, at: int, number: int) -> int:
+def _closing(text: bytes, at: int) -> int:
     depth = 1
     for mark in _MARK.finditer(text, at):
         depth += {b"(": 1, b")": -1}.get(mark[0], 0)
@@ -205,58 +216,48 @@ def _table(words: np.ndarray, kind: int) -> FaceTable:
             at += counts[at] + 3
         if at != len(counts):
             raise ValueError("faces that are cut short")
-        first = np.array(begins, np.int64)
-        sizes = words[first]
-        first += 1
+        first = np.array(begins, np.int64) + 1
+        sizes = words[first - 1]
     else:
         rows, rest = divmod(len(words), kind + 2)
         if rest or kind < 2:
             raise ValueError(f"{len(words)} numbers are no faces of {kind} nodes")
         first, sizes = (kind + 2) * np.arange(rows), np.full(rows, kind)
-    labels = words[spread(first, first + sizes)[0]]
-    return FaceTable(labels, sizes, words[first[:, None] + sizes[:, None] + np.arange(2)])
-
-
-def _joined(found: _FluentText) -> tuple[FaceTable, list[FaceZone]]:
-    zones, first = [], 0
-    for (number, _, _, kind, *_), table in found.faces:
-        name, word = found.names.get(number, (f"zone_{number}", KINDS.get(kind, f"kind_{kind}")))
-        word = KINDS[kind] if kind in (INTERIOR, PARENT) else word
-        zones.append(FaceZone(number, name, word, np.arange(first, first + len(table.cells))))
-        first += len(table.cells)
-    return FaceTable(*map(np.concatenate, zip(*(table for _, table in found.faces), strict=True))), zones
+    return FaceTable(words[spread(first, first + sizes)[0]], sizes, words[(first + sizes)[:, None] + np.arange(2)])
 
 
 def mesh_of(source: Source, table: FaceTable, zones: list[FaceZone], count: int | None, regions: list[str]) -> Parts:
     """Makes the mesh of all faces; `count` is the number of cells, None if it is not announced."""
-    points = source.content.points
-    _check(table, zones, len(points), count)
+    points, outer = source.content.points, [zone for zone in zones if zone.kind != KINDS[INTERIOR]]
+    if any(zone.kind == KINDS[PARENT] for zone in zones):
+        raise ValueError("a mesh that was adapted, with parents of faces, is not read.")
+    _check(table, len(points), count)
     faces = _outward(table, points)
     blocks, whole = cells_of_faces(faces, points) if points.shape[1] == 3 else (_plane_cells(faces), None)
-    cells = gathered((kind, corners) for kind, corners, _ in blocks)
     ids = gathered((kind, cell) for kind, _, cell in blocks)
-    outer = [zone for zone in zones if zone.kind != KINDS[INTERIOR]]
-    nodes = (faces.labels[spread(faces.starts[zone.rows], faces.starts[zone.rows + 1])[0]] for zone in outer)
-    patches, notes = distinct(
-        Patch(zone.name, f"zone_{zone.number}", each) for zone, each in zip(outer, nodes, strict=True)
-    )
+    starts = faces.starts
+    found = [
+        Patch(zone.name, f"zone_{zone.number}", faces.labels[spread(starts[zone.rows], starts[zone.rows + 1])[0]])
+        for zone in outer
+    ]
+    patches, notes = distinct(found)
+    kinds = {zone.name: zone.kind for zone in outer}
     periodic = [zone.name for zone in outer if zone.kind.startswith("periodic")]
     notes += (f"the periodic zones {', '.join(periodic)} are patches, and are not paired.",) * bool(periodic)
     source = dataclasses.replace(
         source,
         polyhedra=whole if whole is not None and len(whole.cut) else None,
         cell_ids=np.concatenate([ids[kind] for kind in sorted(ids)]),  # as JAX sorts types
-        kinds={zone.name: zone.kind for zone in outer},
-        symmetry=tuple(zone.name for zone in outer if zone.kind in ("symmetry", "axis")),
-        notes=(*notes, *regions_note(regions[: len(regions) * (len(regions) > 1)])),
+        kinds=kinds,
+        symmetry=tuple(name for name, kind in kinds.items() if kind in ("symmetry", "axis")),
+        notes=(*notes, *regions_note(regions if len(regions) > 1 else ())),
         **source.content.known,
     )
+    cells = gathered((kind, corners) for kind, corners, _ in blocks)
     return checked_parts(points.copy(), cells, patches, source)
 
 
-def _check(table: FaceTable, zones: list[FaceZone], n: int, count: int | None) -> None:
-    if any(zone.kind == KINDS[PARENT] for zone in zones):
-        raise ValueError("a mesh that was adapted, with parents of faces, is not read.")
+def _check(table: FaceTable, n: int, count: int | None) -> None:
     labels, cells = table.labels, table.cells
     most = len(cells) if count is None else count
     if labels.min() < 1 or labels.max() > n:
@@ -284,7 +285,7 @@ def _outward(table: FaceTable, points: np.ndarray) -> Faces:
         size = (here[::2, 0] * there[::2, 1] - here[::2, 1] * there[::2, 0])[is_outer].sum()
     else:
         areas = np.add.reduceat(np.cross(here, there), starts[:-1])
-        size = np.einsum("fi,fi->f", areas, points[labels[starts[:-1]]])[is_outer].sum()
+        size = np.einsum("fi,fi->f", areas, here[starts[:-1]])[is_outer].sum()
     if not np.isfinite(size):
         raise ValueError("coordinates of its nodes are not finite.")
     return dataclasses.replace(faces, labels=_reversed(labels, starts, np.full(len(first), size < 0)))
@@ -308,9 +309,9 @@ def _plane_cells(faces: Faces) -> list[tuple[str, np.ndarray, np.ndarray]]:
         for k in range(1, size):
             at = edges[:, :, 0] == corners[:, k - 1, None]
             corners[:, k] = edges[np.arange(len(cells)), at.argmax(axis=1), 1]
-        ordered_corners = np.sort(corners, axis=1)
-        is_open = (ordered_corners != np.sort(edges[:, :, 0], axis=1)).any(axis=1)
-        is_open |= (np.diff(ordered_corners, axis=1) == 0).any(axis=1)
+        ascending = np.sort(corners, axis=1)
+        is_open = (ascending != np.sort(edges[:, :, 0], axis=1)) | (np.diff(ascending, prepend=-1) == 0)
+        is_open = is_open.any(axis=1)
         if size not in (3, 4) or is_open.any():
             raise ValueError(f"{len(cells)} cells of {size} edges (first cell {cells[is_open.argmax()]}) are not read.")
         blocks.append((SIDE_TYPES[size], corners, cells))
