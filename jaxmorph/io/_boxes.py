@@ -1,8 +1,11 @@
 """Boxes of free-form deformation in files: TOML, SU2's meshes, and lattices for ParaView."""
 
 import dataclasses
+import itertools
+import math
 import os
 import pathlib
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -19,7 +22,7 @@ from jaxmorph._mesh.exchange import gathered
 
 from ._format import Source, faults_of, source_of
 from ._su2 import NAME, Keyword, by_zones
-from ._text import Section, decoded, parse
+from ._text import Section, decoded
 from ._vtk import Encoding, text_of
 
 Points = Float[np.ndarray, "..."]
@@ -54,20 +57,15 @@ def read_box(
     **Raises:** `ValueError` for a bad table, other dimensions, and a displacement of a control
     point that is held.
     """
-    is_table = isinstance(source, Mapping)
-    where = "--box" if is_table else str(source)
-    table = dict(source) if is_table else read(where, input_path(source).read_bytes())
+    where = "--box" if isinstance(source, Mapping) else str(source)
+    table = dict(source) if isinstance(source, Mapping) else read(where, input_path(source).read_bytes())
     with faults_of(pathlib.Path(where)):
         box = _box_of(table, dimensions)
         control = np.zeros((*box.counts, dimensions))
         for entry in table["moved"]:
             if not isinstance(entry, dict) or set(entry) != {"at", "by"}:
                 raise ValueError(f"each of moved has at and by, found {entry}.")
-            at = _numbers("at", entry["at"], dimensions)
-            if (at < 0).any() or (at >= box.counts).any() or (at != np.floor(at)).any():
-                most = np.array(box.counts) - 1
-                raise ValueError(f"at = {entry['at']} is none of the control points 0 to {most}.")
-            place = tuple(at.astype(int))
+            place = tuple(_whole("at", entry["at"], 0, np.array(box.counts) - 1))
             if not box.free[place]:
                 raise ValueError(f"control point {entry['at']} is held by continuity = {box.continuity}.")
             control[place] += _numbers("by", entry["by"], dimensions)
@@ -79,25 +77,24 @@ def _box_of(table: dict[str, Any], d: int) -> "jm.shapes.FreeForm | jm.shapes.He
     if not needed <= set(table) <= needed | OPTIONAL or not isinstance(table["moved"], list):
         listed = ", ".join(table) or "nothing"
         raise ValueError(f"low and high or corners, points and a list moved expected, found {listed}.")
-    counts, options = _counts(table["points"], d), {name: table[name] for name in OPTIONAL & set(table)}
-    if any(type(value) is not int for value in options.values()):
-        raise ValueError(f"degree and continuity are whole numbers, found {options}.")
+    counts, options = _whole("points", table["points"], 2, np.full(d, MOST)), table.keys() & OPTIONAL
+    if math.prod(counts) > MOST:
+        raise ValueError(f"points = {counts} are {math.prod(counts):.3g} control points; {MOST} at most.")
+    more: dict[str, Any] = {name: _whole(name, [table[name]], 0, np.array([MOST]))[0] for name in options}
     if "corners" in table:
         rows = table["corners"] if isinstance(table["corners"], list) else [table["corners"]]
-        return jm.shapes.Hexahedron(np.array([_numbers("corners", row, d) for row in rows]), counts, **options)
+        return jm.shapes.Hexahedron(np.array([_numbers("corners", row, d) for row in rows]), counts, **more)
     low, high = (_numbers(name, table[name], d) for name in ("low", "high"))
     if not (low < high).all():
         raise ValueError("low must be below high.")
-    return jm.shapes.FreeForm(low, np.diag(high - low), counts, **options)
+    return jm.shapes.FreeForm(low, np.diag(high - low), counts, **more)
 
 
-def _counts(given: Any, d: int) -> list[int]:
-    counts = _numbers("points", given, d)
-    if not (counts >= 2).all() or (counts != np.floor(counts)).any():
-        raise ValueError("points must be 2 or more whole numbers of control points.")
-    if counts.prod() > MOST:
-        raise ValueError(f"points = {given} are {counts.prod():.3g} control points; {MOST} at most.")
-    return counts.astype(int).tolist()
+def _whole(name: str, values: Any, least: int, most: Int[np.ndarray, " d"]) -> list[int]:
+    numbers = _numbers(name, values, len(most))
+    if (numbers != np.clip(np.floor(numbers), least, most)).any():
+        raise ValueError(f"{name} = {values}: whole numbers from {least} to {most.tolist()} expected.")
+    return numbers.astype(int).tolist()
 
 
 def _numbers(name: str, values: Any, d: int) -> Float[np.ndarray, " d"]:
@@ -171,14 +168,11 @@ def boxes(mesh: Mesh) -> tuple[Box, ...]:
     **Raises:** `ValueError`, with file and line, for a section that is cut short.
     """
     source = source_of(mesh, NAME)
-    if source is None or b"FFD_NBOX" not in source.content.text:
+    keywords = [] if source is None or b"FFD_NBOX" not in source.content.text else _keywords(source)
+    if "FFD_NBOX" not in [keyword.name for keyword in keywords]:
         return ()
-    keywords = _keywords(source)
     starts = [k for k, keyword in enumerate(keywords) if keyword.name == "FFD_TAG"]
-    ends = [*starts[1:], len(keywords)]
-    if not any(keyword.name == "FFD_NBOX" for keyword in keywords):
-        return ()
-    return tuple(_box(keywords[a:b], *mesh.points.shape) for a, b in zip(starts, ends, strict=True))
+    return tuple(_box(keywords[a:b], *mesh.points.shape) for a, b in itertools.pairwise([*starts, None]))
 
 
 @checked
@@ -199,7 +193,13 @@ def with_boxes(mesh: Mesh, new: Sequence[Box]) -> Mesh:
     source = source_of(mesh, NAME)
     if source is None:
         raise ValueError("the mesh was not read from an SU2 file: other formats hold no free-form boxes.")
-    _check_new(new, mesh.points.shape[1])
+    for box in new:
+        expected = (*box.shape.counts, mesh.points.shape[1])
+        if np.shape(box.control) != expected:
+            raise ValueError(f"box {box.name}: `control` has shape {np.shape(box.control)}; expected {expected}.")
+    again = len(new) - len({box.name for box in new})
+    if again:
+        raise ValueError(f"{again} of {len(new)} boxes have the name of another one.")
     content, (start, stop) = source.content, _extent(source)
     end = b"\r\n" if b"\r\n" in content.text[:1000] else b"\n"
     written = b"".join(line.encode() + end for line in _lines(new)) if new else b""
@@ -212,78 +212,55 @@ def with_boxes(mesh: Mesh, new: Sequence[Box]) -> Mesh:
     return Mesh(mesh.points, mesh.cells, mesh.patches, dataclasses.replace(source, content=changed))
 
 
-def _check_new(new: Sequence[Box], d: int) -> None:
-    for box in new:
-        expected = (*box.shape.counts, d)
-        if np.shape(box.control) != expected:
-            raise ValueError(f"box {box.name}: `control` has shape {np.shape(box.control)}; expected {expected}.")
-    again = len(new) - len({box.name for box in new})
-    if again:
-        raise ValueError(f"{again} of {len(new)} boxes have the name of another one.")
-
-
-def _keywords(source: Source) -> Sequence[Keyword]:
-    content = source.content
-    zones = by_zones(source.path, content.text)
-    return next(
-        zone for zone in zones if any(word.name == "NPOIN" and word.section.start == content.start for word in zone)
-    )
+def _keywords(source: Source) -> list[Keyword]:
+    start = source.content.start
+    zones = by_zones(source.path, source.content.text)
+    return next(zone for zone in zones if ("NPOIN", start) in [(word.name, word.section.start) for word in zone])
 
 
 def _extent(source: Source) -> tuple[int, int]:
     keywords = _keywords(source)
-    section = [keyword for keyword in keywords if keyword.name.startswith(("FFD_", "BSPLINE_ORDER_"))]
-    if not section:
+    sections = [each.section for each in keywords if each.name.startswith(("FFD_", "BSPLINE_ORDER_"))]
+    if not sections:
         end = keywords[-1].section.stop
         return end, end
-    first = section[0].section.start
-    return source.content.text.rfind(b"\n", 0, first - 1) + 1, section[-1].section.stop
+    return source.content.text.rfind(b"\n", 0, sections[0].start - 1) + 1, sections[-1].stop
 
 
 def _box(keywords: Sequence[Keyword], n: int, d: int) -> Box:
     table = {keyword.name: keyword for keyword in keywords}
     name, at = table["FFD_TAG"].value.replace(" ", ""), table["FFD_TAG"].section
+    words = [*(f"FFD_DEGREE_{axis}" for axis in "IJK"[:d]), "FFD_CORNER_POINTS", "FFD_CONTROL_POINTS"]
+    missing = next((word for word in words if word not in table), None)
+    if missing:
+        raise at.error(f"box {name} has no {missing}=; SU2 writes it by DV_KIND= FFD_SETTING.")
 
-    def number(word: str, default: int | None = None) -> int:
-        if word in table:
-            return table[word].number()
-        if default is None:
-            raise at.error(f"box {name} has no {word}=; SU2 writes it by DV_KIND= FFD_SETTING.")
-        return default
+    def number(word: str) -> int:
+        return table[word].number() if word in table else 0
 
-    degrees = np.array([number(f"FFD_DEGREE_{axis}") for axis in "IJK"[:d]])
-    orders = np.array([number(f"BSPLINE_ORDER_{axis}", 0) for axis in "IJK"[:d]])
+    degrees, orders = (
+        np.array([number(f"{word}_{axis}") for axis in "IJK"[:d]]) for word in ("FFD_DEGREE", "BSPLINE_ORDER")
+    )
     is_spline = ((orders > 1) & (orders <= degrees + 1)).all()
-    corners = _rows(table, "FFD_CORNER_POINTS", at, d)
+    corners, control = _rows(table["FFD_CORNER_POINTS"], d), _rows(table["FFD_CONTROL_POINTS"], 6)
     if len(corners) != 2**d:
         raise at.error(f"box {name} has {len(corners)} corners; {2**d} expected in {d}-D.")
     try:
-        shape = jm.shapes.Hexahedron(
-            corners, (degrees + 1).tolist(), degree=(orders - 1).tolist() if is_spline else None
-        )
+        degree = (orders - 1).tolist() if is_spline else None
+        shape = jm.shapes.Hexahedron(corners, (degrees + 1).tolist(), degree=degree)
     except ValueError as error:
         raise at.error(f"box {name}: {error}") from error
-    control = _control(_rows(table, "FFD_CONTROL_POINTS", at, 6), shape, at)
-    surface = _surface(table.get("FFD_SURFACE_POINTS"), n, d)
-    relatives = (_names(table.get(word)) for word in ("FFD_PARENTS", "FFD_CHILDREN"))
-    return Box(name, shape, control, surface, number("FFD_LEVEL", 0), *relatives)
+    surface = _surface(table["FFD_SURFACE_POINTS"], n, d) if "FFD_SURFACE_POINTS" in table else {}
+    lists = [table[word].section.content if word in table else b"" for word in ("FFD_PARENTS", "FFD_CHILDREN")]
+    relatives = [tuple(decoded(line.strip()) for line in text.split(b"\n") if line.strip()) for text in lists]
+    return Box(name, shape, _control(control, shape, at), surface, number("FFD_LEVEL"), *relatives)
 
 
-def _names(keyword: Keyword | None) -> tuple[str, ...]:
-    return () if keyword is None else tuple(decoded(line.strip()) for line in _content(keyword) if line.strip())
-
-
-def _content(keyword: Keyword) -> list[bytes]:
-    return keyword.section.text[keyword.section.start : keyword.section.stop].split(b"\n")
-
-
-def _rows(table: Mapping[str, Keyword], name: str, at: Section, width: int) -> Float[np.ndarray, "k w"]:
-    if name not in table:
-        raise at.error(f"a box has no {name}=.")
-    keyword = table[name]
+def _rows(keyword: Keyword, width: int) -> Float[np.ndarray, "k w"]:
     rows = keyword.section.rows(np.float64)
     if (rows.counts != width).any() or len(rows.counts) != keyword.number():
-        raise keyword.section.error(f"{name}= {keyword.value}: as many rows of {width} numbers expected.")
+        message = f"{keyword.name}= {keyword.value}: as many rows of {width} numbers expected."
+        raise keyword.section.error(message)
     return rows.values.reshape(-1, width)
 
 
@@ -293,25 +270,25 @@ def _control(rows: Float[np.ndarray, "k 6"], shape: "jm.shapes.Hexahedron", at: 
     counts = (*shape.counts, *(2,) * (3 - d))
     if not len(rows):
         return np.asarray(shape.lattice())
-    ids = rows[:, :3].astype(int)
-    if not np.array_equal(np.unique(ids, axis=0), list(np.ndindex(counts))) or len(ids) != np.prod(counts):
+    rows = rows[np.lexsort(rows[:, 2::-1].T)]
+    if not np.array_equal(rows[:, :3], list(np.ndindex(counts))):
         raise at.error(f"{len(rows)} control points do not make a lattice of {' x '.join(map(str, counts))}.")
-    control = np.empty((*counts, 3))
-    control[tuple(ids.T)] = rows[:, 3:]
+    control = rows[:, 3:].reshape(*counts, 3)
     return control if d == 3 else control.mean(axis=2)[..., :2]
 
 
-def _surface(keyword: Keyword | None, n: int, d: int) -> Surface:
-    if keyword is None:
-        return {}
-    lines = [words for words in map(bytes.split, _content(keyword)) if words]
-    if len(lines) != keyword.number():
-        raise keyword.section.error(f"FFD_SURFACE_POINTS= {keyword.value}, but {len(lines)} rows follow.")
-    rows = [parse(b" ".join(words[1:]), np.float64) for words in lines]
-    for row, values in enumerate(rows):
-        if len(values) != len(lines[row]) - 1 or len(values) != 4 or not 0 <= values[0] < n or values[0] % 1:
-            raise keyword.section.error("a marker, a node and three coordinates in the box expected.", row)
-    tables = gathered((decoded(words[0]), values[None]) for words, values in zip(lines, rows, strict=True))
+def _surface(keyword: Keyword, n: int, d: int) -> Surface:
+    """Reads rows of a marker, a node and three coordinates; these are left in the text alone."""
+    section, word = keyword.section, re.compile(rb"(?m)^[ \t]*(\S+)")
+    text = section.text[: section.start] + word.sub(b"", section.content)
+    numbers = dataclasses.replace(section, text=text, stop=len(text))
+    rows = _rows(dataclasses.replace(keyword, section=numbers), 4)
+    wrong = np.flatnonzero(~np.isin(rows[:, 0], np.arange(n)))
+    if len(wrong):
+        raise numbers.error("a marker, a node and three coordinates in the box expected.", int(wrong[0]))
+    tables = gathered(
+        (decoded(marker), row[None]) for marker, row in zip(word.findall(section.content), rows, strict=True)
+    )
     return {marker: (table[:, 0].astype(np.int64), table[:, 1 : 1 + d]) for marker, table in tables.items()}
 
 
@@ -333,14 +310,17 @@ def _lines(new: Sequence[Box]) -> Iterator[str]:
 
 def _points(box: Box) -> Iterator[str]:
     """Yields corners, control points, in 2-D below and above the plane, and nodes in the box."""
-    corners, control, d = box.shape.given_corners.tolist(), np.asarray(box.control, float), len(box.shape.counts)
-    yield from (f"FFD_CORNER_POINTS= {len(corners)}", *("\t".join(map(repr, row)) for row in corners))
+    corners, control, d = box.shape.given_corners, np.asarray(box.control, float), len(box.shape.counts)
+    yield from (f"FFD_CORNER_POINTS= {len(corners)}", *map(_row, corners.tolist()))
     if d == 2:
         control = np.stack([np.insert(control, 2, height, axis=-1) for height in (-HALF, HALF)], axis=2)
-    places = np.ndindex(control.shape[:-1])
     yield f"FFD_CONTROL_POINTS= {control[..., 0].size}"
-    yield from ("\t".join([*map(str, place), *map(repr, control[place].tolist())]) for place in places)
+    yield from (_row([*place, *control[place].tolist()]) for place in np.ndindex(control.shape[:-1]))
     yield f"FFD_SURFACE_POINTS= {sum(len(nodes) for nodes, _ in box.surface.values())}"
     for marker, (nodes, inside) in box.surface.items():
         for node, x in zip(nodes.tolist(), inside.tolist(), strict=True):
-            yield "\t".join([marker, str(node), *map(repr, [*x, *[HALF] * (3 - d)])])
+            yield f"{marker}\t{_row([node, *x, *[HALF] * (3 - d)])}"
+
+
+def _row(numbers: list) -> str:
+    return "\t".join(map(repr, numbers))

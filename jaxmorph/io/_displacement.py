@@ -1,9 +1,9 @@
 """Displacements of a mesh's moving nodes from a file, or from two surfaces (STL, OBJ, NPZ)."""
 
-import dataclasses
 import os
 import pathlib
 import re
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -14,7 +14,7 @@ from jaxmorph._host.package.files import input_path, read_arrays, real_array
 from jaxmorph._host.surface.gaps import closest, fans
 
 from ._registry import read
-from ._surface import check_values, read_named, read_surface
+from ._surface import in_order, read_named, read_surface
 from ._text import parse, scan
 
 SHAPES = (".stl", ".obj")
@@ -65,9 +65,7 @@ def read_displacement(
         is_position = name == "position"
     else:
         ids, values = read_surface(path, points.shape[1])
-    check_values(path, ids, values, points.shape[1])
-    _check_ids(path, ids, numbers)
-    values = values[np.argsort(ids)][np.argsort(np.argsort(moving))]
+    values = in_order(path, ids, values, points.shape[1], numbers, (numbers, "the moving patches"))
     return values - points[moving] if is_position else values
 
 
@@ -94,17 +92,6 @@ def read_facets(path: str | os.PathLike[str], d: int = 3, *, smooth: bool = Fals
     return Facets(shape.points[:, :d], shape.simplices, smooth=smooth)
 
 
-def _check_ids(path: pathlib.Path, ids: np.ndarray, moving: np.ndarray) -> None:
-    foreign, missing = np.setdiff1d(ids, moving), np.setdiff1d(moving, ids)
-    faults = []
-    if foreign.size:
-        faults.append(f"{foreign.size} of its {len(ids)} node ids are not of the moving patches (first {foreign[0]})")
-    if missing.size:
-        faults.append(f"{missing.size} of the {len(moving)} moving nodes are missing (first {missing[0]})")
-    if faults:
-        raise ValueError(f"{path}: {', and '.join(faults)}.")
-
-
 def _between(before: pathlib.Path, after: pathlib.Path, x: np.ndarray) -> np.ndarray:
     old, new = read_shape(before), read_shape(after)
     if old.points.shape != new.points.shape or not np.array_equal(old.simplices, new.simplices):
@@ -127,15 +114,14 @@ def _between(before: pathlib.Path, after: pathlib.Path, x: np.ndarray) -> np.nda
     return values
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Shape:
+class Simplices(NamedTuple):
     """`points` (p, 2 or 3), and `simplices`: triangles (t, 3), or a curve's segments (t, 2)."""
 
     points: np.ndarray
     simplices: np.ndarray
 
 
-def read_shape(path: pathlib.Path) -> Shape:
+def read_shape(path: pathlib.Path) -> Simplices:
     """Reads a surface: .stl (text, binary), .obj (faces, lines), .npz (points with either)."""
     if path.suffix.lower() not in READERS:
         raise ValueError(f"{path}: a surface is read from {', '.join(READERS)}, found the ending {path.suffix!r}.")
@@ -148,7 +134,7 @@ def read_shape(path: pathlib.Path) -> Shape:
     return shape
 
 
-def _stl(path: pathlib.Path) -> Shape:
+def _stl(path: pathlib.Path) -> Simplices:
     data = path.read_bytes()
     count = int.from_bytes(data[80:84], "little")
     if len(data) == 84 + 50 * count and count:
@@ -159,10 +145,10 @@ def _stl(path: pathlib.Path) -> Shape:
         if len(values) % 9:
             raise ValueError(f"{path}: {len(values)} coordinates of vertices are no whole number of triangles.")
         points = values.reshape(-1, 3)
-    return Shape(points, np.arange(len(points)).reshape(-1, 3))
+    return Simplices(points, np.arange(len(points)).reshape(-1, 3))
 
 
-def _obj(path: pathlib.Path) -> Shape:
+def _obj(path: pathlib.Path) -> Simplices:
     data = path.read_bytes()
     rows = re.findall(rb"^v\s+(\S+\s+\S+\s+\S+)", data, re.MULTILINE)
     values = parse(b" ".join(rows), np.float64)
@@ -176,16 +162,16 @@ def _obj(path: pathlib.Path) -> Shape:
             ids, counts = parse(text, np.int64), scan(text)[2]
             if len(ids) != counts.sum() or (counts < corners).any() or (ids < 1).any():
                 raise ValueError(f"{path}: faces and lines need the numbers, from 1, of {corners} vertices or more.")
-            return Shape(points, fans(ids - 1, counts) if corners == 3 else _chains(ids - 1, counts))
-    return Shape(points, np.zeros((0, 3), np.int64))
+            return Simplices(points, fans(ids - 1, counts) if corners == 3 else _chains(ids - 1, counts))
+    return Simplices(points, np.zeros((0, 3), np.int64))
 
 
 def _chains(ids: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    pairs = np.stack([ids[:-1], ids[1:]], axis=1)
+    pairs = np.column_stack([ids[:-1], ids[1:]])
     return np.delete(pairs, np.cumsum(counts)[:-1] - 1, axis=0)
 
 
-def _npz(path: pathlib.Path) -> Shape:
+def _npz(path: pathlib.Path) -> Simplices:
     arrays = read_arrays(path)
     kind = next((name for name in ("triangles", "lines") if name in arrays), "")
     if not kind or "points" not in arrays:
@@ -195,7 +181,7 @@ def _npz(path: pathlib.Path) -> Shape:
     if simplices.dtype.kind not in "iu" or simplices.ndim != 2 or simplices.shape[1] != corners:
         found = f"{simplices.dtype} of shape {simplices.shape}"
         raise ValueError(f"{path}: {kind} must be whole numbers (k, {corners}), found {found}.")
-    return Shape(real_array(path, arrays, "points"), simplices.astype(np.int64))
+    return Simplices(real_array(path, arrays, "points"), simplices.astype(np.int64))
 
 
 READERS = {".stl": _stl, ".obj": _obj, ".npz": _npz}

@@ -12,7 +12,7 @@ import numpy as np
 from jaxmorph import Mesh
 from jaxmorph._boundary.periodic import Periodic
 from jaxmorph._host.cells.pieces import boundary_sides
-from jaxmorph._host.cells.topology import EDGES, SHAPES
+from jaxmorph._host.cells.topology import CORNERS, EDGES, SHAPES
 from jaxmorph._host.package.errors import place_of, warn
 from jaxmorph._host.package.text import MESHES
 from jaxmorph._mesh.exchange import Grid, Parts, Patch, checked_parts, intact_source, parts
@@ -36,15 +36,13 @@ def warn_of_loss(path: pathlib.Path, cells: Mapping[str, Any], held: Any, points
     if not held.singles:
         return stored
     base = held.in_mesh(held.points)
-    points = points.astype(float)
-    off = np.linalg.norm(stored - points, axis=1)
-    motion = np.linalg.norm(points - base, axis=1)
+    off, motion = (np.linalg.norm(change, axis=1) for change in (stored - points, points - base))
     most = motion.max(initial=0.0)
     losses = []
     # far from the origin nodes that hardly move are rounded more, and that changes nothing there
     if (off[motion >= most / 2] > SHARE * most).any():
         losses.append(f"more than a tenth of the motion, which is {most:.3g}")
-    start, end = _changed_edges(cells, base, points, stored)
+    start, end = _changed_edges(cells, base, points.astype(float), stored)
     if len(start):
         length = np.linalg.norm(points[end] - points[start], axis=1)
         place = place_of(points[start[length.argmin()]])
@@ -61,14 +59,13 @@ def warn_of_loss(path: pathlib.Path, cells: Mapping[str, Any], held: Any, points
 
 def _changed_edges(cells: Mapping[str, Any], base: np.ndarray, points: np.ndarray, stored: np.ndarray) -> np.ndarray:
     """Finds edges (2, k) that rounding changes by much, but those without a length in the file."""
-    shift, found = stored - points, [np.zeros((0, 2), int)]
+    found = [np.zeros((0, 2), int)]
     for kind, ids in cells.items():
         for edge in EDGES[SHAPES[kind]]:
-            start, end = pairs = np.asarray(ids)[:, edge].T
-            change = np.linalg.norm(shift[end] - shift[start], axis=1)
-            length = np.linalg.norm(points[end] - points[start], axis=1)
-            has_length = (base[start] != base[end]).any(axis=1)
-            found.append(np.sort(pairs[:, has_length & (change > SHARE * length)].T, axis=1))
+            ends = np.sort(np.asarray(ids)[:, edge], axis=1)
+            old, new, in_file = (np.diff(x[ends], axis=1)[:, 0] for x in (base, points, stored))
+            change, length = (np.linalg.norm(x, axis=1) for x in (in_file - new, new))
+            found.append(ends[(change > SHARE * length) & old.any(axis=1)])
     return np.unique(np.concatenate(found), axis=0).T
 
 
@@ -167,7 +164,7 @@ def own_source(path: pathlib.Path, mesh: MeshLike, format_name: str) -> Source:
     source = source_of(mesh, format_name)
     if source is None:
         article = "an" if format_name in ("Exodus", "MFEM", "I-deas", "Abaqus", "XDMF", "AFLR") else "a"
-        other = ".msh" if any(kind != SHAPES[kind] for kind in mesh.cells) else ".su2"
+        other = ".su2" if {*mesh.cells} <= {*CORNERS} else ".msh"
         raise ValueError(
             f"{path}: only a mesh that was read from {article} {format_name} file can be written to one; "
             f"write .vtu or {other}."
@@ -248,23 +245,21 @@ def patch_faces(mesh: MeshLike) -> dict[str, dict[str, np.ndarray]]:
     A face that several patches could have (the one edge of an inlet between two walls of one patch)
     goes to the smallest. Raises `ValueError` for a patch with nodes that none of its faces holds.
     """
-    patches = sorted(mesh.patches.items(), key=lambda item: len(item[1]))
-    n = mesh.points.shape[0]
-    nodes_of_all = np.unique(np.concatenate([np.zeros(0, np.int64), *(np.asarray(nodes) for _, nodes in patches)]))
+    n, found = mesh.points.shape[0], {}
+    nodes_of_all = np.unique(np.concatenate([np.zeros(0, np.int64), *map(np.asarray, mesh.patches.values())]))
     left = boundary_sides({kind: np.asarray(ids) for kind, ids in mesh.cells.items()}, n, nodes_of_all)
-    result: dict[str, dict[str, np.ndarray]] = {}
-    for name, nodes in patches:
-        inside, on_faces = np.zeros(n, bool), np.zeros(n, bool)
+    for name, nodes in sorted(mesh.patches.items(), key=lambda item: len(item[1])):
+        inside = np.zeros(n, bool)
         inside[nodes] = True
-        result[name] = {}
-        for kind, faces in left.items():
-            is_inside = inside[faces].all(axis=1)
-            result[name][kind], left[kind] = faces[is_inside], faces[~is_inside]
-            on_faces[faces[is_inside]] = True
-        missing = np.flatnonzero(inside & ~on_faces)
+        is_own = {kind: inside[faces].all(axis=1) for kind, faces in left.items()}
+        found[name] = {kind: faces[is_own[kind]] for kind, faces in left.items()}
+        left = {kind: faces[~is_own[kind]] for kind, faces in left.items()}
+        for faces in found[name].values():
+            inside[faces] = False
+        missing = np.flatnonzero(inside)
         if missing.size:
             raise ValueError(
                 f"patch {name!r}: {missing.size} of {len(nodes)} nodes (first {missing[0]}) are on no boundary face of "
                 "the patch, and this format keeps patches as faces. Drop the patch, or write .vtu, which keeps nodes."
             )
-    return {name: result[name] for name in mesh.patches}
+    return {name: found[name] for name in mesh.patches}

@@ -1,6 +1,5 @@
 """Structured blocks and zones joined to one mesh, and the way back to the file's nodes."""
 
-import itertools
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
@@ -66,9 +65,7 @@ def shared_nodes(points: np.ndarray, faces: list[np.ndarray]) -> np.ndarray:
     for corners in faces:
         length = np.linalg.norm(points[corners] - points[np.roll(corners, 1, axis=1)], axis=2)
         length[length == 0] = np.inf
-        for column, before in enumerate(np.roll(np.arange(corners.shape[1]), 1)):
-            np.minimum.at(size, corners[:, column], length[:, column])
-            np.minimum.at(size, corners[:, before], length[:, column])
+        np.minimum.at(size, corners, np.minimum(length, np.roll(length, -1, axis=1)))
     nodes = np.flatnonzero(np.isfinite(size))
     if not len(nodes):
         return np.arange(n)
@@ -109,8 +106,8 @@ def join(
     while rest in patches:
         rest += "_faces"
     shared = [node[corners] for corners in faces]
-    alone = zip(names or [rest] * len(faces), shared, _single(shared), strict=True)
     own = [(name, node[nodes]) for name, parts in patches.items() for nodes in parts]
+    alone = zip(names or [rest] * len(faces), shared, _single(shared), strict=True)
     own += [(name, corners[mask].ravel()) for name, corners, mask in alone if mask.any()]
     joined = FilePoints(points, node=node)
     whole = gathered((kind, node[corners]) for kind, corners in cells)
@@ -119,14 +116,11 @@ def join(
 
 def _single(faces: list[np.ndarray]) -> list[np.ndarray]:
     """Finds faces that come once and are not shrunk to a line or point: a mask for each array."""
-    if not faces:
-        return []
-    width = max(corners.shape[1] for corners in faces)
+    width = max((corners.shape[1] for corners in faces), default=0)
     columns = [sorted_columns(columns_of(corners), width) for corners in faces]
-    has_extent = []
-    for corners, column in zip(faces, columns, strict=True):
-        size = corners.shape[1]
-        distinct = 1 + sum((b != a).astype(np.int8) for a, b in itertools.pairwise(column[:size]))
-        has_extent.append(distinct >= min(size, 3))
-    once = is_single([np.concatenate(parts) for parts in zip(*columns, strict=True)])
-    return np.split(once & np.concatenate(has_extent), np.cumsum([len(corners) for corners in faces])[:-1])
+    once = is_single([np.concatenate(parts) for parts in zip(*columns, strict=True)]) if faces else np.zeros(0, bool)
+    masks = []
+    for corners, mask in zip(faces, np.split(once, np.cumsum([*map(len, faces)])[:-1]), strict=False):
+        distinct = 1 + np.count_nonzero(np.diff(np.sort(corners, axis=1), axis=1), axis=1)
+        masks.append(mask & (distinct >= min(corners.shape[1], 3)))
+    return masks

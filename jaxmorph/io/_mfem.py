@@ -100,6 +100,7 @@ def to_lobatto(kind: str) -> np.ndarray:
 NAME = "MFEM"
 GEOMETRIES = ("point", "line", "triangle", "quad", "tetra", "hexahedron", "wedge", "pyramid")
 """Types by MFEM's numbers, whose corners are in VTK's order."""
+SIZES = {number: CORNERS.get(kind, 1) for number, kind in enumerate(GEOMETRIES)}
 SAME = 1e-8
 """Distance of duplicates in L2, as a share of the mesh's extent."""
 _SPACE = rb"\s*FiniteElementSpace\s+FiniteElementCollection:\s*(\S+)\s+VDim:\s*(\d{1,9})\s+Ordering:\s*([01])\b"
@@ -163,13 +164,15 @@ def read(path: pathlib.Path) -> Parts:
     """Reads cells, nodes, and patches: attributes of boundary elements, `boundary_3`, and sets."""
     text = path.read_bytes()
     parts = _sections(path, text)
-    cells, sides = _elements(parts["elements"]), _elements(parts["boundary"])
+    space = _space_of(parts)
+    cells, sides = (_elements(parts[name], space.vertices) for name in ("elements", "boundary"))
     if {DIMENSION[each.kind] for each in cells} not in ({2}, {3}):
         raise parts["elements"].error("cells of 2-D alone, or of 3-D alone, expected.")
-    space = _space_of(parts)
     if space.order > 1 and any(each.kind == "pyramid" for each in cells):
         raise space.section.error("pyramids of order 2 and more are not read.")
-    _check_vertices(parts, {"elements": cells, "boundary": sides}, space.vertices)
+    size = len(parts["vertices"].text)
+    if space.vertices > size:
+        raise parts["vertices"].error(f"{space.vertices:.6g} vertices do not fit into a file of {size} bytes.")
     ids, total = numbered(cells, sides, space.order, space.vertices)
     nodes = {of_order(each.kind, space.order).name: rows for each, rows in zip(cells, ids, strict=False)}
     node = np.arange(total)
@@ -203,16 +206,6 @@ def read(path: pathlib.Path) -> Parts:
         return checked_parts(points.copy(), nodes, patches, source)
 
 
-def _check_vertices(parts: dict[str, Section], found: dict[str, list[AttributedCells]], count: int) -> None:
-    for name, group in found.items():
-        for each in group:
-            if each.corners.min() < 0 or each.corners.max() >= count:
-                raise parts[name].error(f"a {each.kind} has a vertex that is none of 0 to {count - 1}.")
-    size = len(parts["vertices"].text)
-    if count > size:
-        raise parts["vertices"].error(f"{count:.6g} vertices do not fit into a file of {size} bytes.")
-
-
 def write(path: pathlib.Path, mesh: MeshLike) -> None:
     content: MFEMContent = own_source(path, mesh, NAME).content
     space, rows = content.space, content.in_file(np.asarray(mesh.points))
@@ -241,23 +234,14 @@ def _sections(path: pathlib.Path, text: bytes) -> dict[str, Section]:
     return parts
 
 
-def _elements(section: Section) -> list[AttributedCells]:
+def _elements(section: Section, count: int) -> list[AttributedCells]:
     """Reads rows of attribute, type and corners, type by type; points of a boundary are none."""
     table = section.rows(np.int64)
-    counts, first = table.counts[1:], table.first[1:]
-    if not len(table.counts) or table.counts[0] != 1 or table.values[0] != len(counts) or (counts < 2).any():
+    if not len(table.counts) or table.counts[0] != 1 or table.values[0] != len(table.counts) - 1:
         raise section.error("a number of elements expected, and as many rows of attribute, type and corners.")
-    numbers, found = table.values[first + 1], []
-    for number in np.unique(numbers).tolist():
-        rows = np.flatnonzero(numbers == number)
-        if not 0 <= number < len(GEOMETRIES):
-            raise section.error(f"type {number} is not known; MFEM's are 0 to {len(GEOMETRIES) - 1}.", 1 + int(rows[0]))
-        kind, size = GEOMETRIES[number], CORNERS.get(GEOMETRIES[number], 1)
-        if (counts[rows] != size + 2).any():
-            raise section.error(f"an element of type {number} has {size} corners.", 1 + int(rows[0]))
-        corners = table.values[first[rows, None] + 2 + np.arange(size)]
-        found.append(AttributedCells(kind, corners, rows, table.values[first[rows]]))
-    return [each for each in found if each.kind != "point"]
+    rows = dataclasses.replace(table, values=table.values[1:], counts=table.counts[1:], row=1)
+    found = sorted(rows.by_kind(1, SIZES, count), key=lambda kind: kind[0])
+    return [AttributedCells(GEOMETRIES[kind], each[:, 2:], at, each[:, 0]) for kind, at, each in found if kind]
 
 
 def _space_of(parts: dict[str, Section]) -> Space:

@@ -3,6 +3,7 @@
 import dataclasses
 import math
 import pathlib
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -19,7 +20,7 @@ WORDS = bytes.maketrans(b",Dd", b" ee")
 
 
 @dataclasses.dataclass(frozen=True)
-class Form:
+class RecordForm:
     """Types of a record's mark, of sizes, of coordinates and IBLANK (or None); text is doubles."""
 
     mark: int
@@ -28,9 +29,9 @@ class Form:
 
 
 DOUBLE = np.dtype("f8")
-TEXTS = [Form(0, DOUBLE, [(DOUBLE, None), (DOUBLE, DOUBLE)])]
+TEXTS = [RecordForm(0, DOUBLE, [(DOUBLE, None), (DOUBLE, DOUBLE)])]
 BINARIES = [
-    Form(mark, whole, [(np.dtype(order + real), blank) for real in ("f8", "f4") for blank in (None, whole)])
+    RecordForm(mark, whole, [(np.dtype(order + real), blank) for real in ("f8", "f4") for blank in (None, whole)])
     for order, whole in (("<", np.dtype("<i4")), (">", np.dtype(">i4")))
     for mark in (4, 0)
 ]
@@ -64,7 +65,7 @@ class FileLayout:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class _Content:
+class Plot3DContent:
     data: bytes
     layout: FileLayout
     joined: FilePoints
@@ -80,7 +81,7 @@ def read(path: pathlib.Path) -> Parts:
     data = path.read_bytes()
     is_text = len(data) > 0 and not data[:4096].translate(None, TEXT)
     numbers = _numbers(path, data, is_text)
-    layout = next(filter(None, (_layout(numbers, form) for form in (TEXTS if is_text else BINARIES))), None)
+    layout = next((found for form in (TEXTS if is_text else BINARIES) for found in _layouts(numbers, form)), None)
     if layout is None:
         form = "text" if is_text else "binary"
         raise ValueError(f"{path}: not a whole PLOT3D grid; no count of blocks and sizes fits this {form} file.")
@@ -91,12 +92,12 @@ def read(path: pathlib.Path) -> Parts:
     with faults_of(path):
         mesh, joined = join(points, *_zones(path, layout.shapes))
     joined = dataclasses.replace(joined, singles=singles)
-    return mesh._replace(source=Source(path, NAME, _Content(data, layout, joined), notes=notes, **joined.known))
+    return mesh._replace(source=Source(path, NAME, Plot3DContent(data, layout, joined), notes=notes, **joined.known))
 
 
 def write(path: pathlib.Path, mesh: MeshLike) -> None:
     source = own_source(path, mesh, NAME)
-    content: _Content = source.content
+    content: Plot3DContent = source.content
     data, layout = content.data, content.layout
     points, first = content.joined.in_file(np.asarray(mesh.points)), 0
     numbers = _numbers(source.path, data, layout.is_text).copy()
@@ -127,26 +128,25 @@ def _numbers(path: pathlib.Path, data: bytes, is_text: bool) -> np.ndarray:
     return np.concatenate(parts).view(np.uint8)
 
 
-def _layout(numbers: np.ndarray, form: Form) -> FileLayout | None:
-    """Finds the sizes that fit a form to its last byte; None where none do."""
+def _layouts(numbers: np.ndarray, form: RecordForm) -> Iterator[FileLayout]:
+    """Yields the sizes that fit a form to its last byte, between Fortran's marks where it has them."""
     mark, head = form.mark, form.head
     for is_multiple, d in WAYS:
         start = mark + (head.itemsize + 2 * mark) * is_multiple
         count = _view(numbers[mark:], head)[:1] if is_multiple else np.ones(1)
         shapes = _shapes(count, _view(numbers[start:], head), d)
-        lengths = [head.itemsize] * is_multiple + [head.itemsize * d * len(shapes)]
-        start += lengths[-1] + mark
-        counts = np.array([np.prod(shape, dtype=float) for shape in shapes])
+        nodes = np.array([math.prod(shape) for shape in shapes], float)
+        first = [float(head.itemsize)] * is_multiple + [head.itemsize * d * len(shapes)]
         for dtype, blank in form.types if shapes else []:
-            sizes = counts * (d * dtype.itemsize + (blank.itemsize if blank else 0)) + 2 * mark
-            if start + sizes.sum() != len(numbers):
-                continue
-            starts = (start + np.cumsum(sizes) - sizes).astype(int) + mark
-            layout = FileLayout(shapes, starts.tolist(), dtype, blank, head.kind == "f")
-            is_whole = all((block == np.floor(block)).all() for block in layout.blanks(numbers))  # of a text
-            if is_whole and _are_records(numbers, form, [*lengths, *(sizes - 2 * mark).astype(int).tolist()]):
-                return layout
-    return None
+            sizes = np.append(first, nodes * (d * dtype.itemsize + (blank.itemsize if blank else 0)))
+            ends = np.cumsum(sizes + 2 * mark)
+            if ends[-1] == len(numbers):
+                sizes, starts = sizes.astype(int), (ends - mark - sizes).astype(int)
+                layout = FileLayout(shapes, starts[-len(shapes) :].tolist(), dtype, blank, head.kind == "f")
+                is_whole = all((block == np.floor(block)).all() for block in layout.blanks(numbers))  # of a text
+                marks = np.stack([starts - mark, starts + sizes], axis=1)[..., None] + np.arange(mark)
+                if is_whole and (not mark or (numbers[marks].view(head)[..., 0] == sizes[:, None]).all()):
+                    yield layout
 
 
 def _view(numbers: np.ndarray, dtype: np.dtype) -> np.ndarray:
@@ -163,16 +163,6 @@ def _shapes(count: np.ndarray, sizes: np.ndarray, d: int) -> tuple[tuple[int, ..
     if not is_good.all() or ((rows > 1).sum(axis=1) < 2).any():
         return ()
     return tuple(tuple(map(int, row)) for row in rows)
-
-
-def _are_records(numbers: np.ndarray, form: Form, lengths: list[int]) -> bool:
-    """Checks whether Fortran's marks stand before and after records of these lengths."""
-    if not form.mark:
-        return True
-    sizes = np.array(lengths, np.int64)
-    ends = np.cumsum(sizes + 8)
-    places = np.stack([ends - 8 - sizes, ends - 4], axis=1)[..., None] + np.arange(4)
-    return bool((numbers[places].view(form.head)[..., 0] == sizes[:, None]).all())
 
 
 def _zones(path: pathlib.Path, shapes: tuple[tuple[int, ...], ...]) -> tuple[list, dict, list[np.ndarray], list[str]]:
@@ -213,7 +203,7 @@ def _patch(words: list[str], shapes: tuple[tuple[int, ...], ...]) -> np.ndarray:
     if len(words) == 3:
         axis, end = divmod(SIDES.index(words[2].lower()), 2)
         return ids.take(-end, axis=axis).ravel()
-    ends = np.array(words[2:], int).reshape(len(shape), 2)
-    if (ends < 1).any() or (ends > np.array(shape)[:, None]).any():
+    ends = np.sort(np.array(words[2:], int).reshape(len(shape), 2), axis=1)
+    if (ends < 1).any() or (ends[:, 1] > shape).any():
         raise ValueError
-    return ids[tuple(slice(min(pair) - 1, max(pair)) for pair in ends.tolist())].ravel()
+    return ids[tuple(slice(first - 1, last) for first, last in ends.tolist())].ravel()

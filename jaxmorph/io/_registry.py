@@ -4,7 +4,7 @@ import contextlib
 import dataclasses
 import os
 import pathlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 from xml.sax.saxutils import quoteattr
 
@@ -48,18 +48,21 @@ def format_of(path: pathlib.Path, source: object = None) -> Format:
     file's first bytes decide. Raises `ValueError`, with the known endings, for another one.
     """
     if is_folder(path):  # it raises for unknown endings
-        return next(candidate for candidate in FORMATS if candidate.is_folder)
+        return FORMATS[-1]
     found = [candidate for candidate in FORMATS if ending(path) in candidate.suffixes]
     if not found:
         point = plugin(path)
         return Format(point.name, _Plugin(point.name, point.load()))
-    if isinstance(source, Source):
-        found.sort(key=lambda candidate: candidate.name != source.format)
-    elif len(found) > 1 and path.is_file():
+    name, first = source.format if isinstance(source, Source) else "", b""
+    if not name and path.is_file():
         with path.open("rb") as file:
             first = file.read(64).lstrip()
-        found.sort(key=lambda candidate: 1 if not candidate.magic else 2 - 2 * first.startswith(candidate.magic))
-    return found[0]
+
+    def rank(candidate: Format) -> int:
+        is_it = candidate.name == name or first.startswith(candidate.magic)
+        return 0 if is_it else 1 + bool(first and candidate.magic)
+
+    return min(found, key=rank)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -99,35 +102,34 @@ def file_mesh(path: pathlib.Path) -> Parts:
             )
         mesh = mesh._replace(source=dataclasses.replace(mesh.source, path=path))
     check_nodes(path, mesh)
-    notes = (*mesh.source.notes, *_hidden_groups(mesh))
+    groups = {group: names for group, names in mesh.source.groups.items() if group in mesh.patches}
+    hidden = (
+        f"the group {group} ({', '.join(names)}) has the name of a patch: {group} is the patch alone."
+        for group, names in groups.items()
+        if {*names} != {group}
+    )
+    notes = (*mesh.source.notes, *hidden)
     source = dataclasses.replace(mesh.source, cells=numbers_of_cells(mesh.cells), notes=notes)
     return mesh._replace(source=source)
-
-
-def _hidden_groups(mesh: Parts) -> Iterator[str]:
-    for group, names in mesh.source.groups.items():
-        if group in mesh.patches and set(names) != {group}:
-            yield f"the group {group} ({', '.join(names)}) has the name of a patch: {group} is the patch alone."
 
 
 def check_nodes(path: pathlib.Path, mesh: Parts) -> None:
     """Refuses duplicate cells but pieces of polyhedra; warns of duplicate nodes in curved cells."""
     whole, first = mesh.source.polyhedra, 0
     for kind, corners in mesh.cells.items():
-        corners, rows = np.asarray(corners), slice(None)
+        corners = np.asarray(corners)
+        rows = np.arange(len(corners))
         if whole is not None:
-            rows = np.flatnonzero(~np.isin(mesh.source.cell_ids[first : first + len(corners)], whole.cut))
+            rows = rows[~np.isin(mesh.source.cell_ids[first + rows], whole.cut)]
         first += len(corners)
-        twice = np.arange(len(corners))[rows][repeated_cells(corners[rows])]
+        twice = rows[repeated_cells(corners[rows])]
         if len(twice):
             raise ValueError(
                 f"{path}: {len(twice)} cells of type {kind} have the nodes of another one, first cell {twice[0]} "
                 f"between nodes {corners[twice[0]].tolist()}: remove the copies."
             )
-        if kind not in HIGH_ORDER:
-            continue
         folded = np.flatnonzero((np.diff(np.sort(corners, axis=1), axis=1) == 0).any(axis=1))
-        if len(folded):
+        if kind in HIGH_ORDER and len(folded):
             centre = place_of(np.asarray(mesh.points)[corners[folded[0]]].mean(axis=0))
             warn(
                 f"{path}: {len(folded)} of {len(corners)} cells of type {kind} name a node twice, first cell {folded[0]} "
@@ -211,10 +213,8 @@ def write(
             f"{path}: {chosen.name} files hold no arrays; write .vtu to keep {', '.join([*arrays[0], *arrays[1]])}."
         )
     as_written(path, mesh)
-    with (
-        contextlib.nullcontext(path) if chosen.is_folder else complete(path) as target,
-        files.packed(target, path.stem) as file,
-    ):
+    appear = contextlib.nullcontext if chosen.is_folder else complete
+    with appear(path) as target, files.packed(target, path.stem) as file:
         chosen.codec().write(file, mesh, *arrays[: 2 * chosen.holds_arrays])
 
 
@@ -268,11 +268,9 @@ def _checked(name: str | os.PathLike[str], mesh: Mesh) -> Format:
         codec.check(path.with_suffix("") if path.suffix.lower() == ".gz" else path, mesh)
     else:
         own_source(path, mesh, chosen.name)
-    finite = np.asarray(np.isfinite(np.asarray(mesh.points)).all(axis=1))
-    if not finite.all():
-        raise ValueError(
-            f"{path}: {(~finite).sum()} of {len(finite)} points are not finite, first node {np.argmin(finite)}."
-        )
+    bad = np.flatnonzero(~np.isfinite(np.asarray(mesh.points)).all(axis=1))
+    if len(bad):
+        raise ValueError(f"{path}: {len(bad)} of {len(mesh.points)} points are not finite, first node {bad[0]}.")
     return chosen
 
 
@@ -291,13 +289,14 @@ def losses(path: str | os.PathLike[str], mesh: Mesh) -> tuple[str, ...]:
     chosen, source = _checked(path, mesh), mesh.source
     if not isinstance(source, Source) or source_of(mesh, chosen.name) is not None:
         return ()
-    kinds = dict.fromkeys(mesh.kinds.values())
-    told = [f"kinds of patches are lost: {', '.join(kinds)}."] * bool(kinds)
-    told += [f"groups of patches are lost: {', '.join(mesh.groups)}."] * bool(mesh.groups)
-    told += [f"periodic pairs of patches are lost: {len(source.periodic)}."] * bool(source.periodic)
+    names = {
+        "kinds of patches": dict.fromkeys(mesh.kinds.values()),
+        "groups of patches": mesh.groups,
+        "periodic pairs of patches": [str(len(source.periodic))][: len(source.periodic)],
+        "arrays": getattr(source.content, "arrays", ()),
+    }
+    told = [f"{what} are lost: {', '.join(lost)}." for what, lost in names.items() if lost]
     told += ["whole polyhedra are lost; they are cut."] * (source.polyhedra is not None)
-    arrays = getattr(source.content, "arrays", [])
-    told += [f"arrays are lost: {', '.join(arrays)}."] * bool(arrays)
     return (*told, *source.notes)
 
 

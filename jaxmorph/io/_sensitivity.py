@@ -16,11 +16,10 @@ import jaxmorph as jm
 from jaxmorph import Mesh
 from jaxmorph._host.package.arguments import checked, finite_array, rows_of
 from jaxmorph._host.package.files import complete, input_path, output_path
-from jaxmorph._host.package.rounding import rows_in
 from jaxmorph._host.package.text import GRADIENTS, SENSITIVITIES
 
 from ._format import source_of
-from ._surface import check_values, read_named, read_table
+from ._surface import in_order, read_named, read_table
 from .openfoam.case import NAME
 from .openfoam.file import load
 
@@ -65,19 +64,8 @@ def read_sensitivity(
         ids, values = np.arange(n), read_point_vectors(path, mesh)
     else:
         ids, values = read_table(path, d, NAMES)
-    check_values(path, ids, values, d)
-    foreign = np.setdiff1d(ids, np.arange(n))
-    if foreign.size:
-        raise ValueError(f"{path}: {foreign.size} node ids are not of the mesh (0 to {n - 1}), first {foreign[0]}.")
     wanted = np.arange(n) if moving is None or len(ids) >= n else moving
-    is_surface = wanted is moving
-    missing = np.setdiff1d(wanted, ids)
-    if missing.size:
-        which = f"the {len(wanted)} moving nodes" if is_surface else f"{n} nodes"
-        need = f"a surface's file has all of them, a volume's all {n} nodes"
-        need = need if is_surface else "sensitivities of all nodes of the volume are needed"
-        raise ValueError(f"{path}: {missing.size} of {which} are missing (first {missing[0]}); {need}.")
-    return values[rows_in(ids, wanted)]
+    return in_order(path, ids, values, d, wanted, (np.arange(n), f"the mesh, 0 to {n - 1}"))
 
 
 @checked

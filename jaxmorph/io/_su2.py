@@ -19,7 +19,7 @@ from jaxmorph._mesh.exchange import Parts, checked_parts, gathered
 
 from ._format import MeshLike, Source, patch_faces, source_of
 from ._registry import check_nodes, check_output
-from ._text import Rows, Section, blank_comments, decoded, replaced
+from ._text import Section, blank_comments, decoded, replaced
 
 NAME = "SU2"
 TYPES = {number: kind for kind, number in VTK.items()}
@@ -92,29 +92,26 @@ def by_zones(path: pathlib.Path, text: bytes) -> list[list[Keyword]]:
     numbers = [zone[0].number() for zone in zones]
     if numbers != list(range(1, len(zones) + 1)):
         raise ValueError(f"{path}: IZONE= is {', '.join(map(str, numbers))}; 1 to {len(zones)} expected, each once.")
-    return [_with_head(head, zone) for zone in zones or [[]]]
-
-
-def _with_head(head: list[Keyword], zone: list[Keyword]) -> list[Keyword]:
-    names = {keyword.name for keyword in zone}
-    return [*(keyword for keyword in head if keyword.name not in names), *zone]
+    names = [{keyword.name for keyword in zone} for zone in zones or [[]]]
+    return [
+        [*(keyword for keyword in head if keyword.name not in own), *zone]
+        for own, zone in zip(names, zones or [[]], strict=True)
+    ]
 
 
 def mesh_of(path: pathlib.Path, text: bytes, keywords: list[Keyword]) -> Parts:
     dimension, rows = (_only(path, keywords, name) for name in ("NDIME", "NPOIN"))
     if (d := dimension.number()) not in (2, 3):
         raise dimension.section.error(f"NDIME= must be 2 or 3, found {d}.")
-    tables = list(_points(rows, d))
-    points = np.concatenate([table[:, :d] for table in tables])
+    table, section = _points(rows, d), rows.section
+    points = np.ascontiguousarray(table[:, :d])
     cells = _cells(_only(path, keywords, "NELEM"), len(points))
-    section = rows.section
-    content = SU2Content(text, section.start, section.stop, points.shape, tables[0].shape[1])
+    content = SU2Content(text, section.start, section.stop, points.shape, table.shape[1])
     patches = _markers(path, keywords, len(points))
     if not patches:
         outer = boundary_faces(cells, len(points)).values()
         patches = {"boundary": np.concatenate([corners.ravel() for corners in outer])}
-    source = Source(path, NAME, content, notes=tuple(_notes(keywords)))
-    return checked_parts(points, cells, patches, source)
+    return checked_parts(points, cells, patches, Source(path, NAME, content, notes=tuple(_notes(keywords))))
 
 
 def _notes(keywords: list[Keyword]) -> Iterator[str]:
@@ -175,33 +172,19 @@ def _only(path: pathlib.Path, keywords: list[Keyword], name: str) -> Keyword:
     return matches[0]
 
 
-def _points(keyword: Keyword, d: int) -> Iterator[np.ndarray]:
-    n, width, count = keyword.number(least=1), 0, 0
-    for block in keyword.section.blocks(np.float64):
-        counts, row = block.counts, block.row
-        width = width or int(counts[0])
-        block.refuse(
-            (counts < d) | (counts > d + 2) | (counts != width),
-            lambda k, counts=counts, width=width: (
-                f"a point of {d} coordinates expected, found {_numbers(counts[k])}"
-                f"{f', {width} on the rows before' if counts[k] != width else ''}."
-            ),
-        )
-        table = block.values.reshape(-1, width)
-        points, indices = table[:, :d], table[:, d:]
-        block.refuse(
-            (indices != np.floor(indices)).any(axis=1),
-            lambda k, found=indices: (
-                f"a point of {d} coordinates and its index expected, found {found[k].tolist()} as index."
-            ),
-        )
-        block.refuse(
-            ~np.isfinite(points).all(axis=1),
-            lambda k, row=row, points=points: f"point {row + k} is not finite: {points[k].tolist()}.",
-        )
-        yield table
-        count += len(table)
-    _check_count(keyword, n, count, "points")
+def _points(keyword: Keyword, d: int) -> np.ndarray:
+    n, rows = keyword.number(least=1), keyword.section.rows(np.float64)
+    counts = rows.counts
+    width = int(counts[:1].sum()) or d
+    expected = f"a point of {d} coordinates, and on all rows or none up to 2 indices, expected"
+    rows.refuse(
+        (counts < d) | (counts > d + 2) | (counts != width), lambda k: f"{expected}, found {counts[k]} numbers."
+    )
+    table = rows.values.reshape(-1, width)
+    is_good = np.isfinite(table).all(axis=1) & (table[:, d:] == np.floor(table[:, d:])).all(axis=1)
+    rows.refuse(~is_good, lambda k: f"{expected}, found point {k} at {table[k].tolist()}.")
+    _check_count(keyword, n, len(table), "points")
+    return table
 
 
 def _cells(keyword: Keyword, n: int) -> dict[str, np.ndarray]:
@@ -232,43 +215,14 @@ def _marker(tag: Keyword, *rest: Keyword, n: int) -> Iterator[tuple[str, np.ndar
 
 def _tables(keyword: Keyword, section: Section, n: int, what: str) -> Iterator[tuple[int, np.ndarray]]:
     """Yields types by SU2's number and corners (k, corners), in order of first appearance."""
-    count, extra = 0, None
+    count, more = 0, None
     for block in section.blocks(np.int64):
-        first = block.first
-        kinds = block.values[first]
-        corners = np.array([SIZES.get(kind, 0) for kind in range(max(SIZES) + 2)])[np.clip(kinds, 0, max(SIZES) + 1)]
-        extra = int(block.counts[0] - 1 - corners[0]) if extra is None else extra
-        _check_rows(block, kinds, corners, extra)
-        for kind in dict.fromkeys(kinds.tolist()):
-            rows = np.flatnonzero(kinds == kind)
-            ids = block.values[first[rows, None] + 1 + np.arange(SIZES[kind])]
-            block.refuse(
-                rows[((ids < 0) | (ids >= n)).any(axis=1)],
-                lambda k, rows=rows, ids=ids: (
-                    f"nodes {ids[np.searchsorted(rows, k)].tolist()}, but there are points 0 to {n - 1}."
-                ),
-            )
-            yield kind, ids.astype(np.int32 if n < 2**31 else np.int64)
-        count += len(kinds)
+        if more is None:  # all rows have an index behind the nodes, or none
+            more = min(max(int(block.counts[0]) - 1 - SIZES.get(int(block.values[0]), 0), 0), 1)
+        for kind, rows, table in block.by_kind(0, SIZES, n, more):
+            yield kind, table[:, 1:].astype(np.int32 if n < 2**31 else np.int64)
+            count += len(rows)
     _check_count(keyword, keyword.number(), count, what)
-
-
-def _check_rows(block: Rows, kinds: np.ndarray, corners: np.ndarray, extra: int) -> None:
-    """Raises `ValueError` for unknown types, and rows without `corners` and `extra` numbers."""
-    known = ", ".join(map(str, SIZES))
-    block.refuse(corners == 0, lambda k: f"element type {kinds[k]} is not known; SU2's are {known}.")
-    counts = block.counts - 1 - corners
-
-    def message(k: int) -> str:
-        others = ", and an index as the rows before have" if extra else ", and no index before it"
-        others = others if counts[k] in (0, 1) else ""  # else the row is wrong by itself
-        return f"an element of type {kinds[k]} has {corners[k]} nodes{others}, found {_numbers(block.counts[k])}."
-
-    block.refuse((counts < 0) | (counts > 1) | (counts != extra), message)
-
-
-def _numbers(count: int) -> str:
-    return f"{count} {'number' if count == 1 else 'numbers'}"
 
 
 def _check_count(keyword: Keyword, stated: int, count: int, what: str) -> None:

@@ -9,7 +9,8 @@ from jaxtyping import Float, Int
 
 from .._host.package.arguments import checked
 from .._host.package.files import input_path, read_arrays, real_array
-from ._text import Section
+from .._host.package.rounding import rows_in
+from ._text import Section, decoded
 
 FACT = re.compile(rb"^[ \t]*[A-Za-z_]+[ \t]*=.*$", re.MULTILINE)
 """A line `NAME= value`, as SU2's older restarts have behind their rows."""
@@ -64,13 +65,12 @@ def read_table(
             width, expected = len(names), f"{len(names)} numbers, as in the header,"
     rows.refuse(rows.counts != width, lambda k: f"{expected} expected, found {rows.counts[k]} numbers.")
     table = rows.values.reshape(-1, width)[:, columns]
-    ids = table[:, 0]
-    is_wrong = ~np.isfinite(table).all(axis=1) | (ids != np.floor(ids)) | (ids < 0)
+    ids = np.abs(np.floor(table[:, 0]))
+    is_wrong = ~np.isfinite(table).all(axis=1) | (ids != table[:, 0])
     rows.refuse(is_wrong, lambda k: f"found {table[k].tolist()}, not a node id and {d} finite numbers.")
-    ids = ids.astype(np.int64)
     copies = np.setdiff1d(np.arange(len(ids)), np.unique(ids, return_index=True)[1])
-    rows.refuse(copies, lambda k: f"node {ids[k]} comes a second time.")
-    return ids, np.ascontiguousarray(table[:, 1:])
+    rows.refuse(copies, lambda k: f"node {ids[k]:.0f} comes a second time.")
+    return ids.astype(np.int64), np.ascontiguousarray(table[:, 1:])
 
 
 def read_named(
@@ -86,14 +86,33 @@ def read_named(
     ids = arrays.get("ids", np.arange(len(np.atleast_1d(values))) if ids is None else ids)
     if ids.dtype.kind not in "iu" or ids.ndim != 1:
         raise ValueError(f"{path}: ids must be whole numbers (n,), found {ids.dtype} of shape {ids.shape}.")
-    if len(np.unique(ids)) < len(ids):
-        raise ValueError(f"{path}: {len(ids) - len(np.unique(ids))} of its {len(ids)} node ids come a second time.")
+    copies = len(ids) - len(np.unique(ids))
+    if copies:
+        raise ValueError(f"{path}: {copies} of its {len(ids)} node ids come a second time.")
     return ids, values, found[0]
 
 
-def check_values(path: pathlib.Path, ids: np.ndarray, values: np.ndarray, d: int) -> None:
+def in_order(
+    path: pathlib.Path,
+    ids: np.ndarray,
+    values: np.ndarray,
+    d: int,
+    wanted: Int[np.ndarray, " m"],
+    known: tuple[np.ndarray, str],
+) -> Float[np.ndarray, "m d"]:
+    """Returns the values of the nodes `wanted` from a file's, in the order of its `ids`.
+
+    Raises `ValueError` for values that are not finite or not (ids, d), for ids that are not among
+    those `known`, with what these are called, and for missing ones.
+    """
     if values.shape != (len(ids), d) or not np.isfinite(values).all():
         raise ValueError(f"{path}: finite values of shape ({len(ids)}, {d}) expected, found shape {values.shape}.")
+    foreign, missing = np.setdiff1d(ids, known[0]), np.setdiff1d(wanted, ids)
+    faults = [f"{foreign.size} of its {len(ids)} node ids are not of {known[1]} (first {x})" for x in foreign[:1]]
+    faults += [f"{missing.size} of the {len(wanted)} nodes are missing (first {x})" for x in missing[:1]]
+    if faults:
+        raise ValueError(f"{path}: {', and '.join(faults)}.")
+    return values[rows_in(ids, wanted)]
 
 
 def _restart(
@@ -102,7 +121,7 @@ def _restart(
     """Reads columns of a binary restart, which has a row for each node in the order of the mesh."""
     order = "<" if int.from_bytes(content[:4], "little") == MAGIC else ">"
     begin = 4 * HEADER
-    k, n = np.frombuffer(content[:begin].ljust(begin, b"\0"), f"{order}i4")[1:3].astype(int).tolist()
+    k, n = map(int, np.frombuffer(content[:begin].ljust(begin, b"\0"), f"{order}i4")[1:3])
     start = begin + WIDTH * k
     size = start + 8 * n * k
     if k < 1 or n < 1 or len(content) < size:
@@ -110,12 +129,12 @@ def _restart(
             f"{path}: a binary restart of {n} nodes and {k} columns has {size} bytes or more, found {len(content)}."
         )
     words = np.frombuffer(content, f"S{WIDTH}", k, begin).tolist()
-    names = [word.partition(b"\0")[0].decode(errors="replace").strip("\"' ").lower() for word in words]
+    names = [decoded(word.partition(b"\0")[0]).strip("\"' ").lower() for word in words]
     missing = ", ".join(name for name in wanted if name not in names)
     if missing:
         raise ValueError(f"{path}: a binary restart without the columns {missing}; it has {', '.join(names)}.")
-    values = np.frombuffer(content, f"{order}f8", count=n * k, offset=start).reshape(n, k).astype(float)
-    return np.arange(n), values[:, [names.index(name) for name in wanted]]
+    values = np.frombuffer(content, f"{order}f8", n * k, start).reshape(n, k)[:, [*map(names.index, wanted)]]
+    return np.arange(n), values.astype(float)
 
 
 def _after_header(text: bytes) -> int:

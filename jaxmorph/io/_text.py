@@ -5,7 +5,7 @@ import io
 import pathlib
 import re
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -150,11 +150,35 @@ class Rows:
     def first(self) -> np.ndarray:
         return np.cumsum(self.counts) - self.counts
 
-    def refuse(self, wrong: Any, message: Callable[[int], str]) -> None:
+    def refuse(self, wrong: Any, message: str | Callable[[int], str]) -> None:
         """Raises `ValueError` for the first of the rows `wrong`, ids or a mask."""
         rows = np.flatnonzero(wrong) if wrong.dtype == bool else wrong
         if len(rows):
-            raise self.section.error(message(int(rows[0])), self.row + int(rows[0]))
+            row = int(rows[0])
+            raise self.section.error(message if isinstance(message, str) else message(row), self.row + row)
+
+    def by_kind(
+        self, column: int, sizes: Mapping[int, int], n: int, more: int = 0
+    ) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
+        """Yields each type of elements in a column, its rows, and their numbers up to the nodes.
+
+        These are 0 to n - 1, so many of each type as `sizes` says. Behind them is an index if `more` is 1.
+        """
+        self.refuse(self.counts <= column, "an element's type and nodes expected.")
+        kinds = self.values[self.first + column]
+        for kind in dict.fromkeys(kinds.tolist()):
+            rows, size = np.flatnonzero(kinds == kind), sizes.get(kind, 0)
+            known = f"element type {kind} is not known; known are {', '.join(map(str, sizes))}."
+            self.refuse(rows[: 0 if size else 1], known)
+            width = column + 1 + size
+            message = f"an element of type {kind} has {size} nodes: {width} numbers{' and an index' * more} expected."
+            self.refuse(rows[self.counts[rows] != width + more], message)
+            table = self.values[self.first[rows, None] + np.arange(width)]
+            nodes = table[:, column + 1 :]
+            self.refuse(
+                rows[((nodes < 0) | (nodes >= n)).any(axis=1)], f"there are nodes 0 to {n - 1}, and others here."
+            )
+            yield kind, rows, table
 
 
 def blank_comments(text: bytes) -> bytes:

@@ -35,18 +35,17 @@ def opened(path: pathlib.Path, writes: bool = False, what: str = WHAT) -> Iterat
     `what` names the format in messages. Raises `ValueError` for another format, and for a file that
     is damaged or has data elsewhere, which a copy would share.
     """
-    with path.open("rb") as file:
-        magic = file.read(_adf.TAG + len(_adf.MAGIC))
-    trees = {_adf.MAGIC: lambda file: _adf.Reader(path, file).tree(), MAGIC: lambda file: _Header(file).tree()}
-    makes = [make for first, make in trees.items() if first in (magic[: len(first)], magic[_adf.TAG :])]
     try:
-        if makes:
-            with path.open("r+b" if writes else "rb") as file:
-                yield makes[0](file)
-        else:
-            with h5py.File(path, "r+" if writes else "r") as file:
-                _refuse_foreign_data(path, file)
-                yield file
+        with path.open("r+b" if writes else "rb") as file:
+            magic = file.read(_adf.TAG + len(_adf.MAGIC))
+            if magic.startswith(MAGIC):
+                yield _Header(file).tree()
+            elif magic.endswith(_adf.MAGIC):
+                yield _adf.Reader(path, file).tree()
+            else:
+                with h5py.File(path, "r+" if writes else "r") as tree:
+                    _refuse_foreign_data(path, tree)
+                    yield tree
     except Exception as error:  # HDF5 answers damage by a dozen classes
         if writes or (isinstance(error, ValueError) and str(path) in str(error)):
             raise
@@ -148,7 +147,6 @@ class _Header:
         if version not in (1, 2, 5):
             raise ValueError(f"version {version} of netCDF; 1, 2 and 5 are read")
         self.count, self.place = (8 if version == 5 else 4), (4 if version == 1 else 8)
-        self.spans: list[tuple[int, int]] = []
 
     def taken(self, count: int) -> bytes:
         """Reads some bytes, and the bytes that fill them up to a multiple of four."""
@@ -160,23 +158,24 @@ class _Header:
     def number(self, width: int = 0) -> int:
         return int.from_bytes(self.taken(width or self.count), "big")
 
-    def name(self) -> str:
-        return self.taken(self.number()).decode()
-
-    def entries(self, tag: int) -> range:
-        """Reads the head of a list: a tag and a count, or zeros for a list that is absent."""
+    def entries(self, tag: int) -> Iterator[str]:
+        """Yields the names of a list: behind a tag and a count, or zeros for a list that is absent."""
         found, count = self.number(4), self.number()
         if found != tag and (found, count) != (0, 0):
             raise ValueError(f"a list of tag {found} where {tag} is expected")
-        return range(count)
+        names = set()
+        for _ in range(count):
+            name = self.taken(self.number()).decode()
+            if name in names:
+                raise ValueError(f"two dimensions, variables or attributes are called {name}")
+            names.add(name)
+            yield name
 
     def attributes(self) -> dict[str, bytes]:
         texts = {}
-        for _ in self.entries(_ATTRIBUTES):
-            name, kind = self.name(), np.dtype(_TYPES[self.number(4)])
-            data = self.taken(self.number() * kind.itemsize)
-            if kind.kind == "S":
-                texts[name] = data
+        for name in self.entries(_ATTRIBUTES):
+            kind = np.dtype(_TYPES[self.number(4)])
+            texts[name] = self.taken(self.number() * kind.itemsize)
         return texts
 
     def tree(self) -> dict[str, _adf.Array]:
@@ -186,29 +185,19 @@ class _Header:
         Raises `ValueError` for what lies beyond the file, or in two variables.
         """
         self.number()  # of records
-        dimensions = [(self.name(), self.number()) for _ in self.entries(_DIMENSIONS)]
+        lengths = {name: self.number() for name in self.entries(_DIMENSIONS)}
         self.attributes()
-        variables = [self._variable(dimensions) for _ in self.entries(_VARIABLES)]
-        spans = np.array(sorted([(0, self.file.tell()), *self.spans]))
-        ends = spans[spans[:, 0] < spans[:, 1], 1]
-        if (spans[1:, 0] < spans[:-1, 1]).any() or ends.max() > self.size:
-            raise ValueError("variables lie in one another, or beyond the end of the file")
-        if any(len(dict(several)) < len(several) for several in (dimensions, variables)):
-            raise ValueError("two dimensions or two variables of one name")
-        lengths = {name: _adf.Array(self.file, np.dtype("i1"), (length,), []) for name, length in dimensions}
-        return lengths | {name: array for name, array in variables if array is not None}
+        arrays = {name: self._variable(name, [*lengths.values()]) for name in self.entries(_VARIABLES)}
+        pieces = [(at, at + size) for array in arrays.values() for at, size in array.pieces]
+        _adf.check_spans([(0, self.file.tell()), *pieces], self.size)
+        arrays = {name: array for name, array in arrays.items() if array.shape[0]}  # a record has none
+        return {name: _adf.Array(self.file, np.dtype("i1"), (n,), []) for name, n in lengths.items()} | arrays
 
-    def _variable(self, dimensions: list[tuple[str, int]]) -> tuple[str, _adf.Array | None]:
-        """Reads a variable's name and place; one of a number each record stands behind all else."""
-        name = self.name()
-        sizes = [dimensions[self.number()][1] for _ in range(self.number())]
+    def _variable(self, name: str, lengths: list[int]) -> _adf.Array:
+        """Reads the place of a variable; one of a number each record stands behind all else."""
+        sizes = [lengths[self.number()] for _ in range(self.number())] or [1]
         attributes, kind = self.attributes(), np.dtype(_TYPES[self.number(4)])
-        stated, at = self.number(), self.number(self.place)
-        is_record = sizes[:1] == [0]
-        size = 0 if is_record else kind.itemsize * math.prod(sizes)
-        self.spans.append((at, at + size))
-        if is_record:
-            return name, None
-        if stated not in (size, -(-size // 4) * 4) and size < _UNSTATED:
+        stated, at, size = self.number(), self.number(self.place), kind.itemsize * math.prod(sizes)
+        if sizes[0] and stated not in (size, -(-size // 4) * 4) and size < _UNSTATED:
             raise ValueError(f"{name} has {stated} bytes, {size} expected")
-        return name, _adf.Array(self.file, kind, tuple(sizes) or (1,), [(at, size)], attributes)
+        return _adf.Array(self.file, kind, tuple(sizes), [(at, size)], attributes)
