@@ -6,13 +6,14 @@ hexadecimal digits in version A, integers in version B.
 """
 
 import math
-import pathlib
 import re
 import struct
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
+from numpy import ndarray
 
 from ._text import decoded
 
@@ -38,7 +39,7 @@ class Array:
         self._file, self.dtype, self.pieces, self.attrs = file, dtype, pieces, attrs or {}
         self.shape, self.size = shape, math.prod(shape)
 
-    def __getitem__(self, key: Any) -> np.ndarray:
+    def __getitem__(self, key: Any) -> ndarray:
         parts = []
         for at, count in self.pieces:
             self._file.seek(at)
@@ -46,7 +47,7 @@ class Array:
         values = np.frombuffer(b"".join(parts), self.dtype, self.size).reshape(self.shape)
         return values.astype(self.dtype.newbyteorder("="))[key]
 
-    def __setitem__(self, _: Any, values: np.ndarray) -> None:
+    def __setitem__(self, _: Any, values: ndarray) -> None:
         raw = np.ascontiguousarray(values, self.dtype).tobytes()
         for at, count in self.pieces:
             self._file.seek(at)
@@ -78,7 +79,7 @@ def hexadecimal(digits: bytes) -> int:
 class Reader:
     """Reads nodes, and records their `spans` of the file: no two may share a byte."""
 
-    def __init__(self, path: pathlib.Path, file: BinaryIO):
+    def __init__(self, path: Path, file: BinaryIO):
         self.path, self.file, self.size, self.spans = path, file, file.seek(0, 2), [(0, 186)]
         head = self._read(0, 186)
         self._tagged(head, _HEADER_TAGS)

@@ -3,14 +3,14 @@
 import dataclasses
 import itertools
 import math
-import os
-import pathlib
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
+from numpy import ndarray
 
 import jaxmorph as jm
 from jaxmorph import Mesh
@@ -22,14 +22,16 @@ from jaxmorph._mesh.exchange import gathered
 
 from ._format import Source, faults_of, source_of
 from ._su2 import NAME, Keyword, by_zones
-from ._text import Section, decoded
+from ._text import PathLike, Section, decoded
 from ._vtk import Encoding, text_of
 
-Points = Float[np.ndarray, "..."]
-Surface = Mapping[str, tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k d"]]]
+Points = Float[ndarray, "..."]
+Surface = Mapping[str, tuple[Int[ndarray, " k"], Float[ndarray, "k d"]]]
 
 NEEDED, OPTIONAL = {"points", "moved"}, {"degree", "continuity"}
 """Keys of a box's table, beside those of its place."""
+ORDERS = ("BSPLINE_ORDER_I", "BSPLINE_ORDER_J", "BSPLINE_ORDER_K")
+RELATIVES = ("FFD_PARENTS", "FFD_CHILDREN")
 MOST = 10**6
 """Control points that a box may have."""
 HALF = 0.5
@@ -38,8 +40,8 @@ HALF = 0.5
 
 @checked
 def read_box(
-    source: str | os.PathLike[str] | Mapping[str, Any], dimensions: int
-) -> "tuple[jm.shapes.FreeForm | jm.shapes.Hexahedron, Float[np.ndarray, '*counts d']]":
+    source: PathLike | Mapping[str, Any], dimensions: int
+) -> "tuple[jm.shapes.FreeForm | jm.shapes.Hexahedron, Float[ndarray, '*counts d']]":
     """Reads a box of control points, and the displacements of its control points.
 
     The table has `low` and `high` (two corners of a box along the axes), or `corners` (eight, in
@@ -59,10 +61,10 @@ def read_box(
     """
     where = "--box" if isinstance(source, Mapping) else str(source)
     table = dict(source) if isinstance(source, Mapping) else read(where, input_path(source).read_bytes())
-    with faults_of(pathlib.Path(where)):
+    with faults_of(Path(where)):
         box = _box_of(table, dimensions)
         control = np.zeros((*box.counts, dimensions))
-        for entry in table["moved"]:
+        for entry in table["moved"] if isinstance(table["moved"], list) else [table["moved"]]:
             if not isinstance(entry, dict) or set(entry) != {"at", "by"}:
                 raise ValueError(f"each of moved has at and by, found {entry}.")
             place = tuple(_whole("at", entry["at"], 0, np.array(box.counts) - 1))
@@ -74,30 +76,30 @@ def read_box(
 
 def _box_of(table: dict[str, Any], d: int) -> "jm.shapes.FreeForm | jm.shapes.Hexahedron":
     needed = NEEDED | ({"corners"} if "corners" in table else {"low", "high"})
-    if not needed <= set(table) <= needed | OPTIONAL or not isinstance(table["moved"], list):
+    if not needed <= set(table) <= needed | OPTIONAL:
         listed = ", ".join(table) or "nothing"
         raise ValueError(f"low and high or corners, points and a list moved expected, found {listed}.")
-    counts, options = _whole("points", table["points"], 2, np.full(d, MOST)), table.keys() & OPTIONAL
+    counts = _whole("points", table["points"], 2, np.full(d, MOST))
     if math.prod(counts) > MOST:
         raise ValueError(f"points = {counts} are {math.prod(counts):.3g} control points; {MOST} at most.")
-    more: dict[str, Any] = {name: _whole(name, [table[name]], 0, np.array([MOST]))[0] for name in options}
+    more = {name: table[name] for name in OPTIONAL & table.keys()}
     if "corners" in table:
         rows = table["corners"] if isinstance(table["corners"], list) else [table["corners"]]
         return jm.shapes.Hexahedron(np.array([_numbers("corners", row, d) for row in rows]), counts, **more)
-    low, high = (_numbers(name, table[name], d) for name in ("low", "high"))
+    low, high = _numbers("low", table["low"], d), _numbers("high", table["high"], d)
     if not (low < high).all():
         raise ValueError("low must be below high.")
     return jm.shapes.FreeForm(low, np.diag(high - low), counts, **more)
 
 
-def _whole(name: str, values: Any, least: int, most: Int[np.ndarray, " d"]) -> list[int]:
+def _whole(name: str, values: Any, least: int, most: Int[ndarray, " d"]) -> list[int]:
     numbers = _numbers(name, values, len(most))
     if (numbers != np.clip(np.floor(numbers), least, most)).any():
         raise ValueError(f"{name} = {values}: whole numbers from {least} to {most.tolist()} expected.")
     return numbers.astype(int).tolist()
 
 
-def _numbers(name: str, values: Any, d: int) -> Float[np.ndarray, " d"]:
+def _numbers(name: str, values: Any, d: int) -> Float[ndarray, " d"]:
     good = isinstance(values, list) and len(values) == d and all(type(value) in (int, float) for value in values)
     if not good or not np.isfinite(values).all():
         raise ValueError(f"{name} needs {d} numbers for a mesh in {d}-D, found {values}.")
@@ -105,7 +107,7 @@ def _numbers(name: str, values: Any, d: int) -> Float[np.ndarray, " d"]:
 
 
 @checked
-def write_lattice(file: str | os.PathLike[str], points: Any) -> None:
+def write_lattice(file: PathLike, points: Any) -> None:
     """Writes a lattice of control points as a structured grid in VTK's XML, which ParaView opens.
 
     **Arguments:**
@@ -127,7 +129,7 @@ def write_lattice(file: str | os.PathLike[str], points: Any) -> None:
 
 
 @checked
-def check_lattice_output(file: str | os.PathLike[str]) -> pathlib.Path:
+def check_lattice_output(file: PathLike) -> Path:
     """Raises `ValueError` or `ImportError` where `write_lattice` cannot write; returns the path."""
     path = output_path(file, *LATTICES)
     vtk.vtk("vtkIOXML")
@@ -193,13 +195,7 @@ def with_boxes(mesh: Mesh, new: Sequence[Box]) -> Mesh:
     source = source_of(mesh, NAME)
     if source is None:
         raise ValueError("the mesh was not read from an SU2 file: other formats hold no free-form boxes.")
-    for box in new:
-        expected = (*box.shape.counts, mesh.points.shape[1])
-        if np.shape(box.control) != expected:
-            raise ValueError(f"box {box.name}: `control` has shape {np.shape(box.control)}; expected {expected}.")
-    again = len(new) - len({box.name for box in new})
-    if again:
-        raise ValueError(f"{again} of {len(new)} boxes have the name of another one.")
+    _check_new(new, mesh.points.shape[1])
     content, (start, stop) = source.content, _extent(source)
     end = b"\r\n" if b"\r\n" in content.text[:1000] else b"\n"
     written = b"".join(line.encode() + end for line in _lines(new)) if new else b""
@@ -210,6 +206,16 @@ def with_boxes(mesh: Mesh, new: Sequence[Box]) -> Mesh:
     text = before + written + content.text[stop:]
     changed = dataclasses.replace(content, text=text, start=content.start + shift, stop=content.stop + shift)
     return Mesh(mesh.points, mesh.cells, mesh.patches, dataclasses.replace(source, content=changed))
+
+
+def _check_new(new: Sequence[Box], d: int) -> None:
+    for box in new:
+        expected = (*box.shape.counts, d)
+        if np.shape(box.control) != expected:
+            raise ValueError(f"box {box.name}: `control` has shape {np.shape(box.control)}; expected {expected}.")
+    again = len(new) - len({box.name for box in new})
+    if again:
+        raise ValueError(f"{again} of {len(new)} boxes have the name of another one.")
 
 
 def _keywords(source: Source) -> list[Keyword]:
@@ -229,34 +235,35 @@ def _extent(source: Source) -> tuple[int, int]:
 
 def _box(keywords: Sequence[Keyword], n: int, d: int) -> Box:
     table = {keyword.name: keyword for keyword in keywords}
-    name, at = table["FFD_TAG"].value.replace(" ", ""), table["FFD_TAG"].section
-    words = [*(f"FFD_DEGREE_{axis}" for axis in "IJK"[:d]), "FFD_CORNER_POINTS", "FFD_CONTROL_POINTS"]
-    missing = next((word for word in words if word not in table), None)
-    if missing:
-        raise at.error(f"box {name} has no {missing}=; SU2 writes it by DV_KIND= FFD_SETTING.")
-
-    def number(word: str) -> int:
-        return table[word].number() if word in table else 0
-
-    degrees, orders = (
-        np.array([number(f"{word}_{axis}") for axis in "IJK"[:d]]) for word in ("FFD_DEGREE", "BSPLINE_ORDER")
-    )
-    is_spline = ((orders > 1) & (orders <= degrees + 1)).all()
-    corners, control = _rows(table["FFD_CORNER_POINTS"], d), _rows(table["FFD_CONTROL_POINTS"], 6)
-    if len(corners) != 2**d:
-        raise at.error(f"box {name} has {len(corners)} corners; {2**d} expected in {d}-D.")
+    tag, empty = table["FFD_TAG"], Section(Path(), b"", 0, 0)
+    name = tag.value.replace(" ", "")
     try:
-        degree = (orders - 1).tolist() if is_spline else None
-        shape = jm.shapes.Hexahedron(corners, (degrees + 1).tolist(), degree=degree)
+        shape = _shape(table, d)
+        control = _control(_rows(table["FFD_CONTROL_POINTS"], 6), shape)
+    except KeyError as error:
+        missing = f"box {name} has no {error.args[0]}=; SU2 writes it by DV_KIND= FFD_SETTING."
+        raise tag.section.error(missing) from error
     except ValueError as error:
-        raise at.error(f"box {name}: {error}") from error
-    surface = _surface(table["FFD_SURFACE_POINTS"], n, d) if "FFD_SURFACE_POINTS" in table else {}
-    lists = [table[word].section.content if word in table else b"" for word in ("FFD_PARENTS", "FFD_CHILDREN")]
-    relatives = [tuple(decoded(line.strip()) for line in text.split(b"\n") if line.strip()) for text in lists]
-    return Box(name, shape, _control(control, shape, at), surface, number("FFD_LEVEL"), *relatives)
+        raise error if ", line " in str(error) else tag.section.error(f"box {name}: {error}") from error
+    others = {word: Keyword(word, "0", empty) for word in ("FFD_LEVEL", "FFD_SURFACE_POINTS", *RELATIVES)} | table
+    lists = [others[word].section.content.split(b"\n") for word in RELATIVES]
+    relatives = [tuple(decoded(line.strip()) for line in lines if line.strip()) for lines in lists]
+    surface = _surface(others["FFD_SURFACE_POINTS"], n, d)
+    return Box(name, shape, control, surface, others["FFD_LEVEL"].number(), *relatives)
 
 
-def _rows(keyword: Keyword, width: int) -> Float[np.ndarray, "k w"]:
+def _shape(table: Mapping[str, Keyword], d: int) -> "jm.shapes.Hexahedron":
+    degrees = np.array([table[f"FFD_DEGREE_{axis}"].number() for axis in "IJK"[:d]])
+    orders = [table[word].number() if word in table else 0 for word in ORDERS[:d]]
+    is_spline = all(1 < order <= degree + 1 for order, degree in zip(orders, degrees.tolist(), strict=True))
+    corners = _rows(table["FFD_CORNER_POINTS"], d)
+    if len(corners) != 2**d:
+        raise ValueError(f"{len(corners)} corners; {2**d} expected in {d}-D.")
+    degree = [order - 1 for order in orders] if is_spline else None
+    return jm.shapes.Hexahedron(corners, (degrees + 1).tolist(), degree=degree)
+
+
+def _rows(keyword: Keyword, width: int) -> Float[ndarray, "k w"]:
     rows = keyword.section.rows(np.float64)
     if (rows.counts != width).any() or len(rows.counts) != keyword.number():
         message = f"{keyword.name}= {keyword.value}: as many rows of {width} numbers expected."
@@ -264,7 +271,7 @@ def _rows(keyword: Keyword, width: int) -> Float[np.ndarray, "k w"]:
     return rows.values.reshape(-1, width)
 
 
-def _control(rows: Float[np.ndarray, "k 6"], shape: "jm.shapes.Hexahedron", at: Section) -> Points:
+def _control(rows: Float[ndarray, "k 6"], shape: "jm.shapes.Hexahedron") -> Points:
     """Sorts control points by their numbers; in 2-D, two above each other become their mean."""
     d = len(shape.counts)
     counts = (*shape.counts, *(2,) * (3 - d))
@@ -272,7 +279,7 @@ def _control(rows: Float[np.ndarray, "k 6"], shape: "jm.shapes.Hexahedron", at: 
         return np.asarray(shape.lattice())
     rows = rows[np.lexsort(rows[:, 2::-1].T)]
     if not np.array_equal(rows[:, :3], list(np.ndindex(counts))):
-        raise at.error(f"{len(rows)} control points do not make a lattice of {' x '.join(map(str, counts))}.")
+        raise ValueError(f"{len(rows)} control points do not make a lattice of {' x '.join(map(str, counts))}.")
     control = rows[:, 3:].reshape(*counts, 3)
     return control if d == 3 else control.mean(axis=2)[..., :2]
 

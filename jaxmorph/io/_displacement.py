@@ -1,12 +1,12 @@
 """Displacements of a mesh's moving nodes from a file, or from two surfaces (STL, OBJ, NPZ)."""
 
-import os
-import pathlib
 import re
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
+from numpy import ndarray
 
 from jaxmorph import Facets, Mesh
 from jaxmorph._host.package.arguments import checked
@@ -15,7 +15,7 @@ from jaxmorph._host.surface.gaps import closest, fans
 
 from ._registry import read
 from ._surface import in_order, read_named, read_surface
-from ._text import parse, scan
+from ._text import PathLike, parse, scan
 
 SHAPES = (".stl", ".obj")
 OFF = 0.01
@@ -24,13 +24,13 @@ OFF = 0.01
 
 @checked
 def read_displacement(
-    path: str | os.PathLike[str],
+    path: PathLike,
     mesh: Mesh,
-    moving: Int[np.ndarray, " m"],
+    moving: Int[ndarray, " m"],
     *,
-    before: str | os.PathLike[str] | None = None,
+    before: PathLike | None = None,
     is_position: bool = True,
-) -> Float[np.ndarray, "m d"]:
+) -> Float[ndarray, "m d"]:
     """Reads the displacement of each of the nodes `moving`, in their order.
 
     With `before` it goes from one surface to another of the same points in the same order (.stl,
@@ -70,7 +70,7 @@ def read_displacement(
 
 
 @checked
-def read_facets(path: str | os.PathLike[str], d: int = 3, *, smooth: bool = False) -> Facets:
+def read_facets(path: PathLike, d: int = 3, *, smooth: bool = False) -> Facets:
     """Reads a surface in 3-D, a curve in 2-D: a scan, or the tessellation of a CAD model.
 
     **Arguments:**
@@ -92,7 +92,7 @@ def read_facets(path: str | os.PathLike[str], d: int = 3, *, smooth: bool = Fals
     return Facets(shape.points[:, :d], shape.simplices, smooth=smooth)
 
 
-def _between(before: pathlib.Path, after: pathlib.Path, x: np.ndarray) -> np.ndarray:
+def _between(before: Path, after: Path, x: ndarray) -> ndarray:
     old, new = read_shape(before), read_shape(after)
     if old.points.shape != new.points.shape or not np.array_equal(old.simplices, new.simplices):
         sizes = " and ".join(f"{len(surface.points)} points, {len(surface.simplices)} faces" for surface in (old, new))
@@ -117,11 +117,11 @@ def _between(before: pathlib.Path, after: pathlib.Path, x: np.ndarray) -> np.nda
 class Simplices(NamedTuple):
     """`points` (p, 2 or 3), and `simplices`: triangles (t, 3), or a curve's segments (t, 2)."""
 
-    points: np.ndarray
-    simplices: np.ndarray
+    points: ndarray
+    simplices: ndarray
 
 
-def read_shape(path: pathlib.Path) -> Simplices:
+def read_shape(path: Path) -> Simplices:
     """Reads a surface: .stl (text, binary), .obj (faces, lines), .npz (points with either)."""
     if path.suffix.lower() not in READERS:
         raise ValueError(f"{path}: a surface is read from {', '.join(READERS)}, found the ending {path.suffix!r}.")
@@ -134,7 +134,7 @@ def read_shape(path: pathlib.Path) -> Simplices:
     return shape
 
 
-def _stl(path: pathlib.Path) -> Simplices:
+def _stl(path: Path) -> Simplices:
     data = path.read_bytes()
     count = int.from_bytes(data[80:84], "little")
     if len(data) == 84 + 50 * count and count:
@@ -148,7 +148,7 @@ def _stl(path: pathlib.Path) -> Simplices:
     return Simplices(points, np.arange(len(points)).reshape(-1, 3))
 
 
-def _obj(path: pathlib.Path) -> Simplices:
+def _obj(path: Path) -> Simplices:
     data = path.read_bytes()
     rows = re.findall(rb"^v\s+(\S+\s+\S+\s+\S+)", data, re.MULTILINE)
     values = parse(b" ".join(rows), np.float64)
@@ -166,12 +166,12 @@ def _obj(path: pathlib.Path) -> Simplices:
     return Simplices(points, np.zeros((0, 3), np.int64))
 
 
-def _chains(ids: np.ndarray, counts: np.ndarray) -> np.ndarray:
+def _chains(ids: ndarray, counts: ndarray) -> ndarray:
     pairs = np.column_stack([ids[:-1], ids[1:]])
     return np.delete(pairs, np.cumsum(counts)[:-1] - 1, axis=0)
 
 
-def _npz(path: pathlib.Path) -> Simplices:
+def _npz(path: Path) -> Simplices:
     arrays = read_arrays(path)
     kind = next((name for name in ("triangles", "lines") if name in arrays), "")
     if not kind or "points" not in arrays:

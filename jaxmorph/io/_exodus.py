@@ -1,10 +1,11 @@
 """Exodus files of Cubit and MOOSE, netCDF-4 or classic: copies with other coordinates."""
 
-import pathlib
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from jaxmorph._host.cells.lagrange import inner_places, lagrange_types
 from jaxmorph._host.cells.orders import CGNS_ORDER, NodeOrder, reordered
@@ -54,11 +55,11 @@ class _Block(NamedTuple):
     name: str
     own: str
     kind: str
-    corners: np.ndarray
-    sides: list[np.ndarray]
+    corners: ndarray
+    sides: list[ndarray]
 
 
-def read(path: pathlib.Path) -> Parts:
+def read(path: Path) -> Parts:
     """Reads points, cells and patches: side sets, node sets, blocks of lower dimension.
 
     An unnamed set is called by its kind and number; so is a duplicate name, but the first.
@@ -76,7 +77,7 @@ def read(path: pathlib.Path) -> Parts:
         return of_tree(path, NAME, coordinates, grid, patches, notes)
 
 
-def write(path: pathlib.Path, mesh: MeshLike) -> None:
+def write(path: Path, mesh: MeshLike) -> None:
     """Writes a copy of the file that the mesh was read from."""
     write_points(path, mesh, NAME, _coordinates, WHAT)
 
@@ -96,7 +97,7 @@ def _check_count(file: Mapping[str, Any], name: str, count: int) -> None:
         raise ValueError(f"{name} is {file[name].shape[0]}, and {count} are found")
 
 
-def _blocks(path: pathlib.Path, file: Mapping[str, Any], dimension: int) -> Iterator[_Block]:
+def _blocks(path: Path, file: Mapping[str, Any], dimension: int) -> Iterator[_Block]:
     """Yields the blocks of elements. A block that the file has no array of is empty."""
     for _, name, own, array in _named(file, ("eb", "connect", "block"), "num_el_blk"):
         if array is None:
@@ -123,7 +124,7 @@ def _type_of(letters: str, width: int) -> str:
     return shape if width == CORNERS.get(shape, 1) else f"{shape}{width}"
 
 
-def _sides(kind: str, is_shell: bool) -> list[np.ndarray]:
+def _sides(kind: str, is_shell: bool) -> list[ndarray]:
     """Lists the nodes of each side in a cell; a shell has two faces before its edges."""
     cell, shape = lagrange_types()[kind], SHAPES[kind]
     places = {frozenset(face): nodes for face, (_, nodes) in zip(FACES[shape], cell.sides, strict=True)}
@@ -171,7 +172,7 @@ def _values(file: Mapping[str, Any], name: str, default: Any) -> Any:
     return file[name][()] if name in file else default
 
 
-def _nodes(blocks: list[_Block], cells: np.ndarray, sides: np.ndarray) -> np.ndarray:
+def _nodes(blocks: list[_Block], cells: ndarray, sides: ndarray) -> ndarray:
     starts = np.cumsum([0, *(len(block.corners) for block in blocks)])
     if cells.shape != sides.shape or cells.min() < 0 or cells.max() >= starts[-1]:
         raise ValueError(f"a set of sides of elements {cells.min() + 1} to {cells.max() + 1} of {starts[-1]}")

@@ -6,17 +6,18 @@ hexadecimal. A face is its nodes and the cells on its two sides, 0 for none.
 """
 
 import dataclasses
-import pathlib
 import re
 from collections.abc import Iterator
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from jaxmorph._host.cells.topology import SIDE_TYPES
 from jaxmorph._mesh.exchange import Parts, Patch, checked_parts, distinct, gathered, regions_note
 from jaxmorph._mesh.faces import Faces, following
-from jaxmorph._mesh.polyhedra import cells_of_faces, spread
+from jaxmorph._mesh.polyhedra import Polyhedra, cells_of_faces, spread
 
 from ._format import FilePoints, MeshLike, Source, faults_of, own_source
 from ._text import Section, decoded, replaced
@@ -45,15 +46,15 @@ class FaceZone(NamedTuple):
     number: int
     name: str
     kind: str
-    rows: np.ndarray
+    rows: ndarray
 
 
 class FaceTable(NamedTuple):
     """Faces: ids of nodes from 1, their number in each face, and cells (k, 2) from 1."""
 
-    labels: np.ndarray
-    sizes: np.ndarray
-    cells: np.ndarray
+    labels: ndarray
+    sizes: ndarray
+    cells: ndarray
 
 
 class NodeSection(NamedTuple):
@@ -63,7 +64,7 @@ class NodeSection(NamedTuple):
     """
 
     first: int
-    points: np.ndarray
+    points: ndarray
     section: Section
     kind: np.dtype | None
 
@@ -77,7 +78,7 @@ class FluentContent(FilePoints):
     text: bytes
     parts: list[NodeSection]
 
-    def moved(self, points: np.ndarray) -> Iterator[bytes | memoryview]:
+    def moved(self, points: ndarray) -> Iterator[bytes | memoryview]:
         """Yields the file with other points (n, d), section by section."""
         done = 0
         for part in sorted(self.parts, key=lambda part: part.section.start):
@@ -139,16 +140,19 @@ class _FluentText:
 
     def content(self, text: bytes) -> FluentContent:
         parts = sorted(self.nodes, key=lambda part: part.first)
-        ends = [0, *(part.rows.stop for part in parts)]
-        if not parts or not self.faces or [part.rows.start for part in parts] != ends[:-1]:
+        ends = np.cumsum([0, *(len(part.points) for part in parts)])
+        if not parts or not self.faces or [part.rows.start for part in parts] != ends[:-1].tolist():
             raise ValueError("not a Fluent mesh, or a damaged one: no nodes or faces, or some are missing.")
-        found = {10: ends[-1], 13: sum(len(table.cells) for _, table in self.faces)}
-        for kind in found.keys() & self.counts.keys():
-            if self.counts[kind] != found[kind]:
-                what = f"{found[kind]} nodes or faces, and {self.counts[kind]} announced"
-                raise ValueError(f"{what}: the file is cut short.")
-        singles = [(part.rows, slice(None)) for part in parts if part.kind == np.float32]
-        return FluentContent(np.concatenate([part.points for part in parts]), text, parts, singles=singles)
+        points = np.concatenate([part.points for part in parts])
+        found = [len(points), len(self.table().cells)]
+        announced = [self.counts.get(10, found[0]), self.counts.get(13, found[1])]
+        if announced != found:
+            raise ValueError(f"{found} nodes and faces, and {announced} announced: the file is cut short.")
+        singles = [(part.rows, slice(None)) for part in parts if part.kind == "<f4"]
+        return FluentContent(points, text, parts, singles=singles)
+
+    def table(self) -> FaceTable:
+        return FaceTable(*map(np.concatenate, zip(*(table for _, table in self.faces), strict=True)))
 
     def zones(self) -> Iterator[FaceZone]:
         first = 0
@@ -159,7 +163,7 @@ class _FluentText:
             first += len(table.cells)
 
 
-def read(path: pathlib.Path) -> Parts:
+def read(path: Path) -> Parts:
     """Reads points, cells and patches: the zones of faces, but inner ones, with their kinds."""
     text, found = path.read_bytes(), _FluentText()
     for number, section in _sections(path, text):
@@ -172,17 +176,16 @@ def read(path: pathlib.Path) -> Parts:
     regions = [found.names.get(number, (f"zone_{number}", ""))[0] for number in found.regions]
     with faults_of(path):
         source = Source(path, NAME, found.content(text))
-        table = FaceTable(*map(np.concatenate, zip(*(table for _, table in found.faces), strict=True)))
-        return mesh_of(source, table, list(found.zones()), found.counts.get(12), regions)
+        return mesh_of(source, found.table(), list(found.zones()), found.counts.get(12), regions)
 
 
-def write(path: pathlib.Path, mesh: MeshLike) -> None:
+def write(path: Path, mesh: MeshLike) -> None:
     content: FluentContent = own_source(path, mesh, NAME).content
     with path.open("wb") as file:
         file.writelines(content.moved(content.in_file(np.asarray(mesh.points))))
 
 
-def _sections(path: pathlib.Path, text: bytes) -> Iterator[tuple[int, Section]]:
+def _sections(path: Path, text: bytes) -> Iterator[tuple[int, Section]]:
     at = 0
     while begin := _BEGIN.search(text, at):
         number = int(begin[1])
@@ -206,7 +209,7 @@ def _closing(text: bytes, at: int) -> int:
     return -1
 
 
-def _table(words: np.ndarray, kind: int) -> FaceTable:
+def _table(words: ndarray, kind: int) -> FaceTable:
     if kind in MIXED:
         begins, at, counts = [], 0, words.tolist()
         while at < len(counts):
@@ -228,48 +231,55 @@ def _table(words: np.ndarray, kind: int) -> FaceTable:
 
 def mesh_of(source: Source, table: FaceTable, zones: list[FaceZone], count: int | None, regions: list[str]) -> Parts:
     """Makes the mesh of all faces; `count` is the number of cells, None if it is not announced."""
-    points, outer = source.content.points, [zone for zone in zones if zone.kind != KINDS[INTERIOR]]
-    if any(zone.kind == KINDS[PARENT] for zone in zones):
-        raise ValueError("a mesh that was adapted, with parents of faces, is not read.")
-    _check(table, len(points), count)
+    points = source.content.points
+    _check(table, zones, len(points), count)
     faces = _outward(table, points)
-    blocks, whole = cells_of_faces(faces, points) if points.shape[1] == 3 else (_plane_cells(faces), None)
-    ids = gathered((kind, cell) for kind, _, cell in blocks)
-    starts = faces.starts
-    found = [
-        Patch(zone.name, f"zone_{zone.number}", faces.labels[spread(starts[zone.rows], starts[zone.rows + 1])[0]])
-        for zone in outer
-    ]
-    patches, notes = distinct(found)
-    kinds = {zone.name: zone.kind for zone in outer}
-    periodic = [zone.name for zone in outer if zone.kind.startswith("periodic")]
-    notes += (f"the periodic zones {', '.join(periodic)} are patches, and are not paired.",) * bool(periodic)
+    blocks, whole = cells_of_faces(faces, points) if points.shape[1] == 3 else _plane_cells(faces)
+    blocks = sorted(blocks, key=lambda block: block[0])  # as JAX sorts types
+    patches, notes = distinct(_patches(faces, zones))
+    kinds = {zone.name: zone.kind for zone in zones if zone.kind != KINDS[INTERIOR]}
     source = dataclasses.replace(
         source,
-        polyhedra=whole if whole is not None and len(whole.cut) else None,
-        cell_ids=np.concatenate([ids[kind] for kind in sorted(ids)]),  # as JAX sorts types
+        polyhedra=whole if len(whole.cut) else None,
+        cell_ids=np.concatenate([ids for *_, ids in blocks]),
         kinds=kinds,
         symmetry=tuple(name for name, kind in kinds.items() if kind in ("symmetry", "axis")),
-        notes=(*notes, *regions_note(regions if len(regions) > 1 else ())),
+        notes=(*notes, *_notes(kinds, regions)),
         **source.content.known,
     )
-    cells = gathered((kind, corners) for kind, corners, _ in blocks)
+    cells = gathered(block[:2] for block in blocks)
     return checked_parts(points.copy(), cells, patches, source)
 
 
-def _check(table: FaceTable, n: int, count: int | None) -> None:
+def _patches(faces: Faces, zones: list[FaceZone]) -> Iterator[Patch]:
+    for number, name, kind, rows in zones:
+        if kind != KINDS[INTERIOR]:
+            places, _ = spread(faces.starts[rows], faces.starts[rows + 1])
+            yield Patch(name, f"zone_{number}", faces.labels[places])
+
+
+def _notes(kinds: dict[str, str], regions: list[str]) -> Iterator[str]:
+    periodic = [name for name, kind in kinds.items() if kind.startswith("periodic")]
+    if periodic:
+        yield f"the periodic zones {', '.join(periodic)} are patches, and are not paired."
+    yield from regions_note(regions if len(regions) > 1 else ())
+
+
+def _check(table: FaceTable, zones: list[FaceZone], n: int, count: int | None) -> None:
+    if KINDS[PARENT] in [zone.kind for zone in zones]:
+        raise ValueError("a mesh that was adapted, with parents of faces, is not read.")
     labels, cells = table.labels, table.cells
     most = len(cells) if count is None else count
     if labels.min() < 1 or labels.max() > n:
         raise ValueError(f"a face names node {labels.max()}, but there are {n}.")
-    if cells.min() < 0 or cells.max() > min(most, len(cells)) or (cells.max(axis=1) == 0).any():
+    if cells.min() < 0 or not 0 < cells.max(axis=1).min() <= cells.max() <= min(most, len(cells)):
         raise ValueError(f"a face is between cells {cells.min()} to {cells.max()}, but there are {most}; 0 is none.")
-    found = len(np.unique(cells[cells > 0]))
-    if found != (cells.max() if count is None else count):
+    found, most = len(np.unique(cells[cells > 0])), cells.max() if count is None else count
+    if found != most:
         raise ValueError(f"{found} of {most} cells have faces: a damaged file.")
 
 
-def _outward(table: FaceTable, points: np.ndarray) -> Faces:
+def _outward(table: FaceTable, points: ndarray) -> Faces:
     """Makes faces that point out of their owner, the first cell unless there is none.
 
     Programs differ in the sense of faces: the signed size of the whole mesh tells it.
@@ -291,13 +301,13 @@ def _outward(table: FaceTable, points: np.ndarray) -> Faces:
     return dataclasses.replace(faces, labels=_reversed(labels, starts, np.full(len(first), size < 0)))
 
 
-def _reversed(labels: np.ndarray, starts: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+def _reversed(labels: ndarray, starts: ndarray, chosen: ndarray) -> ndarray:
     rows, which = spread(starts[:-1], starts[1:])
     back = starts[which] + starts[which + 1] - 1 - rows
     return labels[np.where(chosen[which], back, rows)]
 
 
-def _plane_cells(faces: Faces) -> list[tuple[str, np.ndarray, np.ndarray]]:
+def _plane_cells(faces: Faces) -> tuple[list[tuple[str, ndarray, ndarray]], Polyhedra]:
     """Makes triangles and quads of edges that have their cell on the left."""
     ordered, begins = faces.of_cells()
     ends = faces.corners(ordered, 2)
@@ -315,4 +325,4 @@ def _plane_cells(faces: Faces) -> list[tuple[str, np.ndarray, np.ndarray]]:
         if size not in (3, 4) or is_open.any():
             raise ValueError(f"{len(cells)} cells of {size} edges (first cell {cells[is_open.argmax()]}) are not read.")
         blocks.append((SIDE_TYPES[size], corners, cells))
-    return blocks
+    return blocks, Polyhedra(faces, np.zeros(0, np.int64))

@@ -1,7 +1,7 @@
 """Fluent's cases in HDF5 (.cas.h5): a copy of the file with other coordinates."""
 
-import pathlib
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ NAME = "Fluent HDF5"
 WHAT = "a Fluent case in HDF5"
 
 
-def read(path: pathlib.Path) -> Parts:
+def read(path: Path) -> Parts:
     with opened(path, what=WHAT) as file:
         if "meshes" not in file:
             kind = (
@@ -34,7 +34,7 @@ def read(path: pathlib.Path) -> Parts:
         return mesh_of(Source(path, NAME, content), table, zones, count, regions)
 
 
-def write(path: pathlib.Path, mesh: MeshLike) -> None:
+def write(path: Path, mesh: MeshLike) -> None:
     write_points(path, mesh, NAME, _coordinates, WHAT)
 
 

@@ -3,11 +3,12 @@
 import contextlib
 import dataclasses
 import importlib
-import pathlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 from jaxmorph import Mesh
 from jaxmorph._boundary.periodic import Periodic
@@ -24,10 +25,10 @@ SHARE = 0.1
 EVERYTHING = ((slice(None), slice(None)),)
 """The `singles` of a file in single precision."""
 
-Arrays = Mapping[str, np.ndarray]
+Arrays = Mapping[str, ndarray]
 
 
-def warn_of_loss(path: pathlib.Path, cells: Mapping[str, Any], held: Any, points: np.ndarray) -> np.ndarray:
+def warn_of_loss(path: Path, cells: Mapping[str, Any], held: Any, points: ndarray) -> ndarray:
     """Computes what the file holds of moved points (n, d); warns where rounding takes much."""
     values = np.array(held.in_file(points), float)
     for place in held.singles:
@@ -57,7 +58,7 @@ def warn_of_loss(path: pathlib.Path, cells: Mapping[str, Any], held: Any, points
     return stored
 
 
-def _changed_edges(cells: Mapping[str, Any], base: np.ndarray, points: np.ndarray, stored: np.ndarray) -> np.ndarray:
+def _changed_edges(cells: Mapping[str, Any], base: ndarray, points: ndarray, stored: ndarray) -> ndarray:
     """Finds edges (2, k) that rounding changes by much, but those without a length in the file."""
     found = [np.zeros((0, 2), int)]
     for kind, ids in cells.items():
@@ -88,19 +89,19 @@ class Source:
     - `notes`: sentences on what of the file is not in the mesh, or has another name there.
     """
 
-    path: pathlib.Path
+    path: Path
     format: str
     content: Any
     polyhedra: Polyhedra | None = None
-    cell_ids: np.ndarray | None = None
+    cell_ids: ndarray | None = None
     groups: Mapping[str, tuple[str, ...]] = dataclasses.field(default_factory=dict)
     periodic: tuple[Periodic, ...] = ()
-    between: np.ndarray | None = None
-    node_ids: np.ndarray | None = None
+    between: ndarray | None = None
+    node_ids: ndarray | None = None
     symmetry: tuple[str, ...] = ()
     kinds: Mapping[str, str] = dataclasses.field(default_factory=dict)
-    file_nodes: np.ndarray | None = None
-    in_file: Callable[[np.ndarray], np.ndarray] | None = None
+    file_nodes: ndarray | None = None
+    in_file: Callable[[ndarray], ndarray] | None = None
     held: Any = None
     cells: Mapping[str, int] | None = None
     notes: tuple[str, ...] = ()
@@ -139,6 +140,10 @@ class Format:
     def suffixes(self) -> tuple[str, ...]:
         return MESHES[self.name]
 
+    def rank(self, first: bytes) -> int:
+        """Returns 0 for a file that begins so, 2 for one that must not, 1 where any may."""
+        return 1 if not self.magic else 2 - 2 * first.startswith(self.magic)
+
     def codec(self) -> Any:
         if not isinstance(self.module, str):
             return self.module
@@ -156,7 +161,7 @@ def content_of(mesh: MeshLike, format_name: str) -> Any:
     return getattr(source_of(mesh, format_name), "content", None)
 
 
-def own_source(path: pathlib.Path, mesh: MeshLike, format_name: str) -> Source:
+def own_source(path: Path, mesh: MeshLike, format_name: str) -> Source:
     """Returns the source of a mesh, for a format whose files are copies of the file that was read.
 
     Raises `ValueError` for other meshes, and for a file that has changed since, by its `stamp`.
@@ -176,26 +181,26 @@ def own_source(path: pathlib.Path, mesh: MeshLike, format_name: str) -> Source:
 
 
 @contextlib.contextmanager
-def faults_of(path: pathlib.Path) -> Iterator[None]:
+def faults_of(path: Path) -> Iterator[None]:
     try:
         yield
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
 
 
-def of_grid(path: pathlib.Path, grid: Grid, source: Source, patches: Iterable[Patch] = ()) -> Parts:
+def of_grid(path: Path, grid: Grid, source: Source, patches: Iterable[Patch] = ()) -> Parts:
     with faults_of(path):
         points, cells, found, origin = parts(grid, patches)
         notes = (*source.notes, *origin.notes)
         return checked_parts(points, cells, found, dataclasses.replace(source, notes=notes))
 
 
-def stamp_of(path: pathlib.Path) -> tuple[int, int]:
+def stamp_of(path: Path) -> tuple[int, int]:
     status = path.stat()
     return status.st_size, status.st_mtime_ns
 
 
-def as_in_file(points: np.ndarray, old: np.ndarray) -> np.ndarray:
+def as_in_file(points: ndarray, old: ndarray) -> ndarray:
     """Returns points with a file's `old` coordinates where they stay, also in single precision."""
     return np.where(points == old.astype(points.dtype), old, points)
 
@@ -209,8 +214,8 @@ class FilePoints:
     - `singles`: rows and columns of `points` that the file has in single precision.
     """
 
-    points: np.ndarray
-    node: np.ndarray | None = dataclasses.field(default=None, kw_only=True)
+    points: ndarray
+    node: ndarray | None = dataclasses.field(default=None, kw_only=True)
     stamp: tuple[int, int] | None = dataclasses.field(default=None, kw_only=True)
     singles: Sequence[tuple[slice, Any]] = dataclasses.field(default=(), kw_only=True)
 
@@ -222,14 +227,14 @@ class FilePoints:
     def _first(self) -> Any:
         return slice(None) if self.node is None else np.unique(self.node, return_index=True)[1]
 
-    def in_file(self, points: np.ndarray) -> np.ndarray:
+    def in_file(self, points: ndarray) -> ndarray:
         """Returns the file's points from the mesh's; all copies of an unmoved one stay as read."""
         d, rows = points.shape[1], slice(None) if self.node is None else self.node
         stays = (points == self.points[self._first, :d].astype(points.dtype))[rows]
         moved = np.where(stays, self.points[:, :d], points[rows])
         return np.concatenate([moved, self.points[:, d:]], axis=1)
 
-    def in_mesh(self, values: np.ndarray) -> np.ndarray:
+    def in_mesh(self, values: ndarray) -> ndarray:
         """Returns the mesh's points from the file's, without z where all z are equal."""
         return values[self._first, : 2 if self.is_flat else 3]
 
@@ -239,7 +244,7 @@ class FilePoints:
         return {"in_file": self.in_file, "file_nodes": self.node, "held": self if self.singles else None}
 
 
-def patch_faces(mesh: MeshLike) -> dict[str, dict[str, np.ndarray]]:
+def patch_faces(mesh: MeshLike) -> dict[str, dict[str, ndarray]]:
     """Finds the boundary faces of each patch, by type: all nodes of the face are in the patch.
 
     A face that several patches could have (the one edge of an inlet between two walls of one patch)

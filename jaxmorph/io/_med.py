@@ -1,10 +1,11 @@
 """MED files of Salome and Code_Aster, in HDF5: copies with other coordinates."""
 
-import pathlib
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 from jaxmorph._mesh.exchange import Grid, Parts
 
@@ -27,7 +28,7 @@ TYPES = {
 """Types of cells by MED's, and the places of MED's corners in VTK's order."""
 
 
-def read(path: pathlib.Path) -> Parts:
+def read(path: Path) -> Parts:
     """Reads points, cells and patches: groups of lower dimension, and of nodes (`NAME_nodes`)."""
     with opened(path, what=WHAT) as file:
         name, step = _step(file)
@@ -56,7 +57,7 @@ def read(path: pathlib.Path) -> Parts:
         return of_tree(path, NAME, coordinates, grid)
 
 
-def write(path: pathlib.Path, mesh: MeshLike) -> None:
+def write(path: Path, mesh: MeshLike) -> None:
     """Writes a copy of the file that the mesh was read from."""
     write_points(path, mesh, NAME, _coordinates, WHAT)
 
@@ -65,7 +66,7 @@ def _coordinates(file: Any) -> Iterator[Coordinates]:
     yield Coordinates(_step(file)[1]["NOE"]["COO"], slice(None), slice(None))
 
 
-def _families(group: Any, count: int) -> np.ndarray:
+def _families(group: Any, count: int) -> ndarray:
     families = group["FAM"][()] if "FAM" in group else np.zeros(count, int)
     if len(families) != count:
         raise ValueError("families of other elements than there are")

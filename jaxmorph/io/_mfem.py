@@ -1,12 +1,13 @@
 """MFEM's .mesh, versions 1.0 to 1.3, straight or of order 1 to 4 (mfem.org/mesh-formats)."""
 
 import dataclasses
-import pathlib
 import re
 from collections.abc import Iterable, Iterator
+from pathlib import Path
 from typing import ClassVar, NamedTuple
 
 import numpy as np
+from numpy import ndarray
 from numpy.polynomial import legendre
 
 from jaxmorph._host.cells.lagrange import inner_places, lagrange_types, node_keys, of_order, values
@@ -31,14 +32,14 @@ class AttributedCells(NamedTuple):
     """Elements of one type: corners (k, c), their rows in the file, and their attributes."""
 
     kind: str
-    corners: np.ndarray
-    rows: np.ndarray
-    attributes: np.ndarray
+    corners: ndarray
+    rows: ndarray
+    attributes: ndarray
 
 
 def numbered(
     cells: list[AttributedCells], sides: list[AttributedCells], order: int, count: int
-) -> tuple[list[np.ndarray], int]:
+) -> tuple[list[ndarray], int]:
     """Numbers the nodes as H1 does: vertices, edges, faces, inside of cells, in the file's order.
 
     `order` is the order of the cells, `count` the number of vertices. Returns the nodes of the
@@ -58,7 +59,7 @@ def numbered(
     return nodes, count + len(first)
 
 
-def _levels(cells: AttributedCells, order: int, new: np.ndarray) -> list[np.ndarray]:
+def _levels(cells: AttributedCells, order: int, new: ndarray) -> list[ndarray]:
     """Lists new nodes as MFEM does: on edges, from the lower vertex on, on faces, inside."""
     corners, (first, second) = cells.corners, np.array(ORDER.edges[cells.kind]).T
     kind, count = of_order(cells.kind, order).name, len(inner_places(cells.kind, order))
@@ -69,14 +70,14 @@ def _levels(cells: AttributedCells, order: int, new: np.ndarray) -> list[np.ndar
     return [np.where(turned[..., None], edges[..., ::-1], edges).reshape(len(new), -1), faces, inside]
 
 
-def _in_file_order(cells: list[AttributedCells], tables: Iterable[np.ndarray]) -> np.ndarray:
+def _in_file_order(cells: list[AttributedCells], tables: Iterable[ndarray]) -> ndarray:
     """Joins the rows (k, m) of several types, as these take turns in the file."""
     joined = [(np.repeat(each.rows, table.shape[1]), table.ravel()) for each, table in zip(cells, tables, strict=True)]
     rows, ids = map(np.concatenate, zip(*joined, strict=True))
     return ids[np.argsort(rows, kind="stable")]
 
 
-def at_places(cells: dict[str, np.ndarray], points: np.ndarray, *, are_lobatto: bool) -> np.ndarray:
+def at_places(cells: dict[str, ndarray], points: ndarray, *, are_lobatto: bool) -> ndarray:
     """Takes nodes at equal steps to MFEM's Gauss-Lobatto places (from order 3 on), or back."""
     moved = points.copy()
     for kind, ids in cells.items():
@@ -85,7 +86,7 @@ def at_places(cells: dict[str, np.ndarray], points: np.ndarray, *, are_lobatto: 
     return moved
 
 
-def to_lobatto(kind: str) -> np.ndarray:
+def to_lobatto(kind: str) -> ndarray:
     cell = lagrange_types()[kind]
     p, at, simplex = cell.order, cell.lattice, SIMPLEX.get(cell.shape, 0)
     inner = legendre.legroots(legendre.legder(np.eye(p + 1)[p]))
@@ -122,13 +123,20 @@ class Space:
     is_torn: bool = False
     skipped: int = 0
 
-    def values(self, count: int) -> np.ndarray:
-        numbers = self.section.rows(np.float64).values[self.skipped :]
-        if self.d not in (2, 3) or len(numbers) != count * self.d:
+    def values(self, node: ndarray, total: int) -> tuple[ndarray, ndarray]:
+        """Reads the coordinates of each `node` (m,), and of the first place of all nodes."""
+        numbers, first = self.section.rows(np.float64).values[self.skipped :], np.unique(node, return_index=True)[1]
+        if self.d not in (2, 3) or len(numbers) != len(node) * self.d or len(first) < total:
             raise self.section.error(
-                f"{count} nodes of 2 or 3 coordinates expected, found {len(numbers)} numbers for {self.d}."
+                f"{len(node)} nodes of 2 or 3 coordinates expected, found {len(numbers)} numbers for {self.d}."
             )
-        return numbers.reshape(self.d, -1).T if self.by_nodes else numbers.reshape(-1, self.d)
+        rows = numbers.reshape(self.d, -1).T if self.by_nodes else numbers.reshape(-1, self.d)
+        distance = np.abs(rows - rows[first][node]).max()
+        if not distance <= SAME * np.ptp(rows, axis=0).max():
+            raise self.section.error(
+                f"nodes of cells that meet are {distance:.3g} apart; periodic meshes are not read."
+            )
+        return rows, rows[first]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -143,24 +151,24 @@ class MFEMContent:
 
     text: bytes
     space: Space
-    values: np.ndarray
-    node: np.ndarray
-    points: np.ndarray
-    cells: dict[str, np.ndarray]
+    values: ndarray
+    node: ndarray
+    points: ndarray
+    cells: dict[str, ndarray]
 
-    def in_file(self, points: np.ndarray) -> np.ndarray:
+    def in_file(self, points: ndarray) -> ndarray:
         """Computes the file's coordinates (m, d); unchanged where points have not changed."""
         new, old = (at_places(self.cells, places, are_lobatto=False) for places in (points, self.points))
         rows, d = self.values.copy(), points.shape[1]
         rows[:, :d] = np.where((new != old.astype(new.dtype))[self.node], new[self.node], rows[:, :d])
         return rows
 
-    def in_mesh(self, values: np.ndarray) -> np.ndarray:
+    def in_mesh(self, values: ndarray) -> ndarray:
         lobatto = values[np.unique(self.node, return_index=True)[1], : self.points.shape[1]]
         return at_places(self.cells, lobatto, are_lobatto=True)
 
 
-def read(path: pathlib.Path) -> Parts:
+def read(path: Path) -> Parts:
     """Reads cells, nodes, and patches: attributes of boundary elements, `boundary_3`, and sets."""
     text = path.read_bytes()
     parts = _sections(path, text)
@@ -168,30 +176,11 @@ def read(path: pathlib.Path) -> Parts:
     cells, sides = (_elements(parts[name], space.vertices) for name in ("elements", "boundary"))
     if {DIMENSION[each.kind] for each in cells} not in ({2}, {3}):
         raise parts["elements"].error("cells of 2-D alone, or of 3-D alone, expected.")
-    if space.order > 1 and any(each.kind == "pyramid" for each in cells):
+    if space.order > 1 and "pyramid" in [each.kind for each in cells]:
         raise space.section.error("pyramids of order 2 and more are not read.")
-    size = len(parts["vertices"].text)
-    if space.vertices > size:
-        raise parts["vertices"].error(f"{space.vertices:.6g} vertices do not fit into a file of {size} bytes.")
     ids, total = numbered(cells, sides, space.order, space.vertices)
     nodes = {of_order(each.kind, space.order).name: rows for each, rows in zip(cells, ids, strict=False)}
-    node = np.arange(total)
-    if space.is_torn:  # cell by cell, the first coordinate fastest
-        node = _in_file_order(
-            cells, [ids[:, np.lexsort(lagrange_types()[name].lattice.T)] for name, ids in nodes.items()]
-        )
-    values = space.values(len(node))
-    first = np.unique(node, return_index=True)[1]
-    if len(first) < total:
-        raise parts["vertices"].error(f"{total - len(first)} of {space.vertices} vertices are in no cell.")
-    lobatto = values[first]
-    distance = np.abs(values - lobatto[node]).max()
-    if not distance <= SAME * np.ptp(values, axis=0).max():
-        raise space.section.error(f"nodes of cells that meet are {distance:.3g} apart; periodic meshes are not read.")
-    is_flat = lobatto.shape[1] > DIMENSION[cells[0].kind] and not np.ptp(lobatto[:, 2])
-    curved = nodes if space.order > 2 else {}
-    points = at_places(curved, lobatto[:, :2] if is_flat else lobatto, are_lobatto=True)
-    content = MFEMContent(text, space, values, node, points, curved)
+    content = _content(text, space, cells, nodes, total)
     with faults_of(path):  # a caller may change the mesh's points in place, and the file's must stay
         patches = _patches(sides, ids[len(cells) :])
         source = Source(
@@ -200,13 +189,26 @@ def read(path: pathlib.Path) -> Parts:
             content,
             cell_ids=np.concatenate([each.rows for each in cells]),
             groups=_groups(parts.get("boundary_attribute_sets"), patches),
-            held=content if curved else None,
+            held=content if content.cells else None,
             notes=tuple(_notes(cells, parts)),
         )
-        return checked_parts(points.copy(), nodes, patches, source)
+        return checked_parts(content.points.copy(), nodes, patches, source)
 
 
-def write(path: pathlib.Path, mesh: MeshLike) -> None:
+def _content(
+    text: bytes, space: Space, cells: list[AttributedCells], nodes: dict[str, ndarray], total: int
+) -> MFEMContent:
+    node, curved = np.arange(total), nodes if space.order > 2 else {}
+    if space.is_torn:  # cell by cell, the first coordinate fastest
+        tables = [ids[:, np.lexsort(lagrange_types()[kind].lattice.T)] for kind, ids in nodes.items()]
+        node = _in_file_order(cells, tables)
+    values, lobatto = space.values(node, total)
+    if lobatto.shape[1] > DIMENSION[cells[0].kind] and not np.ptp(lobatto[:, 2]):
+        lobatto = lobatto[:, :2]
+    return MFEMContent(text, space, values, node, at_places(curved, lobatto, are_lobatto=True), curved)
+
+
+def write(path: Path, mesh: MeshLike) -> None:
     content: MFEMContent = own_source(path, mesh, NAME).content
     space, rows = content.space, content.in_file(np.asarray(mesh.points))
     words = (rows.T if space.by_nodes else rows).ravel()
@@ -219,7 +221,7 @@ def _plain(text: bytes) -> bytes:
     return blanked(text, rb"(?m)^[ \t]*#[^\r\n]*")
 
 
-def _sections(path: pathlib.Path, text: bytes) -> dict[str, Section]:
+def _sections(path: Path, text: bytes) -> dict[str, Section]:
     head = text[:64].split(b"\n")[0].strip().decode(errors="replace")
     if not re.fullmatch(r"MFEM mesh v1\.[0-3]", head):
         raise ValueError(f"{path}: MFEM mesh v1.0 to v1.3 expected in the first line, found {head[:40]!r}.")
@@ -247,8 +249,8 @@ def _elements(section: Section, count: int) -> list[AttributedCells]:
 def _space_of(parts: dict[str, Section]) -> Space:
     vertices, section = parts["vertices"], parts.get("nodes")
     count, *rest = [*map(int, vertices.rows(np.float64).values[:2])] or [-1]
-    if count < 0:
-        raise vertices.error("a number of vertices expected.")
+    if not 0 <= count <= len(vertices.text):
+        raise vertices.error(f"{count:.6g} vertices do not fit into a file of {len(vertices.text)} bytes.")
     if section is None:
         return Space(vertices, count, 1, sum(rest), skipped=2)
     head = re.match(_SPACE, section.content)
@@ -262,7 +264,7 @@ def _space_of(parts: dict[str, Section]) -> Space:
     return Space(numbers, count, int(known[2]), int(head[2]), head[3] == b"0", known[1] != "H1")
 
 
-def _patches(sides: list[AttributedCells], nodes: list[np.ndarray]) -> dict[str, np.ndarray]:
+def _patches(sides: list[AttributedCells], nodes: list[ndarray]) -> dict[str, ndarray]:
     found = gathered(
         (attribute, ids[each.attributes == attribute].ravel())
         for each, ids in zip(sides, nodes, strict=True)

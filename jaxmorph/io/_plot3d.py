@@ -1,11 +1,13 @@
 """PLOT3D grids: one or many blocks, text, records or binary; the form is the one that fits."""
 
 import dataclasses
+import itertools
 import math
-import pathlib
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
+from numpy import ndarray
 
 from jaxmorph._mesh.exchange import Parts
 
@@ -44,24 +46,24 @@ class FileLayout:
     """Sizes of the blocks, the bytes at which their coordinates begin, types, and whether text."""
 
     shapes: tuple[tuple[int, ...], ...]
-    starts: list[int]
+    starts: ndarray
     dtype: np.dtype
     blank: np.dtype | None
     is_text: bool
 
-    def coordinates(self, numbers: np.ndarray) -> list[np.ndarray]:
+    def coordinates(self, numbers: ndarray) -> list[ndarray]:
         """Returns views (d, nodes) of each block's coordinates in the bytes of numbers."""
         return [
-            np.ndarray((len(shape), int(np.prod(shape))), self.dtype, numbers.data, start)
+            ndarray((len(shape), int(np.prod(shape))), self.dtype, numbers.data, int(start))
             for shape, start in zip(self.shapes, self.starts, strict=True)
         ]
 
-    def blanks(self, numbers: np.ndarray) -> list[np.ndarray]:
+    def blanks(self, numbers: ndarray) -> list[ndarray]:
         """Returns views (nodes,) of each block's IBLANK, behind its coordinates."""
         if self.blank is None:
             return []
         ends = zip(self.coordinates(numbers), self.starts, strict=True)
-        return [np.ndarray(block.shape[1], self.blank, numbers.data, start + block.nbytes) for block, start in ends]
+        return [ndarray(block.shape[1], self.blank, numbers.data, int(start) + block.nbytes) for block, start in ends]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -71,7 +73,7 @@ class Plot3DContent:
     joined: FilePoints
 
 
-def read(path: pathlib.Path) -> Parts:
+def read(path: Path) -> Parts:
     """Reads all blocks; nodes where blocks meet are one.
 
     Patches come from a file beside the grid, with its name and the ending `.patches`. Its lines are
@@ -81,7 +83,8 @@ def read(path: pathlib.Path) -> Parts:
     data = path.read_bytes()
     is_text = len(data) > 0 and not data[:4096].translate(None, TEXT)
     numbers = _numbers(path, data, is_text)
-    layout = next((found for form in (TEXTS if is_text else BINARIES) for found in _layouts(numbers, form)), None)
+    forms = TEXTS if is_text else BINARIES
+    layout = next(itertools.chain.from_iterable(_layouts(numbers, form) for form in forms), None)
     if layout is None:
         form = "text" if is_text else "binary"
         raise ValueError(f"{path}: not a whole PLOT3D grid; no count of blocks and sizes fits this {form} file.")
@@ -95,7 +98,7 @@ def read(path: pathlib.Path) -> Parts:
     return mesh._replace(source=Source(path, NAME, Plot3DContent(data, layout, joined), notes=notes, **joined.known))
 
 
-def write(path: pathlib.Path, mesh: MeshLike) -> None:
+def write(path: Path, mesh: MeshLike) -> None:
     source = own_source(path, mesh, NAME)
     content: Plot3DContent = source.content
     data, layout = content.data, content.layout
@@ -115,7 +118,7 @@ def _plain(text: bytes) -> bytes:
     return text.translate(WORDS)
 
 
-def _numbers(path: pathlib.Path, data: bytes, is_text: bool) -> np.ndarray:
+def _numbers(path: Path, data: bytes, is_text: bool) -> ndarray:
     if not is_text:
         return np.frombuffer(data, np.uint8)
     parts = []
@@ -128,32 +131,36 @@ def _numbers(path: pathlib.Path, data: bytes, is_text: bool) -> np.ndarray:
     return np.concatenate(parts).view(np.uint8)
 
 
-def _layouts(numbers: np.ndarray, form: RecordForm) -> Iterator[FileLayout]:
+def _layouts(numbers: ndarray, form: RecordForm) -> Iterator[FileLayout]:
     """Yields the sizes that fit a form to its last byte, between Fortran's marks where it has them."""
     mark, head = form.mark, form.head
     for is_multiple, d in WAYS:
         start = mark + (head.itemsize + 2 * mark) * is_multiple
         count = _view(numbers[mark:], head)[:1] if is_multiple else np.ones(1)
         shapes = _shapes(count, _view(numbers[start:], head), d)
-        nodes = np.array([math.prod(shape) for shape in shapes], float)
         first = [float(head.itemsize)] * is_multiple + [head.itemsize * d * len(shapes)]
+        nodes = np.array([*map(math.prod, shapes)], float)
         for dtype, blank in form.types if shapes else []:
-            sizes = np.append(first, nodes * (d * dtype.itemsize + (blank.itemsize if blank else 0)))
+            sizes = np.append(first, nodes * (d * dtype.itemsize + getattr(blank, "itemsize", 0)))
             ends = np.cumsum(sizes + 2 * mark)
-            if ends[-1] == len(numbers):
-                sizes, starts = sizes.astype(int), (ends - mark - sizes).astype(int)
-                layout = FileLayout(shapes, starts[-len(shapes) :].tolist(), dtype, blank, head.kind == "f")
-                is_whole = all((block == np.floor(block)).all() for block in layout.blanks(numbers))  # of a text
-                marks = np.stack([starts - mark, starts + sizes], axis=1)[..., None] + np.arange(mark)
-                if is_whole and (not mark or (numbers[marks].view(head)[..., 0] == sizes[:, None]).all()):
-                    yield layout
+            layout = FileLayout(shapes, (ends - mark - sizes)[-len(shapes) :], dtype, blank, head.kind == "f")
+            if ends[-1] == len(numbers) and _is_whole(numbers, layout, form, sizes, ends):
+                yield layout
 
 
-def _view(numbers: np.ndarray, dtype: np.dtype) -> np.ndarray:
+def _is_whole(numbers: ndarray, layout: FileLayout, form: RecordForm, sizes: ndarray, ends: ndarray) -> bool:
+    """Checks IBLANK of a text, and whether Fortran's marks stand before and after each record."""
+    if not form.mark:
+        return all((block == np.floor(block)).all() for block in layout.blanks(numbers))
+    places = np.stack([ends - sizes - 8, ends - 4], axis=1).astype(int)[..., None] + np.arange(4)
+    return bool((numbers[places].view(form.head)[..., 0] == sizes[:, None]).all())
+
+
+def _view(numbers: ndarray, dtype: np.dtype) -> ndarray:
     return numbers[: len(numbers) // dtype.itemsize * dtype.itemsize].view(dtype)
 
 
-def _shapes(count: np.ndarray, sizes: np.ndarray, d: int) -> tuple[tuple[int, ...], ...]:
+def _shapes(count: ndarray, sizes: ndarray, d: int) -> tuple[tuple[int, ...], ...]:
     """Reads the sizes of so many blocks; returns none if the numbers cannot be sizes."""
     if not len(count) or not 0 < count[0] <= len(sizes) // d or count[0] != np.floor(count[0]):
         return ()
@@ -165,7 +172,7 @@ def _shapes(count: np.ndarray, sizes: np.ndarray, d: int) -> tuple[tuple[int, ..
     return tuple(tuple(map(int, row)) for row in rows)
 
 
-def _zones(path: pathlib.Path, shapes: tuple[tuple[int, ...], ...]) -> tuple[list, dict, list[np.ndarray], list[str]]:
+def _zones(path: Path, shapes: tuple[tuple[int, ...], ...]) -> tuple[list, dict, list[ndarray], list[str]]:
     """Makes the cells, patches and outer faces of all blocks, and the names of the faces."""
     cells, faces, names, first = [], [], [], 0
     for block, shape in enumerate(shapes, start=1):
@@ -180,8 +187,8 @@ def _zones(path: pathlib.Path, shapes: tuple[tuple[int, ...], ...]) -> tuple[lis
     return cells, patches, faces, [] if patches else names
 
 
-def _patches(path: pathlib.Path, shapes: tuple[tuple[int, ...], ...]) -> dict[str, list[np.ndarray]]:
-    patches: dict[str, list[np.ndarray]] = {}
+def _patches(path: Path, shapes: tuple[tuple[int, ...], ...]) -> dict[str, list[ndarray]]:
+    patches: dict[str, list[ndarray]] = {}
     for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
         words = line.partition("#")[0].split()
         try:
@@ -196,7 +203,7 @@ def _patches(path: pathlib.Path, shapes: tuple[tuple[int, ...], ...]) -> dict[st
     return patches
 
 
-def _patch(words: list[str], shapes: tuple[tuple[int, ...], ...]) -> np.ndarray:
+def _patch(words: list[str], shapes: tuple[tuple[int, ...], ...]) -> ndarray:
     block = int(words[1]) - 1
     shape = shapes[block] if block >= 0 else ()
     ids = block_ids(shape, sum(map(math.prod, shapes[:block]))).reshape(shape)

@@ -2,14 +2,14 @@
 
 import contextlib
 import dataclasses
-import os
-import pathlib
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
 from jaxtyping import Float, Shaped
+from numpy import ndarray
 
 from jaxmorph import Mesh, Periodic, QualityReport
 from jaxmorph._host.cells.adjacency import repeated_cells
@@ -22,6 +22,7 @@ from jaxmorph._host.package.text import ending, is_folder, plugin
 from jaxmorph._mesh.exchange import Parts, numbers_of_cells
 
 from ._format import Format, Source, own_source, source_of, warn_of_loss
+from ._text import PathLike
 
 FORMATS = (
     Format("SU2", "_su2"),
@@ -41,7 +42,7 @@ FORMATS = (
 )
 
 
-def format_of(path: pathlib.Path, source: object = None) -> Format:
+def format_of(path: Path, source: object = None) -> Format:
     """Finds the format of a file by its ending; a folder is an OpenFOAM case.
 
     Where two formats share an ending, the format of `source` (of a mesh to be written) or the
@@ -53,16 +54,13 @@ def format_of(path: pathlib.Path, source: object = None) -> Format:
     if not found:
         point = plugin(path)
         return Format(point.name, _Plugin(point.name, point.load()))
-    name, first = source.format if isinstance(source, Source) else "", b""
-    if not name and path.is_file():
+    if isinstance(source, Source):
+        return min(found, key=lambda candidate: candidate.name != source.format)
+    first = b"\0"
+    if path.is_file():
         with path.open("rb") as file:
             first = file.read(64).lstrip()
-
-    def rank(candidate: Format) -> int:
-        is_it = candidate.name == name or first.startswith(candidate.magic)
-        return 0 if is_it else 1 + bool(first and candidate.magic)
-
-    return min(found, key=rank)
+    return min(found, key=lambda candidate: candidate.rank(first))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,7 +70,7 @@ class _Plugin:
     name: str
     codec: Any
 
-    def read(self, path: pathlib.Path) -> Parts:
+    def read(self, path: Path) -> Parts:
         mesh = self.codec.read(path)
         if not isinstance(mesh, Mesh):
             raise ValueError(
@@ -80,16 +78,16 @@ class _Plugin:
             )
         return Parts(mesh.points, dict(mesh.cells), dict(mesh.patches), Source(path, self.name, mesh.source))
 
-    def check(self, path: pathlib.Path, mesh: Mesh) -> None:
+    def check(self, path: Path, mesh: Mesh) -> None:
         if not hasattr(self.codec, "write"):
             raise ValueError(f"{path}: files of the format {self.name} are read, and not written; write .vtu.")
 
-    def write(self, path: pathlib.Path, mesh: Mesh) -> None:
+    def write(self, path: Path, mesh: Mesh) -> None:
         source = source_of(mesh, self.name)
         self.codec.write(path, Mesh(mesh.points, mesh.cells, mesh.patches, source and source.content))
 
 
-def file_mesh(path: pathlib.Path) -> Parts:
+def file_mesh(path: Path) -> Parts:
     with files.unpacked(path) as file:
         try:
             mesh = format_of(file).codec().read(file)
@@ -113,7 +111,7 @@ def file_mesh(path: pathlib.Path) -> Parts:
     return mesh._replace(source=source)
 
 
-def check_nodes(path: pathlib.Path, mesh: Parts) -> None:
+def check_nodes(path: Path, mesh: Parts) -> None:
     """Refuses duplicate cells but pieces of polyhedra; warns of duplicate nodes in curved cells."""
     whole, first = mesh.source.polyhedra, 0
     for kind, corners in mesh.cells.items():
@@ -138,7 +136,7 @@ def check_nodes(path: pathlib.Path, mesh: Parts) -> None:
 
 
 @checked
-def read(path: str | os.PathLike[str]) -> Mesh:
+def read(path: PathLike) -> Mesh:
     """Reads the mesh in a file or an OpenFOAM case.
 
     Files are SU2 (.su2), VTK (.vtu, .vtk, .vts, .vtp, .pvtu, .vtm), gmsh (.msh), Fluent (.msh,
@@ -176,11 +174,11 @@ def read(path: str | os.PathLike[str]) -> Mesh:
 
 @checked
 def write(
-    path: str | os.PathLike[str],
+    path: PathLike,
     mesh: Mesh,
     *,
-    point_data: dict[str, Shaped[np.ndarray, "n ..."]] | None = None,
-    cell_data: dict[str, Shaped[np.ndarray, "c ..."]] | None = None,
+    point_data: dict[str, Shaped[ndarray, "n ..."]] | None = None,
+    cell_data: dict[str, Shaped[ndarray, "c ..."]] | None = None,
 ) -> None:
     """Writes a mesh in the format of the file's ending.
 
@@ -206,7 +204,7 @@ def write(
     **Raises:** `ValueError` when `path` is the file that the mesh was read from, for arrays of a
     wrong length, points that are not finite, and what the format cannot express.
     """
-    chosen, path = _checked(path, mesh), pathlib.Path(path)
+    chosen, path = _checked(path, mesh), Path(path)
     arrays = dict(point_data or {}), dict(cell_data or {})
     if any(arrays) and not chosen.holds_arrays:
         raise ValueError(
@@ -219,7 +217,7 @@ def write(
 
 
 @checked
-def as_written(path: str | os.PathLike[str], mesh: Mesh) -> Float[np.ndarray, "n d"]:
+def as_written(path: PathLike, mesh: Mesh) -> Float[ndarray, "n d"]:
     """Computes the points that reading a written file will give, bit for bit; writes nothing.
 
     A file in single precision rounds them: a small motion or the first cells at a wall may be lost.
@@ -234,7 +232,7 @@ def as_written(path: str | os.PathLike[str], mesh: Mesh) -> Float[np.ndarray, "n
 
     **Warns:** where rounding takes more than a tenth of the motion, or of an edge of a cell.
     """
-    chosen = format_of(pathlib.Path(path), mesh.source)
+    chosen = format_of(Path(path), mesh.source)
     path = files.output_path(path, folder=chosen.is_folder)
     points, source = np.asarray(mesh.points), source_of(mesh, chosen.name)
     if source is None or source.held is None:
@@ -243,7 +241,7 @@ def as_written(path: str | os.PathLike[str], mesh: Mesh) -> Float[np.ndarray, "n
 
 
 @checked
-def check_output(path: str | os.PathLike[str], mesh: Mesh) -> bool:
+def check_output(path: PathLike, mesh: Mesh) -> bool:
     """Checks a path as `write` does, before any work.
 
     **Arguments:**
@@ -258,8 +256,8 @@ def check_output(path: str | os.PathLike[str], mesh: Mesh) -> bool:
     return _checked(path, mesh).holds_arrays
 
 
-def _checked(name: str | os.PathLike[str], mesh: Mesh) -> Format:
-    source, chosen = mesh.source, format_of(pathlib.Path(name), mesh.source)
+def _checked(name: PathLike, mesh: Mesh) -> Format:
+    source, chosen = mesh.source, format_of(Path(name), mesh.source)
     path = files.output_path(name, folder=chosen.is_folder)
     if isinstance(source, Source) and files.is_same(path, source.path):
         raise ValueError(f"{path}: the mesh was read from this file; write to another one.")
@@ -275,7 +273,7 @@ def _checked(name: str | os.PathLike[str], mesh: Mesh) -> Format:
 
 
 @checked
-def losses(path: str | os.PathLike[str], mesh: Mesh) -> tuple[str, ...]:
+def losses(path: PathLike, mesh: Mesh) -> tuple[str, ...]:
     """Lists what a mesh and its file know, and a file at `path` will not have.
 
     **Arguments:**
@@ -329,7 +327,7 @@ def symmetry(mesh: Mesh) -> tuple[str, ...]:
 
 
 @checked
-def cell_arrays(report: QualityReport) -> dict[str, np.ndarray]:
+def cell_arrays(report: QualityReport) -> dict[str, ndarray]:
     """Lists each cell's quality by name, as files hold it: a number a cell, as in `mesh.cells`."""
     names = ("skewness", "aspect_ratio", "volume_ratio", "jacobian_ratio")
     arrays = {name: np.asarray(getattr(report, name)) for name in names}
@@ -337,7 +335,7 @@ def cell_arrays(report: QualityReport) -> dict[str, np.ndarray]:
 
 
 @checked
-def write_moved(path: str | os.PathLike[str], mesh: Mesh, moved: Mesh, report: QualityReport) -> None:
+def write_moved(path: PathLike, mesh: Mesh, moved: Mesh, report: QualityReport) -> None:
     """Writes a moved mesh, with displacement and cell quality where the format holds arrays.
 
     **Arguments:**
@@ -348,7 +346,7 @@ def write_moved(path: str | os.PathLike[str], mesh: Mesh, moved: Mesh, report: Q
 
     **Raises:** `ValueError` as `write` does.
     """
-    path = pathlib.Path(path)
+    path = Path(path)
     if not check_output(path, mesh):
         write(path, moved)
         return
@@ -359,13 +357,13 @@ def write_moved(path: str | os.PathLike[str], mesh: Mesh, moved: Mesh, report: Q
 
 
 @checked
-def write_pvd(path: str | os.PathLike[str], files: Sequence[str | os.PathLike[str]], times: Sequence[float]) -> None:
+def write_pvd(path: PathLike, files: Sequence[PathLike], times: Sequence[float]) -> None:
     """Writes ParaView's collection (.pvd): each of `files`, by its name, at one of `times`."""
     path = output_path(path, ".pvd")
     if len(files) != len(times):
         raise ValueError(f"`times` has {len(times)} numbers for {len(files)} `files`.")
     rows = [
-        f'    <DataSet timestep="{time!r}" part="0" file={quoteattr(pathlib.Path(file).name)}/>'
+        f'    <DataSet timestep="{time!r}" part="0" file={quoteattr(Path(file).name)}/>'
         for file, time in zip(files, times, strict=True)
     ]
     head = ['<?xml version="1.0"?>', '<VTKFile type="Collection" version="0.1" byte_order="LittleEndian">']

@@ -4,13 +4,13 @@ import csv
 import dataclasses
 import io
 import json
-import os
-import pathlib
 import re
+from pathlib import Path
 
 import jax
 import numpy as np
 from jaxtyping import Float, Int, PyTree
+from numpy import ndarray
 
 import jaxmorph as jm
 from jaxmorph import Mesh
@@ -20,6 +20,7 @@ from jaxmorph._host.package.text import GRADIENTS, SENSITIVITIES
 
 from ._format import source_of
 from ._surface import in_order, read_named, read_table
+from ._text import PathLike
 from .openfoam.case import NAME
 from .openfoam.file import load
 
@@ -27,9 +28,7 @@ NAMES = ("sensitivity_x", "sensitivity_y", "sensitivity_z")
 
 
 @checked
-def read_sensitivity(
-    path: str | os.PathLike[str], mesh: Mesh, *, moving: Int[np.ndarray, " m"] | None = None
-) -> Float[np.ndarray, "k d"]:
+def read_sensitivity(path: PathLike, mesh: Mesh, *, moving: Int[ndarray, " m"] | None = None) -> Float[ndarray, "k d"]:
     """Reads dJ/d(points) for every node of the mesh: what `pullback` takes.
 
     With `moving` it may be for every node of a wall, for `shapes.project`. The file is one of
@@ -69,9 +68,7 @@ def read_sensitivity(
 
 
 @checked
-def write_sensitivity(
-    path: str | os.PathLike[str], ids: Int[np.ndarray, " m"], values: Float[np.ndarray, "m d"]
-) -> None:
+def write_sensitivity(path: PathLike, ids: Int[ndarray, " m"], values: Float[ndarray, "m d"]) -> None:
     """Writes dJ/d(nodes) by node id: a table (.csv), or .npz of `ids` and `sensitivity`.
 
     **Arguments:**
@@ -97,7 +94,7 @@ def write_sensitivity(
 
 
 @checked
-def check_sensitivity_output(path: str | os.PathLike[str]) -> pathlib.Path:
+def check_sensitivity_output(path: PathLike) -> Path:
     """Raises `ValueError` for a file that `write_sensitivity` cannot write; returns its path."""
     return output_path(path, *SENSITIVITIES)
 
@@ -106,14 +103,14 @@ _INTERNAL = re.compile(rb"internalField\s+(nonuniform\s+List<vector>|uniform)")
 _END = re.compile(rb"\)\s*\)\s*;")
 
 
-def is_foam_file(path: pathlib.Path) -> bool:
+def is_foam_file(path: Path) -> bool:
     if path.suffix == ".gz":
         return True
     with path.open("rb") as file:
         return b"FoamFile" in file.read(1 << 14)
 
 
-def read_point_vectors(path: pathlib.Path, mesh: Mesh) -> Float[np.ndarray, "n d"]:
+def read_point_vectors(path: Path, mesh: Mesh) -> Float[ndarray, "n d"]:
     """Reads a `pointVectorField` for the nodes of a case's mesh; in 2-D both planes add up."""
     source = source_of(mesh, NAME)
     if source is None:
@@ -132,7 +129,7 @@ def read_point_vectors(path: pathlib.Path, mesh: Mesh) -> Float[np.ndarray, "n d
 
 
 @checked
-def write_gradient(path: str | os.PathLike[str], parameters: PyTree, gradient: PyTree) -> None:
+def write_gradient(path: PathLike, parameters: PyTree, gradient: PyTree) -> None:
     """Writes design variables by name, each with its value and its derivative.
 
     Names come from `shapes.names`. A table (.csv) has the columns `variable`, `value` and
@@ -167,6 +164,6 @@ def write_gradient(path: str | os.PathLike[str], parameters: PyTree, gradient: P
 
 
 @checked
-def check_gradient_output(path: str | os.PathLike[str]) -> pathlib.Path:
+def check_gradient_output(path: PathLike) -> Path:
     """Raises `ValueError` for a file that `write_gradient` cannot write; returns its path."""
     return output_path(path, *GRADIENTS)

@@ -3,12 +3,12 @@
 import collections
 import dataclasses
 import itertools
-import os
-import pathlib
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 from jaxmorph import Mesh
 from jaxmorph._host.cells.pieces import boundary_faces
@@ -19,7 +19,7 @@ from jaxmorph._mesh.exchange import Parts, checked_parts, gathered
 
 from ._format import MeshLike, Source, patch_faces, source_of
 from ._registry import check_nodes, check_output
-from ._text import Section, blank_comments, decoded, replaced
+from ._text import PathLike, Section, blank_comments, decoded, replaced
 
 NAME = "SU2"
 TYPES = {number: kind for kind, number in VTK.items()}
@@ -57,13 +57,13 @@ class SU2Content:
     shape: tuple[int, int]
     width: int
 
-    def moved(self, points: np.ndarray) -> Iterator[bytes | memoryview]:
+    def moved(self, points: ndarray) -> Iterator[bytes | memoryview]:
         n, d = self.shape
         places = (self.width * np.arange(n)[:, None] + np.arange(d)).ravel()
         return replaced(self.text, slice(self.start, self.stop), points.ravel(), at=places, plain=blank_comments)
 
 
-def read(path: pathlib.Path) -> Parts:
+def read(path: Path) -> Parts:
     """Reads points in the order of the file; `patches` are the markers, joined by name.
 
     With `NMARK= 0` the patch is `boundary`. Markers of one tag are one boundary to SU2, too. Index
@@ -80,26 +80,30 @@ def read(path: pathlib.Path) -> Parts:
     return mesh_of(path, text, zones[0])
 
 
-def by_zones(path: pathlib.Path, text: bytes) -> list[list[Keyword]]:
+def by_zones(path: Path, text: bytes) -> list[list[Keyword]]:
     """Finds each zone's keywords, by its number: behind its `IZONE=`, and before all zones."""
     keywords = list(_keywords(path, blank_comments(text)))
     cuts = [place for place, keyword in enumerate(keywords) if keyword.name == "IZONE"]
     head, *zones = [keywords[a:b] for a, b in itertools.pairwise([0, *cuts, len(keywords)])]
+    _check_zones(path, head, zones)
+    return [_with_head(head, zone) for zone in sorted(zones, key=lambda zone: zone[0].number())] or [head]
+
+
+def _check_zones(path: Path, head: list[Keyword], zones: list[list[Keyword]]) -> None:
     for keyword in head:
         if keyword.name == "NZONE" and keyword.number(least=1) != max(len(zones), 1):
             raise keyword.section.error(f"NZONE= {keyword.value}, but {len(zones)} zones are in the file.")
-    zones = sorted(zones, key=lambda zone: zone[0].number())
     numbers = [zone[0].number() for zone in zones]
-    if numbers != list(range(1, len(zones) + 1)):
+    if sorted(numbers) != list(range(1, len(zones) + 1)):
         raise ValueError(f"{path}: IZONE= is {', '.join(map(str, numbers))}; 1 to {len(zones)} expected, each once.")
-    names = [{keyword.name for keyword in zone} for zone in zones or [[]]]
-    return [
-        [*(keyword for keyword in head if keyword.name not in own), *zone]
-        for own, zone in zip(names, zones or [[]], strict=True)
-    ]
 
 
-def mesh_of(path: pathlib.Path, text: bytes, keywords: list[Keyword]) -> Parts:
+def _with_head(head: list[Keyword], zone: list[Keyword]) -> list[Keyword]:
+    names = {keyword.name for keyword in zone}
+    return [*(keyword for keyword in head if keyword.name not in names), *zone]
+
+
+def mesh_of(path: Path, text: bytes, keywords: list[Keyword]) -> Parts:
     dimension, rows = (_only(path, keywords, name) for name in ("NDIME", "NPOIN"))
     if (d := dimension.number()) not in (2, 3):
         raise dimension.section.error(f"NDIME= must be 2 or 3, found {d}.")
@@ -121,7 +125,7 @@ def _notes(keywords: list[Keyword]) -> Iterator[str]:
             yield f"the {count} markers {tag} are one patch, as they are to SU2."
 
 
-def check(path: pathlib.Path, mesh: MeshLike) -> None:
+def check(path: Path, mesh: MeshLike) -> None:
     """Refuses patches that boundary faces cannot express, or whose name is no tag of a marker."""
     if source_of(mesh, NAME) is not None:
         return
@@ -136,7 +140,7 @@ def check(path: pathlib.Path, mesh: MeshLike) -> None:
     patch_faces(mesh)
 
 
-def write(path: pathlib.Path, mesh: MeshLike) -> None:
+def write(path: Path, mesh: MeshLike) -> None:
     """Writes the mesh's own text with new coordinates; else a new file, see `_new_text`."""
     source, points = source_of(mesh, NAME), np.asarray(mesh.points)
     if source is not None and points.shape != source.content.shape:
@@ -145,7 +149,7 @@ def write(path: pathlib.Path, mesh: MeshLike) -> None:
         file.writelines(_new_text(mesh) if source is None else source.content.moved(points))
 
 
-def _keywords(path: pathlib.Path, text: bytes) -> Iterator[Keyword]:
+def _keywords(path: Path, text: bytes) -> Iterator[Keyword]:
     lines = []
     at = text.find(b"=")
     while at >= 0:
@@ -161,7 +165,7 @@ def _keywords(path: pathlib.Path, text: bytes) -> Iterator[Keyword]:
         yield Keyword(name, value, Section(path, text, end, stop))
 
 
-def _only(path: pathlib.Path, keywords: list[Keyword], name: str) -> Keyword:
+def _only(path: Path, keywords: list[Keyword], name: str) -> Keyword:
     matches = [keyword for keyword in keywords if keyword.name == name]
     if not matches:
         small = any(keyword.name.upper() == name for keyword in keywords)
@@ -172,7 +176,7 @@ def _only(path: pathlib.Path, keywords: list[Keyword], name: str) -> Keyword:
     return matches[0]
 
 
-def _points(keyword: Keyword, d: int) -> np.ndarray:
+def _points(keyword: Keyword, d: int) -> ndarray:
     n, rows = keyword.number(least=1), keyword.section.rows(np.float64)
     counts = rows.counts
     width = int(counts[:1].sum()) or d
@@ -187,14 +191,14 @@ def _points(keyword: Keyword, d: int) -> np.ndarray:
     return table
 
 
-def _cells(keyword: Keyword, n: int) -> dict[str, np.ndarray]:
+def _cells(keyword: Keyword, n: int) -> dict[str, ndarray]:
     cells = gathered(_tables(keyword, keyword.section, n, "elements"))
     if 1 in cells:
         raise keyword.section.error("NELEM= holds elements of type 1 (a single node); these are no cells.")
     return {TYPES[number]: corners for number, corners in cells.items()}
 
 
-def _markers(path: pathlib.Path, keywords: list[Keyword], n: int) -> dict[str, np.ndarray]:
+def _markers(path: Path, keywords: list[Keyword], n: int) -> dict[str, ndarray]:
     tags = [place for place, keyword in enumerate(keywords) if keyword.name == "MARKER_TAG"]
     patches = gathered(item for at in tags for item in _marker(*keywords[at : at + 3], n=n))
     stated = _only(path, keywords, "NMARK")
@@ -203,7 +207,7 @@ def _markers(path: pathlib.Path, keywords: list[Keyword], n: int) -> dict[str, n
     return patches
 
 
-def _marker(tag: Keyword, *rest: Keyword, n: int) -> Iterator[tuple[str, np.ndarray]]:
+def _marker(tag: Keyword, *rest: Keyword, n: int) -> Iterator[tuple[str, ndarray]]:
     """Yields the nodes behind a tag; of SEND_RECEIVE, SEND_TO= stands before the rows."""
     if not rest or rest[0].name != "MARKER_ELEMS":
         raise tag.section.error(f"MARKER_ELEMS= expected after the tag {tag.value!r}.")
@@ -213,7 +217,7 @@ def _marker(tag: Keyword, *rest: Keyword, n: int) -> Iterator[tuple[str, np.ndar
         yield tag.value, corners.ravel()
 
 
-def _tables(keyword: Keyword, section: Section, n: int, what: str) -> Iterator[tuple[int, np.ndarray]]:
+def _tables(keyword: Keyword, section: Section, n: int, what: str) -> Iterator[tuple[int, ndarray]]:
     """Yields types by SU2's number and corners (k, corners), in order of first appearance."""
     count, more = 0, None
     for block in section.blocks(np.int64):
@@ -248,14 +252,14 @@ def _element_rows(cells: Mapping[str, Any]) -> Iterator[bytes]:
         yield from _rows(" ".join([str(VTK[kind]), *["%d"] * corners.shape[1]]), np.asarray(corners))
 
 
-def _rows(form: str, table: np.ndarray) -> Iterator[bytes]:
+def _rows(form: str, table: ndarray) -> Iterator[bytes]:
     for start in range(0, len(table), ROWS):
         block = table[start : start + ROWS]
         yield (f"{form}\n" * len(block) % tuple(block.ravel().tolist())).encode()
 
 
 @checked
-def read_zones(path: str | os.PathLike[str]) -> tuple[Mesh, ...]:
+def read_zones(path: PathLike) -> tuple[Mesh, ...]:
     """Reads each zone of an SU2 file (`NZONE= 2`) as a mesh, in the order of `IZONE=`.
 
     Zones are moved alone or together: a wall that two zones have moves in both where each is given
@@ -280,7 +284,7 @@ def read_zones(path: str | os.PathLike[str]) -> tuple[Mesh, ...]:
 
 
 @checked
-def write_zones(path: str | os.PathLike[str], meshes: Sequence[Mesh]) -> None:
+def write_zones(path: PathLike, meshes: Sequence[Mesh]) -> None:
     """Writes the zones' SU2 file with the coordinates of some of them, all else byte for byte.
 
     The file appears when it is complete.
@@ -294,7 +298,7 @@ def write_zones(path: str | os.PathLike[str], meshes: Sequence[Mesh]) -> None:
     `write` refuses.
     """
     zones = [(_content(path, mesh), mesh) for mesh in meshes]
-    if pathlib.Path(path).suffix.lower() != ".su2" or not zones:
+    if Path(path).suffix.lower() != ".su2" or not zones:
         raise ValueError(f"{path}: {WANTED}")
     text = zones[0][0].text
     if any(content.text is not text for content, _ in zones):
@@ -306,11 +310,11 @@ def write_zones(path: str | os.PathLike[str], meshes: Sequence[Mesh]) -> None:
     # from the last zone to the first, so that places of earlier zones stay
     for content, mesh in sorted(zones, key=lambda zone: -zone[0].start):
         text = b"".join(dataclasses.replace(content, text=text).moved(np.asarray(mesh.points)))
-    with complete(pathlib.Path(path)) as partial:
+    with complete(Path(path)) as partial:
         partial.write_bytes(text)
 
 
-def _content(path: str | os.PathLike[str], mesh: Mesh) -> SU2Content:
+def _content(path: PathLike, mesh: Mesh) -> SU2Content:
     source = source_of(mesh, NAME)
     check_output(path, mesh)
     if source is None:

@@ -1,16 +1,16 @@
 """Tables of nodes: node id, x, y[, z], in text, and SU2's restart files in binary."""
 
-import os
-import pathlib
 import re
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Int
+from numpy import ndarray
 
 from .._host.package.arguments import checked
 from .._host.package.files import input_path, read_arrays, real_array
 from .._host.package.rounding import rows_in
-from ._text import Section, decoded
+from ._text import PathLike, Section, decoded
 
 FACT = re.compile(rb"^[ \t]*[A-Za-z_]+[ \t]*=.*$", re.MULTILINE)
 """A line `NAME= value`, as SU2's older restarts have behind their rows."""
@@ -26,7 +26,7 @@ WIDTH = 33
 
 
 @checked
-def read_surface(path: str | os.PathLike[str], d: int) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, "m d"]]:
+def read_surface(path: PathLike, d: int) -> tuple[Int[ndarray, " m"], Float[ndarray, "m d"]]:
     """Reads ids and d numbers each, from lines `id, x, y[, z]`: SU2's surfaces, or CSV.
 
     Numbers stand between blanks, commas or semicolons; a header line and what follows `%` or `#`
@@ -44,9 +44,7 @@ def read_surface(path: str | os.PathLike[str], d: int) -> tuple[Int[np.ndarray, 
     return read_table(input_path(path), d)
 
 
-def read_table(
-    path: pathlib.Path, d: int, wanted: tuple[str, ...] = ()
-) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, "m d"]]:
+def read_table(path: Path, d: int, wanted: tuple[str, ...] = ()) -> tuple[Int[ndarray, " m"], Float[ndarray, "m d"]]:
     """Reads node ids and d numbers for each; with `wanted` those of columns with these headers."""
     text = path.read_bytes()
     if wanted and MAGIC in (int.from_bytes(text[:4], "little"), int.from_bytes(text[:4], "big")):
@@ -74,8 +72,8 @@ def read_table(
 
 
 def read_named(
-    path: pathlib.Path, names: tuple[str, ...], ids: Int[np.ndarray, " m"] | None = None
-) -> tuple[Int[np.ndarray, " m"], np.ndarray, str]:
+    path: Path, names: tuple[str, ...], ids: Int[ndarray, " m"] | None = None
+) -> tuple[Int[ndarray, " m"], ndarray, str]:
     """Reads node ids (if absent `ids`, or 0, 1, 2, ...), an array of `names`, and its name."""
     arrays = read_arrays(path)
     found = [name for name in names if name in arrays]
@@ -93,13 +91,13 @@ def read_named(
 
 
 def in_order(
-    path: pathlib.Path,
-    ids: np.ndarray,
-    values: np.ndarray,
+    path: Path,
+    ids: ndarray,
+    values: ndarray,
     d: int,
-    wanted: Int[np.ndarray, " m"],
-    known: tuple[np.ndarray, str],
-) -> Float[np.ndarray, "m d"]:
+    wanted: Int[ndarray, " m"],
+    known: tuple[ndarray, str],
+) -> Float[ndarray, "m d"]:
     """Returns the values of the nodes `wanted` from a file's, in the order of its `ids`.
 
     Raises `ValueError` for values that are not finite or not (ids, d), for ids that are not among
@@ -115,9 +113,7 @@ def in_order(
     return values[rows_in(ids, wanted)]
 
 
-def _restart(
-    path: pathlib.Path, content: bytes, wanted: tuple[str, ...]
-) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n d"]]:
+def _restart(path: Path, content: bytes, wanted: tuple[str, ...]) -> tuple[Int[ndarray, " n"], Float[ndarray, "n d"]]:
     """Reads columns of a binary restart, which has a row for each node in the order of the mesh."""
     order = "<" if int.from_bytes(content[:4], "little") == MAGIC else ">"
     begin = 4 * HEADER

@@ -6,12 +6,13 @@ header of dimensions, attributes and variables with their places, and big-endian
 
 import contextlib
 import math
-import pathlib
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from jaxmorph._mesh.exchange import Grid, Parts, Patch
 
@@ -29,7 +30,7 @@ WHAT = "a CGNS file in HDF5 or ADF"
 
 
 @contextlib.contextmanager
-def opened(path: pathlib.Path, writes: bool = False, what: str = WHAT) -> Iterator[Any]:
+def opened(path: Path, writes: bool = False, what: str = WHAT) -> Iterator[Any]:
     """Yields the root of a file's tree as h5py has it: groups with `label`, arrays as " data".
 
     `what` names the format in messages. Raises `ValueError` for another format, and for a file that
@@ -53,7 +54,7 @@ def opened(path: pathlib.Path, writes: bool = False, what: str = WHAT) -> Iterat
         raise ValueError(f"{path}: not {what}, or a damaged one ({detail}).") from error
 
 
-def _refuse_foreign_data(path: pathlib.Path, file: Any) -> None:
+def _refuse_foreign_data(path: Path, file: Any) -> None:
     def elsewhere(name: bytes) -> str | None:
         kind = file.id.links.get_info(name).type
         if kind == h5l.TYPE_EXTERNAL:
@@ -82,7 +83,7 @@ class Coordinates(NamedTuple):
     by_rows: bool = False
 
 
-def points_of(coordinates: Sequence[Coordinates], n: int, d: int) -> np.ndarray:
+def points_of(coordinates: Sequence[Coordinates], n: int, d: int) -> ndarray:
     points = np.full((n, d), np.nan)
     for array, rows, columns, by_rows in coordinates:
         width = d if columns == slice(None) else 1
@@ -95,7 +96,7 @@ def singles_of(coordinates: Iterable[Coordinates]) -> list[tuple[slice, slice]]:
 
 
 def of_tree(
-    path: pathlib.Path,
+    path: Path,
     name: str,
     coordinates: Iterable[Coordinates],
     grid: Grid,
@@ -107,7 +108,7 @@ def of_tree(
 
 
 def write_points(
-    path: pathlib.Path,
+    path: Path,
     mesh: MeshLike,
     format_name: str,
     coordinates: Callable[[Any], Iterable[Coordinates]],

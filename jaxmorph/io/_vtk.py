@@ -3,10 +3,10 @@
 import dataclasses
 import json
 import os
-import pathlib
 import re
 import tempfile
 import urllib.parse
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -48,7 +48,7 @@ class Encoding:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Content:
+class VTKContent:
     data: Any
     encoding: Encoding
 
@@ -64,7 +64,7 @@ class Content:
         return type(self), (self.data, self.encoding)
 
 
-def read(path: pathlib.Path) -> Parts:
+def read(path: Path) -> Parts:
     with faults_of(path):
         content = _read(path)
         mesh = vtk.mesh_of(vtk.unstructured(content.data))
@@ -75,7 +75,7 @@ def read(path: pathlib.Path) -> Parts:
     return mesh._replace(source=source)
 
 
-def check(path: pathlib.Path, mesh: MeshLike) -> None:
+def check(path: Path, mesh: MeshLike) -> None:
     suffix = path.suffix.lower()
     content = content_of(mesh, NAME)
     if suffix in FILES_OF_FILES:
@@ -90,7 +90,7 @@ def check(path: pathlib.Path, mesh: MeshLike) -> None:
         raise ValueError(f"{path}: the cells of the mesh are not those of a {holds}; write .vtu.")
 
 
-def write(path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arrays) -> None:
+def write(path: Path, mesh: MeshLike, point_data: Arrays, cell_data: Arrays) -> None:
     """Writes what was read with other points, or a new grid in double precision.
 
     The file is encoded as the one that was read, where that was of the same kind.
@@ -151,21 +151,21 @@ def _encoding(raw: bytes) -> Encoding:
     return Encoding(False, mode, b'encoding="raw"' in raw, compressor, header, order)
 
 
-def _read(path: pathlib.Path) -> Content:
+def _read(path: Path) -> VTKContent:
     raw, named = path.read_bytes(), []
     if path.suffix.lower() in FILES_OF_FILES:
         named = [path.parent / os.fsdecode(file) for file in re.findall(rb'(?:Source|file)="([^"]+)"', raw)]
     size = len(raw) + sum(file.stat().st_size for file in named if file.is_file())
     data_sets = _read_apart(path, size)
     if named:
-        return Content(_joined(data_sets), Encoding())
+        return VTKContent(_joined(data_sets), Encoding())
     ((_, data),) = data_sets
     if not any(data.IsA(kind) for kind in GRIDS.values()):  # a lattice has no points that can move
         data = vtk.unstructured(data)
-    return Content(data, _encoding(raw))
+    return VTKContent(data, _encoding(raw))
 
 
-def _read_apart(path: pathlib.Path, size: int) -> list[tuple[str, Any]]:
+def _read_apart(path: Path, size: int) -> list[tuple[str, Any]]:
     """Reads data sets and their names in another process, which a damaged file may end."""
     generic = vtk.vtk("vtkIOXML").vtkXMLGenericDataObjectReader
     with tempfile.TemporaryDirectory(prefix="jaxmorph-") as folder:
@@ -185,20 +185,19 @@ def _read_apart(path: pathlib.Path, size: int) -> list[tuple[str, Any]]:
 def _joined(named: list[tuple[str, Any]]) -> Any:
     """Joins pieces and blocks without ghost cells; blocks of lower dimension become patches."""
     grids = [(name, vtk.unstructured(data)) for name, data in named]
-    levels = [vtk.dimension_of(grid) for _, grid in grids]
-    joined = vtk.vtk("vtkFiltersCore").vtkAppendFilter()
-    for level, (_, grid) in zip(levels, grids, strict=True):
-        if level == max(levels):
-            joined.AddInputData(grid)
+    levels = np.array([vtk.dimension_of(grid) for _, grid in grids])
+    joined, is_solid = vtk.vtk("vtkFiltersCore").vtkAppendFilter(), levels == levels.max()
+    for at in np.flatnonzero(is_solid):
+        joined.AddInputData(grids[at][1])
     joined.Update()
     whole = joined.GetOutput()
     whole.RemoveGhostCells()
-    whole.GetFieldData().ShallowCopy(grids[levels.index(max(levels))][1].GetFieldData())
+    whole.GetFieldData().ShallowCopy(grids[is_solid.argmax()][1].GetFieldData())
     place = {point.tobytes(): k for k, point in enumerate(vtk.coordinates(whole))}
-    for level, (name, grid) in zip(levels, grids, strict=True):
-        nodes = [place.get(point.tobytes(), -1) for point in vtk.coordinates(grid)] if level < max(levels) else []
-        if nodes and min(nodes) >= 0:
-            inside = np.zeros(whole.GetNumberOfPoints(), np.uint8)
-            inside[nodes] = 1
+    for at in np.flatnonzero(~is_solid):
+        name, grid = grids[at]
+        nodes = [place.get(point.tobytes(), -1) for point in vtk.coordinates(grid)]
+        if min(nodes, default=-1) >= 0:
+            inside = np.isin(np.arange(whole.GetNumberOfPoints()), nodes).astype(np.uint8)
             vtk.add_arrays(whole.GetPointData(), {f"{PREFIX}{urllib.parse.quote(name)}": inside})
     return whole
