@@ -19,9 +19,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-HEAD = re.compile(rb"# vtk DataFile[^\n]*\n[^\n]*\n\s*\w+\s+DATASET\s+(\w+)", re.IGNORECASE)
-KINDS = {name.upper().replace(" ", "_"): name.replace(" ", "") for name in ("Unstructured Grid", "Structured Grid")}
-KINDS |= {"POLYDATA": "PolyData", "STRUCTURED_POINTS": "StructuredPoints", "RECTILINEAR_GRID": "RectilinearGrid"}
+HEAD = re.compile(rb"# vtk DataFile[^\n]*\n[^\n]*\n\s*\w+\s+DATASET\s")
 
 MESHIO = {b"int8": b"signed_char", b"int16": b"short", b"int32": b"int"}
 """Types that meshio writes into legacy files behind `vtktype`, and `vtktypeu`, and VTK's words."""
@@ -104,14 +102,10 @@ def vtk_reader(path: Path) -> Any:
         reader.SetFileName(str(path))
         return reader
     raw = path.read_bytes()
-    head = HEAD.match(raw)
-    if head is None:
+    if not HEAD.match(raw):
         raise SystemExit("not a .vtk file; `# vtk DataFile Version` and three lines more are expected first")
-    kind = head[1].decode(errors="replace").upper()
-    if kind not in KINDS:
-        raise SystemExit(f"{kind} in it is no mesh; read are {', '.join(KINDS)}")
     raw = re.sub(rb"(?<=\s)vtktype(u?)(int8|int16|int32)(?=\s)", own_type, raw)
-    reader = getattr(vtkIOLegacy, f"vtk{KINDS[kind]}Reader")()
+    reader = vtkIOLegacy.vtkGenericDataObjectReader()
     for name in ("Scalars", "Vectors", "Normals", "Tensors", "ColorScalars", "TCoords", "Fields"):
         getattr(reader, f"ReadAll{name}On")()
     reader.ReadFromInputStringOn()
@@ -167,9 +161,9 @@ def data_sets(data: Any) -> Iterator[tuple[str, Any]]:
 def write(path: Path, data: Any) -> None:
     from vtkmodules import vtkIOXML
 
-    writer = vtkIOXML.vtkXMLDataObjectWriter.NewWriter(data.GetDataObjectType())
-    if writer is None:
+    if not data.IsA("vtkDataSet"):
         raise SystemExit(f"{data.GetClassName()} is no mesh")
+    writer = vtkIOXML.vtkXMLDataObjectWriter.NewWriter(data.GetDataObjectType())
     writer.SetInputData(data)
     writer.SetDataModeToAppended()
     writer.EncodeAppendedDataOff()

@@ -13,6 +13,7 @@ from jaxmorph._host.package.arguments import checked
 from jaxmorph._host.package.files import input_path, read_arrays, real_array
 from jaxmorph._host.surface.gaps import closest, fans
 
+from ._format import faults_of
 from ._registry import read
 from ._surface import in_order, read_named, read_surface
 from ._text import PathLike, parse, scan
@@ -56,16 +57,17 @@ def read_displacement(
     points = np.asarray(mesh.points)
     if before is not None:
         return _between(input_path(before), path, points[moving])
-    if path.suffix.lower() in SHAPES:
-        raise ValueError(f"{path}: a surface without node ids; give the surface before the motion too.")
-    of_file = getattr(mesh.source, "node_ids", None)
+    of_file, d = getattr(mesh.source, "node_ids", None), points.shape[1]
     numbers = moving if of_file is None else of_file[moving]
-    if path.suffix.lower() == ".npz":
-        ids, values, name = read_named(path, ("displacement", "position"), numbers)
-        is_position = name == "position"
-    else:
-        ids, values = read_surface(path, points.shape[1])
-    values = in_order(path, ids, values, points.shape[1], numbers, (numbers, "the moving patches"))
+    with faults_of(path):
+        if path.suffix.lower() in SHAPES:
+            raise ValueError("a surface without node ids; give the surface before the motion too.")
+        if path.suffix.lower() == ".npz":
+            ids, values, name = read_named(path, ("displacement", "position"), numbers)
+            is_position = name == "position"
+        else:
+            ids, values = read_surface(path, d)
+        values = in_order(ids, values, d, numbers, (numbers, "the moving patches"))
     return values - points[moving] if is_position else values
 
 
@@ -123,15 +125,16 @@ class Simplices(NamedTuple):
 
 def read_shape(path: Path) -> Simplices:
     """Reads a surface: .stl (text, binary), .obj (faces, lines), .npz (points with either)."""
-    if path.suffix.lower() not in READERS:
-        raise ValueError(f"{path}: a surface is read from {', '.join(READERS)}, found the ending {path.suffix!r}.")
-    shape = READERS[path.suffix.lower()](path)
-    if not len(shape.simplices) or shape.points.ndim != 2 or not np.isfinite(shape.points).all():
-        contents = f"{len(shape.simplices)} faces between points of shape {shape.points.shape}"
-        raise ValueError(f"{path}: not a surface, or a damaged one: {contents}, all finite, expected.")
-    if shape.simplices.min() < 0 or shape.simplices.max() >= len(shape.points):
-        raise ValueError(f"{path}: a face names a point that is not among the {len(shape.points)} of this file.")
-    return shape
+    with faults_of(path):
+        if path.suffix.lower() not in READERS:
+            raise ValueError(f"a surface is read from {', '.join(READERS)}, found the ending {path.suffix!r}.")
+        points, simplices = READERS[path.suffix.lower()](path)
+        if not len(simplices) or points.ndim != 2 or not np.isfinite(points).all():
+            contents = f"{len(simplices)} faces between points of shape {points.shape}"
+            raise ValueError(f"not a surface, or a damaged one: {contents}, all finite, expected.")
+        if simplices.min() < 0 or simplices.max() >= len(points):
+            raise ValueError(f"a face names a point that is not among the {len(points)} of this file.")
+        return Simplices(points, simplices)
 
 
 def _stl(path: Path) -> Simplices:
@@ -143,7 +146,7 @@ def _stl(path: Path) -> Simplices:
     else:
         values = parse(b" ".join(re.findall(rb"vertex\s([^\r\n]*)", data)), np.float64)
         if len(values) % 9:
-            raise ValueError(f"{path}: {len(values)} coordinates of vertices are no whole number of triangles.")
+            raise ValueError(f"{len(values)} coordinates of vertices are no whole number of triangles.")
         points = values.reshape(-1, 3)
     return Simplices(points, np.arange(len(points)).reshape(-1, 3))
 
@@ -153,7 +156,7 @@ def _obj(path: Path) -> Simplices:
     rows = re.findall(rb"^v\s+(\S+\s+\S+\s+\S+)", data, re.MULTILINE)
     values = parse(b" ".join(rows), np.float64)
     if len(values) != 3 * len(rows):
-        raise ValueError(f"{path}: a vertex holds something that is not a number.")
+        raise ValueError("a vertex holds something that is not a number.")
     points = values.reshape(-1, 3)
     for mark, corners in ((b"f", 3), (b"l", 2)):
         text = b"\n".join(re.findall(rb"^" + mark + rb"\s+([^\r\n]*)", data, re.MULTILINE))
@@ -161,7 +164,7 @@ def _obj(path: Path) -> Simplices:
             text = re.sub(rb"/\S*", b"", text)
             ids, counts = parse(text, np.int64), scan(text)[2]
             if len(ids) != counts.sum() or (counts < corners).any() or (ids < 1).any():
-                raise ValueError(f"{path}: faces and lines need the numbers, from 1, of {corners} vertices or more.")
+                raise ValueError(f"faces and lines need the numbers, from 1, of {corners} vertices or more.")
             return Simplices(points, fans(ids - 1, counts) if corners == 3 else _chains(ids - 1, counts))
     return Simplices(points, np.zeros((0, 3), np.int64))
 
@@ -176,11 +179,11 @@ def _npz(path: Path) -> Simplices:
     kind = next((name for name in ("triangles", "lines") if name in arrays), "")
     if not kind or "points" not in arrays:
         listed = ", ".join(arrays) or "none"
-        raise ValueError(f"{path}: arrays points, and triangles or lines, expected; found {listed}.")
+        raise ValueError(f"arrays points, and triangles or lines, expected; found {listed}.")
     simplices, corners = arrays[kind], 3 if kind == "triangles" else 2
     if simplices.dtype.kind not in "iu" or simplices.ndim != 2 or simplices.shape[1] != corners:
         found = f"{simplices.dtype} of shape {simplices.shape}"
-        raise ValueError(f"{path}: {kind} must be whole numbers (k, {corners}), found {found}.")
+        raise ValueError(f"{kind} must be whole numbers (k, {corners}), found {found}.")
     return Simplices(real_array(path, arrays, "points"), simplices.astype(np.int64))
 
 

@@ -156,34 +156,31 @@ def _named(file: Mapping[str, Any], what: tuple[str, str, str], number: str) -> 
     The status of an empty one, if given, is 0.
     """
     (prefix, array, word), count = what, file[number].shape[0] if number in file else 0
-    numbers = _values(file, f"{prefix}_prop1", np.arange(1, count + 1))
-    names = list(map(_text, _values(file, f"{prefix}_names", [""] * count)))
-    status = _values(file, f"{prefix}_status", np.zeros(count))
+    defaults = {"prop1": np.arange(1, count + 1), "names": [""] * count, "status": np.zeros(count)}
+    numbers, names, status = (
+        file[f"{prefix}_{name}"][()] if f"{prefix}_{name}" in file else default for name, default in defaults.items()
+    )
     if not len(numbers) == len(names) == len(status) == count:
         raise ValueError(f"{len(numbers)} numbers and {len(names)} names of {word}, {count} expected")
-    for at, (name, own) in enumerate(zip(names, numbers.tolist(), strict=True), start=1):
-        values = file.get(f"{array}{at}")
-        if values is None and status[at - 1]:
-            raise ValueError(f"there is no {array}{at}")
-        yield at, name or f"{word}_{own}", f"{word}_{own}", values
-
-
-def _values(file: Mapping[str, Any], name: str, default: Any) -> Any:
-    return file[name][()] if name in file else default
+    for at in range(count):
+        own, values = f"{word}_{numbers[at]}", file.get(f"{array}{at + 1}")
+        if values is None and status[at]:
+            raise ValueError(f"there is no {array}{at + 1}")
+        yield at + 1, _text(names[at]) or own, own, values
 
 
 def _nodes(blocks: list[_Block], cells: ndarray, sides: ndarray) -> ndarray:
     starts = np.cumsum([0, *(len(block.corners) for block in blocks)])
     if cells.shape != sides.shape or cells.min() < 0 or cells.max() >= starts[-1]:
         raise ValueError(f"a set of sides of elements {cells.min() + 1} to {cells.max() + 1} of {starts[-1]}")
-    found = []
-    for block, start in zip(blocks, starts, strict=False):
-        inside = (cells >= start) & (cells < start + len(block.corners))
-        for side in np.unique(sides[inside]):
-            if not 0 <= side < len(block.sides):
-                raise ValueError(f"side {side + 1} of a {block.kind} in a set of sides")
-            found.append(block.corners[cells[inside & (sides == side)] - start][:, block.sides[side]].ravel())
-    return np.unique(np.concatenate(found))
+    found, of_block = [], np.searchsorted(starts, cells, side="right") - 1
+    for at, side in np.unique(np.column_stack([of_block, sides]), axis=0).tolist():
+        block = blocks[at]
+        if not 0 <= side < len(block.sides):
+            raise ValueError(f"side {side + 1} of a {block.kind} in a set of sides")
+        rows = cells[(of_block == at) & (sides == side)] - starts[at]
+        found.append(block.corners[rows][:, block.sides[side]].ravel())
+    return np.concatenate(found)
 
 
 def _text(value: Any) -> str:

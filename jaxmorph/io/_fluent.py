@@ -19,7 +19,7 @@ from jaxmorph._mesh.exchange import Parts, Patch, checked_parts, distinct, gathe
 from jaxmorph._mesh.faces import Faces, following
 from jaxmorph._mesh.polyhedra import Polyhedra, cells_of_faces, spread
 
-from ._format import FilePoints, MeshLike, Source, faults_of, own_source
+from ._format import FilePoints, Source
 from ._text import Section, decoded, replaced
 
 NAME = "Fluent"
@@ -80,7 +80,7 @@ class FluentContent(FilePoints):
 
     def moved(self, points: ndarray) -> Iterator[bytes | memoryview]:
         """Yields the file with other points (n, d), section by section."""
-        done = 0
+        done, points = 0, self.in_file(points)
         for part in sorted(self.parts, key=lambda part: part.section.start):
             values = points[part.rows].ravel()
             start, stop = part.section.start, part.section.stop
@@ -174,15 +174,8 @@ def read(path: Path) -> Parts:
                 raise
             raise section.error(f"a damaged section {number} ({error}).") from error
     regions = [found.names.get(number, (f"zone_{number}", ""))[0] for number in found.regions]
-    with faults_of(path):
-        source = Source(path, NAME, found.content(text))
-        return mesh_of(source, found.table(), list(found.zones()), found.counts.get(12), regions)
-
-
-def write(path: Path, mesh: MeshLike) -> None:
-    content: FluentContent = own_source(path, mesh, NAME).content
-    with path.open("wb") as file:
-        file.writelines(content.moved(content.in_file(np.asarray(mesh.points))))
+    source = Source(path, NAME, found.content(text))
+    return mesh_of(source, found.table(), list(found.zones()), found.counts.get(12), regions)
 
 
 def _sections(path: Path, text: bytes) -> Iterator[tuple[int, Section]]:
@@ -196,7 +189,7 @@ def _sections(path: Path, text: bytes) -> Iterator[tuple[int, Section]]:
             stop = _closing(text, begin.end())
             at = stop + 1
         if stop < 0:
-            raise ValueError(f"{path}: the section {number} has no end: the file is cut short.")
+            raise ValueError(f"the section {number} has no end: the file is cut short.")
         yield number, Section(path, text, begin.end(), stop)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from jaxmorph._mesh.exchange import Parts
 
 from ._fluent import KINDS, FaceTable, FaceZone, mesh_of
-from ._format import FilePoints, MeshLike, Source, faults_of, stamp_of
+from ._format import FilePoints, MeshLike, Source, stamp_of
 from ._text import decoded
 from ._tree import Coordinates, opened, points_of, singles_of, write_points
 
@@ -30,8 +30,7 @@ def read(path: Path) -> Parts:
         table, zones = _table(mesh), list(_zones(mesh["faces"]))
         regions = _names(mesh["cells"]["zoneTopology"])
         count = int(mesh.attrs["cellCount"].flat[0])
-    with faults_of(path):
-        return mesh_of(Source(path, NAME, content), table, zones, count, regions)
+    return mesh_of(Source(path, NAME, content), table, zones, count, regions)
 
 
 def write(path: Path, mesh: MeshLike) -> None:
@@ -58,14 +57,15 @@ def _sections(group: Any) -> list[Any]:
 
 def _table(mesh: Any) -> FaceTable:
     faces = mesh["faces"]
-    sections = _sections(faces["nodes"])
-    labels = np.concatenate([section["nodes"][()].ravel() for section in sections]).astype(np.int64)
-    sizes = np.concatenate([section["nnodes"][()].ravel() for section in sections]).astype(np.int64)
+    labels, sizes = (
+        np.concatenate([section[name][()].ravel() for section in _sections(faces["nodes"])]).astype(np.int64)
+        for name in ("nodes", "nnodes")
+    )
     cells = np.zeros((len(sizes), 2), np.int64)
     for column, name in enumerate(("c0", "c1")):
         for array in _sections(faces[name]):
             first = int(array.attrs["minId"].flat[0]) - 1
-            cells[first : first + len(array), column] = array[()].astype(np.int64)
+            cells[first : first + len(array), column] = array[()]
     if sizes.min() < 2 or sizes.sum() != len(labels):
         raise ValueError(f"{len(labels)} nodes of faces, {sizes.sum()} expected")
     return FaceTable(labels, sizes, cells)

@@ -124,7 +124,7 @@ class Format:
     - `read(path) -> Parts`: `ValueError` names file, place and what was found;
     - `write(path, mesh)`: writes a new file. One that `holds_arrays` takes `point_data` and
       `cell_data` too, in the order of `mesh.cells`, type by type. A folder is written complete or
-      not at all;
+      not at all. Without it, `moved(points)` of a source's content yields the bytes of a copy;
     - or a class `Codec` of the format's name, for a module of several, with these methods;
     - `check(path, mesh)`: raises `ValueError` for what `write` could not do with the mesh, for any
       points. Without it the format takes back only meshes that came from it.
@@ -161,7 +161,7 @@ def content_of(mesh: MeshLike, format_name: str) -> Any:
     return getattr(source_of(mesh, format_name), "content", None)
 
 
-def own_source(path: Path, mesh: MeshLike, format_name: str) -> Source:
+def own_source(mesh: MeshLike, format_name: str) -> Source:
     """Returns the source of a mesh, for a format whose files are copies of the file that was read.
 
     Raises `ValueError` for other meshes, and for a file that has changed since, by its `stamp`.
@@ -171,8 +171,7 @@ def own_source(path: Path, mesh: MeshLike, format_name: str) -> Source:
         article = "an" if format_name in ("Exodus", "MFEM", "I-deas", "Abaqus", "XDMF", "AFLR") else "a"
         other = ".su2" if {*mesh.cells} <= {*CORNERS} else ".msh"
         raise ValueError(
-            f"{path}: only a mesh that was read from {article} {format_name} file can be written to one; "
-            f"write .vtu or {other}."
+            f"only a mesh that was read from {article} {format_name} file can be written to one; write .vtu or {other}."
         )
     stamp = getattr(source.content, "stamp", None)
     if stamp is not None and stamp_of(source.path) != stamp:
@@ -182,10 +181,11 @@ def own_source(path: Path, mesh: MeshLike, format_name: str) -> Source:
 
 @contextlib.contextmanager
 def faults_of(path: Path) -> Iterator[None]:
+    """Puts the path before what is wrong with a file, where it does not stand there already."""
     try:
         yield
     except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
+        raise error if str(error).startswith(str(path)) else ValueError(f"{path}: {error}") from error
 
 
 def of_grid(path: Path, grid: Grid, source: Source, patches: Iterable[Patch] = ()) -> Parts:

@@ -44,16 +44,12 @@ def read(path: Path) -> Parts:
             blocks.append((ours, corners))
             families.append(_families(group, len(corners)))
         of_nodes = _families(step["NOE"], len(points))
-        sets = {
-            "cell_sets": {
-                group: [np.flatnonzero(np.isin(family, ids)) for family in families]
-                for group, ids in _groups(file, name, "ELEME").items()
-            },
-            "point_sets": {
-                group: np.flatnonzero(np.isin(of_nodes, ids)) for group, ids in _groups(file, name, "NOEUD").items()
-            },
+        cells = {
+            group: [np.flatnonzero(np.isin(family, ids)) for family in families]
+            for group, ids in _groups(file, name, "ELEME").items()
         }
-        grid = Grid(points, blocks, {}, {}, **sets, own=("elements", "nodes"))
+        nodes = {group: np.flatnonzero(np.isin(of_nodes, ids)) for group, ids in _groups(file, name, "NOEUD").items()}
+        grid = Grid(points, blocks, {}, {}, cell_sets=cells, point_sets=nodes, own=("elements", "nodes"))
         return of_tree(path, NAME, coordinates, grid)
 
 

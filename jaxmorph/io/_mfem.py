@@ -15,7 +15,7 @@ from jaxmorph._host.cells.orders import NodeOrder, reordered
 from jaxmorph._host.cells.topology import CORNERS, DIMENSION, EDGES, numbers
 from jaxmorph._mesh.exchange import Parts, checked_parts, gathered, regions_note
 
-from ._format import MeshLike, Source, faults_of, own_source
+from ._format import Source
 from ._text import Section, blanked, replaced
 
 ORDER = NodeOrder(
@@ -167,6 +167,12 @@ class MFEMContent:
         lobatto = values[np.unique(self.node, return_index=True)[1], : self.points.shape[1]]
         return at_places(self.cells, lobatto, are_lobatto=True)
 
+    def moved(self, points: ndarray) -> Iterator[bytes | memoryview]:
+        rows, section = self.in_file(points), self.space.section
+        words = (rows.T if self.space.by_nodes else rows).ravel()
+        at = np.arange(len(words)) + self.space.skipped
+        return replaced(self.text, slice(section.start, section.stop), words, at=at, plain=_plain)
+
 
 def read(path: Path) -> Parts:
     """Reads cells, nodes, and patches: attributes of boundary elements, `boundary_3`, and sets."""
@@ -181,18 +187,18 @@ def read(path: Path) -> Parts:
     ids, total = numbered(cells, sides, space.order, space.vertices)
     nodes = {of_order(each.kind, space.order).name: rows for each, rows in zip(cells, ids, strict=False)}
     content = _content(text, space, cells, nodes, total)
-    with faults_of(path):  # a caller may change the mesh's points in place, and the file's must stay
-        patches = _patches(sides, ids[len(cells) :])
-        source = Source(
-            path,
-            NAME,
-            content,
-            cell_ids=np.concatenate([each.rows for each in cells]),
-            groups=_groups(parts.get("boundary_attribute_sets"), patches),
-            held=content if content.cells else None,
-            notes=tuple(_notes(cells, parts)),
-        )
-        return checked_parts(content.points.copy(), nodes, patches, source)
+    patches = _patches(sides, ids[len(cells) :])
+    source = Source(
+        path,
+        NAME,
+        content,
+        cell_ids=np.concatenate([each.rows for each in cells]),
+        groups=_groups(parts.get("boundary_attribute_sets"), patches),
+        held=content if content.cells else None,
+        notes=tuple(_notes(cells, parts)),
+    )
+    # a caller may change the mesh's points in place, and the file's must stay
+    return checked_parts(content.points.copy(), nodes, patches, source)
 
 
 def _content(
@@ -208,15 +214,6 @@ def _content(
     return MFEMContent(text, space, values, node, at_places(curved, lobatto, are_lobatto=True), curved)
 
 
-def write(path: Path, mesh: MeshLike) -> None:
-    content: MFEMContent = own_source(path, mesh, NAME).content
-    space, rows = content.space, content.in_file(np.asarray(mesh.points))
-    words = (rows.T if space.by_nodes else rows).ravel()
-    at, part = np.arange(len(words)) + space.skipped, slice(space.section.start, space.section.stop)
-    with path.open("wb") as file:
-        file.writelines(replaced(content.text, part, words, at=at, plain=_plain))
-
-
 def _plain(text: bytes) -> bytes:
     return blanked(text, rb"(?m)^[ \t]*#[^\r\n]*")
 
@@ -224,7 +221,7 @@ def _plain(text: bytes) -> bytes:
 def _sections(path: Path, text: bytes) -> dict[str, Section]:
     head = text[:64].split(b"\n")[0].strip().decode(errors="replace")
     if not re.fullmatch(r"MFEM mesh v1\.[0-3]", head):
-        raise ValueError(f"{path}: MFEM mesh v1.0 to v1.3 expected in the first line, found {head[:40]!r}.")
+        raise ValueError(f"MFEM mesh v1.0 to v1.3 expected in the first line, found {head[:40]!r}.")
     plain = _plain(text)
     words = list(re.finditer(rb"(?m)^[ \t]*([a-z_]+)[ \t]*\r?$", plain))
     ends = [*(word.start() for word in words[1:]), len(plain)]
@@ -232,7 +229,7 @@ def _sections(path: Path, text: bytes) -> dict[str, Section]:
     missing = [name for name in ("elements", "boundary", "vertices") if name not in parts]
     missing += ["line mfem_mesh_end"] * (head[-1] in "23" and [*parts][-1:] in (["vertices"], ["nodes"]))
     if missing:
-        raise ValueError(f"{path}: no {', '.join(missing)} in this file; it is cut short.")
+        raise ValueError(f"no {', '.join(missing)} in this file; it is cut short.")
     return parts
 
 

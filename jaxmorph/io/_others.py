@@ -34,7 +34,7 @@ from jaxmorph._mesh.exchange import (
 from jaxmorph._mesh.export import to_meshio
 
 from ._apart import run_apart
-from ._format import EVERYTHING, FilePoints, MeshLike, Source, faults_of, of_grid, own_source
+from ._format import EVERYTHING, FilePoints, MeshLike, Source, of_grid, own_source
 from ._text import parse, replaced, scan
 from .gmsh.sections import TYPES
 
@@ -110,12 +110,11 @@ class Codec:
 
     def read(self, path: Path) -> Parts:
         raw = path.read_bytes()
-        with faults_of(path):
-            grid, patches, notes = _found(path, self.kind, len(raw))
-            if not len(grid.points):
-                raise ValueError("no nodes in this file.")
-            place, points = _place(raw, self.kind, np.asarray(grid.points))
-            grid = dataclasses.replace(grid, points=points)
+        grid, patches, notes = _found(path, self.kind, len(raw))
+        if not len(grid.points):
+            raise ValueError("no nodes in this file.")
+        place, points = _place(raw, self.kind, np.asarray(grid.points))
+        grid = dataclasses.replace(grid, points=points)
         is_single = place is not None and place.dtype is not None and place.dtype.itemsize == 4
         content = OtherContent(points, raw, place, grid.content, singles=EVERYTHING if is_single else ())
         if place is None and self.kind.writes:
@@ -125,15 +124,15 @@ class Codec:
         return of_grid(path, grid, Source(path, self.name, content, notes=notes, **content.known), patches)
 
     def check(self, path: Path, mesh: MeshLike) -> None:
-        source = own_source(path, mesh, self.name)
+        source = own_source(mesh, self.name)
         if (source.content.place is None or _form(path) != _form(source.path)) and not self.kind.writes:
             what = (
                 f"a file of {self.name} like this one" if source.content.place is None else "another form of the file"
             )
-            raise ValueError(f"{path}: {what} is not written; write .vtu or .msh.")
+            raise ValueError(f"{what} is not written; write .vtu or .msh.")
 
     def write(self, path: Path, mesh: MeshLike) -> None:
-        source = own_source(path, mesh, self.name)
+        source = own_source(mesh, self.name)
         values = source.content.in_file(np.asarray(mesh.points))
         is_binary = [ending(each) == ".meshb" for each in (path, source.path)]
         if source.content.place is not None and is_binary[0] == is_binary[1]:

@@ -11,7 +11,7 @@ from numpy import ndarray
 
 from jaxmorph._mesh.exchange import Parts
 
-from ._format import EVERYTHING, FilePoints, MeshLike, Source, faults_of, own_source
+from ._format import EVERYTHING, FilePoints, Source
 from ._joined import SIDES, block_cells, block_ids, block_sides, join
 from ._text import chunks, parse, replaced
 
@@ -72,6 +72,15 @@ class Plot3DContent:
     layout: FileLayout
     joined: FilePoints
 
+    def moved(self, points: ndarray) -> Iterator[bytes | memoryview]:
+        points, numbers, first = self.joined.in_file(points), _numbers(self.data, self.layout.is_text).copy(), 0
+        for block in self.layout.coordinates(numbers):
+            block[...] = points[first : first + block.shape[1]].T
+            first += block.shape[1]
+        if not self.layout.is_text:
+            return iter([numbers.tobytes()])
+        return replaced(self.data, slice(0, len(self.data)), numbers.view(float), plain=_plain)
+
 
 def read(path: Path) -> Parts:
     """Reads all blocks; nodes where blocks meet are one.
@@ -82,43 +91,26 @@ def read(path: Path) -> Parts:
     """
     data = path.read_bytes()
     is_text = len(data) > 0 and not data[:4096].translate(None, TEXT)
-    numbers = _numbers(path, data, is_text)
+    numbers = _numbers(data, is_text)
     forms = TEXTS if is_text else BINARIES
     layout = next(itertools.chain.from_iterable(_layouts(numbers, form) for form in forms), None)
     if layout is None:
         form = "text" if is_text else "binary"
-        raise ValueError(f"{path}: not a whole PLOT3D grid; no count of blocks and sizes fits this {form} file.")
+        raise ValueError(f"not a whole PLOT3D grid; no count of blocks and sizes fits this {form} file.")
     points = np.concatenate([block.T.astype(float) for block in layout.coordinates(numbers)])
     blank = sum(int((block == 0).sum()) for block in layout.blanks(numbers))
     singles = EVERYTHING if layout.dtype.itemsize == 4 else ()
     notes = (f"{blank} nodes are blank (IBLANK 0), and are read as all others.",) if blank else ()
-    with faults_of(path):
-        mesh, joined = join(points, *_zones(path, layout.shapes))
+    mesh, joined = join(points, *_zones(path, layout.shapes))
     joined = dataclasses.replace(joined, singles=singles)
     return mesh._replace(source=Source(path, NAME, Plot3DContent(data, layout, joined), notes=notes, **joined.known))
-
-
-def write(path: Path, mesh: MeshLike) -> None:
-    source = own_source(path, mesh, NAME)
-    content: Plot3DContent = source.content
-    data, layout = content.data, content.layout
-    points, first = content.joined.in_file(np.asarray(mesh.points)), 0
-    numbers = _numbers(source.path, data, layout.is_text).copy()
-    for block in layout.coordinates(numbers):
-        block[...] = points[first : first + block.shape[1]].T
-        first += block.shape[1]
-    with path.open("wb") as file:
-        if layout.is_text:
-            file.writelines(replaced(data, slice(0, len(data)), numbers.view(float), plain=_plain))
-        else:
-            file.write(numbers.tobytes())
 
 
 def _plain(text: bytes) -> bytes:
     return text.translate(WORDS)
 
 
-def _numbers(path: Path, data: bytes, is_text: bool) -> ndarray:
+def _numbers(data: bytes, is_text: bool) -> ndarray:
     if not is_text:
         return np.frombuffer(data, np.uint8)
     parts = []
@@ -127,7 +119,7 @@ def _numbers(path: Path, data: bytes, is_text: bool) -> ndarray:
         parts.append(parse(words, np.float64))
         if len(parts[-1]) != len(words.split()):
             line = data.count(b"\n", 0, data.find(chunk)) + 1
-            raise ValueError(f"{path}, lines from {line}: something that is not a number.")
+            raise ValueError(f"lines from {line}: something that is not a number.")
     return np.concatenate(parts).view(np.uint8)
 
 

@@ -21,7 +21,7 @@ from jaxmorph._host.package.files import complete, output_path
 from jaxmorph._host.package.text import ending, is_folder, plugin
 from jaxmorph._mesh.exchange import Parts, numbers_of_cells
 
-from ._format import Format, Source, own_source, source_of, warn_of_loss
+from ._format import Format, Source, faults_of, own_source, source_of, warn_of_loss
 from ._text import PathLike
 
 FORMATS = (
@@ -73,14 +73,12 @@ class _Plugin:
     def read(self, path: Path) -> Parts:
         mesh = self.codec.read(path)
         if not isinstance(mesh, Mesh):
-            raise ValueError(
-                f"{path}: the format {self.name} of another package returned {type(mesh).__name__}, no Mesh."
-            )
+            raise ValueError(f"the format {self.name} of another package returned {type(mesh).__name__}, no Mesh.")
         return Parts(mesh.points, dict(mesh.cells), dict(mesh.patches), Source(path, self.name, mesh.source))
 
     def check(self, path: Path, mesh: Mesh) -> None:
         if not hasattr(self.codec, "write"):
-            raise ValueError(f"{path}: files of the format {self.name} are read, and not written; write .vtu.")
+            raise ValueError(f"files of the format {self.name} are read, and not written; write .vtu.")
 
     def write(self, path: Path, mesh: Mesh) -> None:
         source = source_of(mesh, self.name)
@@ -90,7 +88,8 @@ class _Plugin:
 def file_mesh(path: Path) -> Parts:
     with files.unpacked(path) as file:
         try:
-            mesh = format_of(file).codec().read(file)
+            with faults_of(file):
+                mesh = format_of(file).codec().read(file)
         except ValueError as error:
             raise ValueError(str(error).replace(str(file), str(path))) from error
     if file != path:
@@ -211,9 +210,13 @@ def write(
             f"{path}: {chosen.name} files hold no arrays; write .vtu to keep {', '.join([*arrays[0], *arrays[1]])}."
         )
     as_written(path, mesh)
-    appear = contextlib.nullcontext if chosen.is_folder else complete
+    appear, codec = contextlib.nullcontext if chosen.is_folder else complete, chosen.codec()
     with appear(path) as target, files.packed(target, path.stem) as file:
-        chosen.codec().write(file, mesh, *arrays[: 2 * chosen.holds_arrays])
+        if hasattr(codec, "write"):
+            codec.write(file, mesh, *arrays[: 2 * chosen.holds_arrays])
+        else:
+            with file.open("wb") as stream:
+                stream.writelines(own_source(mesh, chosen.name).content.moved(np.asarray(mesh.points)))
 
 
 @checked
@@ -262,10 +265,11 @@ def _checked(name: PathLike, mesh: Mesh) -> Format:
     if isinstance(source, Source) and files.is_same(path, source.path):
         raise ValueError(f"{path}: the mesh was read from this file; write to another one.")
     codec = chosen.codec()
-    if hasattr(codec, "check"):
-        codec.check(path.with_suffix("") if path.suffix.lower() == ".gz" else path, mesh)
-    else:
-        own_source(path, mesh, chosen.name)
+    with faults_of(path):
+        if hasattr(codec, "check"):
+            codec.check(path.with_suffix("") if path.suffix.lower() == ".gz" else path, mesh)
+        else:
+            own_source(mesh, chosen.name)
     bad = np.flatnonzero(~np.isfinite(np.asarray(mesh.points)).all(axis=1))
     if len(bad):
         raise ValueError(f"{path}: {len(bad)} of {len(mesh.points)} points are not finite, first node {bad[0]}.")

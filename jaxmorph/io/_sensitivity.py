@@ -18,7 +18,7 @@ from jaxmorph._host.package.arguments import checked, finite_array, rows_of
 from jaxmorph._host.package.files import complete, input_path, output_path
 from jaxmorph._host.package.text import GRADIENTS, SENSITIVITIES
 
-from ._format import source_of
+from ._format import faults_of, source_of
 from ._surface import in_order, read_named, read_table
 from ._text import PathLike
 from .openfoam.case import NAME
@@ -57,14 +57,15 @@ def read_sensitivity(path: PathLike, mesh: Mesh, *, moving: Int[ndarray, " m"] |
     path = input_path(path)
     n, d = mesh.points.shape
     moving = None if moving is None else rows_of("moving", moving, n)
-    if path.suffix.lower() == ".npz":
-        ids, values, _ = read_named(path, ("sensitivity",))
-    elif is_foam_file(path):
-        ids, values = np.arange(n), read_point_vectors(path, mesh)
-    else:
-        ids, values = read_table(path, d, NAMES)
-    wanted = np.arange(n) if moving is None or len(ids) >= n else moving
-    return in_order(path, ids, values, d, wanted, (np.arange(n), f"the mesh, 0 to {n - 1}"))
+    with faults_of(path):
+        if path.suffix.lower() == ".npz":
+            ids, values, _ = read_named(path, ("sensitivity",))
+        elif is_foam_file(path):
+            ids, values = np.arange(n), read_point_vectors(path, mesh)
+        else:
+            ids, values = read_table(path, d, NAMES)
+        wanted = np.arange(n) if moving is None or len(ids) >= n else moving
+        return in_order(ids, values, d, wanted, (np.arange(n), f"the mesh, 0 to {n - 1}"))
 
 
 @checked
@@ -114,7 +115,7 @@ def read_point_vectors(path: Path, mesh: Mesh) -> Float[ndarray, "n d"]:
     """Reads a `pointVectorField` for the nodes of a case's mesh; in 2-D both planes add up."""
     source = source_of(mesh, NAME)
     if source is None:
-        raise ValueError(f"{path}: a file of OpenFOAM; it needs a mesh that was read from an OpenFOAM case.")
+        raise ValueError("a file of OpenFOAM; it needs a mesh that was read from an OpenFOAM case.")
     file = load(path.parent, path.name)
     kind, entry = file.header.get("class", "no class"), _INTERNAL.search(file.data, file.end)
     if kind != "pointVectorField" or entry is None or entry[1] == b"uniform":

@@ -17,7 +17,7 @@ from jaxmorph._host.package.arguments import checked
 from jaxmorph._host.package.files import complete, input_path
 from jaxmorph._mesh.exchange import Parts, checked_parts, gathered
 
-from ._format import MeshLike, Source, patch_faces, source_of
+from ._format import MeshLike, Source, faults_of, patch_faces, source_of
 from ._registry import check_nodes, check_output
 from ._text import PathLike, Section, blank_comments, decoded, replaced
 
@@ -74,7 +74,7 @@ def read(path: Path) -> Parts:
     zones = by_zones(path, text)
     if len(zones) > 1:
         raise ValueError(
-            f"{path}: the file holds {len(zones)} zones, each a mesh of its own: io.read_zones reads them, and io.write_zones "
+            f"the file holds {len(zones)} zones, each a mesh of its own: io.read_zones reads them, and io.write_zones "
             "writes some of them, other zones as they are. On the command line --zone 1 is the first."
         )
     return mesh_of(path, text, zones[0])
@@ -85,17 +85,17 @@ def by_zones(path: Path, text: bytes) -> list[list[Keyword]]:
     keywords = list(_keywords(path, blank_comments(text)))
     cuts = [place for place, keyword in enumerate(keywords) if keyword.name == "IZONE"]
     head, *zones = [keywords[a:b] for a, b in itertools.pairwise([0, *cuts, len(keywords)])]
-    _check_zones(path, head, zones)
+    _check_zones(head, zones)
     return [_with_head(head, zone) for zone in sorted(zones, key=lambda zone: zone[0].number())] or [head]
 
 
-def _check_zones(path: Path, head: list[Keyword], zones: list[list[Keyword]]) -> None:
+def _check_zones(head: list[Keyword], zones: list[list[Keyword]]) -> None:
     for keyword in head:
         if keyword.name == "NZONE" and keyword.number(least=1) != max(len(zones), 1):
             raise keyword.section.error(f"NZONE= {keyword.value}, but {len(zones)} zones are in the file.")
     numbers = [zone[0].number() for zone in zones]
     if sorted(numbers) != list(range(1, len(zones) + 1)):
-        raise ValueError(f"{path}: IZONE= is {', '.join(map(str, numbers))}; 1 to {len(zones)} expected, each once.")
+        raise ValueError(f"IZONE= is {', '.join(map(str, numbers))}; 1 to {len(zones)} expected, each once.")
 
 
 def _with_head(head: list[Keyword], zone: list[Keyword]) -> list[Keyword]:
@@ -104,14 +104,14 @@ def _with_head(head: list[Keyword], zone: list[Keyword]) -> list[Keyword]:
 
 
 def mesh_of(path: Path, text: bytes, keywords: list[Keyword]) -> Parts:
-    dimension, rows = (_only(path, keywords, name) for name in ("NDIME", "NPOIN"))
+    dimension, rows = (_only(keywords, name) for name in ("NDIME", "NPOIN"))
     if (d := dimension.number()) not in (2, 3):
         raise dimension.section.error(f"NDIME= must be 2 or 3, found {d}.")
     table, section = _points(rows, d), rows.section
     points = np.ascontiguousarray(table[:, :d])
-    cells = _cells(_only(path, keywords, "NELEM"), len(points))
+    cells = _cells(_only(keywords, "NELEM"), len(points))
     content = SU2Content(text, section.start, section.stop, points.shape, table.shape[1])
-    patches = _markers(path, keywords, len(points))
+    patches = _markers(keywords, len(points))
     if not patches:
         outer = boundary_faces(cells, len(points)).values()
         patches = {"boundary": np.concatenate([corners.ravel() for corners in outer])}
@@ -131,12 +131,10 @@ def check(path: Path, mesh: MeshLike) -> None:
         return
     curved = [kind for kind in mesh.cells if kind not in VTK]
     if curved:
-        raise ValueError(f"{path}: SU2's files hold linear cells, not {', '.join(curved)}; write .msh or .vtu.")
+        raise ValueError(f"SU2's files hold linear cells, not {', '.join(curved)}; write .msh or .vtu.")
     for name in mesh.patches:
         if name != name.strip() or not name or any(mark in name for mark in "%=\r\n"):
-            raise ValueError(
-                f"{path}: {name!r} cannot be the tag of an SU2 marker: blank ends, '%', '=' or a line break."
-            )
+            raise ValueError(f"{name!r} cannot be the tag of an SU2 marker: blank ends, '%', '=' or a line break.")
     patch_faces(mesh)
 
 
@@ -165,12 +163,12 @@ def _keywords(path: Path, text: bytes) -> Iterator[Keyword]:
         yield Keyword(name, value, Section(path, text, end, stop))
 
 
-def _only(path: Path, keywords: list[Keyword], name: str) -> Keyword:
+def _only(keywords: list[Keyword], name: str) -> Keyword:
     matches = [keyword for keyword in keywords if keyword.name == name]
     if not matches:
         small = any(keyword.name.upper() == name for keyword in keywords)
         cause = "SU2's keywords are in capitals" if small else "it is not an SU2 mesh, or it is cut short"
-        raise ValueError(f"{path}: no {name}= in this file; {cause}.")
+        raise ValueError(f"no {name}= in this file; {cause}.")
     if len(matches) > 1:
         raise matches[1].section.error(f"a second {name}=; zones of a file begin with IZONE=.")
     return matches[0]
@@ -198,10 +196,10 @@ def _cells(keyword: Keyword, n: int) -> dict[str, ndarray]:
     return {TYPES[number]: corners for number, corners in cells.items()}
 
 
-def _markers(path: Path, keywords: list[Keyword], n: int) -> dict[str, ndarray]:
+def _markers(keywords: list[Keyword], n: int) -> dict[str, ndarray]:
     tags = [place for place, keyword in enumerate(keywords) if keyword.name == "MARKER_TAG"]
     patches = gathered(item for at in tags for item in _marker(*keywords[at : at + 3], n=n))
-    stated = _only(path, keywords, "NMARK")
+    stated = _only(keywords, "NMARK")
     if stated.number() != len(tags):
         raise stated.section.error(f"NMARK= {stated.number()}, but {len(tags)} markers are in the file.")
     return patches
@@ -277,7 +275,8 @@ def read_zones(path: PathLike) -> tuple[Mesh, ...]:
     if path.suffix.lower() != ".su2":
         raise ValueError(f"{path}: SU2 files have zones that are meshes of their own; io.read joins zones of others.")
     text = path.read_bytes()
-    meshes = [mesh_of(path, text, zone) for zone in by_zones(path, text)]
+    with faults_of(path):
+        meshes = [mesh_of(path, text, zone) for zone in by_zones(path, text)]
     for mesh in meshes:
         check_nodes(path, mesh)
     return tuple(Mesh(*mesh) for mesh in meshes)

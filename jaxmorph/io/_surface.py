@@ -10,6 +10,7 @@ from numpy import ndarray
 from .._host.package.arguments import checked
 from .._host.package.files import input_path, read_arrays, real_array
 from .._host.package.rounding import rows_in
+from ._format import faults_of
 from ._text import PathLike, Section, decoded
 
 FACT = re.compile(rb"^[ \t]*[A-Za-z_]+[ \t]*=.*$", re.MULTILINE)
@@ -41,21 +42,23 @@ def read_surface(path: PathLike, d: int) -> tuple[Int[ndarray, " m"], Float[ndar
 
     **Raises:** `ValueError`, with file and line, for other contents and duplicate or broken ids.
     """
-    return read_table(input_path(path), d)
+    path = input_path(path)
+    with faults_of(path):
+        return read_table(path, d)
 
 
 def read_table(path: Path, d: int, wanted: tuple[str, ...] = ()) -> tuple[Int[ndarray, " m"], Float[ndarray, "m d"]]:
     """Reads node ids and d numbers for each; with `wanted` those of columns with these headers."""
     text = path.read_bytes()
     if wanted and MAGIC in (int.from_bytes(text[:4], "little"), int.from_bytes(text[:4], "big")):
-        return _restart(path, text, wanted[:d])
+        return _restart(text, wanted[:d])
     text = FACT.sub(b"", re.sub(rb"[%#][^\n]*", b"", text))
     start = _after_header(text)
     names = [name.strip(b"\"'").lower().decode(errors="replace") for name in NAME.findall(text[:start])]
     section = Section(path, re.sub(rb"[,;]", b" ", text), start, len(text))
     rows = section.rows(np.float64)
     if not len(rows.counts):
-        raise ValueError(f"{path}: no rows of node id and {d} numbers in this file.")
+        raise ValueError(f"no rows of node id and {d} numbers in this file.")
     columns, width, expected = list(range(d + 1)), d + 1, f"a node id and {d} numbers"
     if wanted and {*wanted[:d]} <= {*names}:
         columns = [next((k for k, name in enumerate(names) if name in IDS), 0), *map(names.index, wanted[:d])]
@@ -79,19 +82,18 @@ def read_named(
     found = [name for name in names if name in arrays]
     if len(found) != 1:
         listed = ", ".join(arrays) or "none"
-        raise ValueError(f"{path}: one array {' or '.join(names)} expected, found {listed}.")
+        raise ValueError(f"one array {' or '.join(names)} expected, found {listed}.")
     values = real_array(path, arrays, found[0])
     ids = arrays.get("ids", np.arange(len(np.atleast_1d(values))) if ids is None else ids)
     if ids.dtype.kind not in "iu" or ids.ndim != 1:
-        raise ValueError(f"{path}: ids must be whole numbers (n,), found {ids.dtype} of shape {ids.shape}.")
+        raise ValueError(f"ids must be whole numbers (n,), found {ids.dtype} of shape {ids.shape}.")
     copies = len(ids) - len(np.unique(ids))
     if copies:
-        raise ValueError(f"{path}: {copies} of its {len(ids)} node ids come a second time.")
+        raise ValueError(f"{copies} of its {len(ids)} node ids come a second time.")
     return ids, values, found[0]
 
 
 def in_order(
-    path: Path,
     ids: ndarray,
     values: ndarray,
     d: int,
@@ -104,12 +106,12 @@ def in_order(
     those `known`, with what these are called, and for missing ones.
     """
     if values.shape != (len(ids), d) or not np.isfinite(values).all():
-        raise ValueError(f"{path}: finite values of shape ({len(ids)}, {d}) expected, found shape {values.shape}.")
+        raise ValueError(f"finite values of shape ({len(ids)}, {d}) expected, found shape {values.shape}.")
     foreign, missing = np.setdiff1d(ids, known[0]), np.setdiff1d(wanted, ids)
     faults = [f"{foreign.size} of its {len(ids)} node ids are not of {known[1]} (first {x})" for x in foreign[:1]]
     faults += [f"{missing.size} of the {len(wanted)} nodes are missing (first {x})" for x in missing[:1]]
     if faults:
-        raise ValueError(f"{path}: {', and '.join(faults)}.")
+        raise ValueError(f"{', and '.join(faults)}.")
     return values[rows_in(ids, wanted)]
 
 
@@ -122,13 +124,13 @@ def _restart(path: Path, content: bytes, wanted: tuple[str, ...]) -> tuple[Int[n
     size = start + 8 * n * k
     if k < 1 or n < 1 or len(content) < size:
         raise ValueError(
-            f"{path}: a binary restart of {n} nodes and {k} columns has {size} bytes or more, found {len(content)}."
+            f"a binary restart of {n} nodes and {k} columns has {size} bytes or more, found {len(content)}."
         )
     words = np.frombuffer(content, f"S{WIDTH}", k, begin).tolist()
     names = [decoded(word.partition(b"\0")[0]).strip("\"' ").lower() for word in words]
     missing = ", ".join(name for name in wanted if name not in names)
     if missing:
-        raise ValueError(f"{path}: a binary restart without the columns {missing}; it has {', '.join(names)}.")
+        raise ValueError(f"a binary restart without the columns {missing}; it has {', '.join(names)}.")
     values = np.frombuffer(content, f"{order}f8", n * k, start).reshape(n, k)[:, [*map(names.index, wanted)]]
     return np.arange(n), values.astype(float)
 

@@ -133,12 +133,13 @@ class Section:
         return Rows(self, np.concatenate(values), np.concatenate(counts))
 
     def _not_a_number(self, dtype: type) -> ValueError:
-        kind = int if np.issubdtype(dtype, np.integer) else float
+        kind, what = (int, "an integer") if np.issubdtype(dtype, np.integer) else (float, "a number")
         for row, line in enumerate(line for line in self._lines() if line.strip()):
             for word in line.split():
-                if len(parse(word, dtype)) != 1 or not _is(kind, word):
-                    expected = "an integer" if kind is int else "a number"
-                    return self.error(f"found {word[:40].decode(errors='replace')!r} in place of {expected}.", row)
+                try:
+                    kind(word.translate(_FORTRAN))
+                except ValueError:
+                    return self.error(f"found {word[:40].decode(errors='replace')!r} in place of {what}.", row)
         return self.error("the rows that follow hold something that is not a number.")
 
 
@@ -242,11 +243,3 @@ def replaced(
         yield spliced(chunk, starts[places], ends[places], lines(new[changed])) if len(changed) else chunk
         words, done = words + len(starts), done + len(chosen)
     yield memoryview(text)[part.stop :]
-
-
-def _is(kind: type, word: bytes) -> bool:
-    try:
-        kind(word)
-    except ValueError:
-        return False
-    return True

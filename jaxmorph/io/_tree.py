@@ -119,7 +119,7 @@ def write_points(
     `coordinates` finds them in the root of the copy's tree. NumPy rounds them, since HDF5 rounds
     ties otherwise. A file with data in another one is refused before it is copied.
     """
-    source = own_source(path, mesh, format_name)
+    source = own_source(mesh, format_name)
     with opened(source.path, what=what):
         pass
     shutil.copyfile(source.path, path)

@@ -17,7 +17,7 @@ from jaxmorph._mesh.exchange import PREFIX, Parts
 from jaxmorph._mesh.export import to_vtk
 
 from ._apart import run_apart
-from ._format import EVERYTHING, Arrays, FilePoints, MeshLike, Source, content_of, faults_of
+from ._format import EVERYTHING, Arrays, FilePoints, MeshLike, Source, content_of
 
 NAME = "VTK"
 
@@ -65,9 +65,8 @@ class VTKContent:
 
 
 def read(path: Path) -> Parts:
-    with faults_of(path):
-        content = _read(path)
-        mesh = vtk.mesh_of(vtk.unstructured(content.data))
+    content = _read(path)
+    mesh = vtk.mesh_of(vtk.unstructured(content.data))
     places = vtk.coordinates(content.data)
     points = FilePoints(np.asarray(places, float), singles=EVERYTHING if places.dtype == np.float32 else ())
     origin = mesh.source
@@ -79,15 +78,12 @@ def check(path: Path, mesh: MeshLike) -> None:
     suffix = path.suffix.lower()
     content = content_of(mesh, NAME)
     if suffix in FILES_OF_FILES:
-        raise ValueError(f"{path}: {suffix} files name other files, and are not written; write .vtu, which holds all.")
-    try:
-        for kind in mesh.cells if content is None else ():
-            vtk.number_of(kind)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
+        raise ValueError(f"{suffix} files name other files, and are not written; write .vtu, which holds all.")
+    for kind in mesh.cells if content is None else ():
+        vtk.number_of(kind)
     holds = GRIDS.get(suffix, "vtkDataSet")
     if suffix != ".vtu" and not (content.data.IsA(holds) if content else holds == "vtkDataSet"):
-        raise ValueError(f"{path}: the cells of the mesh are not those of a {holds}; write .vtu.")
+        raise ValueError(f"the cells of the mesh are not those of a {holds}; write .vtu.")
 
 
 def write(path: Path, mesh: MeshLike, point_data: Arrays, cell_data: Arrays) -> None:
@@ -115,8 +111,7 @@ def text_of(data: Any, encoding: Encoding) -> bytes:
 
 
 def _xml_writer(data: Any, encoding: Encoding) -> Any:
-    kind = data.GetClassName().removeprefix("vtk")
-    writer = getattr(vtk.vtk("vtkIOXML"), f"vtkXML{kind}Writer")()
+    writer = vtk.vtk("vtkIOXML").vtkXMLDataObjectWriter.NewWriter(data.GetDataObjectType())
     getattr(writer, f"SetDataModeTo{encoding.mode.capitalize()}")()
     writer.SetEncodeAppendedData(not encoding.is_raw)
     getattr(writer, f"SetCompressorTypeTo{encoding.compressor}")()
@@ -126,8 +121,7 @@ def _xml_writer(data: Any, encoding: Encoding) -> Any:
 
 
 def _legacy_writer(data: Any, encoding: Encoding) -> Any:
-    kind = data.GetClassName().removeprefix("vtk")
-    writer = getattr(vtk.vtk("vtkIOLegacy"), f"vtk{kind}Writer")()
+    writer = vtk.vtk("vtkIOLegacy").vtkDataSetWriter()
     writer.SetHeader(encoding.title)
     # before 5.1 files have another order of the nodes of hexahedra, in which VTK does not write
     is_new = encoding.version > "5" or VTK_LAGRANGE["hexahedron"] in vtk.numbers_of(vtk.unstructured(data))
