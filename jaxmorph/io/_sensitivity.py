@@ -18,8 +18,8 @@ from jaxmorph._host.package.arguments import checked, finite_array, rows_of
 from jaxmorph._host.package.files import complete, input_path, output_path
 from jaxmorph._host.package.text import GRADIENTS, SENSITIVITIES
 
+from ._displacement import in_order, read_named, read_table
 from ._format import faults_of, source_of
-from ._surface import in_order, read_named, read_table
 from ._text import PathLike
 from .openfoam.case import NAME
 from .openfoam.file import load

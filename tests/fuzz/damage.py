@@ -24,7 +24,7 @@ import jax
 import numpy as np
 import seeds
 
-from jaxmorph.io import _adf, _tree
+from jaxmorph.io import _tree
 
 SECONDS, BYTES, TIMES = 2.0, 200e6, 10
 """Limits: of CPU time, and of memory beyond that of the imports: bytes, and in sizes of the file."""
@@ -86,9 +86,9 @@ def content(data: bytes) -> dict[str, str]:
             visit(f"{place}/{name}", item)
             descend(f"{place}/{name}", item if isinstance(item, dict) else {})
 
-    if data[4:25] == _adf.MAGIC:
-        descend("", _adf.Reader(pathlib.Path("a.cgns"), io.BytesIO(data)).tree())
-    elif data.startswith(_tree.MAGIC):
+    if data[4:25] == _tree.ADF:
+        descend("", _tree.Reader(pathlib.Path("a.cgns"), io.BytesIO(data)).tree())
+    elif data.startswith(_tree.CDF):
         descend("", _tree._Header(io.BytesIO(data)).tree())
     else:
         with h5py.File(io.BytesIO(data)) as file:
