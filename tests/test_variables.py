@@ -260,4 +260,4 @@ def test_a_surface_sensitivity_goes_on_to_a_job_without_the_volume(ring, tmp_pat
         np.testing.assert_allclose(found, (values[0] - values[1]) / 2e-6, rtol=1e-6)
     io.write_sensitivity(tmp_path / "part.csv", np.arange(20), sens[:20])
     assert main([*words[:3], str(tmp_path / "part.csv"), words[4]]) == 2
-    assert "4 of the 24 moving nodes are missing (first 20)" in capsys.readouterr().err
+    assert "4 of the 24 nodes are missing (first 20)" in capsys.readouterr().err

@@ -12,16 +12,14 @@ memory, and puts into the folder what is read. Tasks are
 """
 
 import json
-import pathlib
 import pickle
 import re
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
-HEAD = re.compile(rb"# vtk DataFile[^\n]*\n[^\n]*\n\s*\w+\s+DATASET\s+(\w+)", re.IGNORECASE)
-KINDS = {name.upper().replace(" ", "_"): name.replace(" ", "") for name in ("Unstructured Grid", "Structured Grid")}
-KINDS |= {"POLYDATA": "PolyData", "STRUCTURED_POINTS": "StructuredPoints", "RECTILINEAR_GRID": "RectilinearGrid"}
+HEAD = re.compile(rb"# vtk DataFile[^\n]*\n[^\n]*\n\s*\w+\s+DATASET\s")
 
 MESHIO = {b"int8": b"signed_char", b"int16": b"short", b"int32": b"int"}
 """Types that meshio writes into legacy files behind `vtktype`, and `vtktypeu`, and VTK's words."""
@@ -29,13 +27,13 @@ MESHIO = {b"int8": b"signed_char", b"int16": b"short", b"int32": b"int"}
 
 def main(task: str, file: str, folder: str, most: str) -> None:
     if task == "vtk":
-        by_vtk(pathlib.Path(file), pathlib.Path(folder), int(most))
+        by_vtk(Path(file), Path(folder), int(most))
         return
     try:
         found = by_gmsh(file, int(most)) if task == "gmsh" else by_meshio(task, file, int(most))
     except (Exception, SystemExit) as error:  # libraries answer damage by a dozen classes
         raise SystemExit(f"{type(error).__name__}: {' '.join(str(error).split())[:200]}") from None
-    pathlib.Path(folder, "mesh.pickle").write_bytes(pickle.dumps(found))
+    Path(folder, "mesh.pickle").write_bytes(pickle.dumps(found))
 
 
 def by_meshio(kind: str, file: str, most: int) -> Any:
@@ -68,7 +66,7 @@ def by_gmsh(file: str, most: int) -> tuple[Any, list[tuple[int, Any, list[str], 
     return places.reshape(-1, 3)[order], found
 
 
-def by_vtk(path: pathlib.Path, folder: pathlib.Path, most: int) -> None:
+def by_vtk(path: Path, folder: Path, most: int) -> None:
     from vtkmodules import vtkCommonCore
 
     reader, names = vtk_reader(path), []
@@ -91,12 +89,12 @@ def limit_memory(most: int) -> None:
     if sys.platform == "linux":
         import resource
 
-        used = int(pathlib.Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+        used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
         hard = resource.getrlimit(resource.RLIMIT_AS)[1]
         resource.setrlimit(resource.RLIMIT_AS, (used + most, hard))
 
 
-def vtk_reader(path: pathlib.Path) -> Any:
+def vtk_reader(path: Path) -> Any:
     from vtkmodules import vtkIOLegacy, vtkIOXML
 
     if path.suffix.lower() != ".vtk":
@@ -104,14 +102,10 @@ def vtk_reader(path: pathlib.Path) -> Any:
         reader.SetFileName(str(path))
         return reader
     raw = path.read_bytes()
-    head = HEAD.match(raw)
-    if head is None:
+    if not HEAD.match(raw):
         raise SystemExit("not a .vtk file; `# vtk DataFile Version` and three lines more are expected first")
-    kind = head[1].decode(errors="replace").upper()
-    if kind not in KINDS:
-        raise SystemExit(f"{kind} in it is no mesh; read are {', '.join(KINDS)}")
     raw = re.sub(rb"(?<=\s)vtktype(u?)(int8|int16|int32)(?=\s)", own_type, raw)
-    reader = getattr(vtkIOLegacy, f"vtk{KINDS[kind]}Reader")()
+    reader = vtkIOLegacy.vtkGenericDataObjectReader()
     for name in ("Scalars", "Vectors", "Normals", "Tensors", "ColorScalars", "TCoords", "Fields"):
         getattr(reader, f"ReadAll{name}On")()
     reader.ReadFromInputStringOn()
@@ -126,21 +120,24 @@ def check_counts(raw: bytes, data: Any) -> None:
     found = sum(field.GetNumberOfArrays() for field in fields)
     if found < announced or re.search(rb"_DATA\s+\d+\s*\Z", raw[-99:]):
         raise SystemExit(f"{announced or 'some'} arrays are announced, and {found} are found")
-    first, points = raw.find(b"\nFIELD"), raw.find(b"\nPOINTS ")
-    if 0 <= points < first and b"_DATA" not in raw[points:first]:
+    if re.match(rb"\nPOINTS (?!.*_DATA).*", raw[raw.find(b"\nPOINTS ") : raw.rfind(b"\nFIELD")], re.DOTALL):
         raise SystemExit("a field of arrays, but neither POINT_DATA nor CELL_DATA before it")
     if data.GetNumberOfCells() < 1:
         raise SystemExit("no cells, the file is cut short, or damaged")
     counts = {rb"<Points>\s*<DataArray[^>]*": 3 * data.GetNumberOfPoints()}
     if data.IsA("vtkUnstructuredGrid"):
-        sizes = [data.GetNumberOfCells()] * 2 + [data.GetCells().GetNumberOfConnectivityIds()]
-        names = (b"types", b"offsets", b"connectivity")
-        counts |= {rb'<DataArray[^>]*Name="%s"[^>]*' % name: size for name, size in zip(names, sizes, strict=True)}
+        sizes = {b"types": data.GetNumberOfCells(), b"offsets": data.GetNumberOfCells()}
+        sizes[b"connectivity"] = data.GetCells().GetNumberOfConnectivityIds()
+        counts |= {rb'<DataArray[^>]*Name="%s"[^>]*' % name: size for name, size in sizes.items()}
     for start, count in counts.items():
-        texts = [text for tag, text in re.findall(rb"(%s)>([^<]*)<" % start, raw) if b'"ascii"' in tag]
-        words = [float(word) for text in texts for word in text.split()]  # a `ValueError` ends the script
-        if texts and len(words) != count:
-            raise SystemExit(f"{len(words)} numbers are found where there are {count}")
+        check_text(re.findall(rb"(%s)>([^<]*)<" % start, raw), count)
+
+
+def check_text(arrays: list[tuple[bytes, bytes]], count: int) -> None:
+    texts = [text for tag, text in arrays if b'"ascii"' in tag]
+    words = [float(word) for word in b" ".join(texts).split()]  # a `ValueError` ends the script
+    if texts and len(words) != count:
+        raise SystemExit(f"{len(words)} numbers are found where there are {count}")
 
 
 def own_type(found: re.Match[bytes]) -> bytes:
@@ -161,12 +158,12 @@ def data_sets(data: Any) -> Iterator[tuple[str, Any]]:
         blocks.GoToNextItem()
 
 
-def write(path: pathlib.Path, data: Any) -> None:
+def write(path: Path, data: Any) -> None:
     from vtkmodules import vtkIOXML
 
-    writer = vtkIOXML.vtkXMLDataObjectWriter.NewWriter(data.GetDataObjectType())
-    if writer is None:
+    if not data.IsA("vtkDataSet"):
         raise SystemExit(f"{data.GetClassName()} is no mesh")
+    writer = vtkIOXML.vtkXMLDataObjectWriter.NewWriter(data.GetDataObjectType())
     writer.SetInputData(data)
     writer.SetDataModeToAppended()
     writer.EncodeAppendedDataOff()

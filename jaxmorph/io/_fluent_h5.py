@@ -1,7 +1,7 @@
 """Fluent's cases in HDF5 (.cas.h5): a copy of the file with other coordinates."""
 
-import pathlib
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,7 +9,7 @@ import numpy as np
 from jaxmorph._mesh.exchange import Parts
 
 from ._fluent import KINDS, FaceTable, FaceZone, mesh_of
-from ._format import FilePoints, MeshLike, Source, faults_of, stamp_of
+from ._format import FilePoints, MeshLike, Source, stamp_of
 from ._text import decoded
 from ._tree import Coordinates, opened, points_of, singles_of, write_points
 
@@ -17,7 +17,7 @@ NAME = "Fluent HDF5"
 WHAT = "a Fluent case in HDF5"
 
 
-def read(path: pathlib.Path) -> Parts:
+def read(path: Path) -> Parts:
     with opened(path, what=WHAT) as file:
         if "meshes" not in file:
             kind = (
@@ -30,11 +30,10 @@ def read(path: pathlib.Path) -> Parts:
         table, zones = _table(mesh), list(_zones(mesh["faces"]))
         regions = _names(mesh["cells"]["zoneTopology"])
         count = int(mesh.attrs["cellCount"].flat[0])
-    with faults_of(path):
-        return mesh_of(Source(path, NAME, content), table, zones, count, regions)
+    return mesh_of(Source(path, NAME, content), table, zones, count, regions)
 
 
-def write(path: pathlib.Path, mesh: MeshLike) -> None:
+def write(path: Path, mesh: MeshLike) -> None:
     write_points(path, mesh, NAME, _coordinates, WHAT)
 
 
@@ -58,14 +57,15 @@ def _sections(group: Any) -> list[Any]:
 
 def _table(mesh: Any) -> FaceTable:
     faces = mesh["faces"]
-    sections = _sections(faces["nodes"])
-    labels = np.concatenate([section["nodes"][()].ravel() for section in sections]).astype(np.int64)
-    sizes = np.concatenate([section["nnodes"][()].ravel() for section in sections]).astype(np.int64)
+    labels, sizes = (
+        np.concatenate([section[name][()].ravel() for section in _sections(faces["nodes"])]).astype(np.int64)
+        for name in ("nodes", "nnodes")
+    )
     cells = np.zeros((len(sizes), 2), np.int64)
     for column, name in enumerate(("c0", "c1")):
         for array in _sections(faces[name]):
             first = int(array.attrs["minId"].flat[0]) - 1
-            cells[first : first + len(array), column] = array[()].astype(np.int64)
+            cells[first : first + len(array), column] = array[()]
     if sizes.min() < 2 or sizes.sum() != len(labels):
         raise ValueError(f"{len(labels)} nodes of faces, {sizes.sum()} expected")
     return FaceTable(labels, sizes, cells)

@@ -1,10 +1,11 @@
 """MED files of Salome and Code_Aster, in HDF5: copies with other coordinates."""
 
-import pathlib
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 from jaxmorph._mesh.exchange import Grid, Parts
 
@@ -27,7 +28,7 @@ TYPES = {
 """Types of cells by MED's, and the places of MED's corners in VTK's order."""
 
 
-def read(path: pathlib.Path) -> Parts:
+def read(path: Path) -> Parts:
     """Reads points, cells and patches: groups of lower dimension, and of nodes (`NAME_nodes`)."""
     with opened(path, what=WHAT) as file:
         name, step = _step(file)
@@ -43,20 +44,16 @@ def read(path: pathlib.Path) -> Parts:
             blocks.append((ours, corners))
             families.append(_families(group, len(corners)))
         of_nodes = _families(step["NOE"], len(points))
-        sets = {
-            "cell_sets": {
-                group: [np.flatnonzero(np.isin(family, ids)) for family in families]
-                for group, ids in _groups(file, name, "ELEME").items()
-            },
-            "point_sets": {
-                group: np.flatnonzero(np.isin(of_nodes, ids)) for group, ids in _groups(file, name, "NOEUD").items()
-            },
+        cells = {
+            group: [np.flatnonzero(np.isin(family, ids)) for family in families]
+            for group, ids in _groups(file, name, "ELEME").items()
         }
-        grid = Grid(points, blocks, {}, {}, **sets, own=("elements", "nodes"))
+        nodes = {group: np.flatnonzero(np.isin(of_nodes, ids)) for group, ids in _groups(file, name, "NOEUD").items()}
+        grid = Grid(points, blocks, {}, {}, cell_sets=cells, point_sets=nodes, own=("elements", "nodes"))
         return of_tree(path, NAME, coordinates, grid)
 
 
-def write(path: pathlib.Path, mesh: MeshLike) -> None:
+def write(path: Path, mesh: MeshLike) -> None:
     """Writes a copy of the file that the mesh was read from."""
     write_points(path, mesh, NAME, _coordinates, WHAT)
 
@@ -65,7 +62,7 @@ def _coordinates(file: Any) -> Iterator[Coordinates]:
     yield Coordinates(_step(file)[1]["NOE"]["COO"], slice(None), slice(None))
 
 
-def _families(group: Any, count: int) -> np.ndarray:
+def _families(group: Any, count: int) -> ndarray:
     families = group["FAM"][()] if "FAM" in group else np.zeros(count, int)
     if len(families) != count:
         raise ValueError("families of other elements than there are")

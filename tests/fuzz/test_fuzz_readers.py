@@ -1,9 +1,9 @@
 """Damaged files of every format: the right mesh, or a ValueError that names the file, in bounded time and memory.
 
-What the right mesh is after one damaged byte, `oracle.py` says: only what the byte stood for may differ.
+What the right mesh is after one damaged byte, `damage.py` says.
 
 JAXMORPH_FUZZ is the number of damaged files a format (100 by default; `.ci/nightly` takes 2,000), JAXMORPH_FUZZ_SEED another
-series of them. `python tests/fuzz/child.py FORMAT SEED K K+1 FOLDER` does number K again.
+series of them. `python tests/fuzz/damage.py FORMAT SEED K K+1 FOLDER` does number K again.
 """
 
 import json
@@ -39,7 +39,7 @@ def test_damaged_files_are_read_right_or_refused(tmp_path, name):
     while at < COUNT:
         folder = tmp_path / str(rounds)
         folder.mkdir()
-        words = [sys.executable, str(HERE / "child.py"), name, str(SEED), str(at), str(COUNT), str(folder)]
+        words = [sys.executable, str(HERE / "damage.py"), name, str(SEED), str(at), str(COUNT), str(folder)]
         environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "OMP_NUM_THREADS": "1"}
         done = subprocess.run(words, capture_output=True, text=True, env=environment, check=False)
         lines = done.stdout.splitlines()
