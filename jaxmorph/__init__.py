@@ -60,8 +60,8 @@ if typing.TYPE_CHECKING:  # `as` makes a name public for type checkers; `_NAMES`
         AbstractPlacing as AbstractPlacing,
         Control as Control,
     )
-    from ._methods.cells.cells import AbstractCellMethod as AbstractCellMethod
-    from ._methods.cells.equations import (
+    from ._methods.cells import (
+        AbstractCellMethod as AbstractCellMethod,
         AbstractStiffness as AbstractStiffness,
         Biharmonic as Biharmonic,
         ByDistance as ByDistance,
@@ -71,11 +71,13 @@ if typing.TYPE_CHECKING:  # `as` makes a name public for type checkers; `_NAMES`
         SpringAnalogy as SpringAnalogy,
         TorsionalSprings as TorsionalSprings,
     )
-    from ._methods.delaunay import DelaunayGraph as DelaunayGraph
+    from ._methods.corrections import (
+        DelaunayGraph as DelaunayGraph,
+        LocalCorrection as LocalCorrection,
+        NearWall as NearWall,
+    )
     from ._methods.inverse_distance import InverseDistance as InverseDistance
-    from ._methods.local import LocalCorrection as LocalCorrection
     from ._methods.multiscale import Multiscale as Multiscale
-    from ._methods.nearwall import NearWall as NearWall
     from ._methods.rbf.basis import (
         AbstractBasis as AbstractBasis,
         CompactC0 as CompactC0,
@@ -99,7 +101,7 @@ if typing.TYPE_CHECKING:  # `as` makes a name public for type checkers; `_NAMES`
     from ._methods.rbf.rbf import RBF as RBF, Direct as Direct, Iterative as Iterative
     from ._methods.reconstruction import SurfaceReconstruction as SurfaceReconstruction
     from ._methods.surface import Surface as Surface
-    from ._plan.deform import deform as deform, pullback as pullback, velocity as velocity
+    from ._plan.deform import deform as deform, pullback as pullback, shard as shard, velocity as velocity
     from ._plan.export import Layer as Layer, export as export
     from ._plan.halves import (
         SurfaceHalf as SurfaceHalf,
@@ -111,7 +113,6 @@ if typing.TYPE_CHECKING:  # `as` makes a name public for type checkers; `_NAMES`
     from ._plan.prepare import prepare as prepare
     from ._plan.refit import refit as refit
     from ._plan.save import load as load, save as save
-    from ._plan.shard import shard as shard
     from ._plan.steps import march as march, replay as replay
     from ._quality.distortion import distortion as distortion
     from ._quality.face_quality import FaceQuality as FaceQuality, face_quality as face_quality
@@ -155,14 +156,11 @@ _NAMES = {
     "._improve.improve": "Improvement improve",
     "._mesh.mesh": "Mesh elevate",
     "._methods.base": "AbstractField AbstractMethod AbstractPlacing Control",
-    "._methods.cells.cells": "AbstractCellMethod",
-    "._methods.cells.equations": "AbstractStiffness Biharmonic ByDistance ByVolume Laplacian LinearElasticity SpringAnalogy "
-    "TorsionalSprings",
-    "._methods.delaunay": "DelaunayGraph",
+    "._methods.cells": "AbstractCellMethod AbstractStiffness Biharmonic ByDistance ByVolume Laplacian LinearElasticity "
+    "SpringAnalogy TorsionalSprings",
+    "._methods.corrections": "DelaunayGraph LocalCorrection NearWall",
     "._methods.inverse_distance": "InverseDistance",
-    "._methods.local": "LocalCorrection",
     "._methods.multiscale": "Multiscale",
-    "._methods.nearwall": "NearWall",
     "._methods.rbf.basis": "AbstractBasis CompactC0 CompactC1 CompactC2a CompactC2b CubicSpline Gaussian InverseMultiquadric "
     "InverseQuadratic LinearSpline Multiquadric ThinPlateSpline WendlandC0 WendlandC2 WendlandC4 "
     "WendlandC6",
@@ -171,7 +169,7 @@ _NAMES = {
     "._methods.rbf.rbf": "RBF Direct Iterative",
     "._methods.reconstruction": "SurfaceReconstruction",
     "._methods.surface": "Surface",
-    "._plan.deform": "deform pullback velocity",
+    "._plan.deform": "deform pullback shard velocity",
     "._plan.export": "Layer export",
     "._plan.halves": "SurfaceHalf prepare_in_chunks prepare_surface",
     "._plan.judge": "BoundaryQuality boundary_quality",
@@ -179,7 +177,6 @@ _NAMES = {
     "._plan.prepare": "prepare",
     "._plan.refit": "refit",
     "._plan.save": "load save",
-    "._plan.shard": "shard",
     "._plan.steps": "march replay",
     "._quality.distortion": "distortion",
     "._quality.face_quality": "FaceQuality face_quality",

@@ -10,7 +10,7 @@ from runs import over
 import jaxmorph as jm
 from jaxmorph import cases, shapes
 from jaxmorph._host.surface.graph import graph_of
-from jaxmorph._methods import delaunay
+from jaxmorph._methods import corrections
 
 
 @pytest.fixture(scope="module")
@@ -133,7 +133,7 @@ def test_a_half_in_a_file(mesh, tmp_path):
 def test_the_graph_is_built_once_and_is_not_in_the_file(mesh, monkeypatch):
     half = jm.prepare_surface(jm.Boundary(mesh, "airfoil", "farfield"), method=jm.DelaunayGraph())
     bytes_before, built = len(pickle.dumps(half)), []
-    monkeypatch.setattr(delaunay, "graph_of", lambda surface: built.append(surface) or graph_of(surface))
+    monkeypatch.setattr(corrections, "graph_of", lambda surface: built.append(surface) or graph_of(surface))
     for nodes in pieces_of(mesh):
         half.attach(np.asarray(mesh.points)[nodes], nodes)
     assert len(built) == 1

@@ -9,7 +9,7 @@ from runs import over
 
 import jaxmorph as jm
 from jaxmorph import shapes
-from jaxmorph._methods.local import LocalFactors
+from jaxmorph._methods.corrections import LocalFactors
 from jaxmorph._methods.sparse import Reach
 
 

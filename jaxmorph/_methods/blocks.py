@@ -4,26 +4,24 @@ from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import PyTree
 
 from .._kernels.compile import is_for_cpu
-from .base import BLOCK, AbstractField, AbstractMethod, AbstractPlacing
+from .base import BLOCK, AbstractField, AbstractMethod, AbstractPlacing, Points, Rows
 from .sparse import Interpolation
 
 WIDER = 256  # factor of a block's size off the CPU: a GPU wants many elements at once, and few launches
 FEW = 64  # most blocks of a single program on any platform; two programs are traced for more
 
 
-def map_points(field: AbstractField, points: Float[Array, "n d"], ids: PyTree) -> Float[Array, "n d"]:
+def map_points(field: AbstractField, points: Points, ids: PyTree) -> Points:
     """Evaluates the field at every point; derivatives compute blocks anew and store none."""
     if field.block_size is None:
         return field.evaluate(points, ids)
     return map_rows(jax.checkpoint(lambda part: field.evaluate(*part)), (points, ids), field.block_size)
 
 
-def place_points(
-    method: AbstractMethod, points: Float[Array, "n d"], ids: PyTree, factors: PyTree, surface: Float[Array, "b d"]
-) -> PyTree:
+def place_points(method: AbstractMethod, points: Points, ids: PyTree, factors: PyTree, surface: Rows) -> PyTree:
     if not isinstance(method, AbstractPlacing) or not jax.tree.leaves(ids):
         return ids
     return _placed(lambda x, ids: method.place(x, ids, factors, surface), (points, ids))
@@ -31,9 +29,9 @@ def place_points(
 
 def carry_points(
     method: AbstractMethod,
-    rows: tuple[Float[Array, "n d"], PyTree, PyTree],
+    rows: tuple[Points, PyTree, PyTree],
     factors: PyTree,
-    surface: Float[Array, "b d"],
+    surface: Rows,
 ) -> PyTree:
     """Changes every point's place by `carry_place`; `rows` are points, ids and places."""
     points, ids, placed = rows

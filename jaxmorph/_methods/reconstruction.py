@@ -8,8 +8,7 @@ from .._host.package.arguments import checked
 from .._host.sources.reduction import KDTree
 from .base import AbstractField, AbstractMethod, AbstractPlacing, Control, carry, carry_place, check_kind, place
 from .blocks import map_points, place_points
-from .delaunay import DelaunayGraph, begin_graph
-from .nearwall import NearWall
+from .corrections import DelaunayGraph, NearWall, begin_graph
 from .rbf.fitted import FittedRBF
 from .rbf.rbf import RBF
 from .surface import Surface

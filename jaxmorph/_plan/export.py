@@ -170,14 +170,13 @@ def _guided(tape: Tape, guide: Guide, vectors: int) -> int:
     plan, points = guide.plan, np.asarray(guide.plan.points)
     known, every = len(plan.surface.nodes), tape.rows[vectors]
     first = eye(known, every)
-    given, u, led, moved = (tape.register(rows) for rows in (known, every, known, every))
-    tape.sparse(given, vectors, first)
-    _kept(tape, given, plan.images)
-    tape.sparse(u, given, first.T)
+    u, led, moved = (tape.register(rows) for rows in (every, known, every))
+    tape.sparse(u, vectors, first.T @ first)
+    _kept(tape, u, plan.images)
     _on_walls(tape, u, guide.tracks, points)
     tape.sparse(led, u, first)
     _kept(tape, led, plan.images)
-    volume = without_tables(plan.volume)
+    volume = jax.tree.map(np.asarray, without_tables(plan.volume))
     _field(tape, plan, led)(tape, moved, Places(tape.array(points), volume.placed))
     _keep(tape, moved, plan.images, volume.on_plane)
     tape.rows_in_place("turn", moved, np.arange(every) < known, np.zeros((tape.dimension,) * 2))
@@ -195,10 +194,8 @@ def _field(tape: Tape, plan: Plan, own: int) -> Field:
     tape.step("take", u, own, tape.array(images.rows, "i4"))
     for kind, matrix in enumerate(np.asarray(images.matrices)[1:], start=1):
         tape.rows_in_place("turn", u, np.asarray(images.kind) == kind, matrix)
-    own_rows = np.asarray(images.rows)
-    is_held = (own_rows >= plan.n_moving) & (own_rows < len(surface.nodes) - plan.n_guided)
-    rows = SurfaceRows(u, tape.array(surface.points), is_held)
-    return recorded(plan.method, tape, surface.ids, surface.factors, rows)
+    rows = SurfaceRows(u, tape.array(surface.points))
+    return recorded(plan.method, tape, *jax.tree.map(np.asarray, (surface.ids, surface.factors)), rows)
 
 
 def _assigned(tape: Tape, plan: Plan, own: int) -> int:
@@ -206,8 +203,7 @@ def _assigned(tape: Tape, plan: Plan, own: int) -> int:
     places, base = tape.register(tape.rows[own]), np.asarray(plan.surface_points)
     tape.step("add", places, own, number=1)
     tape.step("shift", places, -1, tape.array(base))
-    guide = plan.surface.guide
-    for pairing in () if guide is None else guide.pairings:
+    for pairing in plan.surface.pairings:
         first, second, shift = map(np.asarray, (pairing.first, pairing.second, pairing.shift))
         matched = (base[first] + shift == base[second]).all(axis=1) & (not pairing.is_rotation)
         rows = tape.array(first[matched], "i4"), tape.array(second[matched], "i4")

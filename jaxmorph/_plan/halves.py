@@ -76,12 +76,10 @@ class SurfaceHalf:
 
         **Raises:** `ValueError` for a node that does not move.
         """
-        ids, moving = rows_of("nodes", nodes, 2**62), self.moving
-        order = np.argsort(moving, kind="stable")
-        rows = order[np.minimum(np.searchsorted(moving, ids, sorter=order), len(order) - 1)]
-        wrong = moving[rows] != ids
-        if wrong.any():
-            raise ValueError(f"{wrong.sum()} of {len(ids)} nodes do not move, first {ids[wrong][0]}.")
+        ids = rows_of("nodes", nodes, 2**62)
+        rows = _rows_among(self.moving, ids)
+        if (rows < 0).any():
+            raise ValueError(f"{(rows < 0).sum()} of {len(ids)} nodes do not move, first {ids[rows < 0][0]}.")
         return rows
 
     @checked
@@ -145,27 +143,33 @@ class SurfaceHalf:
         """
         if not needs_share(self.plan.method, self.plan.surface.ids):
             return self
-        near = [self._near(solid(mesh.linear.cells, mesh.points.shape[1]), mesh.points, ids) for mesh, ids in pieces]
+        near = []
+        for mesh, nodes in pieces:
+            of_walls, cells = (
+                np.flatnonzero(np.isin(nodes, self.moving)),
+                solid(mesh.linear.cells, mesh.points.shape[1]),
+            )
+            rows, cells = near_cells(cells, of_walls, len(mesh.points))
+            near.append((np.asarray(nodes)[rows], np.asarray(mesh.points)[rows], cells))
         parts = [near] if comm is None else comm.gather(near)
         method = None if parts is None else self._judged([piece for part in parts for piece in part]).plan.method
         method = method if comm is None else comm.bcast(method)
         return dataclasses.replace(self, plan=dataclasses.replace(self.plan, method=method))
 
-    def _near(self, cells: Mapping[str, Any], points: Any, nodes: Any) -> tuple[np.ndarray, np.ndarray, dict]:
-        """Cuts the cells near the walls out of a piece: ids, points, and cells between ids."""
-        nodes = np.asarray(nodes)
-        ids = np.where(nodes < 0, -2 - np.arange(len(nodes)), nodes)  # no two nodes have one id
-        near, cells = near_cells(cells, np.flatnonzero(np.isin(nodes, self.moving)), len(nodes))
-        return ids[near], np.asarray(points)[near], {kind: ids[near][rows] for kind, rows in cells.items()}
-
     def _judged(self, pieces: list[tuple[np.ndarray, np.ndarray, dict]]) -> "SurfaceHalf":
-        ids, first = np.unique(np.concatenate([ids for ids, _, _ in pieces]), return_index=True)
-        points = np.concatenate([points for _, points, _ in pieces])[first]
-        kinds = sorted({kind for _, _, cells in pieces for kind in cells})
-        cells = {kind: np.concatenate([own[kind] for _, _, own in pieces if kind in own]) for kind in kinds}
-        cells = {kind: np.searchsorted(ids, corners) for kind, corners in cells.items()}
+        """Joins pieces of ids, points and cells between rows; nodes without an id stay apart."""
+        starts = np.cumsum([0, *(len(ids) for ids, _, _ in pieces)])
+        ids, points = (np.concatenate([piece[part] for piece in pieces]) for part in (0, 1))
+        _, first, row = np.unique(
+            np.where(ids < 0, -2 - np.arange(len(ids)), ids), return_index=True, return_inverse=True
+        )
+        together: dict[str, list[np.ndarray]] = {}
+        for start, (_, _, cells) in zip(starts, pieces, strict=False):
+            for kind, corners in cells.items():
+                together.setdefault(kind, []).append(row[start + corners])
+        ids, cells = ids[first], {kind: np.concatenate(together[kind]) for kind in sorted(together)}
         near, cells = near_cells(cells, np.flatnonzero(np.isin(ids, self.moving)), len(ids))
-        return self._with_share(points[near], np.where(ids[near] < 0, -1, ids[near]), cells)
+        return self._with_share(points[first[near]], ids[near], cells)
 
     def _with_share(self, points: np.ndarray, nodes: np.ndarray, cells: Mapping[str, np.ndarray]) -> "SurfaceHalf":
         try:
@@ -204,14 +208,10 @@ class SurfaceHalf:
             raise ValueError(
                 f"`nodes` holds {ids.dtype} of shape {ids.shape}; expected an id for each of {len(points)} points."
             )
-        # Each id is looked up among the half's sorted nodes; where another node stands, the point
-        # is none of the surface. `place` then turns the table round: rows of points by the half's
-        # nodes.
-        order = np.argsort(self.nodes, kind="stable")
-        at = np.minimum(np.searchsorted(self.nodes[order], ids), len(order) - 1)
-        present = np.flatnonzero((self.nodes[order][at] == ids) & (ids >= 0))
-        rows = order[at[present]]
-        twice = np.flatnonzero(np.bincount(rows, minlength=len(order)) > 1)
+        rows = np.where(ids < 0, -1, _rows_among(self.nodes, ids))
+        present = np.flatnonzero(rows >= 0)
+        rows = rows[present]
+        twice = np.flatnonzero(np.bincount(rows, minlength=len(self.nodes)) > 1)
         if twice.size:
             raise ValueError(f"{twice.size} nodes are named more than once in `nodes`, first {self.nodes[twice[0]]}.")
         base = np.asarray(self.plan.points)
@@ -227,6 +227,13 @@ class SurfaceHalf:
         place = np.full(len(self.nodes), -1, dtype=np.int64)
         place[rows] = present
         return place
+
+
+def _rows_among(known: np.ndarray, ids: np.ndarray) -> np.ndarray:
+    """Finds the row of each id among the `known` ones; -1 where it is absent."""
+    order = np.argsort(known, kind="stable")
+    rows = order[np.minimum(np.searchsorted(known, ids, sorter=order), len(order) - 1)]
+    return np.where(known[rows] == ids, rows, -1)
 
 
 def prepare_surface(

@@ -21,8 +21,8 @@ from .._host.surface.walls import ordered_rows
 from .._kernels.compile import compiled, quickly_compiled
 from .._kernels.values import as_jax
 from .._mesh.mesh import Mesh
-from .._methods.base import AbstractMethod, check_kind
-from .._methods.guiding import carrying, guiding
+from .._methods.base import AbstractMethod, Rows, Scalar, check_kind
+from .._methods.multiscale import carrying, guiding
 from .._methods.reconstruction import SurfaceReconstruction
 from .._methods.shares import WallTrial, has_fit, judged, near_cells, needs_share, share_in, share_of
 from .._methods.surface import Cells, Surface
@@ -191,7 +191,7 @@ def _guided_by(plan: Plan, share: Any) -> Plan:
 
 @compiled
 def _vectors(plan: Plan, shares: Float[Array, " s"], u: Float[Array, "t m d"]) -> Float[Array, "b s t d"]:
-    def of_share(share: Float[Array, ""]) -> Float[Array, "b t d"]:
+    def of_share(share: Scalar) -> Float[Array, "b t d"]:
         guided = _guided_by(plan, share)
         return jax.vmap(lambda u: plan.images.vectors(guided.of_surface(u)), out_axes=1)(u)
 
@@ -243,7 +243,7 @@ def _guide_of(boundary: Boundary, method: AbstractMethod) -> Guide | None:
     return Guide(plan, pairings, tracks, jnp.asarray(np.unique(np.concatenate(rows)), jnp.int32))
 
 
-def _trial(plan: Plan) -> Float[Array, "b d"]:
+def _trial(plan: Plan) -> Rows:
     """Makes a smooth displacement of the moving nodes, of size one, no polynomial; others rest."""
     points = np.asarray(plan.points)[np.asarray(plan.surface.nodes)]
     moving = points[: plan.n_moving]

@@ -22,7 +22,7 @@ from .._methods.base import carry as carry_factors
 from .._methods.blocks import carry_points, place_points, with_tables_of, without_tables
 from .devices import over_points, pad_rows
 from .judge import deviations
-from .plan import Plan, VolumePart
+from .plan import Own, Plan, VolumePart
 
 
 @compiled
@@ -31,16 +31,14 @@ def refitted(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Plan
 
 
 @compiled
-def carry(
-    plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any], surface: Float[Array, "o d"] | None = None
-) -> Plan:
+def carry(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any], surface: Own | None = None) -> Plan:
     """Moves a plan to the mesh of one of its own steps; a piece needs the whole moved surface. The
     solve and layers over walls are made anew, and every point keeps its place in the graph.
     """
     return _fitted(plan, points, surface, carried=True)
 
 
-def _fitted(plan: Plan, points: Any, surface: Float[Array, "o d"] | None = None, *, carried: bool = False) -> Plan:
+def _fitted(plan: Plan, points: Any, surface: Own | None = None, *, carried: bool = False) -> Plan:
     method, old, whole = plan.method, plan.surface, base_points(plan, points)
     own = whole[old.nodes] if surface is None else surface
     rows = old.images.points(own)
@@ -103,10 +101,10 @@ def refit(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Plan:
             "this plan is of a piece: call prepare_surface with the new surface, and attach the new points to it."
         )
     points = base_points(plan, points)
-    guide = plan.surface.guide
-    if guide is not None:
-        plan = _with(plan, *_boundary_at(guide.tracks, guide.pairings, points[plan.surface.nodes]))
-    if (guide is not None or len(plan.images.normals)) and is_readable((points, plan)):
+    surface = plan.surface
+    if surface.guide is not None:
+        plan = with_boundary(plan, *_boundary_at(surface.tracks, surface.pairings, points[surface.nodes]))
+    if (surface.guide is not None or len(plan.images.normals)) and is_readable((points, plan)):
         _check_boundary(plan, np.asarray(points))
     refit = refitted(plan, points)
     if is_readable((points, plan)):
@@ -114,12 +112,7 @@ def refit(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Plan:
     return refit
 
 
-def with_boundary_of(plan: Plan, other: Plan) -> Plan:
-    guide = other.surface.guide
-    return plan if guide is None else _with(plan, guide.tracks, guide.pairings)
-
-
-def _with(plan: Plan, tracks: tuple[Track, ...], pairings: tuple[Pairing, ...]) -> Plan:
+def with_boundary(plan: Plan, tracks: tuple[Track, ...], pairings: tuple[Pairing, ...]) -> Plan:
     guide = plan.surface.guide
     if guide is None:
         return plan
@@ -129,15 +122,14 @@ def _with(plan: Plan, tracks: tuple[Track, ...], pairings: tuple[Pairing, ...]) 
 
 @compiled
 def _boundary_at(
-    tracks: tuple[Track, ...], pairings: tuple[Pairing, ...], points: Float[Array, "o d"]
+    tracks: tuple[Track, ...], pairings: tuple[Pairing, ...], points: Own
 ) -> tuple[tuple[Track, ...], tuple[Pairing, ...]]:
     return tuple(track.at(points) for track in tracks), tuple(pairing.at(points) for pairing in pairings)
 
 
 def _check_boundary(plan: Plan, points: np.ndarray) -> None:
     """Refuses points that leave a plan's planes and walls, and pairs that differ."""
-    surface, guide = np.asarray(plan.surface.nodes), plan.surface.guide
-    tracks = () if guide is None else guide.tracks
+    surface, tracks = np.asarray(plan.surface.nodes), plan.surface.tracks
     sliding = surface[np.concatenate([np.zeros(0, int), *(np.asarray(track.rows) for track in tracks)])]
     for name, nodes, distance in deviations(plan, points):
         if name == "mismatch":

@@ -16,7 +16,14 @@ from jaxtyping import Array, Float
 from ..._kernels.log import half_x_log_x
 from ..._kernels.module import Module
 from ..._kernels.values import root
-from ..base import number
+from ..base import Scalar, number
+
+Squared = Float[Array, "..."]
+"""Squared distances, or a function of them."""
+Sources = Float[Array, "s d"]
+"""Coordinates of sources."""
+Columns = Float[Array, "s k"]
+"""Values or weights at sources, in columns."""
 
 
 class AbstractBasis(Module):
@@ -36,7 +43,7 @@ class AbstractBasis(Module):
     scale_free: ClassVar[bool] = False
 
     @abc.abstractmethod
-    def __call__(self, r2: Float[Array, "..."]) -> Float[Array, "..."]:
+    def __call__(self, r2: Squared) -> Squared:
         """Computes phi, elementwise. It must be finite, derivatives included, at r2 = 0."""
 
 
@@ -77,7 +84,7 @@ class AbstractScaledBasis(AbstractBasis):
     radius that is not positive and finite.
     """
 
-    radius: Float[Array, ""] = eqx.field(converter=number("radius", 0))
+    radius: Scalar = eqx.field(converter=number("radius", 0))
 
     def relative(self, r2):
         return r2 * (1 / self.radius.astype(r2.dtype) ** 2)
@@ -120,15 +127,15 @@ class AbstractCompactBasis(AbstractBasis):
     of phi alone, the slope would not be right at a source. R is `support_radius`.
     """
 
-    support_radius: Float[Array, ""] = eqx.field(converter=number("support_radius", 0))
+    support_radius: Scalar = eqx.field(converter=number("support_radius", 0))
 
     @staticmethod
     @abc.abstractmethod
-    def value(xi: Float[Array, "..."]) -> Float[Array, "..."]: ...
+    def value(xi: Squared) -> Squared: ...
 
     @staticmethod
     @abc.abstractmethod
-    def slope(xi: Float[Array, "..."]) -> Float[Array, "..."]: ...
+    def slope(xi: Squared) -> Squared: ...
 
     def __call__(self, r2):
         return _compact(type(self), r2, self.support_radius.astype(r2.dtype))
