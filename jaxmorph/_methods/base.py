@@ -157,6 +157,15 @@ def carry_place(method: AbstractMethod, x: Point, *data: PyTree) -> PyTree:
     return method.carry_place(x, *data) if isinstance(method, AbstractPlacing) else data[-1]
 
 
+def has_part(method: AbstractMethod, kind: type) -> bool:
+    """Checks whether a method is of a kind, or made of such a method."""
+
+    def is_part(node: object) -> bool:
+        return isinstance(node, kind)
+
+    return any(map(is_part, jax.tree.leaves(method, is_leaf=is_part)))
+
+
 def check_kind(value: Any, kind: type, name: str, example: str, *, optional: bool = False) -> None:
     if isinstance(value, kind) or (optional and value is None):
         return
@@ -178,6 +187,6 @@ def number(name: str, low: float | int = -np.inf, high: float | int = np.inf, en
     return convert
 
 
-def length_or_none(name: str) -> Callable[[Any], Any]:
-    convert = number(name, 0)
+def number_or_none(name: str, *limits: Any) -> Callable[[Any], Any]:
+    convert = number(name, *limits)
     return lambda value: None if value is None else convert(value)

@@ -21,32 +21,20 @@ def map_points(field: AbstractField, points: Points, ids: PyTree) -> Points:
     return map_rows(jax.checkpoint(lambda part: field.evaluate(*part)), (points, ids), field.block_size)
 
 
-def place_points(method: AbstractMethod, points: Points, ids: PyTree, factors: PyTree, surface: Rows) -> PyTree:
+def place_points(
+    method: AbstractMethod, points: Points, ids: PyTree, factors: PyTree, surface: Rows, placed: PyTree = None
+) -> PyTree:
+    """Computes every point's place; or changes places `placed` after a step of `march`."""
     if not isinstance(method, AbstractPlacing) or not jax.tree.leaves(ids):
         return ids
-    return _placed(lambda x, ids: method.place(x, ids, factors, surface), (points, ids))
 
+    def place(x, ids, *placed):
+        change = method.carry_place if placed else method.place
+        return change(x, ids, factors, surface, *placed)
 
-def carry_points(
-    method: AbstractMethod,
-    rows: tuple[Points, PyTree, PyTree],
-    factors: PyTree,
-    surface: Rows,
-) -> PyTree:
-    """Changes every point's place by `carry_place`; `rows` are points, ids and places."""
-    points, ids, placed = rows
-    if not isinstance(method, AbstractPlacing) or not jax.tree.leaves(ids):
-        return placed
-    carried = _placed(
-        lambda x, ids, placed: method.carry_place(x, ids, factors, surface, placed),
-        (points, ids, without_tables(placed)),
-    )
-    return with_tables_of(placed, carried)
-
-
-def _placed(function: Callable[..., PyTree], rows: tuple) -> PyTree:
-    place = jax.checkpoint(jax.vmap(function))
-    return map_rows(lambda rows: place(*rows), rows, BLOCK)
+    every = jax.checkpoint(jax.vmap(place))
+    rows = (points, ids) if placed is None else (points, ids, without_tables(placed))
+    return map_rows(lambda rows: every(*rows), rows, BLOCK)
 
 
 def map_rows(function: Callable[[PyTree], PyTree], rows: PyTree, block: int) -> PyTree:

@@ -3,7 +3,6 @@
 import abc
 import functools
 import itertools
-from collections.abc import Mapping
 
 import equinox as eqx
 import jax
@@ -22,7 +21,7 @@ from .._kernels.module import Module
 from .._kernels.values import as_jax, largest, norm
 from .base import AbstractField, AbstractMethod, Points, Rows, Scalar, check_kind, einsum, matmul, number
 from .blocks import fold_rows
-from .surface import Surface
+from .surface import ByKind, Surface
 
 CELLS = 4096  # cells in a block
 
@@ -108,6 +107,10 @@ class AbstractCellMethod(AbstractMethod):
         """Lists the pairs of corners of a type of cells that have an entry, by default all."""
         return all_pairs(kind)
 
+    def ends(self, kind: str) -> np.ndarray:
+        """The first and the second corner (2, p) of each pair."""
+        return np.array(self.pairs(kind)).T
+
     @abc.abstractmethod
     def entries(
         self, kind: str, corners: Float[Array, "c d"], distance: Float[Array, " c"]
@@ -149,11 +152,11 @@ class AbstractCellMethod(AbstractMethod):
         pairs, wall, rows, nodes = (ids.astype(np.int32) for ids in (pairs, wall, rows, nodes))
         return NodeIds(of_kind, *as_jax((pairs, frame, free, wall, rows, nodes))), volume
 
-    def _numbered(self, corners: Mapping[str, np.ndarray], n: int) -> tuple[np.ndarray, dict[str, CellIds]]:
+    def _numbered(self, corners: ByKind, n: int) -> tuple[np.ndarray, dict[str, CellIds]]:
         # A pair of nodes is one integer, smaller id times n plus larger id. The list of pairs is
         # sorted and unique, so a search finds each cell's entries. Corners at one place get the
         # number beyond it.
-        both = {kind: np.moveaxis(cells[:, np.array(self.pairs(kind))], 2, 0) for kind, cells in corners.items()}
+        both = {kind: np.moveaxis(cells[:, self.ends(kind)], 1, 0) for kind, cells in corners.items()}
         keys = {kind: np.minimum(i, j) * n + np.maximum(i, j) for kind, (i, j) in both.items()}
         real = [keys[kind][i != j] for kind, (i, j) in both.items()]
         ordered = np.sort(np.concatenate([np.zeros(0, np.int64), *real]))
@@ -350,7 +353,7 @@ class Laplacian(AbstractCellMethod):
     def entries(self, kind, corners, distance):
         gradient, volume = gradients(kind, corners)
         stiff = volume * stiffness(self.diffusivity, kind, volume, distance)
-        return _products(gradient, stiff, self.pairs(kind))
+        return _products(gradient, stiff, self.ends(kind))
 
 
 class Biharmonic(AbstractCellMethod):
@@ -362,7 +365,7 @@ class Biharmonic(AbstractCellMethod):
     """
 
     def entries(self, kind, corners, distance):
-        return _products(*gradients(kind, corners), self.pairs(kind))
+        return _products(*gradients(kind, corners), self.ends(kind))
 
     def masses(self, ids, places):
         masses = jnp.zeros(len(places), places.dtype)
@@ -373,8 +376,8 @@ class Biharmonic(AbstractCellMethod):
         return jnp.where(masses > 0, masses, 1)
 
 
-def _products(gradient, volume, pairs):
-    i, j = np.array(pairs).T
+def _products(gradient, volume, ends):
+    i, j = ends
     return einsum("q,qpa,qpa->p", volume, gradient[:, i], gradient[:, j])
 
 
@@ -403,7 +406,7 @@ class LinearElasticity(AbstractCellMethod):
 
     def entries(self, kind, corners, distance):
         gradient, volume = gradients(kind, corners)
-        i, j = np.array(self.pairs(kind)).T
+        i, j = self.ends(kind)
         nu = self.poisson.astype(corners.dtype)
         shear = 1 / (2 * (1 + nu))
         dilation = nu / ((1 + nu) * (1 - 2 * nu))
@@ -427,7 +430,7 @@ class SpringAnalogy(AbstractCellMethod):
         return EDGES[kind] if kind != "triangle" else all_pairs(kind)
 
     def entries(self, kind, corners, distance):
-        i, j = np.array(self.pairs(kind)).T
+        i, j = self.ends(kind)
         squared = jnp.sum((corners[j] - corners[i]) ** 2, axis=1)
         has_length = squared > 0
         stiff = jnp.where(has_length, squared, 1) ** (-self.exponent.astype(corners.dtype) / 2)
@@ -451,7 +454,7 @@ class TorsionalSprings(AbstractCellMethod):
         simplices, element = np.array(FRAMES[kind]), _triangle if corners.shape[1] == 2 else _tetrahedron
         blocks = jax.vmap(lambda corners: element(corners, self.lineal.astype(corners.dtype)))(corners[simplices])
         total = jnp.zeros((len(corners), len(corners), *blocks.shape[3:]), corners.dtype)
-        i, j = np.array(self.pairs(kind)).T
+        i, j = self.ends(kind)
         return total.at[simplices[:, :, None], simplices[:, None]].add(blocks)[i, j]
 
 

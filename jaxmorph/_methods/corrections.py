@@ -23,12 +23,12 @@ from .base import (
     carry,
     carry_place,
     check_kind,
-    length_or_none,
+    number_or_none,
     place,
 )
 from .blocks import map_points
 from .rbf.basis import WendlandC2
-from .sparse import InterpolatedField, Interpolation, Reach, Searched, squared_distance
+from .sparse import InterpolatedField, Interpolation, Reach, Searched, lost_unless, squared_distance
 from .surface import Surface
 
 
@@ -49,7 +49,7 @@ class DelaunayGraph(AbstractPlacing):
         vertices = np.repeat(rows[:, None], points.shape[1] + 1, axis=1)  # a node of the surface: itself, d + 1 times
         inside = np.flatnonzero(rows == len(surface.points))
         if inside.size:
-            vertices[inside] = locate(_begun(surface).result(), points, inside)
+            vertices[inside] = locate(begun_graph(surface).result(), points, inside)
         return None, vertices
 
     def fit(self, ids, surface, points):
@@ -63,17 +63,8 @@ class DelaunayGraph(AbstractPlacing):
         return InterpolatedField(u)
 
 
-def begin_graph(method: AbstractMethod, surface: Surface, count: int) -> None:
-    """Starts a method's graph in the background, if it has one and points are off the surface."""
-
-    def is_graph(leaf: object) -> bool:
-        return isinstance(leaf, DelaunayGraph)
-
-    if count > (surface.nodes >= 0).sum() and any(map(is_graph, jax.tree.leaves(method, is_leaf=is_graph))):
-        _begun(surface)
-
-
-def _begun(surface: Surface) -> Beside[Graph]:
+def begun_graph(surface: Surface) -> Beside[Graph]:
+    """Starts the graph of a surface in the background, once."""
     return surface.once("graph", lambda: Beside(graph_of, surface.points))
 
 
@@ -112,7 +103,7 @@ class NearWall(AbstractPlacing):
     """
 
     correction: AbstractMethod = eqx.field(default_factory=DelaunayGraph)
-    width: Scalar | None = eqx.field(default=None, converter=length_or_none("width"))
+    width: Scalar | None = eqx.field(default=None, converter=number_or_none("width", 0))
 
     def __check_init__(self):
         check_kind(self.correction, AbstractMethod, "correction", "jm.DelaunayGraph()")
@@ -296,7 +287,7 @@ class LocalCorrection(AbstractPlacing):
     quarter of the radius. Traced code answers NaN there.
     """
 
-    radius: Scalar | None = eqx.field(default=None, converter=length_or_none("radius"))
+    radius: Scalar | None = eqx.field(default=None, converter=number_or_none("radius", 0))
 
     def connect(self, surface: Surface, points):
         extent = Extent.seen(surface)
@@ -330,7 +321,7 @@ class LocalCorrection(AbstractPlacing):
             listed = jnp.sqrt(squared_distance(x[None], surface[ids.nodes]))[0]
             return nearest < jnp.where(ids.reached[0], listed, jnp.inf)
 
-        lost = jax.lax.cond(factors.is_certain, lambda: jnp.array(False), is_lost)
+        lost = lost_unless(factors.is_certain, is_lost)
         squared = jnp.sum((surface[ids.nodes] - x[None]) ** 2, axis=1)
         weights = WendlandC2(1.0)(squared / jnp.where(fades, radius, 1) ** 2)
         return ids.weighted(jnp.where(fades, weights, 0), lost)

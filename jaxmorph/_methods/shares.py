@@ -2,7 +2,7 @@
 
 import dataclasses
 import itertools
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import jax
@@ -15,11 +15,12 @@ from .._host.cells.topology import CORNERS, DIMENSION, FRAMES, SHAPES
 from .._host.linear.products import FLAT, cofactors, dot
 from .._kernels.compile import compiled
 from .._kernels.values import as_jax, is_known
-from .base import AbstractMethod, Rows, Scalar
+from .base import Rows, Scalar
 from .corrections import WallPlace
 from .rbf.fitted import FittedRBF
 from .reconstruction import SurfaceReconstruction
 from .sparse import Interpolation
+from .surface import ByKind
 
 KEPT = 0.8
 """Smallest Jacobian ratio that least squares alone leave after a trial motion."""
@@ -45,27 +46,6 @@ AT_ONCE = 8
 LEAN = 0.02
 """Share of the inertia that is added along the coordinates, more along the first ones."""
 
-Cells = Mapping[str, np.ndarray]
-
-
-@dataclasses.dataclass(frozen=True)
-class WallTrial:
-    """Data of trial motions: the walls, and cells near them.
-
-    - `surface` (b, d): the surface's rows. `vectors` extends motions (t, m, d) of the moving nodes
-      to displacements (b, s, t, d) of them, for the fit and for least squares.
-    - `moving` (m, d), `walls` (m,): the moving nodes, and the wall of each.
-    - `points` (k, d), `placed`: points near the walls, and their places. `cells` have rows of them.
-    """
-
-    surface: Rows
-    vectors: Callable[[Any], Float[Array, "b s t d"]]
-    moving: Float[np.ndarray, "m d"]
-    walls: np.ndarray
-    points: Float[np.ndarray, "k d"]
-    placed: Any
-    cells: Cells
-
 
 def has_fit(method: Any) -> bool:
     return isinstance(method, SurfaceReconstruction) and isinstance(method.coarse, FittedRBF)
@@ -86,7 +66,7 @@ def share_in(method: Any, share: Any) -> Any:
     return dataclasses.replace(method, coarse=dataclasses.replace(method.coarse, share=share))
 
 
-def near_cells(cells: Cells, nodes: np.ndarray, count: int) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+def near_cells(cells: ByKind, nodes: np.ndarray, count: int) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Selects cells near some of `count` nodes, layer by layer: their nodes, and rows of these."""
     linear = {kind: np.asarray(ids)[:, : CORNERS[SHAPES[kind]]] for kind, ids in cells.items()}
     is_near = np.zeros(count, dtype=bool)
@@ -98,13 +78,13 @@ def near_cells(cells: Cells, nodes: np.ndarray, count: int) -> tuple[np.ndarray,
     return used, {SHAPES[kind]: np.searchsorted(used, ids) for kind, ids in chosen.items()}
 
 
-def _layers(cells: Cells, is_near: np.ndarray, most: int) -> Cells:
+def _layers(cells: ByKind, is_near: np.ndarray, most: int) -> ByKind:
     """Adds layers of cells to `is_near`, while all are `most` cells at most, or thins the first."""
 
-    def layer() -> Cells:
+    def layer() -> ByKind:
         return {kind: ids[is_near[ids].any(axis=1)] for kind, ids in cells.items()}
 
-    def size(cells: Cells) -> int:
+    def size(cells: ByKind) -> int:
         return sum(map(len, cells.values()))
 
     chosen, grown = {}, layer()
@@ -118,27 +98,36 @@ def _layers(cells: Cells, is_near: np.ndarray, most: int) -> Cells:
     return chosen
 
 
-def judged(method: AbstractMethod, ids: Any, factors: Any, trial: WallTrial) -> AbstractMethod:
-    """Returns the method with the largest share that keeps enough in all trial motions."""
-    return share_in(method, _largest_share(method, ids[0], factors[0], trial))
+def largest_share(
+    method: Any,
+    surface: Any,
+    vectors: Callable[[Any], Any],
+    trials: Iterator[Float[np.ndarray, "m d"]],
+    near: Any,
+    cells: ByKind,
+) -> float:
+    """Finds the largest share that keeps enough in all trial motions.
 
-
-def _largest_share(method: Any, ids_of_fit: Any, factors: Any, trial: WallTrial) -> float:
-    matrix = _correction(trial.placed[1], len(trial.surface))
+    `surface` has the points, ids and factors of a plan's surface. `vectors` extends motions
+    (t, m, d) of the moving nodes to displacements (b, s, t, d) of the surface's rows, for the fit
+    and for least squares. `near` has points near the walls and their places, between which are the
+    `cells`.
+    """
+    coarse, rows, factors = method.coarse, surface.points, surface.factors[0]
+    matrix = _correction(near.placed[1], len(rows))
     if matrix is None:
         return 1.0
-    used, coarse = np.unique(matrix.indices), method.coarse
+    used = np.unique(matrix.indices)
     matrix = csr_array(matrix[:, used])
-    places = np.concatenate([np.asarray(trial.surface)[used], trial.points])
-    rows = np.asarray(_kernel(coarse, factors, as_jax(places)))
-    ids, inverse = _corners(np.asarray(trial.points, float), trial.cells)
-    alive, trials = dict(SHARES), motions(trial.moving, trial.walls)
+    kernel = np.asarray(_kernel(coarse, factors, as_jax(np.concatenate([np.asarray(rows)[used], near.points]))))
+    ids, inverse = _corners(np.asarray(near.points, float), cells)
+    alive = dict(SHARES)
     while u := list(itertools.islice(trials, AT_ONCE)):
-        rest = [np.zeros_like(trial.moving)] * (AT_ONCE - len(u))  # one shape, so one program
-        vectors = trial.vectors(np.stack([*u, *rest]))
-        weights = _weights(coarse, ids_of_fit, factors, trial.surface, jnp.array([1.0, 0.0]), vectors)
-        field = _times(rows, np.asarray(weights))
-        offset = np.asarray(vectors)[used] - field[: len(used)]  # eq. (5)
+        rest = [np.zeros_like(u[0])] * (AT_ONCE - len(u))  # one shape, so one program
+        extended = vectors(np.stack([*u, *rest]))
+        weights = _weights(coarse, surface.ids[0], factors, rows, jnp.array([1.0, 0.0]), extended)
+        field = _times(kernel, np.asarray(weights))
+        offset = np.asarray(extended)[used] - field[: len(used)]  # eq. (5)
         moved = field[len(used) :] + _times(matrix, offset)
         for k in range(len(u)):
             fit, plain = (np.einsum("abc,bdc->adc", _edges(moved[:, of, k], ids), inverse) for of in (0, 1))
@@ -179,23 +168,23 @@ def motions(points: Float[np.ndarray, "m d"], walls: np.ndarray) -> Iterator[Flo
 def _shapes(x: Float[np.ndarray, "m d"]) -> Iterator[tuple[np.ndarray, int]]:
     """Yields heights (m,) over the axes, longest first, from -1 to 1, and the axis of motion."""
     thin = x.shape[1] - 1
-    for axis in range(thin + 1):
-        yield np.ones(len(x)), axis
-        a = x[:, axis]
+    for axis, a in enumerate(x.T):
         powers, turn = [a, a**2, a**3, np.sin(np.pi * a)], 2 * np.pi * a
         waves = [np.cos(np.pi * a), np.sin(turn), np.cos(turn)]
-        heights = powers + waves if axis < thin else powers[1:]
-        yield from itertools.product(heights, (across for across in range(thin + 1) if across != axis))
-        if axis == thin:
-            yield a, axis
-            continue
-        bumps = [np.exp(-(((a - at) / 0.24) ** 2)) for at in (-0.5, 0.0, 0.5)]
-        sides = [side * bump for side in (x[:, thin] > 0, x[:, thin] < 0) for bump in bumps]
-        ends = [np.clip(sign * a - 0.4, 0, 1) ** 2 / 0.36 for sign in (-1, 1)]
-        yield from ((height, thin) for height in sides + ends)
+        yield np.ones(len(x)), axis
+        others = np.delete(np.arange(thin + 1), axis).tolist()
+        yield from itertools.product(powers + waves if axis < thin else powers[1:], others)
+        yield from itertools.product(_bumps(a, x[:, thin]) if axis < thin else [a], [thin])
 
 
-def _corners(points: np.ndarray, cells: Cells) -> tuple[np.ndarray, Float[np.ndarray, "d d c"]]:
+def _bumps(a: np.ndarray, across: np.ndarray) -> list[np.ndarray]:
+    """Makes bumps of each side, and bends of both ends."""
+    bumps = [np.exp(-(((a - at) / 0.24) ** 2)) for at in (-0.5, 0.0, 0.5)]
+    ends = [np.clip(sign * a - 0.4, 0, 1) ** 2 / 0.36 for sign in (-1, 1)]
+    return [side * bump for side in (across > 0, across < 0) for bump in bumps] + ends
+
+
+def _corners(points: np.ndarray, cells: ByKind) -> tuple[np.ndarray, Float[np.ndarray, "d d c"]]:
     """Lists corners of cells: ids (d + 1, c) of a corner and its edges' ends; inverse edges."""
     none = np.zeros((0, points.shape[1] + 1), dtype=int)
     ids = np.concatenate([none, *(own[:, frame] for kind, own in cells.items() for frame in FRAMES[kind])]).T
@@ -218,7 +207,7 @@ def _invariants(gradient: Float[np.ndarray, "d d c"]) -> list[np.ndarray]:
 
 
 def _ratios(invariants: list[np.ndarray], size: float) -> Float[np.ndarray, " c"]:
-    total = 0.0
+    total: Any = 0.0
     for invariant in reversed(invariants):
         total = size * (total + invariant)
     return 1 + total

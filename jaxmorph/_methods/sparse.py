@@ -2,6 +2,8 @@
 
 import dataclasses
 import weakref
+from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -184,6 +186,11 @@ def tabulate(nodes: np.ndarray, used: np.ndarray, count: int) -> tuple[np.ndarra
 
 SLACK = 0.05
 """Search slack, relative to the radius: it serves bases that differ by less than half of it."""
+
+
+def lost_unless(is_certain: Bool[Array, ""], is_lost: Callable[[], Any]) -> Bool[Array, ""]:
+    """Checks whether a node was lost, where it is not certain that none was."""
+    return jax.lax.cond(is_certain, lambda: jnp.array(False), is_lost)
 
 
 class Searched(eqx.Module):

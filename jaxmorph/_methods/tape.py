@@ -71,7 +71,9 @@ class Tape:
         self.rows.append(rows)
         return len(self.rows) - 1
 
-    def array(self, values: Any, kind: str = "f8") -> int:
+    def array(self, values: Any, kind: str = "") -> int:
+        """Adds an array of its own `kind`: numbers of eight bytes, ids of four."""
+        kind = kind or ("f8" if np.asarray(values).dtype.kind == "f" else "i4")
         key = id(values), kind
         if key not in self.known:  # the entry holds the array, whose `id` no other one then gets
             self.known[key] = len(self.arrays), values
@@ -85,7 +87,7 @@ class Tape:
     def sparse(self, out: int, source: int, matrix: Any) -> None:
         matrix = csr_array(matrix)
         matrix.eliminate_zeros()
-        arrays = self.array(matrix.indptr, "i8"), self.array(matrix.indices, "i4"), self.array(matrix.data)
+        arrays = self.array(matrix.indptr, "i8"), self.array(matrix.indices), self.array(matrix.data)
         self.step("sparse", out, source, *arrays)
 
     def dense(self, out: int, source: int, matrix: Any, flags: int = 0) -> None:
@@ -102,12 +104,12 @@ class Tape:
         lower, blocks, order = scipy.linalg.ldl(matrix)
         packed = lower[order][np.tril_indices(len(lower))]
         diagonals = np.diagonal(blocks), np.append(np.diagonal(blocks, -1), 0.0)
-        self.step("ldl", out, -1, self.array(packed), *map(self.array, diagonals), self.array(order, "i4"))
+        self.step("ldl", out, -1, self.array(packed), *map(self.array, diagonals), self.array(order))
 
     def rows_in_place(self, name: str, out: int, is_chosen: Any, matrix: Any) -> None:
         """A step "plane" with its normal, or "turn" with its matrix, for the chosen rows."""
         if is_chosen.any():
-            self.step(name, out, -1, self.array(np.flatnonzero(is_chosen), "i4"), self.array(matrix))
+            self.step(name, out, -1, self.array(np.flatnonzero(is_chosen)), self.array(matrix))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -116,11 +118,13 @@ class Places:
 
     points: int
     placed: Any
-    share: np.ndarray | None = None  # of each point in the field; None: 1
+    share: Any = 1.0  # of each point in the field, or of all
 
-    def of(self, placed: Any, share: np.ndarray | None = None) -> "Places":
-        both = [each for each in (self.share, share) if each is not None]
-        return Places(self.points, placed, functools.reduce(np.multiply, both) if both else None)
+    def of(self, placed: Any, share: Any = 1.0) -> "Places":
+        return Places(self.points, placed, self.share * share)
+
+    def recorded(self, tape: Tape) -> int:
+        return tape.array(self.share) if np.ndim(self.share) else -1
 
 
 Field = Callable[[Tape, int, Places], None]
@@ -175,12 +179,12 @@ def _(method: Multiscale, tape, ids: Hierarchy, factors, rows) -> Field:
     tape.sparse(values, rows.u, csr_array((has_function.astype(float), (own, own)), (count, count)))
     below = csr_array((factors.entries, (row, column)), (count, count))
     order = _topological(row, column, count)
-    arrays = tape.array(below.indptr, "i8"), tape.array(below.indices, "i4"), tape.array(below.data)
-    tape.step("forward", values, -1, *arrays, tape.array(order, "i4"))
+    arrays = tape.array(below.indptr, "i8"), tape.array(below.indices), tape.array(below.data)
+    tape.step("forward", values, -1, *arrays, tape.array(order))
     return _Interpolated(values)
 
 
-def _topological(row: np.ndarray, column: np.ndarray, count: int) -> np.ndarray:
+def _topological(row: Any, column: Any, count: int) -> np.ndarray:
     """Orders rows so that each comes after all columns of its entries."""
     level = np.zeros(count, np.int64)
     while True:
@@ -228,7 +232,7 @@ class _Interpolated:
 
 def _matrix(places: Places, columns: int) -> csr_array:
     matrix = places.placed.matrix(columns)
-    matrix = matrix if places.share is None else csr_array(diags_array(places.share) @ matrix)
+    matrix = csr_array(diags_array(np.broadcast_to(places.share, matrix.shape[:1])) @ matrix)
     matrix.sum_duplicates()
     return matrix
 
@@ -239,8 +243,8 @@ def _(method: InverseDistance, tape, ids, factors: InverseDistanceFactors, rows)
     numbers = tape.array([method.far, method.near, alpha, extent, bound, (SMALLEST * extent) ** 2])
 
     def add(tape: Tape, out: int, places: Places) -> None:
-        share = -1 if places.share is None else tape.array(places.share)
-        tape.step("mean", out, rows.u, places.points, rows.points, numbers, share, tape.array(factors.area))
+        arrays = places.points, rows.points, numbers, places.recorded(tape), tape.array(factors.area)
+        tape.step("mean", out, rows.u, *arrays)
 
     return add
 
@@ -268,9 +272,8 @@ def _expansion(expansion: Expansion, tape: Tape, factors: RBFFactors, values: in
     tail = len(factors.lu) - len(factors.sources)
 
     def add(tape: Tape, out: int, places: Places) -> None:
-        share = -1 if places.share is None else tape.array(places.share)
-        number = FUNCTIONS.index(kind) + 256 * tail
-        tape.step("kernel", out, values, places.points, sources, numbers, share, number=number)
+        arrays = places.points, sources, numbers, places.recorded(tape)
+        tape.step("kernel", out, values, *arrays, number=FUNCTIONS.index(kind) + 256 * tail)
 
     return add
 
@@ -292,7 +295,7 @@ def _(method: FittedRBF, tape, ids: WallIds, factors: FitFactors, rows) -> Field
     outside = [_chosen(ids.fixed, count), _rings(ids, count), _behind_tips(ids, count)]
     tape.sparse(outer, rest, vstack(outside))
     at_nodes, along = map(tape.register, (len(ids.nodes), len(ids.edges)))
-    tape.step("take", at_nodes, rest, tape.array(ids.nodes, "i4"))
+    tape.step("take", at_nodes, rest, tape.array(ids.nodes))
     tape.sparse(along, rest, _chosen(ids.edges[:, 1], count) - _chosen(ids.edges[:, 0], count))
     share = 1.0 if method.share is None else float(method.share)
     systems = (share, factors.outer, factors.fit, FLAT), (1 - share, factors.outside, factors.plain, 0)

@@ -126,18 +126,11 @@ def with_transposes(plan: Any, parts: int = 1) -> Any:
     """
     if not isinstance(plan, Plan) or plan.layout is not None or not is_readable(plan):
         return plan
-    operators = filter(is_rows, jax.tree.leaves(plan, is_leaf=is_rows))
-    if parts == 1 and all(operator.table is not None for operator in operators):
-        return plan
-    placed = with_tables(
-        plan.volume.placed if parts == 1 else without_tables(plan.volume.placed), len(plan.surface.points), parts
-    )
-    plan = eqx.tree_at(
-        lambda plan: plan.volume.placed, plan, placed, is_leaf=lambda leaf: leaf is None or is_rows(leaf)
-    )
-    if plan.surface.guide is None:
-        return plan
-    return eqx.tree_at(lambda plan: plan.surface.guide.plan, plan, with_transposes(plan.surface.guide.plan))
+    placed = with_tables(without_tables(plan.volume.placed), len(plan.surface.points), parts)
+    surface, guide = plan.surface, plan.surface.guide
+    if guide is not None:
+        surface = dataclasses.replace(surface, guide=dataclasses.replace(guide, plan=with_transposes(guide.plan)))
+    return dataclasses.replace(plan, surface=surface, volume=dataclasses.replace(plan.volume, placed=placed))
 
 
 def transposable(plan: Any, *arguments: Any) -> Any:

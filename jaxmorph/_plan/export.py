@@ -4,6 +4,7 @@ import dataclasses
 import os
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -90,7 +91,7 @@ def export(
     if layer is not None:
         if tape.dimension != 2:
             raise ValueError("`layer` is for the plan of a plane; this plan is in 3-D.")
-        own = [tape.array(rows_of("layer.points", layer.points, len(chosen)), "i4"), *layer.axes]
+        own = [tape.array(rows_of("layer.points", layer.points, len(chosen))), *layer.axes]
     sizes = tape.dimension, len(chosen), plan.n_moving, len(tape.arrays), len(tape.rows), len(tape.steps)
     _write(path, tape, [*sizes, first, rest, moving, *own])
 
@@ -125,7 +126,7 @@ def _recorded(tape: Tape, plan: Plan, volume: VolumePart, place: np.ndarray) -> 
     rows, at = rows[at >= 0], at[at >= 0]
     order = np.argsort(at)
     if len(rows):
-        tape.step("put", POINTS, assigned, tape.array(at[order], "i4"), tape.array(rows[order], "i4"))
+        tape.step("put", POINTS, assigned, tape.array(at[order]), tape.array(rows[order]))
     return first
 
 
@@ -145,14 +146,14 @@ def _kept(tape: Tape, own: int, images: Images) -> None:
     _alike(tape, own, images.pairings)
 
 
-def _keep(tape: Tape, rows: int, images: Images, on_plane: object) -> None:
-    for k, normal in enumerate(np.asarray(images.normals) if on_plane is not None else ()):
+def _keep(tape: Tape, rows: int, images: Images, on_plane: Any) -> None:
+    for k, normal in enumerate(np.asarray(images.normals)):
         tape.rows_in_place("plane", rows, np.asarray(on_plane)[:, k], normal)
 
 
 def _alike(tape: Tape, rows: int, pairings: Sequence[Pairing]) -> None:
     for pairing in pairings:
-        first, second = tape.array(pairing.first, "i4"), tape.array(pairing.second, "i4")
+        first, second = tape.array(pairing.first), tape.array(pairing.second)
         tape.step("pair", rows, -1, first, second, tape.array(pairing.matrix))
         is_alone = np.isin(np.arange(tape.rows[rows]), np.asarray(pairing.alone))
         tape.rows_in_place("turn", rows, is_alone, pairing.keeps)
@@ -191,7 +192,7 @@ def _guided(tape: Tape, guide: Guide, vectors: int) -> int:
 def _field(tape: Tape, plan: Plan, own: int) -> Field:
     images, surface = plan.images, plan.surface
     u = tape.register(len(images.rows))
-    tape.step("take", u, own, tape.array(images.rows, "i4"))
+    tape.step("take", u, own, tape.array(images.rows))
     for kind, matrix in enumerate(np.asarray(images.matrices)[1:], start=1):
         tape.rows_in_place("turn", u, np.asarray(images.kind) == kind, matrix)
     rows = SurfaceRows(u, tape.array(surface.points))
@@ -206,7 +207,7 @@ def _assigned(tape: Tape, plan: Plan, own: int) -> int:
     for pairing in plan.surface.pairings:
         first, second, shift = map(np.asarray, (pairing.first, pairing.second, pairing.shift))
         matched = (base[first] + shift == base[second]).all(axis=1) & (not pairing.is_rotation)
-        rows = tape.array(first[matched], "i4"), tape.array(second[matched], "i4")
+        rows = tape.array(first[matched]), tape.array(second[matched])
         tape.step("copy", places, -1, *rows, tape.array(shift))
     return places
 

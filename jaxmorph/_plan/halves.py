@@ -25,7 +25,7 @@ from .._methods.base import AbstractMethod, check_kind
 from .._methods.blocks import place_points
 from .._methods.reconstruction import sees_free_sides
 from .._methods.shares import near_cells, needs_share
-from .._methods.surface import Surface
+from .._methods.surface import ByKind, Surface
 from .plan import Plan, SurfacePart, VolumePart
 from .prepare import between_planes, default_for, plan_of, refuse_cells, surface_of, with_share
 
@@ -50,7 +50,7 @@ class SurfaceHalf:
 
     plan: Plan
     nodes: Int[np.ndarray, " k"]
-    faces: Mapping[str, np.ndarray] | None
+    faces: ByKind | None
     is_open: bool
 
     def __getstate__(self) -> dict[str, Any]:
@@ -112,7 +112,7 @@ class SurfaceHalf:
         if not len(given):
             raise ValueError("the piece has no points.")
         place = self._places(nodes, given)
-        surface, on_plane = self._surface
+        surface = self._surface
         self._check_sides(surface, given, place)
         x, count, base = given.astype(plan.points.dtype), len(given), np.asarray(plan.points)
         x[place[place >= 0]] = base[place >= 0]
@@ -120,11 +120,10 @@ class SurfaceHalf:
         together = np.concatenate([x, base[place < 0]])
         surface = surface.altered(nodes=np.where(surface.nodes < 0, -1, rows[surface.nodes]))
         ids = as_jax(jax.tree.map(lambda leaf: leaf[:count], plan.method.connect(surface, together)[1]))
-        if on_plane is not None:
-            on_plane = np.stack([plane.holds(together)[:count] for plane in plan.boundary.planes], axis=1)
-            on_plane = as_jax(on_plane)
+        planes = plan.boundary.planes
+        on_plane = np.array([plane.holds(together)[:count] for plane in planes], bool).reshape(len(planes), count).T
         own = dataclasses.replace(plan.surface, nodes=as_jax(rows[np.asarray(plan.surface.nodes)].astype(np.int32)))
-        volume = VolumePart(as_jax(x), on_plane, ids, None)
+        volume = VolumePart(as_jax(x), as_jax(on_plane), ids, None)
         placed = _placed(plan.method, own, volume.points, ids)
         volume = dataclasses.replace(volume, placed=placed)
         return Plan(plan.method, own, volume, plan.n_moving, plan.n_guided, is_piece=True)
@@ -159,7 +158,8 @@ class SurfaceHalf:
     def _judged(self, pieces: list[tuple[np.ndarray, np.ndarray, dict]]) -> "SurfaceHalf":
         """Joins pieces of ids, points and cells between rows; nodes without an id stay apart."""
         starts = np.cumsum([0, *(len(ids) for ids, _, _ in pieces)])
-        ids, points = (np.concatenate([piece[part] for piece in pieces]) for part in (0, 1))
+        ids = np.concatenate([ids for ids, _, _ in pieces])
+        points = np.concatenate([points for _, points, _ in pieces])
         _, first, row = np.unique(
             np.where(ids < 0, -2 - np.arange(len(ids)), ids), return_index=True, return_inverse=True
         )
@@ -171,12 +171,12 @@ class SurfaceHalf:
         near, cells = near_cells(cells, np.flatnonzero(np.isin(ids, self.moving)), len(ids))
         return self._with_share(points[first[near]], ids[near], cells)
 
-    def _with_share(self, points: np.ndarray, nodes: np.ndarray, cells: Mapping[str, np.ndarray]) -> "SurfaceHalf":
+    def _with_share(self, points: np.ndarray, nodes: np.ndarray, cells: ByKind) -> "SurfaceHalf":
         try:
             part = self.attach(points, nodes)
         except ValueError:  # pieces that do not fit are told of when they are attached
             return self
-        return dataclasses.replace(self, plan=with_share(self.plan, self._surface[0], part.volume, cells))
+        return dataclasses.replace(self, plan=with_share(self.plan, self._surface, part.volume, cells))
 
     def _check_sides(self, surface: Surface, points: np.ndarray, place: np.ndarray) -> None:
         """Refuses points on a free side, if the surface was prepared without."""
@@ -191,15 +191,14 @@ class SurfaceHalf:
             )
 
     @functools.cached_property
-    def _surface(self) -> tuple[Surface, np.ndarray | None]:
-        """The surface as methods see it, and a mask of the half's points on every plane."""
+    def _surface(self) -> Surface:
+        """The surface as methods see it."""
         boundary = changed(self.plan.boundary, pairings=(), tracks=(), is_open=self.is_open)
         if self.faces is not None:
             faces = {kind: boundary.nodes[rows] for kind, rows in self.faces.items()}
             boundary = changed(boundary, faces=faces)
         images = self.plan.images  # their order is that of the places in double precision
-        surface, _, on_plane = surface_of(boundary, np.asarray(images.rows)[np.asarray(images.kind) == 0])
-        return surface, on_plane
+        return surface_of(boundary, np.asarray(images.rows)[np.asarray(images.kind) == 0])[0]
 
     def _places(self, nodes: Any, points: np.ndarray) -> np.ndarray:
         """Finds the row (k,) in `points` of each node of the half; -1 for an absent node."""
@@ -236,6 +235,11 @@ def _rows_among(known: np.ndarray, ids: np.ndarray) -> np.ndarray:
     return np.where(known[rows] == ids, rows, -1)
 
 
+def _check_kinds(boundary: Any, method: Any) -> None:
+    check_kind(boundary, Boundary, "boundary", 'jm.Boundary(mesh, "wall", "far")')
+    check_kind(method, AbstractMethod, "method", "jm.RBF()", optional=True)
+
+
 def prepare_surface(
     boundary: Boundary,
     *,
@@ -266,8 +270,7 @@ def prepare_surface(
     **Raises:** `ValueError` as `prepare` does, for ids that come twice in `nodes`, and for a method
     that solves on cells.
     """
-    check_kind(boundary, Boundary, "boundary", 'jm.Boundary(mesh, "wall", "far")')
-    check_kind(method, AbstractMethod, "method", "jm.RBF()", optional=True)
+    _check_kinds(boundary, method)
     count = len(boundary.points)
     if faces is not None:
         boundary = with_faces(boundary, OuterFaces.numbered(Mesh(boundary.points, dict(faces)).cells))
@@ -331,8 +334,7 @@ def prepare_in_chunks(
     method that solves on cells. A wrong point raises with its chunk; a `MeshError` names nodes of
     the whole mesh.
     """
-    check_kind(boundary, Boundary, "boundary", 'jm.Boundary(mesh, "wall", "far")')
-    check_kind(method, AbstractMethod, "method", "jm.RBF()", optional=True)
+    _check_kinds(boundary, method)
     if size is not None:
         whole("size", size)
         if method is not None:

@@ -70,9 +70,8 @@ def boundary_quality(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any])
 
 def deviations(plan: Plan, points: np.ndarray) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
     """Yields distances of moved points by plane, wall and pairing: field, nodes, distances."""
-    if plan.volume.on_plane is not None:
-        for plane, is_on in zip(plan.images.planes, np.asarray(plan.volume.on_plane)[: len(points)].T, strict=True):
-            yield "off_plane", np.flatnonzero(is_on), np.abs(plane.height(points[is_on]))
+    for plane, is_on in zip(plan.images.planes, np.asarray(plan.volume.on_plane)[: len(points)].T, strict=True):
+        yield "off_plane", np.flatnonzero(is_on), np.abs(plane.height(points[is_on]))
     surface = np.asarray(plan.surface_nodes)
     for track in plan.surface.tracks:
         nodes = surface[np.asarray(track.rows)]

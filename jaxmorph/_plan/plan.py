@@ -98,7 +98,7 @@ class VolumePart(eqx.Module):
     """
 
     points: Float[Array, "n d"]
-    on_plane: Bool[Array, "n p"] | None
+    on_plane: Bool[Array, "n p"]
     ids: PyTree
     placed: PyTree
     rests: Bool[Array, " n"] | None = None
@@ -294,9 +294,7 @@ def shared_by(plan: Plan, vectors: Own) -> Shared:
 
 def move(shared: Shared, volume: VolumePart, at: Int[Array, " a"]) -> Float[Array, "n d"]:
     """Moves points of some rows; `at` are rows of assigned nodes, beyond the last if absent."""
-    displacement = map_points(shared.field, volume.points, volume.placed)
-    if volume.on_plane is not None:
-        displacement = shared.images.within(displacement, volume.on_plane)
+    displacement = shared.images.within(map_points(shared.field, volume.points, volume.placed), volume.on_plane)
     if volume.rests is not None:
         displacement = jnp.where(volume.rests[:, None], 0, displacement)
     moved = volume.points + displacement

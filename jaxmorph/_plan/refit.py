@@ -19,19 +19,19 @@ from .._host.package.rounding import spacing
 from .._kernels.compile import compiled
 from .._kernels.values import is_readable
 from .._methods.base import carry as carry_factors
-from .._methods.blocks import carry_points, place_points, with_tables_of, without_tables
+from .._methods.blocks import place_points, with_tables_of, without_tables
 from .devices import over_points, pad_rows
 from .judge import deviations
 from .plan import Own, Plan, VolumePart
 
 
 @compiled
-def refitted(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Plan:
+def refitted(plan: Plan, points: Any) -> Plan:
     return _fitted(plan, points)
 
 
 @compiled
-def carry(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any], surface: Own | None = None) -> Plan:
+def carry(plan: Plan, points: Any, surface: Own | None = None) -> Plan:
     """Moves a plan to the mesh of one of its own steps; a piece needs the whole moved surface. The
     solve and layers over walls are made anew, and every point keeps its place in the graph.
     """
@@ -49,11 +49,9 @@ def _fitted(plan: Plan, points: Any, surface: Own | None = None, *, carried: boo
     factors = carry_factors(method, ids, before, rows, whole) if carried else method.fit(ids, rows, whole)
 
     def place(shared: PyTree, volume: VolumePart) -> PyTree:
-        *data, first_moving = shared
-        points = volume.seen(first_moving)
-        if carried:
-            return carry_points(method, (points, volume.ids, volume.placed), *data)
-        placed = place_points(method, points, volume.ids, *data)
+        factors, rows, first = shared
+        before = volume.placed if carried else None
+        placed = place_points(method, volume.seen(first), volume.ids, factors, rows, before)
         return placed if volume.placed is None else with_tables_of(volume.placed, placed)
 
     at = whole if plan.layout is None else pad_rows(whole, plan.layout)

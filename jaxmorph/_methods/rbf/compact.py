@@ -12,9 +12,9 @@ from ..._host.sources.hierarchy import overlaps, padded
 from ..._host.sources.reduction import drop_close
 from ..._kernels.compile import compiled
 from ..._kernels.values import as_jax
-from ..base import AbstractPlacing, Control, Point, Rows, Scalar, length_or_none
+from ..base import AbstractPlacing, Control, Point, Rows, Scalar, number_or_none
 from ..cells import NodeFactors
-from ..sparse import SLACK, InterpolatedField, Reach, Searched, squared_distance
+from ..sparse import SLACK, InterpolatedField, Reach, Searched, lost_unless, squared_distance
 from ..surface import Surface
 from .basis import WendlandC2
 from .expansion import is_sound, warn_of_close
@@ -79,7 +79,7 @@ class CompactRBF(AbstractPlacing):
     answers NaN there.
     """
 
-    radius: Scalar | None = eqx.field(converter=length_or_none("radius"), default=None)
+    radius: Scalar | None = eqx.field(converter=number_or_none("radius", 0), default=None)
 
     def connect(self, surface: Surface, points):
         nodes, dtype = surface.points.astype(float), dtypes.canonicalize_dtype(surface.points.dtype)
@@ -120,7 +120,7 @@ class CompactRBF(AbstractPlacing):
             listed = factors.reaches(surface[i], surface[j]).sum()
             return jnp.sum(count * ids.has_function) > 2 * listed + ids.has_function.sum()
 
-        lost = jax.lax.cond(is_certain, lambda: jnp.array(False), is_lost)
+        lost = lost_unless(is_certain, is_lost)
         return eqx.tree_at(lambda factors: factors.matrix.values, factors, jnp.where(lost, jnp.nan, values))
 
     def carry(self, ids, factors, surface, points):
@@ -131,7 +131,7 @@ class CompactRBF(AbstractPlacing):
             listed = factors.reaches(x[None], surface[ids.nodes])
             return factors.count(x, surface) > (listed & ids.reached).sum()
 
-        lost = jax.lax.cond(factors.is_certain, lambda: jnp.array(False), is_lost)
+        lost = lost_unless(factors.is_certain, is_lost)
         weights = WendlandC2(factors.radius)(jnp.sum((surface[ids.nodes] - x[None]) ** 2, axis=1))
         return ids.weighted(weights, lost)
 

@@ -143,8 +143,11 @@ class Expansion(Module):
 
         def solve(_, right):
             rows = fixed.cardinals
+            assert rows is not None
             return iterated(
-                lambda beta: constant._times_kernel_quickly(fixed, beta),
+                lambda beta: jax.lax.platform_dependent(
+                    fixed, beta, cpu=constant._of_pairs, default=constant._times_kernel
+                ),
                 lambda rest: precondition(rows, lambda first: fixed.solve(first)[: len(first)], rest),
                 polynomial(fixed.sources, self.degree),
                 rows.tolerance,
@@ -163,14 +166,10 @@ class Expansion(Module):
             return self._with_ridge(fused(phi, sources, beta, sources), beta)
         return self._with_ridge(map_rows(jax.checkpoint(of_block), sources, block_size(len(sources))), beta)
 
-    def _times_kernel_quickly(self, factors: RBFFactors, beta: Columns) -> Columns:
+    def _of_pairs(self, factors: RBFFactors, beta: Columns) -> Columns:
         """Multiplies by the kernel's matrix, on a CPU by half of its entries."""
-
-        def of_pairs(factors, beta):
-            product = symmetric_kernel_sum(Radial(self.basis, factors.scale), factors.sources, beta.T).T
-            return self._with_ridge(product, beta)
-
-        return jax.lax.platform_dependent(factors, beta, cpu=of_pairs, default=self._times_kernel)
+        product = symmetric_kernel_sum(Radial(self.basis, factors.scale), factors.sources, beta.T).T
+        return self._with_ridge(product, beta)
 
     def _with_ridge(self, product, beta):
         return product + self.at_sources * beta if self.ridge else product

@@ -22,7 +22,7 @@ from ..._host.surface.skin import (
     thinned,
 )
 from ..._kernels.values import as_jax, norm
-from ..base import AbstractMethod, Control, Rows, Scalar, check_kind, einsum, length_or_none, matmul, number
+from ..base import AbstractMethod, Control, Rows, Scalar, check_kind, einsum, matmul, number_or_none
 from ..surface import Surface
 from .basis import Columns, Sources
 from .expansion import RBFFactors
@@ -90,17 +90,15 @@ class WallIds(eqx.Module):
     reach: Float[Array, " r"]
 
     @classmethod
-    def without_edges(cls, surface: Surface, sources: np.ndarray) -> "WallIds":
-        moving, fixed = sources[sources < surface.moving], sources[sources >= surface.moving]
+    def without_edges(cls, moving: np.ndarray, fixed: np.ndarray) -> "WallIds":
         none = np.zeros((0, 2))
         rows = (moving, fixed, moving, none, none[:, 0], none, none[:, 0], np.zeros((0, 3)))
         return cls(*as_jax([ids.astype(np.int32) for ids in rows]), *[jnp.zeros(0)] * 3)
 
     @classmethod
-    def found(cls, surface: Surface, sources: np.ndarray, closest: float) -> "WallIds":
+    def found(cls, surface: Surface, moving: np.ndarray, fixed: np.ndarray, closest: float) -> "WallIds":
         """Finds the ids of a fit on the host; `closest` is how close two sources may come."""
         points, dimension = surface.points, surface.points.shape[1]
-        moving, fixed = sources[sources < surface.moving], sources[sources >= surface.moving]
         pairs = edges(points, surface.moving, surface.faces)
         wall, ends, share = surface.walls
         chord = share * np.linalg.norm(np.subtract(*points[ends.T]), axis=1)
@@ -173,10 +171,6 @@ def _at_tips(
     walls = sharp_tips(surface.points, pairs)
     behind = behind_tips(walls, BEHIND * room, closest, BEYOND_TIP * room)
     return beside_tips(walls, chord), behind, walls.points[walls.tips]
-
-
-def _share_or_none(value):
-    return None if value is None else number("share", 0, 1, "[]")(value)
 
 
 def _on_each_wall(surface: Surface, sources: np.ndarray, closest: float) -> np.ndarray:
@@ -255,9 +249,9 @@ class FittedRBF(AbstractMethod):
     """
 
     rbf: RBF = eqx.field(default_factory=lambda: RBF(reduction=Filled()))
-    ell: Scalar | None = eqx.field(default=None, converter=length_or_none("ell"))
-    mu: Scalar | None = eqx.field(default=None, converter=length_or_none("mu"))
-    share: Scalar | None = eqx.field(default=None, converter=_share_or_none)
+    ell: Scalar | None = eqx.field(default=None, converter=number_or_none("ell", 0))
+    mu: Scalar | None = eqx.field(default=None, converter=number_or_none("mu", 0))
+    share: Scalar | None = eqx.field(default=None, converter=number_or_none("share", 0, 1, "[]"))
 
     def __check_init__(self):
         check_kind(self.rbf, RBF, "rbf", "jm.RBF()")
@@ -283,10 +277,11 @@ class FittedRBF(AbstractMethod):
         return surface.once(key, lambda: (self, self._ids(surface, is_open)))[1], None
 
     def _ids(self, surface: Surface, is_open: bool) -> WallIds:
-        if is_open:
-            return WallIds.without_edges(surface, self._denser.chosen(surface))
         closest = self.rbf.reduction.closest(surface.points[: surface.moving])
-        return WallIds.found(surface, _on_each_wall(surface, self.rbf.chosen(surface), closest), closest)
+        rbf = self._denser if is_open else self.rbf
+        sources = rbf.chosen(surface) if is_open else _on_each_wall(surface, rbf.chosen(surface), closest)
+        moving, fixed = sources[sources < surface.moving], sources[sources >= surface.moving]
+        return WallIds.without_edges(moving, fixed) if is_open else WallIds.found(surface, moving, fixed, closest)
 
     @property
     def _denser(self) -> RBF:
@@ -309,10 +304,9 @@ class FittedRBF(AbstractMethod):
         sources = ids.places(surface)
         rbf = self.rbf.fit(jnp.arange(len(sources)), sources, points)
         if not len(ids.edges):
-            none, *more = (jnp.zeros((0,) * rank, sources.dtype) for rank in (2, 4))
-            return FitFactors(
-                rbf, none, none, *more, Cholesky.of(none), none, Cholesky.of(none), none, Cholesky.of(none)
-            )
+            none, outer = (jnp.zeros((0,) * rank, sources.dtype) for rank in (2, 4))
+            empty = Cholesky.of(none)
+            return FitFactors(rbf, none, none, outer, empty, none, empty, none, empty)
         surface = surface.astype(rbf.lu.dtype)
         moves, cardinal = len(ids.moving), rbf.solve(jnp.eye(len(rbf.lu), len(rbf.sources), dtype=surface.dtype))
         start, end = surface[ids.edges[:, 0]], surface[ids.edges[:, 1]]
