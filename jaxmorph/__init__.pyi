@@ -8,11 +8,7 @@ from ._advice.cures import Cure as Cure, cures as cures
 from ._advice.fewest_steps import Steps as Steps, fewest_steps as fewest_steps
 from ._advice.inspect import inspect as inspect
 from ._advice.inspection import Inspection as Inspection
-from ._advice.largest_step import (
-    DesignedMesh as DesignedMesh,
-    LargestStep as LargestStep,
-    largest_step as largest_step,
-)
+from ._advice.largest_step import DesignedMesh as DesignedMesh, LargestStep as LargestStep, largest_step as largest_step
 from ._advice.methods import METHODS as METHODS
 from ._advice.turn import Turn as Turn
 from ._advice.valid_steps import ValidSteps as ValidSteps
@@ -43,8 +39,8 @@ from ._methods.base import (
     AbstractPlacing as AbstractPlacing,
     Control as Control,
 )
-from ._methods.cells.cells import AbstractCellMethod as AbstractCellMethod
-from ._methods.cells.equations import (
+from ._methods.cells import (
+    AbstractCellMethod as AbstractCellMethod,
     AbstractStiffness as AbstractStiffness,
     Biharmonic as Biharmonic,
     ByDistance as ByDistance,
@@ -54,11 +50,13 @@ from ._methods.cells.equations import (
     SpringAnalogy as SpringAnalogy,
     TorsionalSprings as TorsionalSprings,
 )
-from ._methods.delaunay import DelaunayGraph as DelaunayGraph
+from ._methods.corrections import (
+    DelaunayGraph as DelaunayGraph,
+    LocalCorrection as LocalCorrection,
+    NearWall as NearWall,
+)
 from ._methods.inverse_distance import InverseDistance as InverseDistance
-from ._methods.local import LocalCorrection as LocalCorrection
 from ._methods.multiscale import Multiscale as Multiscale
-from ._methods.nearwall import NearWall as NearWall
 from ._methods.rbf.basis import (
     AbstractBasis as AbstractBasis,
     CompactC0 as CompactC0,
@@ -79,10 +77,10 @@ from ._methods.rbf.basis import (
 )
 from ._methods.rbf.compact import CompactRBF as CompactRBF
 from ._methods.rbf.fitted import FittedRBF as FittedRBF
-from ._methods.rbf.rbf import RBF as RBF, Direct as Direct, Iterative as Iterative
+from ._methods.rbf.rbf import Direct as Direct, Iterative as Iterative, RBF as RBF
 from ._methods.reconstruction import SurfaceReconstruction as SurfaceReconstruction
 from ._methods.surface import Surface as Surface
-from ._plan.deform import deform as deform, pullback as pullback, velocity as velocity
+from ._plan.deform import deform as deform, pullback as pullback, shard as shard, velocity as velocity
 from ._plan.export import Layer as Layer, export as export
 from ._plan.halves import (
     SurfaceHalf as SurfaceHalf,
@@ -94,7 +92,6 @@ from ._plan.plan import Plan as Plan
 from ._plan.prepare import prepare as prepare
 from ._plan.refit import refit as refit
 from ._plan.save import load as load, save as save
-from ._plan.shard import shard as shard
 from ._plan.steps import march as march, replay as replay
 from ._quality.distortion import distortion as distortion
 from ._quality.face_quality import FaceQuality as FaceQuality, face_quality as face_quality
