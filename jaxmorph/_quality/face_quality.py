@@ -12,9 +12,11 @@ from .._host.linear.products import cross, dot
 from .._host.package.arguments import checked
 from .._mesh.mesh import Mesh
 from .report import Report
-from .sides import FaceBlock, Group, Sides
+from .sides import FaceBlock, Sides
 
 Vectors = Float[np.ndarray, "_d _f"]
+Points = Float[np.ndarray, "n d"]
+PerCell = Float[np.ndarray, " k"]
 
 FLOOR = 1e-300  # least divisor
 
@@ -54,16 +56,16 @@ class FaceQuality(Report):
     measures: ClassVar[tuple[str, ...]] = MEASURES
     rank: ClassVar[str] = "pyramid"
 
-    volume: Float[np.ndarray, " k"]
-    pyramid: Float[np.ndarray, " k"]
+    volume: PerCell
+    pyramid: PerCell
     is_inverted: Bool[np.ndarray, " k"]
-    skewness: Float[np.ndarray, " k"]
-    aspect_ratio: Float[np.ndarray, " k"]
-    non_orthogonality: Float[np.ndarray, " k"]
+    skewness: PerCell
+    aspect_ratio: PerCell
+    non_orthogonality: PerCell
     centroid: Float[np.ndarray, "k d"]
     counted: Bool[np.ndarray, " k"]
     mean_non_orthogonality: float
-    volume_ratio: Float[np.ndarray, " k"]
+    volume_ratio: PerCell
 
     @checked
     def mean(self, name: str, *, weighted: bool = True) -> float:
@@ -104,43 +106,42 @@ def measured(mesh: Mesh, sides: Sides, points: Float[Any, "n d"] | None) -> Face
         if mesh.polyhedra is None and mesh.between is None and (old < 0).any():
             sign = _turns(mesh, old)
             old = sign * old
-            shape.turn(sign)
+            shape.turn(sides, sign)
         return _of_shape(sides, shape, points, old)
 
 
 @dataclasses.dataclass(eq=False)
 class _Shape:
-    """Faces of groups with centres and area vectors, middles of cells, d volumes (k,)."""
+    """Centres and area vectors (d, f) of faces, middles (d, k) and d volumes (k,) of cells."""
 
-    faces: list[tuple[Group, Vectors, Vectors]]
+    centre: Vectors
+    area: Vectors
     middle: Vectors
-    volume: Float[np.ndarray, " k"]
+    volume: PerCell
 
     @classmethod
-    def measured(cls, sides: Sides, points: Float[np.ndarray, "n d"]) -> "_Shape":
+    def measured(cls, sides: Sides, points: Points) -> "_Shape":
         """Measures by pyramids (triangles in 2-D) from faces to the mean of their centres."""
-        d, columns, faces = points.shape[1], np.ascontiguousarray(points.T), []
-        means, middle, volume = np.zeros((d, sides.total)), np.zeros((d, sides.total)), np.zeros(sides.total)
-        for group in sides.groups:
-            centre, area = np.empty((2, d, len(group.owner)))
-            for block, found in group.measured(functools.partial(_centre_and_area, columns)):
-                centre[:, block.rows], area[:, block.rows] = found
-                for _, cells in block.views:
-                    _add(means, cells, found[0])
-            faces.append((group, centre, area))
+        d, columns, count = points.shape[1], np.ascontiguousarray(points.T), sides.blocks[-1].rows.stop
+        (centre, area), means, sums = (
+            np.empty((2, d, count)),
+            np.zeros((d, sides.total)),
+            np.zeros((d + 1, sides.total)),
+        )
+        for block, found in sides.measured(functools.partial(_centre_and_area, columns)):
+            centre[:, block.rows], area[:, block.rows] = found
+            for _, cells in block.views:
+                _add(means, cells, found[0])
         means /= np.maximum(sides.counts, 1)
-        for group, centre, area in faces:
-            for block, parts in group.measured(functools.partial(_pyramids, centre, area, means)):
-                for (_, cells), (part, moment) in zip(block.views, parts, strict=True):
-                    np.add.at(volume, cells, part)
-                    _add(middle, cells, moment)
-        middle /= np.where(volume == 0, FLOOR, volume)
-        return cls(faces, middle, volume)
+        for block, parts in sides.measured(functools.partial(_pyramids, centre, area, means)):
+            for (_, cells), part in zip(block.views, parts, strict=True):
+                _add(sums, cells, part)
+        return cls(centre, area, sums[1:] / np.where(sums[0] == 0, FLOOR, sums[0]), sums[0])
 
-    def turn(self, sign: Float[np.ndarray, " k"]) -> None:
+    def turn(self, sides: Sides, sign: PerCell) -> None:
         self.volume = self.volume * sign
-        for group, _, area in self.faces:
-            area *= sign[group.owner]
+        for block in sides.blocks:
+            self.area[:, block.rows] *= sign[block.owner]
 
 
 def _add(sums: Vectors, cells: np.ndarray, vectors: Vectors) -> None:
@@ -148,25 +149,22 @@ def _add(sums: Vectors, cells: np.ndarray, vectors: Vectors) -> None:
         np.add.at(total, cells, component)
 
 
-def _of_shape(
-    sides: Sides, shape: _Shape, points: Float[np.ndarray, "n d"], old: Float[np.ndarray, " k"]
-) -> FaceQuality:
+def _of_shape(sides: Sides, shape: _Shape, points: Points, old: PerCell) -> FaceQuality:
     columns, (d, total) = np.ascontiguousarray(points.T), shape.middle.shape
     counted, noise = sides.counts > 0, 8 * np.finfo(float).eps * np.abs(points).max()
     is_wrong, cosine, skewness = np.zeros(total, dtype=bool), np.ones(total), np.zeros(total)
     least, heights, seen = np.full(total, np.inf), np.zeros(total), np.zeros((d, total))
     cosines = np.zeros(2)  # their sum and their number
-    for group, centre, area in shape.faces:
-        for block, found in group.measured(functools.partial(_across, centre, area, shape.middle, columns)):
-            inner = found.cosine[block.behind >= 0]
-            cosines += len(block.views) * np.array([inner.sum(), len(inner)])
-            for (_, cells), height in zip(block.views, found.heights, strict=True):
-                is_wrong[cells[~(height >= -noise * found.size)]] = True
-                np.minimum.at(least, cells, height)
-                np.add.at(heights, cells, np.abs(height))
-                np.minimum.at(cosine, cells, found.cosine)
-                np.maximum.at(skewness, cells, found.skewness)
-                _add(seen, cells, np.abs(area[:, block.rows]))
+    for block, found in sides.measured(functools.partial(_across, shape, columns)):
+        inner = found.cosine[block.behind >= 0]
+        cosines += len(block.views) * np.array([inner.sum(), len(inner)])
+        for (_, cells), height in zip(block.views, found.heights, strict=True):
+            is_wrong[cells[~(height >= -noise * found.size)]] = True
+            np.minimum.at(least, cells, height)
+            np.minimum.at(cosine, cells, found.cosine)
+            np.maximum.at(skewness, cells, found.skewness)
+            np.add.at(heights, cells, np.abs(height))
+            _add(seen, cells, np.abs(shape.area[:, block.rows]))
     pyramid = least / np.maximum(heights / np.maximum(sides.counts, 1), FLOOR)
     aspect = seen.max(axis=0) / np.maximum(seen.min(axis=0), FLOOR)
     if d == 3:
@@ -186,7 +184,7 @@ def _of_shape(
     )
 
 
-def _turns(mesh: Mesh, volume: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
+def _turns(mesh: Mesh, volume: PerCell) -> PerCell:
     """The sign that makes the undeformed volumes positive. It follows from neighbours, and from the
     volume that they enclose: a part of the mesh that a motion turns inside out has no neighbour to
     tell.
@@ -214,14 +212,14 @@ def _centre_and_area(points: Vectors, block: FaceBlock) -> tuple[Vectors, Vector
     return middle - moment / (3 * np.maximum(weights.sum(axis=0), FLOOR)), normals.sum(axis=1) / 2
 
 
-def _pyramids(centres: Vectors, areas: Vectors, means: Vectors, block: FaceBlock) -> list[tuple[np.ndarray, Vectors]]:
-    """d volumes (b,) and first moments of pyramids, as each view sees the faces."""
+def _pyramids(centres: Vectors, areas: Vectors, means: Vectors, block: FaceBlock) -> list[Vectors]:
+    """d volumes and first moments (d + 1, b) of pyramids, as each view sees the faces."""
     d, parts = len(means), []
     centre, area = centres[:, block.rows], areas[:, block.rows]
     for sign, cells in block.views:
         middle = means.take(cells, axis=1)
         volume = sign * dot(area, centre - middle)
-        parts.append((volume, volume / (d + 1) * (d * centre + middle)))
+        parts.append(np.vstack([volume[None], volume / (d + 1) * (d * centre + middle)]))
     return parts
 
 
@@ -232,8 +230,9 @@ class _Across(NamedTuple):
     heights: list[np.ndarray]
 
 
-def _across(centres: Vectors, areas: Vectors, middle: Vectors, points: Vectors, block: FaceBlock) -> _Across:
-    centre, area, inside = centres[:, block.rows], areas[:, block.rows], block.behind >= 0
+def _across(shape: _Shape, points: Vectors, block: FaceBlock) -> _Across:
+    middle, inside = shape.middle, block.behind >= 0
+    centre, area = shape.centre[:, block.rows], shape.area[:, block.rows]
     arm, size = centre - middle.take(block.owner, axis=1), _size(area)
     across = middle.take(block.behind, axis=1) - middle.take(block.owner, axis=1)  # anything without a cell behind
     cosine = np.clip(dot(area, across) / np.maximum(size * _size(across), FLOOR), -1, 1)
@@ -247,7 +246,7 @@ def _across(centres: Vectors, areas: Vectors, middle: Vectors, points: Vectors, 
     reach = np.abs(dot(by[:, None], points.take(block.corners, axis=1) - centre[:, None])).max(axis=0)
     least = np.where(inside, 0.2, 0.4) * _size(across)
     skewness = miss / np.maximum(np.maximum(reach / np.maximum(miss, FLOOR), least), FLOOR)
-    return _Across(size, np.where(block.group.is_between[block.rows], 0, skewness), cosine, heights)
+    return _Across(size, np.where(block.is_between, 0, skewness), cosine, heights)
 
 
 def _size(vectors: np.ndarray) -> np.ndarray:

@@ -15,66 +15,40 @@ from .._mesh.faces import Faces
 from .._mesh.mesh import Mesh
 
 T = TypeVar("T")
+Cells = Int[np.ndarray, " b"]
 
 BLOCK = 1 << 14  # faces in a block: their columns stay in a core's cache
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Group:
-    """Faces with equal numbers of corners: edges have two.
+class FaceBlock:
+    """Some faces with equal numbers of corners: edges have two.
 
-    - `corners`: node ids (c, f), in the sense in which the owner sees the face from outside.
-    - `owner`, `behind`: the cells (f,) beside the face; `behind` is -1 where there is none.
-    - `shared`: the number of faces at the beginning that stand for both cells. Others stand for
-      their owner: outer faces, and pairs of which one is not its partner seen from behind.
-    - `is_between`: marks (f,) faces to other parts of the mesh.
+    - `corners`: node ids (c, b), in the sense in which the owner sees the face from outside.
+    - `owner`, `behind`: the cells (b,) beside the face; `behind` is -1 where there is none.
+    - `is_between`: marks (b,) faces to other parts of the mesh.
+    - `is_shared`: the faces stand for both cells. Others stand for their owner: outer faces, and
+      pairs of which one is not its partner seen from behind.
+    - `rows`: numbers of the faces.
     """
 
-    corners: Int[np.ndarray, "c f"]
-    owner: Int[np.ndarray, " f"]
-    behind: Int[np.ndarray, " f"]
-    shared: int
-    is_between: Bool[np.ndarray, " f"]
-
-    def blocks(self) -> Iterator["FaceBlock"]:
-        """Yields all faces, some at a time; a block has only shared faces or none."""
-        count = len(self.owner)
-        for start, end in ((0, self.shared), (self.shared, count)):
-            for at in range(start, end, BLOCK):
-                yield FaceBlock(self, slice(at, min(at + BLOCK, end)), end <= self.shared)
-
-    def measured(self, function: Callable[["FaceBlock"], T]) -> Iterator[tuple["FaceBlock", T]]:
-        """Yields all blocks in order, each with its `function`, which all cores compute."""
-        return in_order(lambda block: (block, function(block)), self.blocks())
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class FaceBlock:
-    group: Group
-    rows: slice
+    corners: Int[np.ndarray, "c b"]
+    owner: Cells
+    behind: Cells
+    is_between: Bool[np.ndarray, " b"]
     is_shared: bool
+    rows: slice
 
     @property
-    def corners(self) -> Int[np.ndarray, "c b"]:
-        return self.group.corners[:, self.rows].astype(np.intp)
-
-    @functools.cached_property
-    def owner(self) -> Int[np.ndarray, " b"]:
-        return self.group.owner[self.rows].astype(np.intp)
-
-    @functools.cached_property
-    def behind(self) -> Int[np.ndarray, " b"]:
-        return self.group.behind[self.rows].astype(np.intp)
-
-    @property
-    def views(self) -> tuple[tuple[int, Int[np.ndarray, " b"]], ...]:
+    def views(self) -> tuple[tuple[int, Cells], ...]:
         """The cells that the faces stand for: 1 with the owners, and -1 with the cells behind."""
-        return ((1, self.owner), (-1, self.behind)) if self.is_shared else ((1, self.owner),)
+        views = (1, self.owner.astype(np.intp)), (-1, self.behind.astype(np.intp))
+        return views if self.is_shared else views[:1]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Sides:
-    groups: tuple[Group, ...]
+    blocks: tuple[FaceBlock, ...]
     total: int
 
     @classmethod
@@ -91,12 +65,19 @@ class Sides:
             raise ValueError(
                 "OpenFOAM's measures are for meshes that fill a region in 2-D or 3-D, not for surfaces in 3-D."
             )
-        return _standard(mesh, highest) if mesh.polyhedra is None else _whole(mesh, mesh.polyhedra.faces)
+        return _standard(mesh, highest) if mesh.polyhedra is None else _whole(mesh.polyhedra.faces, mesh.between)
+
+    def measured(self, function: Callable[[FaceBlock], T]) -> Iterator[tuple[FaceBlock, T]]:
+        """Yields all blocks in order, each with its `function`, which all cores compute."""
+        return in_order(lambda block: (block, function(block)), self.blocks)
 
     @functools.cached_property
     def counts(self) -> Int[np.ndarray, " k"]:
-        cells = [part for group in self.groups for part in (group.owner, group.behind[: group.shared])]
-        return np.sum([np.bincount(part, minlength=self.total) for part in cells], axis=0)
+        counts = np.zeros(self.total, int)
+        for block in self.blocks:
+            for _, cells in block.views:
+                np.add.at(counts, cells, 1)
+        return counts
 
 
 def _standard(mesh: Mesh, highest: int) -> Sides:
@@ -116,26 +97,26 @@ def _standard(mesh: Mesh, highest: int) -> Sides:
     groups = []
     for parts in faces.values():
         corners, owner, behind, is_shared = (np.concatenate(rows, axis=-1) for rows in zip(*parts, strict=True))
-        groups.append(_group(mesh, corners, numbers[owner], np.where(behind < 0, -1, numbers[behind]), is_shared))
-    return Sides(tuple(groups), sum(counts))
+        groups.append((corners, numbers[owner], np.where(behind < 0, -1, numbers[behind]), is_shared))
+    return Sides(tuple(_blocks(groups, mesh.between)), sum(counts))
 
 
-def _whole(mesh: Mesh, faces: Faces) -> Sides:
-    sizes, groups = faces.sizes, []
-    neighbour = np.full(len(faces.owner), -1, faces.neighbour.dtype)
-    neighbour[: len(faces.neighbour)] = faces.neighbour
-    for size in np.unique(sizes).tolist():
-        rows = np.flatnonzero(sizes == size)
-        corners, behind = faces.corners(rows, size).T, neighbour[rows]
-        groups.append(_group(mesh, corners, faces.owner[rows], behind, behind >= 0))
-    return Sides(tuple(groups), int(max(faces.owner.max(), neighbour.max())) + 1)
+def _whole(faces: Faces, between: np.ndarray | None) -> Sides:
+    neighbour, groups = faces.all_neighbours(), []
+    for size in np.unique(faces.sizes).tolist():
+        rows = np.flatnonzero(faces.sizes == size)
+        groups.append((faces.corners(rows, size).T, faces.owner[rows], neighbour[rows], neighbour[rows] >= 0))
+    return Sides(tuple(_blocks(groups, between)), faces.count)
 
 
-def _group(
-    mesh: Mesh, corners: Int[np.ndarray, "c f"], owner: np.ndarray, behind: np.ndarray, is_shared: np.ndarray
-) -> Group:
-    order, shared = np.argsort(~is_shared, kind="stable"), int(is_shared.sum())
-    corners, is_between = np.ascontiguousarray(corners[:, order]), np.zeros(len(order), dtype=bool)
-    if mesh.between is not None:
-        is_between[shared:] = is_among(corners[:, shared:].T, mesh.between)
-    return Group(corners, owner[order], behind[order], shared, is_between)
+def _blocks(groups: list[tuple[np.ndarray, ...]], between: np.ndarray | None) -> Iterator[FaceBlock]:
+    first = 0
+    for *columns, is_shared in groups:
+        for flag in (True, False):
+            corners, owner, behind = (np.ascontiguousarray(column[..., is_shared == flag]) for column in columns)
+            is_outer = np.zeros(len(owner), bool) if flag or between is None else is_among(corners.T, between)
+            for at in range(0, len(owner), BLOCK):
+                some = slice(at, at + BLOCK)
+                rows = slice(first, first + len(owner[some]))
+                yield FaceBlock(corners[:, some], owner[some], behind[some], is_outer[some], flag, rows)
+                first = rows.stop

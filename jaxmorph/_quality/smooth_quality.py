@@ -87,7 +87,7 @@ def _measured(cells: ByType, behind, points, standards: dict[str, Standard], opt
     return SmoothQuality(skewness, aspect, angles, jacobian)
 
 
-def _shapes(options, kind: str, x: list[Vector], standard: Standard) -> tuple[Array, ...]:
+def _shapes(options, kind: str, x: Vector, standard: Standard) -> tuple[Array, ...]:
     sharpness, softness = options
     relative, size = measures.relative_corners(x)
     shape = measures.scaled(relative, size)
@@ -96,12 +96,12 @@ def _shapes(options, kind: str, x: list[Vector], standard: Standard) -> tuple[Ar
     if kind == SHAPES[kind]:
         return skewness, _aspect_ratio(kind, shape, standard.sign, sharpness, softness), ratio
     linear, shape = measures.linear_cells_at_nodes(kind, shape)
-    aspect = _aspect_ratio(linear, shape, jnp.tile(standard.sign, len(relative)), sharpness, softness)
-    aspect = jnp.exp(soft_maximum(jnp.log(aspect).reshape(len(relative), -1), sharpness, axis=0))
+    aspect = _aspect_ratio(linear, shape, jnp.tile(standard.sign, len(relative[0])), sharpness, softness)
+    aspect = jnp.exp(soft_maximum(jnp.log(aspect).reshape(len(relative[0]), -1), sharpness, axis=0))
     return skewness, aspect, ratio
 
 
-def _aspect_ratio(kind: str, x: list[Vector], sign: Array, sharpness, softness) -> Float[Array, " k"]:
+def _aspect_ratio(kind: str, x: Vector, sign: Array, sharpness, softness) -> Float[Array, " k"]:
     if kind == "line":
         return jnp.ones_like(x[0][0])
     edges, under = measures.aspect_terms(kind, x)
@@ -116,7 +116,7 @@ def _aspect_ratio(kind: str, x: list[Vector], sign: Array, sharpness, softness) 
     return 1 / positive_part(inverse, softness)
 
 
-def _jacobian_ratio(kind: str, relative: list[Vector], standard: Standard, sharpness) -> Float[Array, " k"]:
+def _jacobian_ratio(kind: str, relative: Vector, standard: Standard, sharpness) -> Float[Array, " k"]:
     ratios = standard.sign[None] * measures.jacobians(kind, relative)[0] / standard.jacobian[None]
     least = -_soft_maximum_where(-ratios, standard.is_judged[: len(ratios)], sharpness)
     return jnp.where(standard.is_degenerate, 1, least)

@@ -14,7 +14,7 @@ from .._kernels.module import Module
 from .._kernels.values import Either, as_jax, is_known, largest, namespace, smallest
 from .._mesh.mesh import Mesh
 from .quality import places
-from .vector import Vector, angle, by_place, cross, dot, norm
+from .vector import Points, Vector, angle, by_place, cross, dot, norm
 
 
 class WallQuality(Module):
@@ -88,7 +88,7 @@ def wall_quality(
 
 @by_place
 def _measured(
-    lines: Lines, reference: Float[Either, "n d"], points: Float[Either, "n d"], softness: Any
+    lines: Lines, reference: Points, points: Points, softness: Any
 ) -> tuple[Float[Either, " w"], Float[Either, " w"]]:
     xp = namespace(points)
     (start, high), (now, height) = (_components(lines, x) for x in (reference, points))
@@ -98,7 +98,7 @@ def _measured(
     return degrees, xp.where(high == 0, 1, height / xp.where(high == 0, 1, high))
 
 
-def _components(lines: Lines, x: Float[Either, "n d"]) -> tuple[Vector, Float[Either, " w"]]:
+def _components(lines: Lines, x: Points) -> tuple[Vector, Float[Either, " w"]]:
     xp = namespace(x)
     areas = xp.zeros((len(lines.nodes), x.shape[1]), x.dtype)
     for rows, area in lines.areas(x):

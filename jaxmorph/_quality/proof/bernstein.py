@@ -17,6 +17,7 @@ import jax
 import numpy as np
 
 from ..._kernels.values import Either, namespace
+from ..vector import contracted
 
 Space = tuple[tuple[int, int], ...]
 
@@ -95,25 +96,17 @@ def children(dimension: int) -> np.ndarray:
 
 @functools.cache
 def halving(dimension: int, degree: int) -> np.ndarray:
-    """The matrix (2^dimension n, n) from a factor's coefficients to its parts'. A coefficient on a
-    part is the blossom at the part's corners, each as often as its index says: de Casteljau's
-    algorithm. No entry is negative, each row adds up to 1, and all are multiples of powers of 1/2.
+    """The matrix (2^dimension n, n) from a factor's coefficients to its parts', by interpolation. No
+    entry is negative, each row adds up to 1, and all are multiples of 2^-degree: rounding makes
+    them exact.
     """
-    matrix = np.ones((2**dimension, 1, 1))
-    for high in range(1, degree + 1):
-        rows = indices(dimension, high)
-        up = rows_of_products(((dimension, high - 1),), ((dimension, 1),))
-        which, new = (rows > 0).argmax(axis=1), np.zeros((2**dimension, len(rows), len(rows)))
-        before = np.empty(
-            len(rows), dtype=np.int64
-        )  # the row whose index is less by one at the first corner that it has
-        for corner in range(dimension + 1):
-            before[up[corner]] = np.where(which[up[corner]] == corner, np.arange(up.shape[1]), before[up[corner]])
-        for corner in range(dimension + 1):
-            share = children(dimension)[:, which, corner]
-            new[:, :, up[corner]] += share[:, :, None] * matrix[:, before]
-        matrix = new
-    return matrix.reshape(-1, matrix.shape[-1])
+    space = ((dimension, degree),)
+    at = indices(dimension, degree) / max(degree, 1)
+    values = (terms(space, at[:, 1:].T) * multinomials(space)[:, None]).T
+    places = np.einsum("nc,pcd->pnd", at, children(dimension)).reshape(-1, dimension + 1)
+    halves = (terms(space, places[:, 1:].T) * multinomials(space)[:, None]).T
+    own = np.linalg.solve(values, halves.reshape(2**dimension, *values.shape))
+    return (np.round(own * 2**degree) / 2**degree).reshape(-1, len(at))
 
 
 def halved(space: Space, coefficients: Either) -> Either:
@@ -126,13 +119,6 @@ def halved(space: Space, coefficients: Either) -> Either:
     shape = [size for factor in space for size in (2 ** factor[0], len(indices(*factor)))]
     values, axes = values.reshape(*shape, k), range(2 * len(space))
     return values.transpose(*axes[1::2], *axes[::2], len(axes)).reshape(coefficients.shape[0], -1)
-
-
-def contracted(matrix: np.ndarray, values: Either, axis: int = 0) -> Either:
-    """Multiplies values by a matrix along an axis, which comes first; in full precision."""
-    if namespace(values) is np:
-        return np.tensordot(matrix, values, (1, axis))
-    return namespace(values).tensordot(matrix, values, (1, axis), precision="highest")
 
 
 def multiplied(first: Space, second: Space, a: list[Any], b: list[Any], product: Any) -> list[Any]:

@@ -17,7 +17,7 @@ from ..._kernels.values import Either, as_jax, constant, is_known, namespace, sm
 from ..._mesh.mesh import Mesh
 from ..quality import check_solid, places, signs_of
 from ..report import Report, place_of
-from ..vector import ByType, by_place, in_blocks, joined
+from ..vector import ByType, PerCell, Points, by_place, in_blocks, joined
 from . import bernstein
 from .form import JacobianForm, form_of, nodes_of
 from .search import DEPTH, ROOM, bounds
@@ -223,7 +223,7 @@ def _proven(mesh: Mesh, ends: tuple[np.ndarray, ...], depth: int) -> Proof:
     )
 
 
-def _mean(form: JacobianForm, points: Float[Either, "n d"], ids: Int[Either, "c k"]) -> Float[Either, " k"]:
+def _mean(form: JacobianForm, points: Points, ids: Int[Either, "c k"]) -> PerCell:
     return form.mean(form.coefficients(nodes_of(ids, points)))
 
 
@@ -295,7 +295,7 @@ def _room(xp: Any, form: JacobianForm, parts: int = 1) -> int:
 
 
 @by_place
-def _undeformed(cells: ByType, points: Float[Either, "n d"], signs: ByType) -> ByType:
+def _undeformed(cells: ByType, points: Points, signs: ByType) -> ByType:
     """Mean det J of undeformed cells, with the proper sign; that sign where the mean is zero."""
     xp, sizes = namespace(points), {kind: sign.astype(points.dtype) for kind, sign in signs.items()}
     for kind, ids in cells.items():
@@ -307,7 +307,7 @@ def _undeformed(cells: ByType, points: Float[Either, "n d"], signs: ByType) -> B
 
 
 @by_place
-def _margins(cells: ByType, sizes: ByType, ends: tuple[Either, ...], depth: int, sharpness: Any) -> Float[Either, " k"]:
+def _margins(cells: ByType, sizes: ByType, ends: tuple[Either, ...], depth: int, sharpness: Any) -> PerCell:
     xp, margins = namespace(ends[0]), {}
     for kind, ids in cells.items():
         if DIMENSION[kind] == ends[0].shape[1]:
@@ -326,8 +326,8 @@ def _margin(
     depth: int,
     sharpness: Any,
     ids: Int[Either, "c k"],
-    size: Float[Either, " k"],
-) -> Float[Either, " k"]:
+    size: PerCell,
+) -> PerCell:
     xp, values = namespace(ends[0]), form.coefficients(nodes_of(ids, *ends)) / size[None]
     for _ in range(depth):
         values = bernstein.halved(form.space, values)

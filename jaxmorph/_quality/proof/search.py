@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from ..._host.cells.topology import DIMENSION, HIGH_ORDER
 from ..._kernels.callback import host_call
 from ..._kernels.values import Either, constant, namespace
-from ..vector import in_blocks
+from ..vector import PerCell, in_blocks
 from . import bernstein
 from .bernstein import Space
 from .form import form_of
@@ -104,7 +104,7 @@ def has_least(kind: str, d: int) -> bool:
     return kind in HIGH_ORDER and DIMENSION[kind] == d
 
 
-def least_jacobian(kind: str, x: list[Float[Either, "nodes k"]]) -> Float[Either, " k"]:
+def least_jacobian(kind: str, x: list[Float[Either, "nodes k"]]) -> PerCell:
     """The least det J of curved cells, in the handedness of their volume. `x` are the components of
     the nodes, relative to the first one. Where det J is positive all over, it is the least at a
     corner. Elsewhere the place is that of `proof`: a negative value is found wherever the bounds
