@@ -13,9 +13,9 @@ from runs import over, runs
 
 import jaxmorph as jm
 from jaxmorph._host.cells.lagrange import lagrange_types
-from jaxmorph._quality.proof import bernstein
-from jaxmorph._quality.proof.form import form_of
-from jaxmorph._quality.proof.search import bounds
+from jaxmorph._quality import bernstein
+from jaxmorph._quality.bounds import bounds
+from jaxmorph._quality.jacobian_form import form_of
 
 SHAPES = ("triangle", "quad", "tetra", "pyramid", "wedge", "hexahedron")
 COMPLETE = {(cell.shape, cell.order): cell for cell in lagrange_types().values() if cell.is_complete}

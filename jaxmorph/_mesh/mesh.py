@@ -21,6 +21,9 @@ from . import exchange, export, vtk
 from .exchange import checked_parts, floats
 from .polyhedra import Polyhedra
 
+PointsLike = Real[ArrayLike, "n d"] | Sequence[Any]
+"""Coordinates as public functions take them: arrays of real numbers, or lists."""
+
 
 class Mesh(Module):
     """Points, the cells between them, and named patches of boundary nodes.
@@ -93,7 +96,7 @@ class Mesh(Module):
         return np.arange(len(self.points)) if nodes is None else nodes
 
     @checked
-    def in_file_order(self, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> np.ndarray:
+    def in_file_order(self, points: PointsLike) -> np.ndarray:
         """Computes coordinates (N, D) of all nodes of the file from this mesh's `points` (n, d).
 
         `jaxmorph.io.write` writes these. D is 3 if the file has three coordinates, also for a mesh
@@ -204,7 +207,7 @@ class Mesh(Module):
         )
 
     @checked
-    def moved(self, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> "Mesh":
+    def moved(self, points: PointsLike) -> "Mesh":
         """Makes a mesh with coordinates `points` (n, d), and the cells and patches of this mesh.
 
         **Raises:** `ValueError` when the shape of `points` differs.

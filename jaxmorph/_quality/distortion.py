@@ -7,20 +7,19 @@ The determinant in the denominators is regularised as in Garanzha et al., Foldov
 lines of code, ACM Trans. Graph. 40, 2021.
 """
 
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float, Real
+from jaxtyping import Array, Float
 
 from .._host.cells.pieces import linear_cells, owners
 from .._host.cells.topology import DIMENSION, FRAMES, solid
 from .._host.linear.products import cofactors
 from .._host.package.arguments import between, checked
 from .._kernels.values import is_known
-from .._mesh.mesh import Mesh
+from .._mesh.mesh import Mesh, PointsLike
 from . import measures
 from .quality import check_solid, places, sizes_of, standards_of, volume_of
 from .smooth_quality import positive_part
@@ -186,7 +185,7 @@ def signs_of_pieces(mesh: Mesh) -> dict[str, Any]:
 @checked
 def distortion(
     mesh: Mesh,
-    points: Real[ArrayLike, "n d"] | Sequence[Any] | None = None,
+    points: PointsLike | None = None,
     *,
     ideal: bool = False,
     size_weight: float = 0.5,

@@ -1,13 +1,13 @@
 """Quality of the cells of a mesh, relative to the undeformed one."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Bool, Float, Int, Real
+from jaxtyping import Array, Bool, Float, Int
 
 from .._host.cells.adjacency import handedness, neighbours
 from .._host.cells.topology import CORNERS, DIMENSION, FACES, SHAPES, solid
@@ -15,15 +15,15 @@ from .._host.linear.products import FLAT
 from .._host.package.arguments import checked
 from .._kernels.callback import host_call
 from .._kernels.values import Either, array, as_jax, constant, is_known, largest, namespace, smallest
-from .._mesh.mesh import Mesh
+from .._mesh.mesh import Mesh, PointsLike
 from . import measures
-from .proof.search import has_least, least_jacobian
+from .bounds import has_least, least_jacobian
 from .report import QualityReport
 from .vector import ByType, Ids, Marks, PerCell, Points, Samples, Vector, by_place, by_type, joined, middle
 
 
 @checked
-def quality(mesh: Mesh, points: Real[ArrayLike, "n d"] | Sequence[Any] | None = None) -> QualityReport:
+def quality(mesh: Mesh, points: PointsLike | None = None) -> QualityReport:
     """Measures a mesh's cells at `points`, judged relative to the undeformed `mesh.points`.
 
     Traced: `jit`, `grad` and `vmap` work over `points`, and over a mesh given as an argument.
@@ -65,7 +65,7 @@ def quality(mesh: Mesh, points: Real[ArrayLike, "n d"] | Sequence[Any] | None = 
 
 
 @checked
-def inverted(mesh: Mesh, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Bool[Array, " k"]:
+def inverted(mesh: Mesh, points: PointsLike) -> Bool[Array, " k"]:
     """Marks the inverted cells at `points`: a cheaper `quality(mesh, points).is_inverted`.
 
     Traced, and cheapest in a `jit` that closes over the mesh: the undeformed mesh is then measured
@@ -79,9 +79,7 @@ def inverted(mesh: Mesh, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Bool
     return jnp.asarray(_flags(mesh.cells, current, standards))
 
 
-def places(
-    mesh: Mesh, points: Real[ArrayLike, "n d"] | Sequence[Any] | None, name: str = "points"
-) -> Float[Array, "n d"]:
+def places(mesh: Mesh, points: PointsLike | None, name: str = "points") -> Float[Array, "n d"]:
     if not isinstance(mesh, Mesh):
         raise ValueError(f"the first argument must be a Mesh: quality(mesh, points), not {type(mesh).__name__}.")
     if not sum(len(corners) for corners in mesh.cells.values()):

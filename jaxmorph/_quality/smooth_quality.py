@@ -13,26 +13,28 @@ from .._host.package.arguments import between, checked
 from .._kernels.compile import compiled
 from .._kernels.module import Module
 from .._kernels.values import is_known
-from .._mesh.mesh import Mesh
+from .._mesh.mesh import Mesh, PointsLike
 from .._methods.base import number
 from . import measures
 from .quality import Standard, link, non_orthogonality, places, standards_of
 from .vector import ByType, Vector, by_type, dot, joined
 
+PerCell = Float[Array, " k"]
+
 
 class SmoothQuality(Module):
     """Smooth measures of k cells: arrays (k,), as in `QualityReport`; angles in degrees."""
 
-    skewness: Float[Array, " k"]
-    aspect_ratio: Float[Array, " k"]
-    non_orthogonality: Float[Array, " k"]
-    jacobian_ratio: Float[Array, " k"]
+    skewness: PerCell
+    aspect_ratio: PerCell
+    non_orthogonality: PerCell
+    jacobian_ratio: PerCell
 
 
 @checked
 def smooth_quality(
     mesh: Mesh,
-    points: Real[ArrayLike, "n d"] | Sequence[Any] | None = None,
+    points: PointsLike | None = None,
     *,
     sharpness: float = 50.0,
     softness: float = 1e-6,
@@ -101,7 +103,7 @@ def _shapes(options, kind: str, x: Vector, standard: Standard) -> tuple[Array, .
     return skewness, aspect, ratio
 
 
-def _aspect_ratio(kind: str, x: Vector, sign: Array, sharpness, softness) -> Float[Array, " k"]:
+def _aspect_ratio(kind: str, x: Vector, sign: Array, sharpness, softness) -> PerCell:
     if kind == "line":
         return jnp.ones_like(x[0][0])
     edges, under = measures.aspect_terms(kind, x)
@@ -116,18 +118,18 @@ def _aspect_ratio(kind: str, x: Vector, sign: Array, sharpness, softness) -> Flo
     return 1 / positive_part(inverse, softness)
 
 
-def _jacobian_ratio(kind: str, relative: Vector, standard: Standard, sharpness) -> Float[Array, " k"]:
+def _jacobian_ratio(kind: str, relative: Vector, standard: Standard, sharpness) -> PerCell:
     ratios = standard.sign[None] * measures.jacobians(kind, relative)[0] / standard.jacobian[None]
     least = -_soft_maximum_where(-ratios, standard.is_judged[: len(ratios)], sharpness)
     return jnp.where(standard.is_degenerate, 1, least)
 
 
-def _largest_angle(degrees: Float[Array, "f k"], is_inner: Bool[Array, "f k"], sharpness) -> Float[Array, " k"]:
+def _largest_angle(degrees: Float[Array, "f k"], is_inner: Bool[Array, "f k"], sharpness) -> PerCell:
     unit = 90 / sharpness
     return _soft_maximum_where(jnp.sqrt(degrees**2 + unit**2) - unit, is_inner, 1 / unit)
 
 
-def _soft_maximum_where(values: Float[Array, "m k"], counts: Bool[Array, "m k"], sharpness) -> Float[Array, " k"]:
+def _soft_maximum_where(values: Float[Array, "m k"], counts: Bool[Array, "m k"], sharpness) -> PerCell:
     number = jnp.sum(counts, axis=0)
     weights = jnp.where((number > 0)[None], counts, True).astype(values.dtype)
     largest = jax.scipy.special.logsumexp(sharpness * values, b=weights, axis=0)

@@ -7,15 +7,14 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import ArrayLike, Bool, Float, Int, Real
+from jaxtyping import Bool, Float, Int
 
 from .._host.package.arguments import between, check_fields, checked, real_array, shown, whole
-from .._mesh.mesh import Mesh
-from .face_quality import FaceQuality, measured
-from .proof.proof import proof
+from .._mesh.mesh import Mesh, PointsLike
+from .face_quality import FaceQuality, Sides, measured
+from .proof import proof
 from .quality import quality
 from .report import QualityReport, Report
-from .sides import Sides
 
 WORST = 5
 
@@ -380,7 +379,7 @@ class Verdict:
 @checked
 def judge(
     mesh: Mesh,
-    points: Real[ArrayLike, "n d"] | Sequence[Any] | None = None,
+    points: PointsLike | None = None,
     limits: Limits | None = None,
     *,
     before: Verdict | None = None,

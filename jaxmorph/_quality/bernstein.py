@@ -16,8 +16,8 @@ from typing import Any
 import jax
 import numpy as np
 
-from ..._kernels.values import Either, namespace
-from ..vector import contracted
+from .._kernels.values import Either, namespace
+from .vector import contracted
 
 Space = tuple[tuple[int, int], ...]
 
@@ -78,6 +78,21 @@ def terms(space: Space, places: Either) -> Either:
     return product
 
 
+def functions(space: Space, places: Either) -> Either:
+    """The Bernstein polynomials (n, k) at places (d, k): they weigh coefficients."""
+    return terms(space, places) * multinomials(space)[:, None]
+
+
+@functools.cache
+def lattice(space: Space) -> np.ndarray:
+    """The places (d, n) at even steps that belong to the coefficients."""
+    places = np.zeros((0, 1))
+    for dimension, degree in space:
+        own = indices(dimension, degree)[:, 1:].T / max(degree, 1)
+        places = np.concatenate([np.repeat(places, own.shape[1], axis=1), np.tile(own, places.shape[1])])
+    return places
+
+
 @functools.cache
 def children(dimension: int) -> np.ndarray:
     """The corners (2^dimension, corners, corners) of a simplex's parts, barycentric. The parts have
@@ -101,12 +116,11 @@ def halving(dimension: int, degree: int) -> np.ndarray:
     them exact.
     """
     space = ((dimension, degree),)
-    at = indices(dimension, degree) / max(degree, 1)
-    values = (terms(space, at[:, 1:].T) * multinomials(space)[:, None]).T
-    places = np.einsum("nc,pcd->pnd", at, children(dimension)).reshape(-1, dimension + 1)
-    halves = (terms(space, places[:, 1:].T) * multinomials(space)[:, None]).T
-    own = np.linalg.solve(values, halves.reshape(2**dimension, *values.shape))
-    return (np.round(own * 2**degree) / 2**degree).reshape(-1, len(at))
+    own = np.concatenate([1 - lattice(space).sum(axis=0, keepdims=True), lattice(space)])
+    places = np.einsum("cn,pcd->dpn", own, children(dimension)).reshape(dimension + 1, -1)
+    halves = functions(space, places[1:]).T.reshape(2**dimension, own.shape[1], -1)
+    exact = np.linalg.solve(functions(space, lattice(space)).T, halves)
+    return (np.round(exact * 2**degree) / 2**degree).reshape(-1, own.shape[1])
 
 
 def halved(space: Space, coefficients: Either) -> Either:
