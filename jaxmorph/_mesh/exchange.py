@@ -48,6 +48,7 @@ SHOWN = 6
 """Numbers of an array that a sentence lists."""
 
 Arrays = Mapping[str, Any]
+ByName = dict[str, np.ndarray]
 Block = tuple[int, np.ndarray, Any]  # dimension, corners (k, c) and value of a block of cells
 
 
@@ -74,12 +75,12 @@ class Patch(NamedTuple):
     nodes: np.ndarray
 
 
-def distinct(patches: Iterable[Patch]) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
+def distinct(patches: Iterable[Patch]) -> tuple[ByName, tuple[str, ...]]:
     """Gives each set of nodes a name, and notes duplicate names, of which the first one stays.
 
     Other sets add their own name. Sets of the same name and nodes are one.
     """
-    found: dict[str, np.ndarray] = {}
+    found: ByName = {}
     notes = []
     for name, own, nodes in patches:
         new, nodes = name, np.unique(nodes)
@@ -217,7 +218,7 @@ def parts(grid: Grid, more: Iterable[Patch] = ()) -> Parts:
     return Parts(np.ascontiguousarray(points), cells, patches, origin)
 
 
-def _cells(grid: Grid) -> dict[str, np.ndarray]:
+def _cells(grid: Grid) -> ByName:
     cells = filling(gathered((kind, ids) for kind, ids in grid.blocks if len(ids) and kind in DIMENSION))
     if not cells:
         there = ", ".join(dict.fromkeys(kind for kind, _ in grid.blocks)) or "nodes"
@@ -244,9 +245,10 @@ def _sets(grid: Grid) -> Iterator[Patch]:
         if name.startswith(PREFIX) and np.ndim(values) == 1:
             yield Patch(urllib.parse.unquote(name.removeprefix(PREFIX)), "array", np.flatnonzero(values))
     for name, members in grid.cell_sets.items():
-        parts = [(ids, inside) for _, ids, inside in grid.of_blocks(members) if _has_some(inside)]
-        if parts and name != BOUNDING:
-            yield Patch(name, grid.own[0], np.concatenate([ids[np.asarray(rows, int)].ravel() for ids, rows in parts]))
+        blocks = grid.of_blocks(members if name != BOUNDING else ())
+        nodes = [ids[np.asarray(rows, int)].ravel() for _, ids, rows in blocks if _has_some(rows)]
+        if nodes:
+            yield Patch(name, grid.own[0], np.concatenate(nodes))
     for name, members in grid.point_sets.items():
         yield Patch(name, grid.own[1], np.asarray(members, dtype=np.int64))
 
@@ -260,21 +262,24 @@ def _physical(grid: Grid) -> Iterator[Patch]:
         yield Patch(names.get((tag, level), f"physical_{tag}"), f"{LEVELS[level]}_{tag}", members)
 
 
-def _marked(grid: Grid) -> tuple[str, dict[str, np.ndarray]]:
+def _marked(grid: Grid) -> tuple[str, ByName]:
     """Makes patches by the first array of `MARKERS`, and names it; on points 0 means inside."""
-    arrays: list[tuple[str, Iterable[Block]]]
-    arrays = [(name, grid.of_blocks(grid.cell_data[name])) for name in _markers(grid.cell_data)]
-    nodes = np.arange(len(grid.points))
-    for name in _markers(grid.point_data):
-        values = np.asarray(grid.point_data[name])
-        arrays.append((name, [(1, nodes[values != 0], values[values != 0])] if values.ndim == 1 else []))
-    for name, blocks in arrays:
+    for name, blocks in _marker_arrays(grid):
         found = [each for each in _by_number(blocks) if each[0]]
         highest = max((level for level, *_ in found), default=0)  # edges beside faces have numbers of their own
         patches = gathered((f"{name}_{number}", nodes) for level, number, nodes in found if level == highest)
         if patches:
             return name, patches
     return "", {}
+
+
+def _marker_arrays(grid: Grid) -> Iterator[tuple[str, Iterable[Block]]]:
+    for name in _markers(grid.cell_data):
+        yield name, grid.of_blocks(grid.cell_data[name])
+    for name in _markers(grid.point_data):
+        nodes, values = np.arange(len(grid.points)), np.asarray(grid.point_data[name])
+        if values.ndim == 1:
+            yield name, [(1, nodes[values != 0], values[values != 0])]
 
 
 def _by_number(blocks: Iterable[Block]) -> Iterator[tuple[int, int, np.ndarray]]:
@@ -293,17 +298,22 @@ def _left(grid: Grid, taken: str) -> Iterator[str]:
     """
     solid = {name: [part for *_, part in grid.of_blocks(parts, full=True)] for name, parts in grid.cell_sets.items()}
     yield from regions_note(name for name, parts in solid.items() if name != BOUNDING and any(map(_has_some, parts)))
-    arrays = [("nodes", name, [values]) for name, values in grid.point_data.items()]
-    for name, values in grid.cell_data.items():
-        for what, full in (("faces", False), ("cells", True))[: 1 + (name.lower() in MARKERS)]:
-            arrays.append((what, name, [value for *_, value in grid.of_blocks(values, full=full)]))
-    for what, name, parts in arrays:
+    for what, name, parts in _arrays(grid):
         numbers = _numbers(list(map(np.asarray, parts)))
         if not numbers or name in (taken, *GROUPS, "gmsh:geometrical") or name.startswith(PREFIX):
             continue
         listed = ", ".join(map(str, numbers[:SHOWN])) + " ..." * (len(numbers) > SHOWN)
         way = " They are where it is called patch and nothing else names patches." * (what != "cells")
         yield f"the array {name} numbers {what} ({listed}): these are no patches.{way}"
+
+
+def _arrays(grid: Grid) -> Iterator[tuple[str, str, list[Any]]]:
+    for name, values in grid.point_data.items():
+        yield "nodes", name, [values]
+    for name, values in grid.cell_data.items():
+        yield "faces", name, [value for *_, value in grid.of_blocks(values)]
+        if name.lower() in MARKERS:
+            yield "cells", name, [value for *_, value in grid.of_blocks(values, full=True)]
 
 
 def _has_some(members: Any) -> bool:

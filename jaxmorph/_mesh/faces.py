@@ -14,6 +14,8 @@ from .._host.cells.topology import CORNERS, FACES
 
 BLOCK = 1 << 13
 
+TwoArrays = tuple[np.ndarray, np.ndarray]
+
 _SHAPES = {"tetra": (4, 4, 0), "pyramid": (5, 4, 1), "wedge": (5, 2, 3), "hexahedron": (6, 0, 6)}
 """Numbers of faces, of triangles and of quads by type."""
 
@@ -73,7 +75,7 @@ class Faces:
     def nodes(self, first: int, last: int) -> np.ndarray:
         return self.labels[self.starts[first] : self.starts[last]]
 
-    def of_cells(self) -> tuple[np.ndarray, np.ndarray]:
+    def of_cells(self) -> TwoArrays:
         """Lists faces cell by cell, `~f` for the neighbour; where cells begin, and the end."""
         # A sparse matrix sorts the sides of faces by cell: its columns are sides, its rows cells.
         # The conversion from columns to rows is a counting sort in linear time.
@@ -182,7 +184,7 @@ def _typed(faces: Faces, kind: str, ordered: np.ndarray, sizes: np.ndarray, star
     return corners, good
 
 
-def _from_base(faces: Faces, kind: str, around: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _from_base(faces: Faces, kind: str, around: np.ndarray) -> TwoArrays:
     """Numbers cells from their first face, seen from inside; marks cells shaped as their type."""
     # A wall, another face that touches the base, shares an edge with it. On a walk round the wall,
     # exactly one edge leaves the base: its foot is a corner of the base, its head the corner above.

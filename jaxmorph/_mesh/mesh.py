@@ -322,22 +322,24 @@ def elevate(mesh: Mesh, order: int) -> Mesh:
 
 def _lattices(mesh: Mesh, steps: int) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Points (p, d) of the lattices of all cells, `steps` to an edge, and their ids (k, s) by type."""
-    # A point is known by the corners around it and their weights, in ascending order: cells that
-    # share a face agree on it.
-    points, keys, places, sizes = np.asarray(mesh.points), [np.zeros((0, 16), np.int64)], [], {}
-    for kind, ids in mesh.cells.items():
-        nodes, shape = np.asarray(ids), SHAPES[kind]
-        corners = nodes[:, : CORNERS[shape]]
-        own = np.zeros((*corners.shape, 16), np.int64)
-        own[:, :, -2], own[:, :, -1] = corners, 1
-        keys.append(np.concatenate([own, node_keys(corners, of_order(shape, steps))], axis=1).reshape(-1, 16))
-        places.append(np.einsum("sn,knd->ksd", places_of(kind, steps), points[nodes]).reshape(-1, points.shape[1]))
-        sizes[kind] = len(nodes), len(of_order(shape, steps).lattice)
-    _, first, number = np.unique(np.concatenate(keys), axis=0, return_index=True, return_inverse=True)
-    ends = np.cumsum([k * s for k, s in sizes.values()], dtype=int)
-    tables = zip(sizes.items(), np.split(number.ravel(), ends[:-1]), strict=True) if sizes else ()
-    new = np.concatenate([points[:0], *places])[first].astype(points.dtype)
-    return new, {kind: table.reshape(size) for (kind, size), table in tables}
+    # A point between corners is known by these and their weights, in ascending order: cells that
+    # share a face agree on it. The corners come first.
+    points, shapes = np.asarray(mesh.points), {kind: SHAPES[kind] for kind in mesh.cells}
+    corners = {kind: np.asarray(mesh.cells[kind])[:, : CORNERS[shape]] for kind, shape in shapes.items()}
+    used = np.unique(np.concatenate([np.zeros(0, np.int64), *map(np.ravel, corners.values())]))
+    keys, places, tables, first = [np.zeros((0, 16), np.int64)], [points[:0]], {}, 0
+    for kind, shape in shapes.items():
+        keys.append(node_keys(corners[kind], of_order(shape, steps)).reshape(-1, 16))
+        inner = places_of(kind, steps)[CORNERS[shape] :]
+        places.append(
+            np.einsum("sn,knd->ksd", inner, points[np.asarray(mesh.cells[kind])]).reshape(-1, points.shape[1])
+        )
+    _, rows, number = np.unique(np.concatenate(keys), axis=0, return_index=True, return_inverse=True)
+    for kind, part in zip(shapes, keys[1:], strict=True):
+        new = len(used) + number.ravel()[first : first + len(part)].reshape(len(corners[kind]), -1)
+        tables[kind] = np.concatenate([np.searchsorted(used, corners[kind]), new], axis=1)
+        first += len(part)
+    return np.concatenate([points[used], np.concatenate(places)[rows]]).astype(points.dtype), tables
 
 
 def _patches(mesh: Mesh, cells: dict[str, np.ndarray], n: int) -> dict[str, np.ndarray]:

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._host.cells.lagrange import PLACES
 from .._host.cells.pieces import linear_cells, owners
 from .._host.cells.topology import DIMENSION, FRAMES, solid
 from .._host.linear.products import cofactors
@@ -30,15 +31,16 @@ PerCell = Float[Array, " k"]
 Edges = Float[Array, "e d s k"]
 Some = Float[Array, "*shape"]
 
-_ROOT_3, _THIRD = 3**0.5, 3**-0.5
-IDEAL = {
-    "triangle": ((0, 0), (1, 0), (0.5, _ROOT_3 / 2)),
-    "quad": ((0, 0), (1, 0), (1, 1), (0, 1)),
-    "tetra": ((0, 0, 0), (1, 0, 0), (0.5, _ROOT_3 / 2, 0), (0.5, _THIRD / 2, (2 / 3) ** 0.5)),
-    "pyramid": ((0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0.5, 0.5, 0.5**0.5)),
-    "wedge": (*((0, 0, 0), (1, 0, 0), (0.5, _ROOT_3 / 2, 0)), *((0, 0, 1), (1, 0, 1), (0.5, _ROOT_3 / 2, 1))),
-    "hexahedron": (*((0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)), *((0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1))),
+_HEIGHT = 3**0.5 / 2
+_AXES = {
+    "triangle": ((1, 0), (0.5, _HEIGHT)),
+    "quad": ((1, 0), (0, 1)),
+    "tetra": ((1, 0, 0), (0.5, _HEIGHT, 0), (0.5, _HEIGHT / 3, (2 / 3) ** 0.5)),
+    "pyramid": ((1, 0, 0), (0, 1, 0), (0.5, 0.5, 0.5**0.5)),
+    "wedge": ((1, 0, 0), (0.5, _HEIGHT, 0), (0, 0, 1)),
+    "hexahedron": ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
 }
+IDEAL = {kind: (np.array(PLACES[kind]) @ np.array(axes)).tolist() for kind, axes in _AXES.items()}
 """Corners of the ideal cell of each type, edges of length one."""
 
 

@@ -8,13 +8,14 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from .._host.cells.adjacency import columns_of, handedness, is_among, neighbours
+from .._host.cells.adjacency import columns_of, is_among, neighbours
 from .._host.cells.topology import DIMENSION, FACES
 from .._host.linear.products import cross, dot
 from .._host.package.arguments import checked
 from .._host.package.cores import in_order
 from .._mesh.faces import Faces
 from .._mesh.mesh import Mesh
+from .quality import signs_of
 from .report import Report
 
 Vectors = Float[np.ndarray, "_d _f"]
@@ -217,7 +218,10 @@ def measured(mesh: Mesh, sides: Sides, points: Float[Any, "n d"] | None) -> Face
         shape = _Shape.measured(sides, points)
         old = shape.volume if np.array_equal(points, base) else _Shape.measured(sides, base).volume
         if mesh.polyhedra is None and mesh.between is None and (old < 0).any():
-            sign = _turns(mesh, old)
+            sign = np.ones(
+                len(old)
+            )  # makes undeformed volumes positive, by neighbours: a motion may turn a part inside out
+            sign[mesh.cell_ids] = np.concatenate(list(signs_of(mesh).values()))
             old = sign * old
             shape.turn(sides, sign)
         return _of_shape(sides, shape, points, old)
@@ -295,19 +299,6 @@ def _of_shape(sides: Sides, shape: _Shape, points: Points, old: PerCell) -> Face
         mean_non_orthogonality=float(np.degrees(np.arccos(mean))),
         volume_ratio=np.where(old == 0, 1.0, shape.volume / np.where(old == 0, 1.0, old)),
     )
-
-
-def _turns(mesh: Mesh, volume: PerCell) -> PerCell:
-    """The sign that makes the undeformed volumes positive. It follows from neighbours, and from the
-    volume that they enclose: a part of the mesh that a motion turns inside out has no neighbour to
-    tell.
-    """
-    turn = np.ones(len(volume))
-    cells = {kind: np.asarray(corners) for kind, corners in mesh.cells.items()}
-    sign, part = map(np.asarray, handedness(cells, *neighbours(cells)))
-    enclosed = np.bincount(part, sign * volume[mesh.cell_ids])
-    turn[mesh.cell_ids] = sign * np.where(enclosed < 0, -1, 1)[part]
-    return turn
 
 
 def _centre_and_area(points: Vectors, block: FaceBlock) -> tuple[Vectors, Vectors]:

@@ -40,15 +40,6 @@ from .vector import (
     unit,
 )
 
-_PARALLEL = {
-    "quad": (((0, 1), (3, 2)), ((1, 2), (0, 3))),
-    "hexahedron": (
-        ((0, 1), (3, 2), (4, 5), (7, 6)),
-        ((0, 3), (1, 2), (4, 7), (5, 6)),
-        ((0, 4), (1, 5), (2, 6), (3, 7)),
-    ),
-}
-
 
 def faces_by_size(kind: str) -> list[list[tuple[int, ...]]]:
     """Groups a type's faces by their number of corners; a surface cell is its own face."""
@@ -63,8 +54,7 @@ def _edges(x: Vector, kind: str) -> Vector:
 
 def principal_axes(kind: str, x: Vector) -> Vector:
     """Vectors between the middles of opposite sides: of quads times 2, of hexahedra 4."""
-    start, end = columns(x, itertools.chain(*_PARALLEL[kind]))
-    return Vector(a.reshape(len(_PARALLEL[kind]), -1, a.shape[-1]).sum(axis=1) for a in end - start)
+    return combined(2 * np.array(PLACES[kind]).T - 1, x)
 
 
 def face_areas(kind: str, x: Vector) -> Vector:
@@ -171,7 +161,7 @@ def skewness(kind: str, x: Vector, maximum: Callable[[Float[Either, "t k"]], Sca
         return maximum(skewness(shape, cells, maximum).reshape(len(x[0]), -1))
     if kind == "line":
         return xp.zeros_like(x[0][0])
-    if kind in _PARALLEL:
+    if kind in ("quad", "hexahedron"):
         axes = unit(principal_axes(kind, x))
         cosines = dot(*columns(axes, itertools.combinations(range(len(axes[0])), 2)))
         return maximum(xp.concatenate([cosines, -cosines]))

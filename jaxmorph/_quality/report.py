@@ -35,6 +35,7 @@ class Report:
     rule: str
     measures: tuple[str, ...]
     rank: str
+    degenerate: Any = 0
     is_inverted: Any
     volume: Any
     centroid: Any

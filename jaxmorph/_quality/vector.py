@@ -45,7 +45,8 @@ class Vector(tuple):
 
 
 def corners(points: Points, ids: Shaped[Either, "k c"]) -> Vector:
-    return Vector(points[:, axis][ids.T] for axis in range(points.shape[1]))
+    rows = ids.T.copy()  # so that values of all cells stand side by side in NumPy's arrays
+    return Vector(points[:, axis][rows] for axis in range(points.shape[1]))
 
 
 def pick(x: Vector, rows: Sequence[int]) -> Vector:

@@ -295,11 +295,13 @@ class Verdict:
         if not isinstance(parts, Sequence) or set(map(type, parts)) != {cls}:
             raise ValueError(f"`parts` must be verdicts on the parts of a mesh, not {shown(parts)}.")
         of = {name: [getattr(part, name) for part in parts] for name in cls.__dataclass_fields__}
-        sums: dict[str, Any] = {name: sum(of[name]) for name in ("cells", "inverted", "degenerate", "spoilt")}
         spoilt, before = (list(filter(None, of[name])) for name in ("worst", "before"))
         return cls(
-            **sums,
+            cells=sum(of["cells"]),
+            inverted=sum(of["inverted"]),
+            degenerate=sum(of["degenerate"]),
             rule=parts[0].rule,
+            spoilt=sum(of["spoilt"]),
             worst=_merged(spoilt) if spoilt else None,
             rows={row: _merged([rows[row] for rows in of["rows"]]) for row in parts[0].rows},
             gates=tuple(map(_joined, zip(*of["gates"], strict=True))),
@@ -436,14 +438,14 @@ def _verdict(judged: Judged, limits: Limits, before: Verdict | None) -> Verdict:
     return Verdict(
         cells=len(judged.counted),
         inverted=int(judged.inverted[judged.counted].sum()),
-        degenerate=0 if judged.by_faces else int(judged.corners.degenerate),
+        degenerate=int(judged.report.degenerate),
         rule=judged.report.rule,
         spoilt=len(spoilt),
         worst=worst,
         rows=judged.rows,
         gates=tuple(gate for gate, _ in gates),
         before=before,
-        parts=0 if judged.part is None else 1,
+        parts=int(judged.part is not None),
         between=0 if judged.mesh.between is None else len(judged.mesh.between),
         bad=np.unique(np.concatenate([spoilt, *(beyond for _, beyond in gates)])),
         judged=judged,
