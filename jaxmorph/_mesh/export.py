@@ -30,8 +30,11 @@ def to_meshio(mesh: Parts, point_data: Arrays | None, cell_data: Arrays | None) 
 def to_pyvista(mesh: Parts, point_data: Arrays | None, cell_data: Arrays | None) -> Any:
     pyvista = imported("pyvista", "plot")
     old = _origin(mesh, pyvista.UnstructuredGrid)
-    new = pyvista.wrap(to_vtk(mesh, old, point_data, cell_data)).copy()
-    new.points = _points(mesh, None if old is None else np.asarray(old.points))
+    new = pyvista.wrap(vtk.new_grid(mesh.cells, _points(mesh, None))) if old is None else old.copy()
+    new.points = _points(mesh, np.asarray(new.points))
+    point_arrays, cell_arrays = _checked(mesh, point_data, cell_data)
+    new.point_data.update(point_arrays)
+    new.cell_data.update(_of_cells(mesh, cell_arrays, vtk.kinds_of(new)))
     return new
 
 

@@ -134,8 +134,10 @@ def _tangents(derivatives: np.ndarray, x: Vector) -> list[Vector]:
 
 
 def linear_cells_at_nodes(kind: str, x: Vector) -> tuple[str, Vector]:
-    """Linear cells of the tangents at high-order nodes: s k cells, node by node."""
+    """Linear cells of the tangents at high-order nodes: s k cells, node by node; or k linear ones."""
     xp, shape = namespace(x[0]), SHAPES[kind]
+    if shape == kind:
+        return kind, x
     rows = zip(*_tangents(derivatives_at_nodes(kind), x), strict=True)
     return shape, combined(np.array(PLACES[shape]), Vector(xp.stack(parts).reshape(len(parts), -1) for parts in rows))
 

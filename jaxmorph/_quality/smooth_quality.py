@@ -8,7 +8,6 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Bool, Float, Real
 
-from .._host.cells.topology import SHAPES
 from .._host.package.arguments import between, checked
 from .._kernels.compile import compiled
 from .._kernels.module import Module
@@ -95,12 +94,10 @@ def _shapes(options, kind: str, x: Vector, standard: Standard) -> tuple[Array, .
     shape = measures.scaled(relative, size)
     skewness = measures.skewness(kind, shape, functools.partial(soft_maximum, sharpness=sharpness, axis=0))
     ratio = _jacobian_ratio(kind, relative, standard, sharpness)
-    if kind == SHAPES[kind]:
-        return skewness, _aspect_ratio(kind, shape, standard.sign, sharpness, softness), ratio
     linear, shape = measures.linear_cells_at_nodes(kind, shape)
-    aspect = _aspect_ratio(linear, shape, jnp.tile(standard.sign, len(relative[0])), sharpness, softness)
-    aspect = jnp.exp(soft_maximum(jnp.log(aspect).reshape(len(relative[0]), -1), sharpness, axis=0))
-    return skewness, aspect, ratio
+    sign = jnp.tile(standard.sign, shape[0].shape[1] // len(size))
+    aspect = jnp.log(_aspect_ratio(linear, shape, sign, sharpness, softness)).reshape(-1, len(size))
+    return skewness, jnp.exp(soft_maximum(aspect, sharpness, axis=0)), ratio
 
 
 def _aspect_ratio(kind: str, x: Vector, sign: Array, sharpness, softness) -> PerCell:

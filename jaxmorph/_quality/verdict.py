@@ -340,16 +340,15 @@ class Verdict:
 
     def _measures(self) -> list[str]:
         """A row for each measure: without ratios, or after a motion without volume."""
-        if self.before is None:
-            lines, starts = [f"{'':<23}{'':>12}   worst cell"], {row: "" for row in self.rows if row not in RATIOS}
-        else:
-            lines, old = [f"{'':<23}{'before':>12}{'after':>12}   worst cell after"], self.before.rows
-            starts = {row: _column(old[row].value) for row in self.rows if row[1] != "volume"}
-            starts |= dict.fromkeys(starts.keys() & RATIOS, f"{'-':>12}")
-        for (kind, name), start in starts.items():
-            number = self.rows[kind, name]
-            where = "" if kind == "mean" else f"   {number.name} near {number.place}"
-            lines.append(f"{kind + ' ' + label(name):<23}{start}{_column(number.value)}{where}")
+        columns = f"{'':>12}   worst cell" if self.before is None else f"{'before':>12}{'after':>12}   worst cell after"
+        lines = [f"{'':<23}{columns}"]
+        for row, number in self.rows.items():
+            if (row in RATIOS) if self.before is None else row[1] == "volume":
+                continue
+            start = "" if self.before is None else _column(self.before.rows[row].value)
+            start = f"{'-':>12}" if row in RATIOS else start
+            where = "" if row[0] == "mean" else f"   {number.name} near {number.place}"
+            lines.append(f"{row[0] + ' ' + label(row[1]):<23}{start}{_column(number.value)}{where}")
         if self.before is not None:
             lines.append(f"{'inverted cells':<23}{self.before.inverted:>12}{self.inverted:>12}")
         return lines
