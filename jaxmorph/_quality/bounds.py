@@ -8,7 +8,6 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int
 
-from .._host.cells.topology import DIMENSION, HIGH_ORDER
 from .._kernels.callback import host_call
 from .._kernels.values import Either, constant, namespace
 from . import bernstein
@@ -101,10 +100,6 @@ def _place(space: Space, path: Path, corner: Rows) -> Float[np.ndarray, "f p"]:
             coordinates = np.einsum("pi,pij->pj", coordinates, bernstein.children(m)[part])
         found.append(coordinates[:, 1:].T)
     return np.concatenate(found)
-
-
-def has_least(kind: str, d: int) -> bool:
-    return kind in HIGH_ORDER and DIMENSION[kind] == d
 
 
 def least_jacobian(kind: str, x: list[Float[Either, "nodes k"]]) -> PerCell:

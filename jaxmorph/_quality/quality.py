@@ -10,14 +10,14 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from .._host.cells.adjacency import handedness, neighbours
-from .._host.cells.topology import CORNERS, DIMENSION, FACES, SHAPES, solid
+from .._host.cells.topology import CORNERS, DIMENSION, FACES, HIGH_ORDER, SHAPES, solid
 from .._host.linear.products import FLAT
 from .._host.package.arguments import checked
 from .._kernels.callback import host_call
 from .._kernels.values import Either, array, as_jax, constant, is_known, largest, namespace, smallest
 from .._mesh.mesh import Mesh, PointsLike
 from . import measures
-from .bounds import has_least, least_jacobian
+from .bounds import least_jacobian
 from .report import QualityReport
 from .vector import ByType, Ids, Marks, PerCell, Points, Samples, Vector, by_place, by_type, joined, middle
 
@@ -219,7 +219,7 @@ def sizes_of(kind: str, x: Vector) -> tuple[Either, Either, Either]:
     rounding = 8 * float(jnp.finfo(x[0].dtype).eps) * measures.reach(x)
     relative, _ = measures.relative_corners(x)
     jacobians, spread = measures.jacobians(kind, relative)
-    if has_least(kind, len(x)):
+    if kind in HIGH_ORDER and DIMENSION[kind] == len(x):
         least = least_jacobian(kind, list(relative))
         jacobians = namespace(least).concatenate([jacobians, least[None]])
     noise = rounding[None] * constant(_with_largest(spread, len(jacobians)))

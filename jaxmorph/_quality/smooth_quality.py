@@ -93,7 +93,9 @@ def _shapes(options, kind: str, x: Vector, standard: Standard) -> tuple[Array, .
     relative, size = measures.relative_corners(x)
     shape = measures.scaled(relative, size)
     skewness = measures.skewness(kind, shape, functools.partial(soft_maximum, sharpness=sharpness, axis=0))
-    ratio = _jacobian_ratio(kind, relative, standard, sharpness)
+    ratios = standard.sign[None] * measures.jacobians(kind, relative)[0] / standard.jacobian[None]
+    least = -_soft_maximum_where(-ratios, standard.is_judged[: len(ratios)], sharpness)
+    ratio = jnp.where(standard.is_degenerate, 1, least)
     linear, shape = measures.linear_cells_at_nodes(kind, shape)
     sign = jnp.tile(standard.sign, shape[0].shape[1] // len(size))
     aspect = jnp.log(_aspect_ratio(linear, shape, sign, sharpness, softness)).reshape(-1, len(size))
@@ -113,12 +115,6 @@ def _aspect_ratio(kind: str, x: Vector, sign: Array, sharpness, softness) -> Per
         none = sides <= 0
         inverse = jnp.where(none, 0, sign * size / jnp.where(none, 1, jnp.exp(longest) * sides))
     return 1 / positive_part(inverse, softness)
-
-
-def _jacobian_ratio(kind: str, relative: Vector, standard: Standard, sharpness) -> PerCell:
-    ratios = standard.sign[None] * measures.jacobians(kind, relative)[0] / standard.jacobian[None]
-    least = -_soft_maximum_where(-ratios, standard.is_judged[: len(ratios)], sharpness)
-    return jnp.where(standard.is_degenerate, 1, least)
 
 
 def _largest_angle(degrees: Float[Array, "f k"], is_inner: Bool[Array, "f k"], sharpness) -> PerCell:

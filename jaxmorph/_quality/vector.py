@@ -49,13 +49,10 @@ def corners(points: Points, ids: Shaped[Either, "k c"]) -> Vector:
     return Vector(points[:, axis][rows] for axis in range(points.shape[1]))
 
 
-def pick(x: Vector, rows: Sequence[int]) -> Vector:
-    return Vector(namespace(a).stack([a[i] for i in rows]) for a in x)
-
-
 def columns(x: Vector, table: Iterable[Sequence[int]]) -> list[Vector]:
     """A vector for each column of a table of rows: every face's first corner, second, ..."""
-    return [pick(x, column) for column in zip(*table, strict=True)]
+    xp = namespace(x[0])
+    return [Vector(xp.stack([a[i] for i in column]) for a in x) for column in zip(*table, strict=True)]
 
 
 def combined(table: np.ndarray, x: Vector) -> Vector:
