@@ -95,7 +95,7 @@ from ._plan.save import load as load, save as save
 from ._plan.steps import march as march, replay as replay
 from ._quality.distortion import distortion as distortion
 from ._quality.face_quality import FaceQuality as FaceQuality, face_quality as face_quality
-from ._quality.proof.proof import Proof as Proof, proof as proof, proven_margin as proven_margin
+from ._quality.proof import Proof as Proof, proof as proof, proven_margin as proven_margin
 from ._quality.quality import inverted as inverted, quality as quality
 from ._quality.report import QualityReport as QualityReport
 from ._quality.smooth_quality import (

@@ -21,7 +21,7 @@ from jaxmorph._host.package import cores, rounding
 from jaxmorph._host.surface.neighbours import near_walls
 from jaxmorph._methods.blocks import is_rows
 from jaxmorph._plan import deform as slabs
-from jaxmorph._quality import sides, vector
+from jaxmorph._quality import face_quality, vector
 from jaxmorph.cases import naca4, wing
 
 METHODS = {
@@ -47,7 +47,7 @@ def few_points(monkeypatch):
     monkeypatch.setattr(slabs, "LEAST", 1024)
     monkeypatch.setattr(rounding, "FEW", 64)
     monkeypatch.setattr(cores, "BLOCK", 512)
-    monkeypatch.setattr(sides, "BLOCK", 512)
+    monkeypatch.setattr(face_quality, "BLOCK", 512)
     monkeypatch.setattr(vector, "CACHED", 512)
 
 

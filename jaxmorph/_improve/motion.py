@@ -213,5 +213,5 @@ def _columns(function: Callable, y: Float[Array, "n d"]) -> Float[Array, "n d d"
 
 def _shares(kind: str) -> Float[Array, "s c e"]:
     """The corners' coefficients in all samples' edges: `frames` is linear in corners."""
-    edges = measures.frames(kind, [Vector([jnp.asarray(row)] * DIMENSION[kind]) for row in np.eye(CORNERS[kind])])
+    edges = measures.frames(kind, Vector([jnp.eye(CORNERS[kind])] * DIMENSION[kind]))
     return jnp.stack([edge[0] for edge in edges], axis=2)
