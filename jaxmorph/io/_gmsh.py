@@ -200,7 +200,7 @@ def sections(path: pathlib.Path, data: bytes, at: int) -> Iterator[tuple[str, Se
 
 
 def physical_names(section: Section, form: MeshFormat) -> Names:
-    count, *rows = [row for row in section.content.split(b"\n") if row.strip()] or [b""]
+    count, *rows = list(filter(bytes.strip, section.content.split(b"\n"))) or [b""]
     if count.strip() != b"%d" % len(rows):
         raise section.error(f"{len(rows)} lines of names in $PhysicalNames; as many as announced expected.")
     names: Names = {}

@@ -14,15 +14,15 @@ from jaxtyping import Array, Float, Int
 from jaxmorph import Mesh, boundary_faces, io, shapes
 from jaxmorph.extend import warn
 
-from ._motion import AbstractPart, check_axis
+from ._motion import AbstractPart, Names, check_axis
 from ._options import KINDS, Options, Variable
 
 Fixed = tuple[frozenset[int], ...]
 """Planes of control points that stay, in each direction of a box."""
 KEPT = {"NO_DERIVATIVE": 1, "1ST_DERIVATIVE": 2, "2ND_DERIVATIVE": 3, "USER_INPUT": 0}
 """Planes of control points that stay behind each face of a box which the wall crosses."""
-HALVINGS = 60
-"""Halvings of an interval, down to a double's rounding."""
+STEPS = 20
+"""Steps of Newton's method, down to a double's rounding."""
 MOST = 10**6
 """Control points that a box may have."""
 OUTSIDE = 2.0
@@ -154,7 +154,7 @@ TURNS = {"FFD_ROTATION": _rotation, "FFD_CONTROL_SURFACE": _control_surface, "FF
 """The other kinds, whose motions depend on where the control points are."""
 
 
-def boxes_of(options: Options, mesh: Mesh, moving: Sequence[str], is_setting: bool) -> tuple[io.Box, ...]:
+def boxes_of(options: Options, mesh: Mesh, moving: Names, is_setting: bool) -> tuple[io.Box, ...]:
     """Lists the mesh's boxes; without any, or with `is_setting`, those of `FFD_DEFINITION`."""
     options.choice("FFD_COORD_SYSTEM", "CARTESIAN", "CARTESIAN")
     present = () if is_setting else io.boxes(mesh)
@@ -201,7 +201,7 @@ def _counts(options: Options, degrees: list[str], d: int) -> list[int]:
     return counts
 
 
-def _surface(shape: shapes.Hexahedron, mesh: Mesh, moving: Sequence[str]) -> dict:
+def _surface(shape: shapes.Hexahedron, mesh: Mesh, moving: Names) -> dict:
     surface = {}
     for name in moving:
         nodes = mesh.patch(name)
@@ -222,17 +222,15 @@ def _of_spline(places: Float[np.ndarray, "k d"], shape: shapes.Hexahedron) -> Fl
         if 1 < p < count - 1:
             knots = np.clip(np.arange(-p, count + 1) / (count - p), 0, 1)
             spline = scipy.interpolate.BSpline(knots, np.arange(count) / (count - 1), p)
-            low, high = np.zeros(len(places)), np.ones(len(places))
-            for _ in range(HALVINGS):
-                middle = (low + high) / 2
-                below = spline(middle) < places[:, axis]
-                low, high = np.where(below, middle, low), np.where(below, high, middle)
-            found[:, axis] = (low + high) / 2
+            slope, t = spline.derivative(), places[:, axis]
+            for _ in range(STEPS):
+                t = np.clip(t - (spline(t) - places[:, axis]) / slope(t), 0, 1)
+            found[:, axis] = t
     return found
 
 
 def box_parts(
-    options: Options, listed: Sequence[Variable], mesh: Mesh, moving: Sequence[str], boxes: Sequence[io.Box]
+    options: Options, listed: list[Variable], mesh: Mesh, moving: Names, boxes: Sequence[io.Box]
 ) -> list[AbstractPart]:
     """Makes a part for each box, of the variables that move its control points."""
     _check_boxes(listed, boxes)
@@ -249,7 +247,7 @@ def box_parts(
     return parts[::-1]
 
 
-def _places_of(box: io.Box, nodes: Int[np.ndarray, " m"], moving: Sequence[str]) -> Float[np.ndarray, "m d"]:
+def _places_of(box: io.Box, nodes: Int[np.ndarray, " m"], moving: Names) -> Float[np.ndarray, "m d"]:
     places = np.full((len(nodes), len(box.shape.counts)), OUTSIDE)
     for ids, inside in (box.surface[name] for name in moving if name in box.surface):
         moves = np.isin(ids, nodes)
@@ -257,7 +255,7 @@ def _places_of(box: io.Box, nodes: Int[np.ndarray, " m"], moving: Sequence[str])
     return places
 
 
-def _check_boxes(listed: Sequence[Variable], boxes: Sequence[io.Box]) -> None:
+def _check_boxes(listed: list[Variable], boxes: Sequence[io.Box]) -> None:
     known = {box.name: box for box in boxes}
     for variable in (variable for variable in listed if variable.box):
         if variable.box not in known:
@@ -282,7 +280,7 @@ def _check(variable: Variable, box: io.Box) -> None:
             raise ValueError(f"{kind} has {found}; box {box.name} has control points 0 to {last} there.")
 
 
-def _fixed_planes(options: Options, lattice: Float[np.ndarray, "..."], mesh: Mesh, moving: Sequence[str]) -> Fixed:
+def _fixed_planes(options: Options, lattice: Float[np.ndarray, "..."], mesh: Mesh, moving: Names) -> Fixed:
     """Finds the planes that stay in each direction of a lattice, so that no wall tears."""
     word = options.choice("FFD_CONTINUITY", "2ND_DERIVATIVE", *KEPT)
     is_symmetric = options.choice("FFD_SYMMETRY_PLANE", "NO", "NO", "YES") == "YES"
@@ -320,7 +318,7 @@ def _crosses(segments: Float[np.ndarray, "s 2 d"], faces: Float[np.ndarray, "t d
     return False
 
 
-def _segments(mesh: Mesh, moving: Sequence[str]) -> Float[np.ndarray, "s 2 d"]:
+def _segments(mesh: Mesh, moving: Names) -> Float[np.ndarray, "s 2 d"]:
     faces = [ids for name in moving for ids in boundary_faces(mesh, name).values()]
     pairs = [ids[:, [a, b]] for ids in faces for a, b in itertools.combinations(range(ids.shape[1]), 2)]
     return np.asarray(mesh.points, float)[np.unique(np.sort(np.concatenate(pairs), axis=1), axis=0)]
