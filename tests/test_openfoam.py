@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from foam import PATCHES, mixed, split, strip
 from formats import rewritten
-from scipy.spatial import ConvexHull
 
 import jaxmorph as jm
 from jaxmorph import cases, io
@@ -54,35 +53,6 @@ def test_comments_at_the_end_may_hold_parentheses(tmp_path, end):
     np.testing.assert_array_equal(mesh.points, points)
     np.testing.assert_array_equal(rewritten(tmp_path / "b", mesh.moved(points + 1)).points, points + 1)
     assert (tmp_path / "b" / "constant" / "polyMesh" / "points").read_text().endswith(end)
-
-
-def test_cells_have_the_volumes_of_their_hulls(tmp_path):
-    points, cells = mixed()
-    mesh = io.read(foam.write_case(tmp_path / "a", points, cells, PATCHES))
-    report = jm.quality(mesh)
-    assert int(report.inverted) == 0
-    for kind, at in (("tetra", 3), ("pyramid", 2), ("wedge", 1), ("hexahedron", 0)):
-        assert sorted(mesh.cells[kind][0].tolist()) == sorted({n for face in cells[at] for n in face})
-    flat, cells = np.round(points), mixed()[1]
-    volumes = np.asarray(jm.quality(io.read(foam.write_case(tmp_path / "flat", flat, cells, PATCHES))).volume)
-    hulls = [ConvexHull(flat[sorted({n for face in faces for n in face})]).volume for faces in cells]
-    np.testing.assert_allclose(np.sort(volumes), np.sort(hulls), rtol=1e-6)
-
-
-def test_polyhedra_are_judged_by_pieces_between_their_own_nodes(tmp_path):
-    points, cells = split()
-    mesh = io.read(foam.write_case(tmp_path / "a", points, cells, PATCHES))
-    assert len(mesh.points) == len(points)
-    assert len(mesh.cells["hexahedron"]) == 4
-    assert list(mesh.cells) == ["hexahedron", "tetra"]
-    volume = np.asarray(jm.quality(mesh).volume)
-    np.testing.assert_allclose([volume[:4].sum(), volume[4:].sum()], [1, 1], rtol=1e-6)
-    assert volume.min() > 0.01
-    middle = int(np.flatnonzero((points == [1, 0.5, 0.5]).all(axis=1))[0])
-    for place, inverted in ((0.6, False), (1.4, False), (-0.5, True), (2.5, True)):
-        moved = mesh.points.copy()
-        moved[middle, 0] = place
-        assert (int(jm.quality(mesh, moved).inverted) > 0) == inverted
 
 
 def test_pieces_of_a_polyhedron_may_coincide(tmp_path):

@@ -144,9 +144,10 @@ def _twist(part: BoxPart, variable: Variable, value, control) -> Float[Array, ".
     about = jnp.asarray(start, control.dtype) + share * jnp.asarray(end - start, control.dtype)
     plane = control[:, j].reshape(-1, 3)
     turned = shapes.rotate(plane, jnp.arctan(value / part.length), about, [0.0, 1.0, 0.0]) - plane
-    rows, columns = len(control), control.shape[2]
-    free = np.array([[not part.is_fixed(i, j, k) for k in range(columns)] for i in range(rows)])
-    turned = jnp.where(meets & jnp.asarray(free)[..., None], turned.reshape(*free.shape, 3), 0)
+    free = np.ones(control.shape[:-1], bool)
+    for axis, planes in enumerate(part.fixed):
+        np.moveaxis(free, axis, 0)[sorted(planes)] = False
+    turned = jnp.where(meets & jnp.asarray(free[:, j, :, None]), turned.reshape(len(control), -1, 3), 0)
     return jnp.zeros_like(control).at[:, j].set(turned)
 
 
@@ -265,7 +266,8 @@ def _check_boxes(listed: list[Variable], boxes: Sequence[io.Box]) -> None:
 
 
 def _check(variable: Variable, box: io.Box) -> None:
-    kind, counts, index = variable.kind, box.shape.counts, variable.numbers[: KINDS[variable.kind].indices]
+    kind, counts, directions = variable.kind, box.shape.counts, KINDS[variable.kind].indices
+    index = variable.numbers[: len(directions)]
     if not index:
         return check_axis(kind, variable.numbers, len(counts))
     if kind.endswith("_2D") != (len(counts) == 2):
@@ -273,11 +275,12 @@ def _check(variable: Variable, box: io.Box) -> None:
     if index == (-1, -1, -1):
         raise ValueError(f"{kind} of box {box.name} with all three numbers -1: SU2 moves no control point by it.")
     least = -1 if kind.startswith(("FFD_CONTROL_POINT", "FFD_NACELLE")) else 0
-    for direction, value in zip((1,) if kind in ("FFD_TWIST", "FFD_GULL") else (0, 1, 2), index, strict=False):
-        last = counts[direction] - 1
+    for direction, value in zip(directions, index, strict=True):
+        last = counts["ijk".index(direction)] - 1
         if value % 1 or not least <= value <= last:
-            found = f"{'ijk'[direction]} = {value:g}"
-            raise ValueError(f"{kind} has {found}; box {box.name} has control points 0 to {last} there.")
+            raise ValueError(
+                f"{kind} has {direction} = {value:g}; box {box.name} has control points 0 to {last} there."
+            )
 
 
 def _fixed_planes(options: Options, lattice: Float[np.ndarray, "..."], mesh: Mesh, moving: Names) -> Fixed:

@@ -22,13 +22,13 @@ class Kind(NamedTuple):
     - `parameters`: how many it has, with the tag of a box; None for an unsupported kind.
     - `sort`: what it moves, a `wall`, a `box`, or the whole `mesh`. A `constant` kind moves the
       wall whatever its value is, `flow` and `nothing` move none.
-    - `indices`: how many of the parameters are numbers of control points.
+    - `indices`: directions of the parameters that are numbers of control points.
     """
 
     number: int
     parameters: int | None = None
     sort: str = "wall"
-    indices: int = 0
+    indices: str = ""
 
 
 KINDS = {
@@ -37,16 +37,16 @@ KINDS = {
     "ROTATION": Kind(2, 6),
     "SCALE": Kind(3, 0),
     "FFD_SETTING": Kind(10, 0, "nothing"),
-    "FFD_CONTROL_POINT": Kind(11, 7, "box", 3),
-    "FFD_NACELLE": Kind(12, 6, "box", 3),
-    "FFD_GULL": Kind(13, 2, "box", 1),
-    "FFD_CAMBER": Kind(14, 3, "box", 2),
-    "FFD_TWIST": Kind(15, 8, "box", 1),
-    "FFD_THICKNESS": Kind(16, 3, "box", 2),
+    "FFD_CONTROL_POINT": Kind(11, 7, "box", "ijk"),
+    "FFD_NACELLE": Kind(12, 6, "box", "ijk"),
+    "FFD_GULL": Kind(13, 2, "box", "j"),
+    "FFD_CAMBER": Kind(14, 3, "box", "ij"),
+    "FFD_TWIST": Kind(15, 8, "box", "j"),
+    "FFD_THICKNESS": Kind(16, 3, "box", "ij"),
     "FFD_ROTATION": Kind(18, 7, "box"),
-    "FFD_CONTROL_POINT_2D": Kind(19, 5, "box", 2),
-    "FFD_CAMBER_2D": Kind(20, 2, "box", 1),
-    "FFD_THICKNESS_2D": Kind(21, 2, "box", 1),
+    "FFD_CONTROL_POINT_2D": Kind(19, 5, "box", "ij"),
+    "FFD_CAMBER_2D": Kind(20, 2, "box", "i"),
+    "FFD_THICKNESS_2D": Kind(21, 2, "box", "i"),
     "FFD_TWIST_2D": Kind(22),
     "FFD_CONTROL_SURFACE": Kind(23, 7, "box"),
     "FFD_ANGLE_OF_ATTACK": Kind(24, 2, "flow"),
@@ -210,7 +210,7 @@ class Variable:
     @property
     def index(self) -> tuple[int, ...]:
         """The numbers of control points among the parameters."""
-        return tuple(int(value) for value in self.numbers[: KINDS[self.kind].indices])
+        return tuple(map(int, self.numbers[: len(KINDS[self.kind].indices)]))
 
 
 Listed = tuple[list[Variable], Words]
@@ -333,5 +333,7 @@ def _variable(options: Options, name: str, kind: str, words: Words, scale: float
         warn(f"{options.path}: {name}= {kind} has {count} parameters, left out: {' '.join(words[count:])}.")
     box, start = (words[0], 1) if sort == "box" else ("", 0)
     numbers = tuple(options.number(name, word) for word in words[start:count])
-    is_free = kind.startswith("FFD_CONTROL_POINT") and not any(numbers[indices:])  # no direction: a value for each
-    return Variable(kind, box, numbers, indices if is_free else 1, scale)
+    is_free = kind.startswith("FFD_CONTROL_POINT") and not any(
+        numbers[len(indices) :]
+    )  # no direction: a value for each
+    return Variable(kind, box, numbers, len(indices) if is_free else 1, scale)

@@ -1,4 +1,4 @@
-"""OpenFOAM's files, ascii or binary, plain or compressed: lists of numbers, patches, checked faces."""
+"""OpenFOAM's files, ascii or binary, plain or compressed: numbers, patches, checked faces."""
 
 import collections
 import dataclasses
@@ -279,7 +279,7 @@ def _patch(file: FoamFile, name: str, body: Any) -> FoamPatch:
 
 
 def faces_of(folder: pathlib.Path, boundary: Boundary, n: int) -> Faces:
-    """Reads `faces`, `owner` and `neighbour`. Raises `ValueError` for what makes no closed cells."""
+    """Reads `faces`, `owner` and `neighbour`. Raises `ValueError` where they close no cells."""
     labels, starts = load(folder, "faces").faces()
     owner, neighbour = (load(folder, name).numbers("label").ravel() for name in ("owner", "neighbour"))
     if len(owner) != len(starts) - 1 or len(neighbour) > len(owner) or not len(owner):

@@ -1,4 +1,4 @@
-"""Decomposed cases, each part read and written by itself, and plans for OpenFOAM's motion solver."""
+"""Decomposed cases, each part read and written by itself; plans for OpenFOAM's motion solver."""
 
 import contextlib
 import dataclasses

@@ -212,8 +212,8 @@ def _edges(faces: Faces, chosen: np.ndarray, is_front: np.ndarray, plane: Front)
     across = np.delete(np.arange(len(faces.owner)), chosen)
     corners = faces.corners(across, 4)
     on = is_front[corners]
-    # seen from its cell, a face runs along the front against the sense of the cell's face in it: the
-    # edge begins at the face's last corner in front
+    # seen from its cell, a face runs along the front against the sense of the cell's face there:
+    # the edge begins at the face's last corner in front
     last = np.argmax(on & ~np.roll(on, -1, axis=1), axis=1)
     ends = np.take_along_axis(corners, np.stack([last, last - 1], axis=1) % 4, axis=1)
     if (faces.sizes[across] != 4).any() or (on.sum(axis=1) != 2).any() or not is_front[ends].all():
