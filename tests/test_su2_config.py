@@ -466,7 +466,7 @@ TUTORIALS = {
               ["DV_PARAM= FFD_CONTROL_POINT_2D has 5 parameters, left out: 0 0"]),
     "heat": ("FFD_SETTING", "(( UPPER, 14, 1, 0.0, 1.0 ), ( LOWER, 14, 1, 0.0, 1.0 ))", "0",
              f"FFD_DEFINITION= (UPPER, {HALF_BOX}); \\\n (LOWER, {HALF_BOX}, 0.0)\nFFD_DEGREE= ( 14, 1, 0); ( 14, 1, 0)\n",
-             ["FFD_DEFINITION= box LOWER has 24 numbers, left out: 0.0"]),
+             ["FFD_DEFINITION= box LOWER has 24 parameters, left out: 0.0"]),
     "RBF": ("HICKS_HENNE", "( 1, 0.5 )", "0.1", "DEFORM_KIND= RBF\nRBF_DATA_REDUCTION= YES\nRBF_GREEDY_TOLERANCE= 1E-3\n",
             ["not honoured .*: DEFORM_KIND= RBF"]),
     "bend": ("TRANSLATION", "(0, 1, 0)", "0.1", "MARKER_SYM= ( symmetry )\nDEFORM_COEFF = 1.0e6\nDEFORM_LIMIT = 1E6\n",

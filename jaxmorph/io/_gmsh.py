@@ -5,7 +5,7 @@ import dataclasses
 import pathlib
 import re
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -48,8 +48,7 @@ Nodes = tuple[np.ndarray, np.ndarray]
 """Tags of nodes, and the place of each one's x."""
 
 
-@dataclasses.dataclass(frozen=True)
-class MeshFormat:
+class MeshFormat(NamedTuple):
     """A file's version (1, 2, 4.0, 4.1), text or binary, byte order and bytes of a size.
 
     In version 2.0 itself, without `has_levels`, names of groups may come without a dimension.
@@ -62,8 +61,7 @@ class MeshFormat:
     has_levels: bool = True
 
 
-@dataclasses.dataclass(frozen=True)
-class ElementBlock:
+class ElementBlock(NamedTuple):
     """Elements of one type: node tags (k, corners), and the rows of each physical group."""
 
     kind: str
@@ -228,7 +226,7 @@ def _numbered(blocks: list[ElementBlock], tags: np.ndarray) -> list[ElementBlock
         wrong = block.corners[tags[ids] != block.corners]
         if len(wrong):
             raise ValueError(f"a {block.kind} between nodes of which {wrong[0]} is none of the {len(tags)} in $Nodes.")
-        numbered.append(dataclasses.replace(block, corners=ids))
+        numbered.append(block._replace(corners=ids))
     return numbered
 
 

@@ -12,7 +12,6 @@ import scipy.interpolate
 from jaxtyping import Array, Float, Int
 
 from jaxmorph import Mesh, boundary_faces, io, shapes
-from jaxmorph.extend import warn
 
 from ._motion import AbstractPart, Names, check_axis
 from ._options import KINDS, Options, Variable
@@ -58,20 +57,20 @@ class BoxPart(AbstractPart):
     def _factors(self, variable: Variable) -> Float[np.ndarray, "k ..."]:
         """Computes what a unit of each value adds to the control points: (k, *counts, d)."""
         factors = np.zeros((variable.size, *self.control.shape))
-        ADDS[variable.kind.removesuffix("_2D")](variable, variable.index, self, factors)
+        ADDS[variable.kind.removesuffix("_2D")](self, variable, factors)
         return factors
 
     def is_fixed(self, *index: int) -> bool:
         return any(value in planes for value, planes in zip(index, self.fixed, strict=True))
 
 
-def _control_point(variable: Variable, index: tuple[int, ...], part: BoxPart, factors: np.ndarray) -> None:
+def _control_point(part: BoxPart, variable: Variable, factors: np.ndarray) -> None:
     """Moves control points, of which -1 names all of a direction.
 
     SU2 moves none where a plane of a given number stays. Of a direction of all it leaves planes out
     in 3-D alone, and only where the other two numbers are given.
     """
-    d = len(index)
+    index, d = variable.index, len(variable.index)
     if part.is_fixed(*index):
         return
     chosen = np.zeros(factors.shape[1:-1])
@@ -83,21 +82,22 @@ def _control_point(variable: Variable, index: tuple[int, ...], part: BoxPart, fa
     factors += chosen[..., None] * ways.reshape(-1, *[1] * d, d)
 
 
-def _pair(variable: Variable, index: tuple[int, ...], part: BoxPart, factors: np.ndarray) -> None:
+def _pair(part: BoxPart, variable: Variable, factors: np.ndarray) -> None:
     """Moves two control points across a box alike (camber), or apart (thickness)."""
-    d = factors.shape[-1]
+    index, d = variable.index, factors.shape[-1]
     if d == 2 or not any(part.is_fixed(*index, side) for side in (0, 1)):
         factors[(0, *index, 0, d - 1)] = -1 if "THICKNESS" in variable.kind else 1
         factors[(0, *index, 1, d - 1)] = 1
 
 
-def _gull(variable: Variable, index: tuple[int, ...], part: BoxPart, factors: np.ndarray) -> None:
-    factors[0, :, index[0], :, 2] = index[0] not in part.fixed[1]
+def _gull(part: BoxPart, variable: Variable, factors: np.ndarray) -> None:
+    (j,) = variable.index
+    factors[0, :, j, :, 2] = j not in part.fixed[1]
 
 
-def _nacelle(variable: Variable, index: tuple[int, ...], part: BoxPart, factors: np.ndarray) -> None:
+def _nacelle(part: BoxPart, variable: Variable, factors: np.ndarray) -> None:
     """Moves the control points at an angle and at the opposite angle."""
-    i, j, k = index
+    i, j, k = variable.index
     last = factors.shape[2] - 1
     for angle in dict.fromkeys([j, last - j if j >= 0 else 0]):
         if part.is_fixed(i, angle, k):
@@ -176,30 +176,17 @@ def _definition(options: Options, d: int) -> list[tuple[str, shapes.Hexahedron]]
     degrees, groups = options.groups("FFD_DEGREE"), options.groups("FFD_DEFINITION")
     if len(degrees) != len(groups):
         raise options.error("FFD_DEGREE", f"{len(degrees)} groups of degrees for {len(groups)} boxes")
-    return [
-        (
-            name,
-            shapes.Hexahedron(_corners(options, name, words)[: 2**d, :d], _counts(options, own[:d], d), degree=degree),
-        )
-        for (name, *words), own in zip(groups, degrees, strict=True)
-    ]
-
-
-def _corners(options: Options, name: str, words: list[str]) -> Float[np.ndarray, "8 3"]:
-    if len(words) < 24:
-        found = f"24 numbers for box {name}, eight corners, expected; found {len(words)}"
-        raise options.error("FFD_DEFINITION", found)
-    if len(words) > 24:  # as in tutorials of SU2
-        warn(f"{options.path}: FFD_DEFINITION= box {name} has 24 numbers, left out: {' '.join(words[24:])}.")
-    return np.reshape([options.number("FFD_DEFINITION", word) for word in words[:24]], (8, 3))
-
-
-def _counts(options: Options, degrees: list[str], d: int) -> list[int]:
-    counts = [options.whole("FFD_DEGREE", word) + 1 for word in degrees]
-    if len(counts) < d or math.prod(counts) > MOST:
-        found = " x ".join(map(str, counts))
-        raise options.error("FFD_DEGREE", f"{d} degrees of at most {MOST} control points expected, found {found}")
-    return counts
+    boxes = []
+    for (name, *words), own in zip(groups, degrees, strict=True):
+        numbers = [
+            options.number("FFD_DEFINITION", word) for word in options.taken("FFD_DEFINITION", f"box {name}", words, 24)
+        ]
+        counts = [options.whole("FFD_DEGREE", word) + 1 for word in own[:d]]
+        if len(counts) < d or math.prod(counts) > MOST:
+            found = " x ".join(map(str, counts))
+            raise options.error("FFD_DEGREE", f"{d} degrees of at most {MOST} control points expected, found {found}")
+        boxes.append((name, shapes.Hexahedron(np.reshape(numbers, (8, 3))[: 2**d, :d], counts, degree=degree)))
+    return boxes
 
 
 def _surface(shape: shapes.Hexahedron, mesh: Mesh, moving: Names) -> dict:

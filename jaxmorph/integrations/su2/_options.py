@@ -121,6 +121,14 @@ class Options:
             raise self.error(name, f"a whole number, 1 or more, expected, found {value:g}")
         return int(value)
 
+    def taken(self, name: str, what: str, words: Words, count: int) -> Words:
+        """Takes the first `count` words; SU2's tutorials have more, which it warns of."""
+        if len(words) < count:
+            raise self.error(name, f"{what} has {count} parameters, found {len(words)}: {' '.join(words)}")
+        if len(words) > count:
+            warn(f"{self.path}: {name}= {what} has {count} parameters, left out: {' '.join(words[count:])}.")
+        return words[:count]
+
     def choice(self, name: str, default: str, *known: str) -> str:
         word = self.text(name, default).upper()
         if word not in known:
@@ -327,12 +335,9 @@ def _variable(options: Options, name: str, kind: str, words: Words, scale: float
     _, count, sort, indices = KINDS[kind]
     if not count or sort == "flow":
         return Variable(kind, size=0 if sort == "nothing" else 1, scale=scale)
-    if len(words) < count:
-        raise options.error(name, f"{kind} has {count} parameters, found {len(words)}: {' '.join(words)}")
-    if len(words) > count:
-        warn(f"{options.path}: {name}= {kind} has {count} parameters, left out: {' '.join(words[count:])}.")
+    words = options.taken(name, kind, words, count)
     box, start = (words[0], 1) if sort == "box" else ("", 0)
-    numbers = tuple(options.number(name, word) for word in words[start:count])
+    numbers = tuple(options.number(name, word) for word in words[start:])
     is_free = kind.startswith("FFD_CONTROL_POINT") and not any(
         numbers[len(indices) :]
     )  # no direction: a value for each

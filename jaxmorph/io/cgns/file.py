@@ -115,7 +115,8 @@ def _patches(
                 regions.append(name)
             else:
                 of_patch.setdefault(name, []).append(nodes)
-        faces += zone.content.sides or _outer(zone)
+        alone = gathered(block[:2] for block in zone.content.blocks)
+        faces += zone.content.sides or boundary_faces(alone, zone.rows.stop).values()
     return of_patch, faces, regions
 
 
@@ -184,8 +185,3 @@ def _whole(zones: list[Zone], node: np.ndarray | None) -> tuple[Polyhedra, np.nd
     )
     numbers = np.concatenate([cells for _, cells in sorted(gathered(ids).items())])
     return Polyhedra(faces, np.concatenate(cut)), numbers
-
-
-def _outer(zone: Zone) -> list[np.ndarray]:
-    alone = gathered((kind, corners - zone.first) for kind, corners, _ in zone.content.blocks)
-    return [corners + zone.first for corners in boundary_faces(alone, zone.count).values()]

@@ -123,8 +123,7 @@ Polygons = tuple[int, Ragged, np.ndarray]
 """Faces of a section: number of the first, vertices, and cells (2, n) on both sides, 0 for none."""
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class ElementSection:
+class ElementSection(NamedTuple):
     section: str
     dimension: int
     vertices: Any

@@ -125,7 +125,7 @@ def read(path: pathlib.Path) -> Parts:
         whole,
         None if (joined[1:] > joined[:-1]).all() else joined,
         between=None if not len(between) else between if plane is None else plane.edges(between),
-        notes=tuple(_notes(folder, [patch for patch in planes if patch.count])),
+        notes=tuple(_notes(folder, [patch for patch in planes if patch.size])),
         **content.known,
         **_said(boundary, mesh, plane),
     )
@@ -149,9 +149,9 @@ def _between(faces: Faces, boundary: Boundary) -> np.ndarray:
 
 def _planes(path: pathlib.Path, boundary: Boundary) -> Boundary:
     planes = [patch for patch in boundary if patch.type in PLANES]
-    kinds = [patch.type for patch in planes if patch.count]
+    kinds = [patch.type for patch in planes if patch.size]
     if "wedge" in kinds and kinds != ["wedge"] * 2:
-        names = ", ".join(patch.name for patch in planes if patch.count)
+        names = ", ".join(patch.name for patch in planes if patch.size)
         raise ValueError(
             f"{path}: patches of type wedge ({names}); an axisymmetric case has two, and none of type empty."
         )
@@ -161,7 +161,7 @@ def _planes(path: pathlib.Path, boundary: Boundary) -> Boundary:
 def _said(boundary: Boundary, mesh: Parts, plane: Front | None) -> dict[str, Any]:
     own = [patch for patch in boundary if patch.name in mesh.patches or patch.type in PLANES]
     kinds = {patch.name: patch.type for patch in own}
-    symmetry = [patch.name for patch in own if patch.type in SYMMETRY and patch.count]
+    symmetry = [patch.name for patch in own if patch.type in SYMMETRY and patch.size]
     if plane is not None and plane.on_axis.any():
         symmetry, kinds = [*symmetry, "axis"], kinds | {"axis": "axis"}
     return {"groups": _groups(own), "periodic": _periodic(boundary, own), "symmetry": tuple(symmetry), "kinds": kinds}
@@ -169,9 +169,9 @@ def _said(boundary: Boundary, mesh: Parts, plane: Front | None) -> dict[str, Any
 
 def _periodic(boundary: Boundary, own: Boundary) -> tuple[Periodic, ...]:
     """Lists the cyclic pairs, unless partners of their faces are on another processor."""
-    if any(patch.refers and patch.count for patch in boundary):
+    if any(patch.refers and patch.size for patch in boundary):
         return ()
-    return tuple(Periodic(a.name, b.name) for a, b in cyclic_pairs(own) if a.count == b.count > 0)
+    return tuple(Periodic(a.name, b.name) for a, b in cyclic_pairs(own) if a.size == b.size > 0)
 
 
 def _groups(own: Boundary) -> dict[str, tuple[str, ...]]:
@@ -309,7 +309,7 @@ def _in_space(faces: Faces, points: np.ndarray, nodes: Members, planes: Boundary
 
 def _in_plane(faces: Faces, points: np.ndarray, nodes: Members, planes: Boundary) -> Found:
     chosen = np.concatenate([patch.faces for patch in planes])
-    kinds = {patch.type for patch in planes if patch.count}
+    kinds = {patch.type for patch in planes if patch.size}
     sides = [ids for patch in planes if len(ids := nodes.pop(patch.name))]  # no patches of the mesh in one of them
     plane = sector(faces, points, sides) if kinds == {"wedge"} else layer(faces, points, chosen)
     own = {name: plane.ids(ids) for name, ids in nodes.items()}
@@ -350,7 +350,7 @@ def _notes(topology: pathlib.Path, planes: Boundary) -> Iterator[str]:
 def _size(topology: pathlib.Path, name: str) -> int:
     with contextlib.suppress(OSError, ValueError):
         file = load(topology, name)
-        return file.list_at(file.end).count
+        return file.list_at(file.end).size
     return 0
 
 

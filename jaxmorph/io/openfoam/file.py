@@ -6,7 +6,7 @@ import itertools
 import pathlib
 import re
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -31,11 +31,10 @@ Rows = tuple[np.ndarray, np.ndarray]
 """The labels of all faces, and where each face begins (one more at the end)."""
 
 
-@dataclasses.dataclass(frozen=True)
-class List:
-    """Locates a list: `count` elements (-1: not said) from `start`; `uniform` holds one for all."""
+class List(NamedTuple):
+    """Locates a list: `size` elements (-1: not said) from `start`; `uniform` holds one for all."""
 
-    count: int
+    size: int
     start: int
     uniform: bool
 
@@ -80,17 +79,17 @@ class FoamFile:
     def numbers(self, what: str, width: int = 1) -> np.ndarray:
         """Reads the list of `label`s or `scalar`s: (count, width), as int32 or float64."""
         items = self.list_at(self.end)
-        if items.uniform and items.count * width * 8 > UNIFORM + 10 * len(self.raw):
-            raise self.error(f"{items.count} elements that are all equal; a mesh has no such list")
+        if items.uniform and items.size * width * 8 > UNIFORM + 10 * len(self.raw):
+            raise self.error(f"{items.size} elements that are all equal; a mesh has no such list")
         if self.is_binary:
             values = _narrow(self.binary(items, what, width)[0])
         else:
             stop = self.data.find(b"}", items.start) if items.uniform else self.end_of_text(items.start)
-            values = self._parsed(items, stop if items.count else items.start, KINDS[what])
+            values = self._parsed(items, stop if items.size else items.start, KINDS[what])
         if items.uniform and len(values) == width:
-            values = np.tile(values, items.count)
-        if len(values) % width or items.count not in (-1, len(values) // width):
-            raise self.error(f"{items.count} elements of {width} {what}s expected, found {len(values)} numbers")
+            values = np.tile(values, items.size)
+        if len(values) % width or items.size not in (-1, len(values) // width):
+            raise self.error(f"{items.size} elements of {width} {what}s expected, found {len(values)} numbers")
         return values.reshape(-1, width)
 
     def _parsed(self, items: List, stop: int, kind: type, mark: bytes = b" ") -> np.ndarray:
@@ -102,12 +101,12 @@ class FoamFile:
 
     def binary(self, items: List, what: str, width: int = 1) -> tuple[np.ndarray, int]:
         """Views the numbers of a binary list, one element if it is uniform; tells where it ends."""
-        dtype, stored = self.dtype(what), width * (1 if items.uniform else items.count)
-        if items.count == 0:
+        dtype, stored = self.dtype(what), width * (1 if items.uniform else items.size)
+        if items.size == 0:
             return np.zeros(0, dtype), items.start
         end = items.start + stored * dtype.itemsize
-        if items.count < 0 or self.data[end : end + 1] not in (b")", b"}"):
-            message = f"{items.count} elements of {width} {what}s of {dtype.itemsize} bytes do not fit the file"
+        if items.size < 0 or self.data[end : end + 1] not in (b")", b"}"):
+            message = f"{items.size} elements of {width} {what}s of {dtype.itemsize} bytes do not fit the file"
             raise self.error(f"{message}; it is cut short, or its header's arch ({self.header.get('arch')}) is wrong")
         return np.frombuffer(self.data, dtype, stored, items.start), end + 1
 
@@ -127,7 +126,7 @@ class FoamFile:
         """Reads a binary list of lists of older versions: faces with their counts, in turn."""
         items = self.list_at(self.end)
         at, parts = items.start, [np.zeros(0, self.dtype("label"))]
-        for face in range(items.count):
+        for face in range(items.size):
             labels, at = self.binary(self.list_at(at), "label")
             if len(labels) < 3:
                 raise self.error(f"face {face} has {len(labels)} labels; it needs 3 at least")
@@ -140,10 +139,10 @@ class FoamFile:
         values = self._parsed(items, self.end_of_text(items.start), np.int64, b" -1 ")
         begins = np.flatnonzero(values == -1)
         sizes = np.diff(begins, append=len(values) + 1) - 2
-        fits = items.count in (-1, len(begins)) and (begins > 0).all()
+        fits = items.size in (-1, len(begins)) and (begins > 0).all()
         if not fits or (values[begins - 1] != sizes).any() or (sizes < 3).any():
             raise self.error(
-                f"{items.count} faces expected, each as 4(0 1 2 3); found {len(begins)}, or other numbers of labels"
+                f"{items.size} faces expected, each as 4(0 1 2 3); found {len(begins)}, or other numbers of labels"
             )
         return np.delete(values, np.concatenate([begins - 1, begins])), np.append(0, np.cumsum(sizes))
 
@@ -168,9 +167,8 @@ def load(folder: pathlib.Path, name: str) -> FoamFile:
     return FoamFile(path, raw, data, header, match.end())
 
 
-@dataclasses.dataclass(frozen=True)
-class FoamPatch:
-    """An entry of `boundary`: `count` faces from `start` on.
+class FoamPatch(NamedTuple):
+    """An entry of `boundary`: `size` faces from `start` on.
 
     `groups` has it in its `inGroups`, and `neighbour` is its `neighbourPatch`. `refers` is the
     cyclic patch of a `processorCyclic` one. Both are "" for others. `part` is the processor on the
@@ -180,7 +178,7 @@ class FoamPatch:
     name: str
     type: str
     start: int
-    count: int
+    size: int
     groups: tuple[str, ...] = ()
     neighbour: str = ""
     refers: str = ""
@@ -188,7 +186,7 @@ class FoamPatch:
 
     @property
     def end(self) -> int:
-        return self.start + self.count
+        return self.start + self.size
 
     @property
     def faces(self) -> np.ndarray:
@@ -324,7 +322,7 @@ def _check_patches(file: pathlib.Path, boundary: Boundary, faces: Faces) -> None
     count, inner = len(faces.owner), len(faces.neighbour)
     times = np.zeros(count, dtype=np.int64)
     for patch in boundary:
-        if patch.count < 0 or patch.start < 0 or patch.end > count:
+        if patch.size < 0 or patch.start < 0 or patch.end > count:
             raise ValueError(f"{file}: patch {patch.name!r} is faces {patch.start} to {patch.end - 1} of {count}.")
         times[patch.start : patch.end] += 1
     wrong = np.flatnonzero(times != (np.arange(count) >= inner))

@@ -122,7 +122,7 @@ class Decomposed:
 
     def side(self, k: int) -> Side:
         boundary = patches(load(self._mesh_folder(k), "boundary"))
-        if not sum(patch.count for patch in boundary):
+        if not sum(patch.size for patch in boundary):
             raise ValueError(
                 f"{self.folder(k)}: this part has no cells; empty parts are not moved: decompose into fewer parts, or by scotch."
             )

@@ -134,22 +134,22 @@ def _paired(
 
 def _frame(patches: Sequence[np.ndarray], points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Finds the axis of two planes: unit vectors (2, 2, 3) along and away from it, and a point."""
-    size, middles, normals = np.ptp(points, axis=0).max(), [], []
-    for nodes in patches:
-        middles.append(points[nodes].mean(axis=0))
-        normals.append(np.linalg.svd(points[nodes] - middles[-1], full_matrices=False)[2][-1])
-        if np.abs((points[nodes] - middles[-1]) @ normals[-1]).max() > FLAT * size:
-            raise ValueError("a patch of type wedge does not lie in a plane.")
+    size = np.ptp(points, axis=0).max()
+    middles = np.stack([points[nodes].mean(axis=0) for nodes in patches])
+    arms = [points[nodes] - middle for nodes, middle in zip(patches, middles, strict=True)]
+    normals = np.stack([np.linalg.svd(arm, full_matrices=False)[2][-1] for arm in arms])
+    if max(np.abs(arm @ normal).max() for arm, normal in zip(arms, normals, strict=True)) > FLAT * size:
+        raise ValueError("a patch of type wedge does not lie in a plane.")
     axis = np.cross(*normals)
     if not np.linalg.norm(axis) > 1e-9:
         raise ValueError("two patches of type wedge are parallel; a case in two dimensions has patches of type empty.")
     axis = axis / np.linalg.norm(axis) * np.sign(axis[np.abs(axis).argmax()])
     sharp = np.round(axis)
     axis = sharp if np.abs(axis - sharp).max() < FLAT else axis
-    heights = [normal @ middle for normal, middle in zip(normals, middles, strict=True)]
-    origin = np.linalg.lstsq(np.stack([*normals, axis]), np.array([*heights, 0.0]), rcond=None)[0]
+    heights = np.append((normals * middles).sum(axis=1), 0)
+    origin = np.linalg.lstsq(np.vstack([normals, axis]), heights, rcond=None)[0]
     origin = np.where(np.abs(origin) < FLAT * size, 0, origin)
-    away = np.array(middles) - origin
+    away = middles - origin
     away -= (away @ axis)[:, None] * axis
     away /= np.linalg.norm(away, axis=1, keepdims=True)
     return np.stack([np.tile(axis, (2, 1)), away], axis=1), origin
@@ -237,7 +237,7 @@ def cyclic_pairs(boundary: Boundary) -> list[tuple[FoamPatch, FoamPatch]]:
 def check_cyclic(topology: pathlib.Path, old: np.ndarray, new: np.ndarray) -> None:
     """Raises `ValueError` where cyclic patches matched with `old` points, but not with `new`."""
     every = cyclic_pairs(patches(load(topology, "boundary")))
-    pairs = [(a, b) for a, b in every if a.count == b.count > 0]
+    pairs = [(a, b) for a, b in every if a.size == b.size > 0]
     if not pairs or np.array_equal(old, new):
         return
     labels, starts = load(topology, "faces").faces()
@@ -249,7 +249,7 @@ def check_cyclic(topology: pathlib.Path, old: np.ndarray, new: np.ndarray) -> No
             face = int(wrong.argmax())
             raise ValueError(
                 f"the cyclic patches {first.name!r} and {second.name!r} no longer match: {(wrong > MATCH).sum()} of "
-                f"{first.count} pairs of faces miss each other, by up to {wrong[face]:.3g} of the face's size near "
+                f"{first.size} pairs of faces miss each other, by up to {wrong[face]:.3g} of the face's size near "
                 f"({place_of(after[0][0][face])}). Hold both patches fixed, or move both alike."
             )
 
@@ -258,7 +258,7 @@ def _faces(
     points: np.ndarray, labels: np.ndarray, starts: np.ndarray, patch: FoamPatch
 ) -> tuple[np.ndarray, np.ndarray]:
     """Computes middles (k, 3) and sizes (k,), roots of areas, of a patch's faces."""
-    begins = np.asarray(starts[patch.start : patch.start + patch.count + 1], dtype=np.int64)
+    begins = np.asarray(starts[patch.start : patch.start + patch.size + 1], dtype=np.int64)
     corners = points[labels[begins[0] : begins[-1]]]
     begins, sizes = begins - begins[0], np.diff(begins)
     middles = np.add.reduceat(corners, begins[:-1]) / sizes[:, None]
