@@ -198,7 +198,7 @@ def test_what_a_decomposed_case_lacks(divided, tmp_path):
     with pytest.raises(ValueError, match=r"there is no pointProcAddressing.* Run reconstructParMesh -constant"):
         io.Decomposed(divided).surface()
     (divided / "processor1").rename(divided / "processor2")
-    with pytest.raises(ValueError, match="processor1 is missing among 2"):
+    with pytest.raises(ValueError, match="no folder processor1 among 2"):
         io.Decomposed(divided)
 
 

@@ -444,15 +444,6 @@ def test_what_is_not_taken_is_told_by_its_name(folder, change, says):
         config(folder, **given)
 
 
-def test_the_angle_of_attack_is_told_and_left_alone(folder):
-    with pytest.warns(UserWarning, match="ANGLE_OF_ATTACK is left alone"):
-        case = config(folder, "HICKS_HENNE, ANGLE_OF_ATTACK", "(1, 0.3); (1.0)", "0.0, 2.0")
-    x, after = moved(case)
-    np.testing.assert_array_equal(x, after)
-    assert case.names == ("HICKS_HENNE[0]", "ANGLE_OF_ATTACK[1]")
-
-
-# SU2's own tutorials in what concerns the mesh: RAE2822, NACA0012 (unsteady), the wedge, the bend; each with what is said of it
 HALF_BOX = f"0, -1, 0, 1, -1, 0, 1, 1, 0, 0, 1, 0, {', '.join('0' * 12)}"
 TUTORIALS = {
     "RAE2822": ("HICKS_HENNE", "( 1, 0.5 )", "0.01", "OPT_RELAX_FACTOR= 1E2\nOPT_LINE_SEARCH_BOUND= 1E6\n",
@@ -491,12 +482,6 @@ def test_what_su2_would_do_otherwise_is_told_and_its_tutorials_run(folder, case)
     for each, warning in zip(says, told, strict=True):
         assert re.search(each, str(warning.message))
         assert warning.filename == __file__
-
-
-def test_markers_that_the_mesh_lacks_are_left_out(folder):
-    with pytest.warns(UserWarning, match="DV_MARKER= the mesh has no marker flap, slat"):
-        case = config(folder, "HICKS_HENNE", "(1, 0.3)", "0.01", marker="flap, airfoil, slat")
-    assert (case.moving, case.fixed) == (("airfoil",), ("farfield",))
 
 
 @pytest.mark.filterwarnings("default")

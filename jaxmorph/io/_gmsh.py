@@ -71,11 +71,12 @@ class ElementBlock(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class GmshPoints(FilePoints):
-    """A file's points, its section of nodes, and the place of each node's x, see `Stream`."""
+    """A file's points, its section of nodes, the place of each node's x (`Stream`), and its tag."""
 
     section: Section
     form: MeshFormat
     places: np.ndarray
+    tags: np.ndarray
 
     def moved(self, points: np.ndarray) -> Iterator[bytes | bytearray | memoryview]:
         data = self.section.text
@@ -92,15 +93,10 @@ def triples(data: Any) -> np.ndarray:
     return np.ndarray((max(memoryview(data).nbytes - 23, 0),), "V24", data, strides=(1,))
 
 
-@dataclasses.dataclass
 class _Found:
-    form: MeshFormat
-    names: Names = dataclasses.field(default_factory=dict)
-    groups: Groups = dataclasses.field(default_factory=dict)
-    tags: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, np.int64))
-    content: GmshPoints | None = None
-    blocks: list[ElementBlock] = dataclasses.field(default_factory=list)
-    others: dict[str, None] = dataclasses.field(default_factory=dict)
+    def __init__(self, form: MeshFormat):
+        self.form, self.content = form, None
+        self.names, self.groups, self.blocks, self.others = {}, {}, [], {}
 
     def take(self, name: str, section: Section) -> None:
         if name == "PhysicalNames":
@@ -111,9 +107,9 @@ class _Found:
             if self.content is not None:
                 raise ValueError("a second one; gmsh adds a view without the mesh if PostProcessing.SaveMesh is 0")
             stream = Stream(section, self.form, np.float64)
-            self.tags, places = nodes(stream, name == "ParametricNodes")
+            tags, places = nodes(stream, name == "ParametricNodes")
             points = triples(stream.data)[places].view(stream.types["d"]).reshape(-1, 3).astype(float)
-            self.content = GmshPoints(points, section, self.form, places)
+            self.content = GmshPoints(points, section, self.form, places, tags)
         elif name in ELEMENTS:
             self.blocks = elements(Stream(section, self.form, np.int64), self.groups)
         elif name not in ("MeshFormat", "Comments"):
@@ -128,10 +124,10 @@ def read(path: pathlib.Path) -> Parts:
     """
     found = _read(path)
     content = found.content
-    if content is None or not len(found.tags) or not found.blocks:
+    if content is None or not len(content.tags) or not found.blocks:
         raise ValueError(f"{path}: no mesh, the file holds no $Nodes or no $Elements, or none in them.")
     with faults_of(path):
-        blocks = _numbered(found.blocks, found.tags)
+        blocks = _numbered(found.blocks, content.tags)
     groups = list(_groups(blocks, found.names))
     cells = [(block.kind, reordered(block.kind, block.corners, GMSH, None)) for block in blocks]
     top = max(DIMENSION.get(kind, 0) for kind, _ in cells)

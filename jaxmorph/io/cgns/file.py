@@ -96,7 +96,7 @@ def _read_cells(zones: list[Zone], dimension: int, points: np.ndarray) -> None:
         blocks = [block for block in content.blocks if LEVEL[block.kind] == dimension]
         if not blocks:
             raise zone.error(f"no cells of {dimension} dimensions")
-        zone.content = dataclasses.replace(content, blocks=blocks, dimension=dimension)
+        zone.content = content._replace(blocks=blocks, dimension=dimension)
 
 
 def _other_grids(zones: list[Zone]) -> Iterator[str]:

@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 import pathlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -129,19 +129,21 @@ class ElementSection(NamedTuple):
     vertices: Any
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class ZoneContent:
-    """Cells and boundary elements of a zone by type, known outer faces, and all its elements.
+class ZoneContent(NamedTuple):
+    """Cells and boundary elements of a zone by type, all its elements, and known outer faces.
 
     `elements` stand by the number of their first one, `whole` has all polyhedral cells, and
     `dimension` is that of the base's cells.
     """
 
     blocks: list[Block]
-    sides: list[np.ndarray] = dataclasses.field(default_factory=list)
-    elements: dict[int, ElementSection] = dataclasses.field(default_factory=dict)
+    elements: dict[int, ElementSection]
+    sides: Sequence[np.ndarray] = ()
     whole: Polyhedra | None = None
     dimension: int = 3
+
+
+NOTHING = ZoneContent([], {})
 
 
 @dataclasses.dataclass(eq=False)
@@ -167,7 +169,7 @@ class Zone:
     shape: tuple[int, ...]
     is_structured: bool
     first: int
-    content: ZoneContent = dataclasses.field(default_factory=lambda: ZoneContent([]))
+    content: ZoneContent = NOTHING
 
     @functools.cached_property
     def conditions(self) -> list[Condition]:
@@ -212,7 +214,7 @@ class Zone:
             ids = block_ids(self.shape, self.first)
             if ids.ndim < 2:
                 raise self.error(f"a block of {' x '.join(map(str, self.shape))} vertices has no cells")
-            return ZoneContent([Block(*block_cells(ids))], block_sides(ids))
+            return ZoneContent([Block(*block_cells(ids))], {}, block_sides(ids))
         blocks, elements, polygons, volumes = [], {}, [], []
         for name, node in children(self.group, "Elements_t"):
             section = _Section(self, name, node)
@@ -230,7 +232,7 @@ class Zone:
                     elements[begin] = ElementSection(name, DIMENSION[number], ids)
                     blocks.append(Block(TYPES[number], ids))
         return self._with_polyhedra(
-            ZoneContent(blocks, elements=elements), sorted(polygons, key=lambda each: each[0]), volumes, points
+            ZoneContent(blocks, elements), sorted(polygons, key=lambda each: each[0]), volumes, points
         )
 
     def _with_polyhedra(
@@ -252,7 +254,7 @@ class Zone:
             blocks, outer, whole = polyhedra(faces, points, self.first)
         except ValueError as error:
             raise self.error(str(error)) from error
-        return dataclasses.replace(content, blocks=content.blocks + blocks, sides=outer, whole=whole)
+        return content._replace(blocks=content.blocks + blocks, sides=outer, whole=whole)
 
 
 class _Section:

@@ -1,7 +1,6 @@
 """OpenFOAM's files, ascii or binary, plain or compressed: numbers, patches, checked faces."""
 
 import collections
-import dataclasses
 import itertools
 import pathlib
 import re
@@ -39,8 +38,7 @@ class List(NamedTuple):
     uniform: bool
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class FoamFile:
+class FoamFile(NamedTuple):
     """A file of a mesh: `raw` as on disk, `data` unpacked, its header, and the header's end."""
 
     path: pathlib.Path

@@ -1,13 +1,12 @@
 """Decomposed cases, each part read and written by itself; plans for OpenFOAM's motion solver."""
 
 import contextlib
-import dataclasses
 import itertools
 import os
 import pathlib
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Int
@@ -35,8 +34,7 @@ AGREE = 1e-5
 """Distance between copies of a shared point, relative to coordinates: single precision."""
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Side:
+class Side(NamedTuple):
     """The outside of one part of a mesh: what the whole mesh's surface is gathered from.
 
     All ids are the whole mesh's.
@@ -108,9 +106,9 @@ class Decomposed:
 
     def folder(self, k: int) -> pathlib.Path:
         """Returns the folder of part `k`. Raises `ValueError` for a part that is not there."""
-        if isinstance(k, bool) or not isinstance(k, int | np.integer) or not 0 <= k < self.count:
+        if k not in range(self.count):
             raise ValueError(f"{self.path}: `k` is {k!r}; parts have the numbers 0 to {self.count - 1}.")
-        return self.path / f"processor{k}"
+        return self.path / f"processor{int(k)}"
 
     def read(self, k: int) -> Mesh:
         """Reads part `k` as `io.read` does; the last one is kept."""
@@ -245,17 +243,14 @@ def _count(path: pathlib.Path) -> int:
             f"{path}: folders {collated}; collated files are not read: run decomposePar -fileHandler uncollated."
         )
     numbers = {int(name) for name in names if name.isdecimal()}
-    if not numbers:
-        raise ValueError(f"{path}: the case is not decomposed, there is no folder processor0. {REMEDY}.")
-    missing = sorted({*range(len(numbers))} - numbers)
+    missing = sorted({*range(max(len(numbers), 1))} - numbers)
     if missing:
-        lacks = f"processor{missing[0]} is missing among {len(numbers)}"
+        lacks = f"there is no folder processor{missing[0]} among {len(numbers)}"
         raise ValueError(f"{path}: the case is not decomposed, {lacks}. {REMEDY}.")
     return len(numbers)
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Writer:
+class Writer(NamedTuple):
     """Takes the moved parts of a decomposed case; `Decomposed.writing` makes it."""
 
     case: Decomposed

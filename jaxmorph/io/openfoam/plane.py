@@ -1,9 +1,9 @@
 """OpenFOAM's 2-D and axisymmetric cases, one layer of cells between two planes; cyclic patches."""
 
-import dataclasses
 import itertools
 import pathlib
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,8 +22,7 @@ ROUNDING = 1e-12
 """Distance of a node off its axis, relative to the mesh's extent, that is written as zero."""
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Front:
+class Front(NamedTuple):
     """Nodes of two planes with one layer of cells between them; the 2-D mesh is the one in front.
 
     - `kind`: the type of their patches, empty or wedge.
@@ -61,7 +60,7 @@ class Front:
         if self.kind == "empty":
             return self
         axes, origin = _frame((self.front, np.unique(self.back)), points)
-        return dataclasses.replace(self, axes=axes, origin=origin)
+        return self._replace(axes=axes, origin=origin)
 
     def in_plane(self, points: np.ndarray) -> np.ndarray:
         plane = (points[self.front] - self.origin) @ self.axes[0].T
