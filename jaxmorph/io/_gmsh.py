@@ -466,12 +466,12 @@ def write(path: pathlib.Path, mesh: MeshLike) -> None:
 
 def _new(mesh: MeshLike) -> Iterator[bytes]:
     """Yields a new file in pieces; an element has its group's tag as group and as entity."""
-    points, names = np.asarray(mesh.points, float), []
+    points, markers = np.asarray(mesh.points, float), patch_faces(mesh)
     blocks = [(kind, 0, np.asarray(ids)) for kind, ids in mesh.cells.items()]
-    for tag, (name, faces) in enumerate(patch_faces(mesh).items(), start=1):
-        own = [(kind, tag, corners) for kind, corners in faces.items() if len(corners)]
-        names += [f'{DIMENSION[kind]} {tag} "{name}"\n' for kind, *_ in own[:1]]
-        blocks += own
+    level = DIMENSION[blocks[0][0]] - 1
+    names = [f'{level} {tag} "{name}"\n' for tag, name in enumerate(markers, start=1)]
+    for tag, faces in enumerate(markers.values(), start=1):
+        blocks += [(kind, tag, corners) for kind, corners in faces.items() if len(corners)]
     yield b"$MeshFormat\n2.2 1 8\n" + np.array(1, "<i4").tobytes() + b"\n$EndMeshFormat\n"
     if names:
         yield f"$PhysicalNames\n{len(names)}\n{''.join(names)}$EndPhysicalNames\n".encode()

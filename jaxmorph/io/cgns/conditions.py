@@ -48,10 +48,9 @@ class Connection(NamedTuple):
 
 
 def interfaces(zone: Zone) -> Iterator[Interface]:
-    for _, connectivity in children(zone.group, "ZoneGridConnectivity_t"):
-        for label in INTERFACES:
-            for name, node in children(connectivity, label):
-                yield Interface(label, name, node, first(first(node, "GridConnectivityProperty_t"), "Periodic_t"))
+    for label in INTERFACES:
+        for name, node in children(zone.group, "ZoneGridConnectivity_t", label):
+            yield Interface(label, name, node, first(node, "GridConnectivityProperty_t", "Periodic_t"))
 
 
 def connections(zones: list[Zone]) -> Iterator[Connection]:
@@ -232,7 +231,7 @@ def kinds_of(file: Any, conditions: list[Condition]) -> dict[str, str]:
 
 
 def _of_families(file: Any, label: str) -> dict[str, list[str]]:
-    families = [family for _, base in children(file, "CGNSBase_t") for family in children(base, "Family_t")]
+    families = children(file, "CGNSBase_t", "Family_t")
     return {name: [word(node) for _, node in children(family, label) if " data" in node] for name, family in families}
 
 

@@ -193,8 +193,8 @@ def plane_cells(
             f"patches of type {plane.kind} have {len(front)} faces in front of {faces.count} cells, not one each: "
             "the mesh is not one layer of cells between them. Give these patches another type, such as patch."
         )
-    blocks = [(kind, front[sizes == c], c) for kind, c in (("triangle", 3), ("quad", 4))]
-    parts = [(kind, faces.corners(rows, c), faces.owner[rows]) for kind, rows, c in blocks]
+    kinds = (("triangle", 3), ("quad", 4))
+    parts = [(kind, faces.corners(front[sizes == c], c), owner[sizes == c]) for kind, c in kinds]
     cut, whole = front[sizes > 4], None
     if len(cut):
         if plane.kind == "wedge":
