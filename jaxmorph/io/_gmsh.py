@@ -5,7 +5,7 @@ import dataclasses
 import pathlib
 import re
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -48,8 +48,7 @@ Nodes = tuple[np.ndarray, np.ndarray]
 """Tags of nodes, and the place of each one's x."""
 
 
-@dataclasses.dataclass(frozen=True)
-class MeshFormat:
+class MeshFormat(NamedTuple):
     """A file's version (1, 2, 4.0, 4.1), text or binary, byte order and bytes of a size.
 
     In version 2.0 itself, without `has_levels`, names of groups may come without a dimension.
@@ -62,8 +61,7 @@ class MeshFormat:
     has_levels: bool = True
 
 
-@dataclasses.dataclass(frozen=True)
-class ElementBlock:
+class ElementBlock(NamedTuple):
     """Elements of one type: node tags (k, corners), and the rows of each physical group."""
 
     kind: str
@@ -73,11 +71,12 @@ class ElementBlock:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class GmshPoints(FilePoints):
-    """A file's points, its section of nodes, and the place of each node's x, see `Stream`."""
+    """A file's points, its section of nodes, the place of each node's x (`Stream`), and its tag."""
 
     section: Section
     form: MeshFormat
     places: np.ndarray
+    tags: np.ndarray
 
     def moved(self, points: np.ndarray) -> Iterator[bytes | bytearray | memoryview]:
         data = self.section.text
@@ -94,15 +93,10 @@ def triples(data: Any) -> np.ndarray:
     return np.ndarray((max(memoryview(data).nbytes - 23, 0),), "V24", data, strides=(1,))
 
 
-@dataclasses.dataclass
 class _Found:
-    form: MeshFormat
-    names: Names = dataclasses.field(default_factory=dict)
-    groups: Groups = dataclasses.field(default_factory=dict)
-    tags: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, np.int64))
-    content: GmshPoints | None = None
-    blocks: list[ElementBlock] = dataclasses.field(default_factory=list)
-    others: dict[str, None] = dataclasses.field(default_factory=dict)
+    def __init__(self, form: MeshFormat):
+        self.form, self.content = form, None
+        self.names, self.groups, self.blocks, self.others = {}, {}, [], {}
 
     def take(self, name: str, section: Section) -> None:
         if name == "PhysicalNames":
@@ -113,9 +107,9 @@ class _Found:
             if self.content is not None:
                 raise ValueError("a second one; gmsh adds a view without the mesh if PostProcessing.SaveMesh is 0")
             stream = Stream(section, self.form, np.float64)
-            self.tags, places = nodes(stream, name == "ParametricNodes")
+            tags, places = nodes(stream, name == "ParametricNodes")
             points = triples(stream.data)[places].view(stream.types["d"]).reshape(-1, 3).astype(float)
-            self.content = GmshPoints(points, section, self.form, places)
+            self.content = GmshPoints(points, section, self.form, places, tags)
         elif name in ELEMENTS:
             self.blocks = elements(Stream(section, self.form, np.int64), self.groups)
         elif name not in ("MeshFormat", "Comments"):
@@ -130,10 +124,10 @@ def read(path: pathlib.Path) -> Parts:
     """
     found = _read(path)
     content = found.content
-    if content is None or not len(found.tags) or not found.blocks:
+    if content is None or not len(content.tags) or not found.blocks:
         raise ValueError(f"{path}: no mesh, the file holds no $Nodes or no $Elements, or none in them.")
     with faults_of(path):
-        blocks = _numbered(found.blocks, found.tags)
+        blocks = _numbered(found.blocks, content.tags)
     groups = list(_groups(blocks, found.names))
     cells = [(block.kind, reordered(block.kind, block.corners, GMSH, None)) for block in blocks]
     top = max(DIMENSION.get(kind, 0) for kind, _ in cells)
@@ -200,7 +194,7 @@ def sections(path: pathlib.Path, data: bytes, at: int) -> Iterator[tuple[str, Se
 
 
 def physical_names(section: Section, form: MeshFormat) -> Names:
-    count, *rows = [row for row in section.content.split(b"\n") if row.strip()] or [b""]
+    count, *rows = list(filter(bytes.strip, section.content.split(b"\n"))) or [b""]
     if count.strip() != b"%d" % len(rows):
         raise section.error(f"{len(rows)} lines of names in $PhysicalNames; as many as announced expected.")
     names: Names = {}
@@ -228,7 +222,7 @@ def _numbered(blocks: list[ElementBlock], tags: np.ndarray) -> list[ElementBlock
         wrong = block.corners[tags[ids] != block.corners]
         if len(wrong):
             raise ValueError(f"a {block.kind} between nodes of which {wrong[0]} is none of the {len(tags)} in $Nodes.")
-        numbered.append(dataclasses.replace(block, corners=ids))
+        numbered.append(block._replace(corners=ids))
     return numbered
 
 
@@ -394,22 +388,20 @@ def _lines(stream: Stream) -> Iterator[tuple[str, np.ndarray]]:
     if not len(rows.counts) or rows.counts[0] != 1 or rows.values[0] != len(rows.counts) - 1:
         raise stream.section.error(f"{len(rows.counts) - 1} lines of elements, not as many as announced.", 0)
     values, counts, first = rows.values, rows.counts[1:], rows.first[1:]
-    is_first = stream.version < 2
-    head, at = (5, [2, 3]) if is_first else (3, [3, 4])
     message = "an element has a number, a type, and numbers of tags or of nodes."
-    rows.refuse(1 + np.flatnonzero(counts < head), lambda k: message)
+    rows.refuse(1 + np.flatnonzero(counts < (5 if stream.version < 2 else 4)), lambda k: message)
+    if stream.version < 2:  # two tags and the number of nodes become the number of tags and two tags
+        places = first[:, None] + np.arange(2, 5)
+        values[places] = np.insert(values[places[:, :2]], 0, 2, axis=1)
     types = values[first + 1]
     for number in dict.fromkeys(types.tolist()):
         kind, corners = _kind(number)
         chosen = np.flatnonzero(types == number)
-        start, size = first[chosen, None], counts[chosen]
-        told = values[start[:, 0] + head - 1]  # of nodes, or of tags
-        tags, nodes = (0, told) if is_first else (told, corners)
-        wrong = (size != head + tags + nodes) | (nodes != corners) | (told < 0)
+        start, tags, stop = first[chosen, None], values[first[chosen, None] + 2], (first + counts)[chosen, None]
+        wrong = ((tags < 0) | (stop - start != 3 + tags + corners)).ravel()
         rows.refuse(1 + chosen[wrong], lambda k: f"{counts[k - 1]} numbers, not those of its type and tags.")
-        table = values[np.minimum(start + at, len(values) - 1)]
-        table *= np.arange(2) < (2 if is_first else told[:, None])
-        yield kind, np.concatenate([table, values[start + size[:, None] + np.arange(-corners, 0)]], axis=1)
+        table = values[np.minimum(start + np.arange(3, 5), len(values) - 1)] * (np.arange(2) < tags)
+        yield kind, np.concatenate([table, values[stop + np.arange(-corners, 0)]], axis=1)
 
 
 def _old_blocks(stream: Stream) -> Iterator[tuple[str, np.ndarray]]:
@@ -474,12 +466,12 @@ def write(path: pathlib.Path, mesh: MeshLike) -> None:
 
 def _new(mesh: MeshLike) -> Iterator[bytes]:
     """Yields a new file in pieces; an element has its group's tag as group and as entity."""
-    points, names = np.asarray(mesh.points, float), []
+    points, markers = np.asarray(mesh.points, float), patch_faces(mesh)
     blocks = [(kind, 0, np.asarray(ids)) for kind, ids in mesh.cells.items()]
-    for tag, (name, faces) in enumerate(patch_faces(mesh).items(), start=1):
-        own = [(kind, tag, corners) for kind, corners in faces.items() if len(corners)]
-        names += [f'{DIMENSION[kind]} {tag} "{name}"\n' for kind, *_ in own[:1]]
-        blocks += own
+    level = DIMENSION[blocks[0][0]] - 1
+    names = [f'{level} {tag} "{name}"\n' for tag, name in enumerate(markers, start=1)]
+    for tag, faces in enumerate(markers.values(), start=1):
+        blocks += [(kind, tag, corners) for kind, corners in faces.items() if len(corners)]
     yield b"$MeshFormat\n2.2 1 8\n" + np.array(1, "<i4").tobytes() + b"\n$EndMeshFormat\n"
     if names:
         yield f"$PhysicalNames\n{len(names)}\n{''.join(names)}$EndPhysicalNames\n".encode()

@@ -1,7 +1,6 @@
 """Sensitivities by nodes, as adjoint solvers write them, and derivatives by design variables."""
 
 import csv
-import dataclasses
 import io
 import json
 import re
@@ -123,7 +122,7 @@ def read_point_vectors(path: Path, mesh: Mesh) -> Float[ndarray, "n d"]:
         raise file.error(f"a pointVectorField with a list of vectors expected, found {found}")
     stop = None if file.is_binary else _END.search(file.data, entry.end())
     data = file.data if stop is None else file.data[: stop.end()]
-    values, content = dataclasses.replace(file, data=data, end=entry.end()).numbers("scalar", 3), source.content
+    values, content = file._replace(data=data, end=entry.end()).numbers("scalar", 3), source.content
     if len(values) != len(content.points):
         raise file.error(f"{len(content.points)} vectors expected, one for each point of the case, found {len(values)}")
     return values if content.plane is None else content.plane.added(values)

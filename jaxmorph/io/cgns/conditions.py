@@ -2,7 +2,6 @@
 
 import collections
 import contextlib
-import dataclasses
 import itertools
 from collections.abc import Collection, Iterable, Iterator
 from typing import Any, NamedTuple
@@ -37,8 +36,7 @@ class Interface(NamedTuple):
         return self.label == ONE_TO_ONE and self.turn is None
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Connection:
+class Connection(NamedTuple):
     """A periodic interface: nodes of zone and donor, centre and angles, zero if translated."""
 
     zone: str
@@ -50,10 +48,9 @@ class Connection:
 
 
 def interfaces(zone: Zone) -> Iterator[Interface]:
-    for _, connectivity in children(zone.group, "ZoneGridConnectivity_t"):
-        for label in INTERFACES:
-            for name, node in children(connectivity, label):
-                yield Interface(label, name, node, first(first(node, "GridConnectivityProperty_t"), "Periodic_t"))
+    for label in INTERFACES:
+        for name, node in children(zone.group, "ZoneGridConnectivity_t", label):
+            yield Interface(label, name, node, first(node, "GridConnectivityProperty_t", "Periodic_t"))
 
 
 def connections(zones: list[Zone]) -> Iterator[Connection]:
@@ -87,27 +84,20 @@ def name_patches(zones: list[Zone]) -> list[str]:
     """Names the patch of each boundary condition; returns notes on those of one name.
 
     Conditions of one family are one patch, and so are those of one name and type without a family.
-    One of another type, or with the name of a family, is a patch of its own, named by the zone too.
+    A patch with the name of another one is named by the zone too; families keep their names.
     """
-    every = list(itertools.chain(*(zone.conditions for zone in zones)))
-    # the types of the patches that have a name already, "family" for families
-    kinds = {condition.family: "family" for condition in every if condition.family}
+    names: dict[Any, str] = {}
     notes, members = [], collections.Counter()
-    for condition in every:
-        name, kind = condition.name, condition.kind
-        if condition.family:
-            continue
-        if kinds.setdefault(name, kind) == kind:
-            members[name] += 1
-            continue
-        while condition.patch in kinds:
-            condition.patch += f"_{condition.zone}"
-        kinds[condition.patch] = kind
-        other = {"family": "family"}.get(kinds[name], "condition of another type")
-        notes.append(
-            f"the boundary condition {name} of zone {condition.zone} is called as a {other}: "
-            f"it is the patch {condition.patch}."
-        )
+    every = itertools.chain(*(zone.conditions for zone in zones))
+    for condition in sorted(every, key=lambda each: not each.family):
+        key, patch = condition.family or (condition.name, condition.kind), condition.patch
+        while key not in names and patch in names.values():
+            patch += f"_{condition.zone}"
+        if patch != condition.patch:
+            place = f"the boundary condition {condition.name} of zone {condition.zone}"
+            notes.append(f"{place} is called as another patch: it is the patch {patch}.")
+        condition.patch = names.setdefault(key, patch)
+        members[condition.patch] += not condition.family
     text = "the boundary conditions {} of {} zones, of one type, are one patch."
     return notes + [text.format(name, count) for name, count in members.items() if count > 1]
 
@@ -134,7 +124,8 @@ def _joints(zone: Zone) -> set[bytes]:
     for each in interfaces(zone):
         if each.is_joint and each.choice == "PointRange":
             with contextlib.suppress(ValueError):  # a wrong range of an interface does no harm
-                joined.add(np.unique(_picked(zone, each.name, each.node, "PointRange", "Vertex")).tobytes())
+                nodes = _picked(zone, each.name, each.node, "PointRange", "Vertex")
+                joined.add(b"" if nodes is None else np.unique(nodes).tobytes())
     return joined
 
 
@@ -240,7 +231,7 @@ def kinds_of(file: Any, conditions: list[Condition]) -> dict[str, str]:
 
 
 def _of_families(file: Any, label: str) -> dict[str, list[str]]:
-    families = [family for _, base in children(file, "CGNSBase_t") for family in children(base, "Family_t")]
+    families = children(file, "CGNSBase_t", "Family_t")
     return {name: [word(node) for _, node in children(family, label) if " data" in node] for name, family in families}
 
 

@@ -1,5 +1,6 @@
 """CGNS, structured and unstructured: a copy of the file with other coordinates, rest untouched."""
 
+import collections
 import dataclasses
 import itertools
 import pathlib
@@ -21,6 +22,7 @@ from .conditions import Connection, connections, left_interfaces, name_patches, 
 from .zone import DIMENSION, TYPES, Zone, children, data, first, word
 
 NAME = "CGNS"
+Members = dict[str, list[np.ndarray]]
 LEVEL = {TYPES[number]: dimension for number, dimension in DIMENSION.items()}
 
 
@@ -36,7 +38,7 @@ def read(path: pathlib.Path) -> Parts:
         points = points_of(coordinates, zones[-1].rows.stop, max(each.columns.stop for each in coordinates))
         singles = singles_of(coordinates)
         _read_cells(zones, dimension, points)
-        notes = [*_other_bases(file, dimension), *_other_grids(zones), *name_patches(zones)]
+        notes = [*_others(file, zones, dimension), *name_patches(zones)]
         of_patch, faces, regions = _patches(zones)
         found = list(connections(zones))
         notes += [*regions_note(regions), *_left(zones, found, of_patch)]
@@ -69,7 +71,7 @@ def open_zones(path: pathlib.Path, file: Any) -> tuple[list[Zone], int]:
             f"{path}: {len(bases)} bases of {most}-D cells in this file ({', '.join(bases)}); one is read."
         )
     zones, start = [], 0
-    for name, group in (child for base in bases.values() for child in children(base, "Zone_t")):
+    for name, group in children(next(iter(bases.values()), {}), "Zone_t"):
         is_structured = word(first(group, "ZoneType_t"), "Structured") == "Structured"
         sizes = np.atleast_2d(data(group))[0]
         shape = tuple(map(int, sizes if is_structured else sizes[:1]))
@@ -95,18 +97,12 @@ def _read_cells(zones: list[Zone], dimension: int, points: np.ndarray) -> None:
         blocks = [block for block in content.blocks if LEVEL[block.kind] == dimension]
         if not blocks:
             raise zone.error(f"no cells of {dimension} dimensions")
-        zone.content = dataclasses.replace(content, blocks=blocks, dimension=dimension)
-
-
-def _other_grids(zones: list[Zone]) -> Iterator[str]:
-    steps = [zone.name for zone in zones if len(list(children(zone.group, "GridCoordinates_t"))) > 1]
-    if steps:
-        yield f"of several GridCoordinates of the zones {', '.join(steps)} the first are read, and moved."
+        zone.content = content._replace(blocks=blocks, dimension=dimension)
 
 
 def _patches(
     zones: list[Zone],
-) -> tuple[dict[str, list[np.ndarray]], list[np.ndarray], list[str]]:
+) -> tuple[Members, list[np.ndarray], list[str]]:
     of_patch, faces, regions = {}, [], []
     for zone in zones:
         for name, nodes in patches(zone):
@@ -114,17 +110,21 @@ def _patches(
                 regions.append(name)
             else:
                 of_patch.setdefault(name, []).append(nodes)
-        faces += zone.content.sides or _outer(zone)
+        alone = gathered(block[:2] for block in zone.content.blocks)
+        faces += zone.content.sides or boundary_faces(alone, zone.rows.stop).values()
     return of_patch, faces, regions
 
 
-def _other_bases(file: Any, dimension: int) -> Iterator[str]:
+def _others(file: Any, zones: list[Zone], dimension: int) -> Iterator[str]:
     for name, _, level in _bases(file):
         if level < dimension:
             yield f"the base {name} of {level}-D cells is not read, and stays in the file."
+    steps = [zone.name for zone in zones if len(list(children(zone.group, "GridCoordinates_t"))) > 1]
+    if steps:
+        yield f"of several GridCoordinates of the zones {', '.join(steps)} the first are read, and moved."
 
 
-def _left(zones: list[Zone], found: list[Connection], patches: dict[str, list[np.ndarray]]) -> Iterator[str]:
+def _left(zones: list[Zone], found: list[Connection], patches: Members) -> Iterator[str]:
     inside = np.zeros(zones[-1].rows.stop, bool)
     inside[np.concatenate([np.zeros(0, np.int64), *itertools.chain(*patches.values())])] = True
     sections = itertools.chain(*(zone.outer_sections() for zone in zones))
@@ -137,20 +137,18 @@ def _left(zones: list[Zone], found: list[Connection], patches: dict[str, list[np
         yield f"interfaces without equal nodes on both sides are not read: {', '.join(interfaces)}."
 
 
-def _pairs(found: list[Connection], patches: dict[str, list[np.ndarray]]) -> list[tuple[str, str, Connection]]:
-    names: list[str] = []
-    for interface in found:
-        is_taken = interface.name in patches or sum(interface.name == other.name for other in found) > 1
-        names.append(f"{interface.zone}/{interface.name}" if is_taken else interface.name)
-        patches[names[-1]] = [interface.nodes]
+def _pairs(found: list[Connection], patches: Members) -> list[tuple[str, str, Connection]]:
+    names, counts = {}, collections.Counter(each.name for each in found)
+    for each in found:
+        is_taken = each.name in patches or counts[each.name] > 1
+        name = f"{each.zone}/{each.name}" if is_taken else each.name
+        names[each.nodes.tobytes()], patches[name] = name, [each.nodes]
     pairs: dict[frozenset[str], tuple[str, str, Connection]] = {}
-    for name, interface in zip(names, found, strict=True):
-        of_nodes = (n for n, other in zip(names, found, strict=True) if np.array_equal(other.nodes, interface.others))
-        partner = next(of_nodes, None)
-        if partner is None:
-            partner = f"{name} donor"
-            patches[partner] = [interface.others]
-        pairs.setdefault(frozenset((name, partner)), (name, partner, interface))
+    for each in found:
+        name = names[each.nodes.tobytes()]
+        partner = names.setdefault(each.others.tobytes(), f"{name} donor")
+        patches.setdefault(partner, [each.others])
+        pairs.setdefault(frozenset((name, partner)), (name, partner, each))
     return list(pairs.values())
 
 
@@ -162,7 +160,7 @@ def _periodic(first: str, second: str, interface: Connection, is_flat: bool) -> 
     return Periodic(first, second, about=about, axis=None if is_flat else interface.angles)
 
 
-def _whole(zones: list[Zone], node: np.ndarray | None) -> tuple[Polyhedra, np.ndarray] | tuple[None, None]:
+def _whole(zones: list[Zone], node: Any) -> tuple[Polyhedra, np.ndarray] | tuple[None, None]:
     """Joins all zones' cells where some are cut; with each cell's number, types as in the mesh."""
     if not any(len(getattr(zone.content.whole, "cut", ())) for zone in zones):
         return None, None
@@ -180,13 +178,6 @@ def _whole(zones: list[Zone], node: np.ndarray | None) -> tuple[Polyhedra, np.nd
                 first += len(corners)
             else:
                 ids.append((kind, start + cell))
-    faces = joined_faces(
-        [dataclasses.replace(part, labels=part.labels if node is None else node[part.labels]) for part in parts]
-    )
+    faces = joined_faces([dataclasses.replace(part, labels=node[part.labels]) for part in parts])
     numbers = np.concatenate([cells for _, cells in sorted(gathered(ids).items())])
     return Polyhedra(faces, np.concatenate(cut)), numbers
-
-
-def _outer(zone: Zone) -> list[np.ndarray]:
-    alone = gathered((kind, corners - zone.first) for kind, corners, _ in zone.content.blocks)
-    return [corners + zone.first for corners in boundary_faces(alone, zone.count).values()]

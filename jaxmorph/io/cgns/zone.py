@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 import pathlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -57,14 +57,15 @@ def polyhedra(faces: Faces, points: np.ndarray, first: int) -> tuple[list[Block]
     return blocks, outer, Polyhedra(faces, whole.cut)
 
 
-def _sides(begins: np.ndarray, cells: list[Ragged]) -> np.ndarray:
-    """Finds the cells (2, n) on both sides of the faces of numbers `begins`, -1 for none."""
+def _sides(numbers: np.ndarray, cells: list[Ragged]) -> np.ndarray:
+    """Finds the cells (2, n) on both sides of faces by their `numbers`, -1 for none."""
     used = np.concatenate([rows.values for rows in cells])
     cell = np.repeat(np.arange(sum(map(len, cells))), np.concatenate([np.diff(rows.starts) for rows in cells]))
-    face = np.minimum(np.searchsorted(begins, np.abs(used)), len(begins) - 1)
-    if (begins[face] != np.abs(used)).any():
+    order = np.argsort(numbers)
+    face = order[np.minimum(np.searchsorted(numbers, np.abs(used), sorter=order), len(numbers) - 1)]
+    if (numbers[face] != np.abs(used)).any():
         raise ValueError("NFACE_n names faces that are in no section NGON_n")
-    sides = np.full((2, len(begins)), -1)
+    sides = np.full((2, len(numbers)), -1)
     sides[(used < 0).astype(int), face] = cell
     if (sides >= 0).sum() != len(used):
         raise ValueError("NFACE_n has faces on the same side of two cells")
@@ -73,7 +74,7 @@ def _sides(begins: np.ndarray, cells: list[Ragged]) -> np.ndarray:
 
 def _faces(labels: np.ndarray, sizes: np.ndarray, sides: np.ndarray) -> Faces:
     """Makes faces of those that have a cell; one with a cell only behind it is turned round."""
-    turned, has_cell = (sides[0] < 0) & (sides[1] >= 0), (sides >= 0).any(axis=0)
+    turned, has_cell = (sides[0] < 0) & (sides[1] >= 0), sides.max(axis=0) >= 0
     ends = np.cumsum(sizes)
     starts = ends - sizes
     rows, which = spread(starts, ends)
@@ -95,15 +96,20 @@ MIXED, NGON, NFACE = 20, 22, 23
 DIMENSION = {number: topology.DIMENSION.get(kind, 0) for number, kind in TYPES.items()}
 
 
-def children(group: Any, label: str) -> Iterator[tuple[str, Any]]:
+def children(group: Any, label: str, *inner: str) -> Iterator[tuple[str, Any]]:
+    """Yields names and nodes of a label in a group, or of the last label in those of the others."""
     for name in group:
         child = group[name]
-        if hasattr(child, "keys") and text(child.attrs.get("label", b"")) == label:
+        if not hasattr(child, "keys") or text(child.attrs.get("label", b"")) != label:
+            continue
+        if inner:
+            yield from children(child, *inner)
+        else:
             yield (decoded(name) if isinstance(name, bytes) else name), child  # h5py: bytes unless UTF-8
 
 
-def first(group: Any, label: str) -> Any:
-    return None if group is None else next((child for _, child in children(group, label)), None)
+def first(group: Any, *labels: str) -> Any:
+    return next((child for _, child in children(group, *labels)), None)
 
 
 def text(value: Any) -> str:
@@ -119,30 +125,31 @@ def word(group: Any, default: str = "") -> str:
     return text(data(group).tobytes()) if group is not None and " data" in group else default
 
 
-Polygons = tuple[int, Ragged, np.ndarray]
-"""Faces of a section: number of the first, vertices, and cells (2, n) on both sides, 0 for none."""
+Polygons = tuple[np.ndarray, ...]
+"""Faces of a section: numbers, vertices, sizes, and cells (n, 2) on both sides, 0 for none."""
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class ElementSection:
+class ElementSection(NamedTuple):
     section: str
     dimension: int
     vertices: Any
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class ZoneContent:
-    """Cells and boundary elements of a zone by type, known outer faces, and all its elements.
+class ZoneContent(NamedTuple):
+    """Cells and boundary elements of a zone by type, all its elements, and known outer faces.
 
     `elements` stand by the number of their first one, `whole` has all polyhedral cells, and
     `dimension` is that of the base's cells.
     """
 
     blocks: list[Block]
-    sides: list[np.ndarray] = dataclasses.field(default_factory=list)
-    elements: dict[int, ElementSection] = dataclasses.field(default_factory=dict)
+    elements: dict[int, ElementSection]
+    sides: Sequence[np.ndarray] = ()
     whole: Polyhedra | None = None
     dimension: int = 3
+
+
+NOTHING = ZoneContent([], {})
 
 
 @dataclasses.dataclass(eq=False)
@@ -168,14 +175,15 @@ class Zone:
     shape: tuple[int, ...]
     is_structured: bool
     first: int
-    content: ZoneContent = dataclasses.field(default_factory=lambda: ZoneContent([]))
+    content: ZoneContent = NOTHING
 
     @functools.cached_property
     def conditions(self) -> list[Condition]:
-        found = [child for _, zone_bc in children(self.group, "ZoneBC_t") for child in children(zone_bc, "BC_t")]
-        families = [word(first(node, "FamilyName_t")) for _, node in found]
-        pairs = zip(found, families, strict=True)
-        return [Condition(self.name, name, node, family, family or name) for (name, node), family in pairs]
+        found = []
+        for name, node in children(self.group, "ZoneBC_t", "BC_t"):
+            family = word(first(node, "FamilyName_t"))
+            found.append(Condition(self.name, name, node, family, family or name))
+        return found
 
     @property
     def count(self) -> int:
@@ -213,7 +221,7 @@ class Zone:
             ids = block_ids(self.shape, self.first)
             if ids.ndim < 2:
                 raise self.error(f"a block of {' x '.join(map(str, self.shape))} vertices has no cells")
-            return ZoneContent([Block(*block_cells(ids))], block_sides(ids))
+            return ZoneContent([Block(*block_cells(ids))], {}, block_sides(ids))
         blocks, elements, polygons, volumes = [], {}, [], []
         for name, node in children(self.group, "Elements_t"):
             section = _Section(self, name, node)
@@ -223,16 +231,15 @@ class Zone:
             elif section.kind == NGON:
                 rows = section.ragged(least=3)
                 section.check(rows.values)
-                polygons.append((section.start, rows, section.parents(len(rows))))
+                numbers = section.start + np.arange(len(rows))
+                polygons.append((numbers, rows.values - 1, np.diff(rows.starts), section.parents(len(rows))))
                 elements[section.start] = ElementSection(name, 2, Ragged(rows.values - 1 + self.first, rows.starts))
             else:
                 for begin, number, corners in section.runs():
                     ids = reordered(TYPES[number], corners, CGNS_ORDER, None) - 1 + self.first
                     elements[begin] = ElementSection(name, DIMENSION[number], ids)
                     blocks.append(Block(TYPES[number], ids))
-        return self._with_polyhedra(
-            ZoneContent(blocks, elements=elements), sorted(polygons, key=lambda each: each[0]), volumes, points
-        )
+        return self._with_polyhedra(ZoneContent(blocks, elements), polygons, volumes, points)
 
     def _with_polyhedra(
         self, content: ZoneContent, polygons: list[Polygons], volumes: list[Ragged], points: np.ndarray
@@ -240,20 +247,18 @@ class Zone:
         """Adds the cells of NFACE_n, or else of the parents of faces."""
         if not polygons:
             return content
-        parents = np.concatenate([parents for *_, parents in polygons], axis=1)
+        numbers, labels, sizes, parents = map(np.concatenate, zip(*polygons, strict=True))
         if not volumes and not parents.any():
             return content
         try:
             if volumes:
-                sides = _sides(np.concatenate([begin + np.arange(len(rows)) for begin, rows, _ in polygons]), volumes)
+                sides = _sides(numbers, volumes)
             else:  # cells are numbered from 0 on, the number 0 of none becomes -1
-                sides = np.unique(np.append(0, parents), return_inverse=True)[1][1:].reshape(parents.shape) - 1
-            labels, sizes = zip(*((rows.values - 1, np.diff(rows.starts)) for _, rows, _ in polygons), strict=True)
-            faces = _faces(np.concatenate(labels), np.concatenate(sizes), sides)
-            blocks, outer, whole = polyhedra(faces, points, self.first)
+                sides = np.unique(np.append(0, parents), return_inverse=True)[1][1:].reshape(parents.shape).T - 1
+            blocks, outer, whole = polyhedra(_faces(labels, sizes, sides), points, self.first)
         except ValueError as error:
             raise self.error(str(error)) from error
-        return dataclasses.replace(content, blocks=content.blocks + blocks, sides=outer, whole=whole)
+        return content._replace(blocks=content.blocks + blocks, sides=outer, whole=whole)
 
 
 class _Section:
@@ -288,11 +293,11 @@ class _Section:
         return rows
 
     def parents(self, count: int) -> np.ndarray:
-        """Reads the numbers (2, count) of the cells on both sides of each face, 0 for none."""
+        """Reads the numbers (count, 2) of the cells on both sides of each face, 0 for none."""
         cells = data(self.node["ParentElements"]) if "ParentElements" in self.node else np.zeros((2, count), np.int64)
         if cells.shape != (2, count):
             raise self.error(f"has ParentElements for {cells.size // 2} of its {count} faces")
-        return cells
+        return cells.T
 
     def runs(self) -> Iterator[tuple[int, int, np.ndarray]]:
         """Yields elements of one type after another: number of the first, type, vertices."""
@@ -302,8 +307,7 @@ class _Section:
             number = int(values[at]) if head else self.kind
             width = head + self._size(number)
             rows = values[at : at + (len(values) - at) // width * width].reshape(-1, width)
-            other = np.flatnonzero(rows[:, 0] != number) if head else rows[:0, 0]
-            rows = rows[: other[0]] if other.size else rows
+            rows = rows[: np.argmax(np.append(rows[:, 0] != number, True))] if head else rows
             if not len(rows):
                 break
             self.check(rows[:, head:])
@@ -324,11 +328,9 @@ class _Section:
 
 
 def _counted(values: np.ndarray) -> Ragged:
-    """Cuts numbers into rows that begin with their count; none where the counts do not fit."""
+    """Cuts numbers into rows that begin with their count; the last one may be cut short."""
     counts, at, numbers = [], 0, values.tolist()
-    while 0 <= at < len(numbers):
+    while at < len(numbers):
         counts.append(at)
-        at += numbers[at] + 1 if numbers[at] >= 0 else len(numbers) + 1
-    if at != len(numbers):
-        return Ragged(values, np.zeros(1, np.int64))
-    return Ragged(np.delete(values, counts), np.concatenate([[0], np.cumsum(values[counts])]))
+        at += 1 + max(numbers[at], 0)
+    return Ragged(np.delete(values, counts), np.append(0, np.cumsum(values[counts])))
