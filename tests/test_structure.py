@@ -134,7 +134,7 @@ BORDER = {
 }
 """Rooms at the border, which import public names alone, and the private modules that one still imports."""
 
-HOMES = {"Content", "Elements", "Form", "Patch", "_Content"}
+HOMES = {"Elements", "Patch"}
 """Names of classes that files of several formats define: the list may only shrink."""
 
 

@@ -69,7 +69,7 @@ def by_gmsh(file: str, most: int) -> tuple[Any, list[tuple[int, Any, list[str], 
 def by_vtk(path: Path, folder: Path, most: int) -> None:
     from vtkmodules import vtkCommonCore
 
-    reader, names = vtk_reader(path), []
+    reader, names = vtk_reader(path, folder), []
     limit_memory(most)
     said = vtkCommonCore.vtkStringOutputWindow()
     vtkCommonCore.vtkOutputWindow.SetInstance(said)
@@ -94,7 +94,7 @@ def limit_memory(most: int) -> None:
         resource.setrlimit(resource.RLIMIT_AS, (used + most, hard))
 
 
-def vtk_reader(path: Path) -> Any:
+def vtk_reader(path: Path, folder: Path) -> Any:
     from vtkmodules import vtkIOLegacy, vtkIOXML
 
     if path.suffix.lower() != ".vtk":
@@ -104,12 +104,12 @@ def vtk_reader(path: Path) -> Any:
     raw = path.read_bytes()
     if not HEAD.match(raw):
         raise SystemExit("not a .vtk file; `# vtk DataFile Version` and three lines more are expected first")
-    raw = re.sub(rb"(?<=\s)vtktype(u?)(int8|int16|int32)(?=\s)", own_type, raw)
+    copy = folder / "copy.vtk"
+    copy.write_bytes(re.sub(rb"(?<=\s)vtktype(u?)(int8|int16|int32)(?=\s)", own_type, raw))
     reader = vtkIOLegacy.vtkGenericDataObjectReader()
     for name in ("Scalars", "Vectors", "Normals", "Tensors", "ColorScalars", "TCoords", "Fields"):
         getattr(reader, f"ReadAll{name}On")()
-    reader.ReadFromInputStringOn()
-    reader.SetBinaryInputString(raw, len(raw))
+    reader.SetFileName(str(copy))
     return reader
 
 

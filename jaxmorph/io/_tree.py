@@ -76,6 +76,17 @@ def _refuse_foreign_data(path: Path, file: Any) -> None:
         raise ValueError(f"{path}: {found[-200:]}. {remedy}")
 
 
+def text_of(value: Any) -> str:
+    """Decodes a text in a file: what stands before its first zero, without blanks around."""
+    return value if isinstance(value, str) else decoded(np.asarray(value).tobytes().split(b"\0")[0]).strip()
+
+
+def only(groups: Mapping[str, Any], what: str) -> tuple[str, Any]:
+    if len(groups) != 1:
+        raise ValueError(f"{len(groups)} {what} in the file, one is read")
+    return next(iter(groups.items()))
+
+
 class Coordinates(NamedTuple):
     """An array of coordinates in a tree, at `rows` and `columns` of a file's points, by columns.
 

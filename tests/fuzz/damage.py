@@ -36,6 +36,7 @@ TREES = (".cgns", ".e", ".med", ".h5")
 def mutated(rng: np.random.Generator, data: bytes) -> tuple[str, bytes, int]:
     """Damages a file once; says how, and where."""
     kind = rng.choice(["bit", "byte", "cut", "digit", "line twice", "line less", "number"])
+    kind = "byte" if "line" in kind and b"\0" in data else kind  # binary numbers have no lines
     at = int(rng.integers(max(len(data), 1)))
     if kind in ("digit", "number"):
         digits = [k for k, byte in enumerate(data[at : at + 4000], start=at) if 48 <= byte < 58]
