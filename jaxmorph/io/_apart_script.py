@@ -77,7 +77,9 @@ def by_vtk(path: Path, folder: Path, most: int) -> None:
     reader.Update()
     for name, data in data_sets(reader.GetOutputDataObject(0)):
         if data.IsA("vtkDataSet") and path.suffix.lower() not in (".pvtu", ".vtm"):
-            check_counts(path.read_bytes(), data)
+            raw = path.read_bytes()
+            check_counts(raw, data)
+            check_numbers(raw, data)
         write(folder / f"{len(names)}.xml", data)
         names.append(name)
     text = said.GetOutput()
@@ -114,30 +116,31 @@ def vtk_reader(path: Path, folder: Path) -> Any:
 
 
 def check_counts(raw: bytes, data: Any) -> None:
-    """Refuses more numbers, or fewer arrays, than announced: VTK says nothing of them."""
+    """Refuses fewer cells or arrays than announced: VTK says nothing of them."""
     fields = (data.GetPointData(), data.GetCellData(), data.GetFieldData())
     announced = sum(map(int, re.findall(rb"^FIELD \S+ (\d{1,9})\s", raw, re.MULTILINE)))
     found = sum(field.GetNumberOfArrays() for field in fields)
     if found < announced or re.search(rb"_DATA\s+\d+\s*\Z", raw[-99:]):
         raise SystemExit(f"{announced or 'some'} arrays are announced, and {found} are found")
-    if re.match(rb"\nPOINTS (?!.*_DATA).*", raw[raw.find(b"\nPOINTS ") : raw.rfind(b"\nFIELD")], re.DOTALL):
+    first, points = raw.find(b"\nFIELD"), raw.find(b"\nPOINTS ")
+    if 0 <= points < first and b"_DATA" not in raw[points:first]:
         raise SystemExit("a field of arrays, but neither POINT_DATA nor CELL_DATA before it")
     if data.GetNumberOfCells() < 1:
         raise SystemExit("no cells, the file is cut short, or damaged")
+
+
+def check_numbers(raw: bytes, data: Any) -> None:
+    """Refuses more or fewer numbers in a text than its arrays have."""
     counts = {rb"<Points>\s*<DataArray[^>]*": 3 * data.GetNumberOfPoints()}
     if data.IsA("vtkUnstructuredGrid"):
         sizes = {b"types": data.GetNumberOfCells(), b"offsets": data.GetNumberOfCells()}
         sizes[b"connectivity"] = data.GetCells().GetNumberOfConnectivityIds()
         counts |= {rb'<DataArray[^>]*Name="%s"[^>]*' % name: size for name, size in sizes.items()}
     for start, count in counts.items():
-        check_text(re.findall(rb"(%s)>([^<]*)<" % start, raw), count)
-
-
-def check_text(arrays: list[tuple[bytes, bytes]], count: int) -> None:
-    texts = [text for tag, text in arrays if b'"ascii"' in tag]
-    words = [float(word) for word in b" ".join(texts).split()]  # a `ValueError` ends the script
-    if texts and len(words) != count:
-        raise SystemExit(f"{len(words)} numbers are found where there are {count}")
+        texts = [text for tag, text in re.findall(rb"(%s)>([^<]*)<" % start, raw) if b'"ascii"' in tag]
+        words = [float(word) for word in b" ".join(texts).split()]  # a `ValueError` ends the script
+        if texts and len(words) != count:
+            raise SystemExit(f"{len(words)} numbers are found where there are {count}")
 
 
 def own_type(found: re.Match[bytes]) -> bytes:

@@ -295,7 +295,7 @@ def in_order(
     return values[rows_in(ids, wanted)]
 
 
-def _restart(path: Path, content: bytes, wanted: tuple[str, ...]) -> tuple[Int[ndarray, " n"], Float[ndarray, "n d"]]:
+def _restart(content: bytes, wanted: tuple[str, ...]) -> tuple[Int[ndarray, " n"], Float[ndarray, "n d"]]:
     """Reads columns of a binary restart, which has a row for each node in the order of the mesh."""
     order = "<" if int.from_bytes(content[:4], "little") == MAGIC else ">"
     begin = 4 * HEADER

@@ -17,9 +17,9 @@ import numpy as np
 from numpy import ndarray
 
 from jaxmorph._host.cells.orders import GMSH, reordered
+from jaxmorph._host.cells.topology import DIMENSION
 from jaxmorph._host.package.text import ending
 from jaxmorph._mesh.exchange import (
-    DIMENSION,
     GROUPS,
     LEVELS,
     MARKERS,
@@ -98,8 +98,7 @@ class OtherContent(FilePoints):
         return [name for name in names if name.lower() not in (*MARKERS, *GROUPS)]
 
 
-@dataclasses.dataclass(frozen=True)
-class Codec:
+class Codec(NamedTuple):
     """Reads and writes one of `KINDS`."""
 
     name: str

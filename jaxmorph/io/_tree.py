@@ -154,7 +154,7 @@ ADF = b"ADF Database Version "
 _ORDERS = {b"L": "<", b"B": ">"}
 _HEADER_TAGS = {32: b"adf0", 64: b"adf1", 96: b"adf2", 102: b"adf3", 130: b"adf4", 182: b"adf5"}
 _NODE = struct.Struct("4x 32s 32s 8s 8x 12s 32s 2s 96s 4s 12s 4x")
-"""Name, label, number and table of children, type and number of dimensions, sizes, number and table of data."""
+"""A node's name, label, number and table of children, type, number of sizes, sizes, and its data."""
 
 
 class Array:
@@ -358,7 +358,7 @@ class _Header:
         return int.from_bytes(self.taken(width or self.count), "big")
 
     def entries(self, tag: int) -> Iterator[str]:
-        """Yields the names of a list: behind a tag and a count, or zeros for a list that is absent."""
+        """Yields names of a list: behind a tag and a count, or zeros for a list that is absent."""
         found, count = self.number(4), self.number()
         if found != tag and (found, count) != (0, 0):
             raise ValueError(f"a list of tag {found} where {tag} is expected")

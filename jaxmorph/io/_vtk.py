@@ -1,13 +1,12 @@
 """VTK's files of one mesh, XML and legacy (.vtk): VTK reads them apart, and writes them."""
 
-import dataclasses
 import json
 import os
 import re
 import tempfile
 import urllib.parse
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -31,8 +30,7 @@ TOLD = re.compile(r"(?:ERROR|Warning): In .*\n(?:\w+ \(0x[0-9a-f]+\): )?((?:.+\n
 """An error or a warning of VTK, and its sentence."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Encoding:
+class Encoding(NamedTuple):
     """How a file is written: an XML file's mode (ascii, binary or appended, base64 or raw), its
     compressor, header and order of bytes; a legacy file's mode, title and version.
     """
@@ -47,8 +45,7 @@ class Encoding:
     version: str = "4.2"
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class VTKContent:
+class VTKContent(NamedTuple):
     data: Any
     encoding: Encoding
 
