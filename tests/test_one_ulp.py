@@ -13,7 +13,7 @@ import jaxmorph as jm
 from jaxmorph import cases
 from jaxmorph._host.package.rounding import distinct, first_largest, nearest_few, ranked
 from jaxmorph._host.surface.graph import locate
-from jaxmorph._methods.nearwall import Extent, layer_width
+from jaxmorph._methods.corrections import Extent, layer_width
 
 LEAST = 1e-9
 """The largest change of a point, relative to the motion."""

@@ -1,16 +1,18 @@
-"""Radial basis functions against SciPy's interpolator and against a dense solve in NumPy."""
+"""Radial basis functions against SciPy's interpolator and a dense solve in NumPy; inverse distances against closed forms."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from cases import body, full, moved_by, planned, surface_values
+from meshes import turn
 from oracles import dense, wendland
 from runs import over
 from scipy.interpolate import RBFInterpolator
+from scipy.spatial.transform import Rotation
 
 import jaxmorph as jm
+from jaxmorph import cases
 
 SCIPY = [  # SciPy writes phi(epsilon r), with epsilon = 1 / R, and its multiquadric with the other sign
     (jm.ThinPlateSpline(), 1, {"kernel": "thin_plate_spline", "degree": 1}, 2),
@@ -94,41 +96,6 @@ def test_coincident_nodes_do_not_make_the_system_singular():
     np.testing.assert_allclose(moved[len(plain) :], plain[mesh.moving[:4]], rtol=0, atol=1e-12)
 
 
-@pytest.mark.nightly
-def test_derivative_in_the_support_radius():
-    mesh = body(2)
-    u, _ = surface_values(mesh)
-    plan = planned(mesh, full(jm.WendlandC2(1.5), None))
-    weights = np.random.default_rng(0).normal(size=mesh.points.shape)
-
-    def objective(radius):
-        swept = eqx.tree_at(lambda plan: plan.method.basis.support_radius, plan, radius)
-        return jnp.sum(weights * jm.deform(jm.refit(swept, mesh.points), u))
-
-    h = 1e-5
-    difference = (objective(jnp.asarray(1.5 + h)) - objective(jnp.asarray(1.5 - h))) / (2 * h)
-    np.testing.assert_allclose(jax.grad(objective)(jnp.asarray(1.5)), difference, rtol=1e-6)
-
-
-@pytest.mark.nightly
-def test_jitted_gradients_in_3d():
-    """With respect to the base points, each coordinate apart: a compiler has merged the sum of three squares wrongly."""
-    mesh = body(3)
-    u, _ = surface_values(mesh)
-    plan = planned(mesh, jm.RBF(reduction=jm.KDTree(2), fixed_reduction=jm.KDTree(1)))
-
-    @jax.jit
-    @jax.value_and_grad
-    def objective(points):
-        return jnp.sum(jnp.sin(3 * jm.deform(jm.refit(plan, points), u)))
-
-    gradient = objective(mesh.points)[1]
-    for axis in np.eye(3):
-        step = 1e-6 * axis * np.random.default_rng(1).normal(size=(len(mesh.points), 1))
-        difference = objective(mesh.points + step)[0] - objective(mesh.points - step)[0]
-        np.testing.assert_allclose(np.vdot(gradient, step), difference / 2, rtol=2e-6)
-
-
 @over("dimension", [3], nightly=[2])
 def test_sources_that_do_not_span_space(dimension):
     """All in one plane (a line, in 2-D), rotated so that no coordinate is constant."""
@@ -147,3 +114,63 @@ def test_a_degree_that_does_not_exist_or_does_not_suffice():
         jm.RBF(degree=2)
     with pytest.warns(UserWarning, match="ThinPlateSpline without a polynomial of degree 1"):
         jm.RBF(degree=0)
+
+
+@pytest.mark.parametrize(("far", "near"), [(3, 5), (2.5, 4.2)])
+def test_the_weights_are_lukes(far, near):
+    mesh, rng = body(2), np.random.default_rng(0)
+    plan = jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=jm.InverseDistance(float(far), float(near)))
+    u = rng.normal(size=(len(mesh.moving), 2))
+    surface = mesh.points[mesh.boundary]
+    length = np.linalg.norm(surface - mesh.points[mesh.moving].mean(axis=0), axis=1).max()
+    apart = np.linalg.norm(mesh.points[mesh.inner][:, None] - surface[None], axis=2)
+    weights = (length / apart) ** far + (0.25 * length / apart) ** near
+    expected = weights @ np.concatenate([u, np.zeros((len(mesh.fixed), 2))]) / weights.sum(axis=1)[:, None]
+    moved = jm.deform(plan, u) - mesh.points
+    np.testing.assert_allclose(moved[mesh.inner], expected, rtol=0, atol=1e-12)
+
+
+@over("dimension", [3], nightly=[2])
+def test_a_turning_body_turns_the_points_near_it(dimension):
+    """Each of a body's nodes says the same rigid motion, so the mean is that motion; in 3-D about an axis across its normals."""
+    mesh = cases.naca0015(points=1200) if dimension == 2 else cases.bricks("hexahedron", cells=3)
+    base, moving = mesh.points, mesh.patch("airfoil" if dimension == 2 else "floor")
+    matrix = turn(-0.8, 2) if dimension == 2 else Rotation.from_rotvec([0.8, 0, 0]).as_matrix()
+    motion = base @ matrix.T - base
+    miss = []
+    for rotations in (True, False):
+        method = jm.InverseDistance(rotations=rotations)
+        plan = jm.prepare(mesh, moving, method=method, free=np.arange(len(base)))
+        miss.append(np.abs(jm.deform(plan, motion[moving]) - base - motion).max())
+    assert miss[0] < 1e-9 < 0.1 < miss[1]
+    assert not jm.InverseDistance(rotations=True).linear
+
+
+@pytest.mark.slow
+def test_derivatives_of_turning_nodes_at_rest():
+    """The part of the derivative that rotations give is there at u = 0 too."""
+    mesh = cases.naca0015(points=1200)
+    plan = jm.prepare(mesh, "airfoil", "farfield", method=jm.InverseDistance(rotations=True))
+    rng = np.random.default_rng(1)
+    v, w = rng.normal(size=(plan.n_moving, 2)), rng.normal(size=mesh.points.shape)
+    for u in (np.zeros_like(v), 0.003 * v):
+        difference = (jm.deform(plan, u + 1e-7 * v) - jm.deform(plan, u - 1e-7 * v)) / 2e-7
+        pushed = jax.jvp(lambda u: jm.deform(plan, u), (jnp.asarray(u),), (jnp.asarray(v),))[1]
+        np.testing.assert_allclose(pushed, difference, rtol=0, atol=1e-5 * np.abs(difference).max())
+        np.testing.assert_allclose(np.vdot(pushed, w), np.vdot(v, jm.pullback(plan, u, w)), rtol=1e-9)
+    assert (jm.deform(plan, 0 * v) == mesh.points).all()
+
+
+def test_wrong_arguments_are_told():
+    mesh = body(2)
+    with pytest.raises(ValueError, match=r"needs the boundary faces: pass the mesh"):
+        jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=jm.InverseDistance(rotations=True))
+
+
+def test_steep_weights_stay_finite_in_float32():
+    mesh = body(2)
+    points = np.concatenate([mesh.points, mesh.points[mesh.moving[:1]] + 1e-9]).astype(np.float32)
+    plan = jm.prepare(points, mesh.moving, mesh.fixed, method=jm.InverseDistance(3.0, 9.0))
+    u = np.ones((len(mesh.moving), 2), np.float32)
+    assert np.isfinite(jm.pullback(plan, u, np.ones_like(points))).all()
+    np.testing.assert_allclose((jm.deform(plan, u) - points)[-1], 1, rtol=1e-4)

@@ -138,15 +138,6 @@ HOMES = {"Elements", "Patch"}
 """Names of classes that files of several formats define: the list may only shrink."""
 
 
-def test_type_checkers_see_the_public_names():
-    import jaxmorph as jm
-
-    (block,) = (node for node in tree_of(ROOT / "jaxmorph" / "__init__.py").body if isinstance(node, ast.If))
-    imports = [node for node in block.body if isinstance(node, ast.ImportFrom)]
-    seen = {alias.name: node.module and f".{node.module}" for node in imports for alias in node.names}
-    assert {name: module or "" for name, module in seen.items()} == jm._MODULES
-
-
 def test_outer_rooms_import_public_names_alone():
     outer = [each for each in imports_between_rooms() if each.rooms[0] in OUTER and each.rooms[1] != "_demo"]
     inner = {(each.rooms[0], each.module.removeprefix("jaxmorph.")) for each in outer}
@@ -196,7 +187,7 @@ def test_the_driver_knows_no_method_but_the_abstract_one():
     known = {each.module for each in own_imports() if each.rooms == ("_plan", "_methods")}
     assert known <= {
         f"jaxmorph._methods.{name}"
-        for name in ("base", "blocks", "guiding", "reconstruction", "shares", "surface", "tape")
+        for name in ("base", "blocks", "multiscale", "reconstruction", "shares", "surface", "tape")
     }
 
 

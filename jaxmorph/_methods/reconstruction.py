@@ -6,10 +6,19 @@ import numpy as np
 
 from .._host.package.arguments import checked
 from .._host.sources.reduction import KDTree
-from .base import AbstractField, AbstractMethod, AbstractPlacing, Control, carry, carry_place, check_kind, place
+from .base import (
+    AbstractField,
+    AbstractMethod,
+    AbstractPlacing,
+    Control,
+    carry,
+    carry_place,
+    check_kind,
+    has_part,
+    place,
+)
 from .blocks import map_points, place_points
-from .delaunay import DelaunayGraph, begin_graph
-from .nearwall import NearWall
+from .corrections import DelaunayGraph, NearWall, begun_graph
 from .rbf.fitted import FittedRBF
 from .rbf.rbf import RBF
 from .surface import Surface
@@ -65,7 +74,8 @@ class SurfaceReconstruction(AbstractPlacing):
         return self.coarse.linear and self.correction.linear
 
     def connect(self, surface: Surface, points):
-        begin_graph(self.correction, surface, len(points))
+        if len(points) > (surface.nodes >= 0).sum() and has_part(self.correction, DelaunayGraph):
+            begun_graph(surface)
         everywhere, more = surface.among(points)
         coarse, coarse_ids = self.coarse.connect(everywhere, more)
         coarse_at_points = jax.tree.map(lambda leaf: leaf[: len(points)], coarse_ids)
@@ -132,8 +142,4 @@ class SumField(AbstractField):
 
 def sees_free_sides(method: AbstractMethod) -> bool:
     """Checks whether a method is or has a `FittedRBF`, whose field depends on `Surface.is_open`."""
-
-    def is_fitted(node: object) -> bool:
-        return isinstance(node, FittedRBF)
-
-    return any(map(is_fitted, jax.tree.leaves(method, is_leaf=is_fitted)))
+    return has_part(method, FittedRBF)

@@ -35,8 +35,8 @@ from jaxmorph._mesh.export import to_meshio
 
 from ._apart import run_apart
 from ._format import EVERYTHING, FilePoints, MeshLike, Source, of_grid, own_source
+from ._gmsh import TYPES
 from ._text import parse, replaced, scan
-from .gmsh.sections import TYPES
 
 MOST = 8
 """Numbers in a row of a table of nodes, at most."""

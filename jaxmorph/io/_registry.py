@@ -27,7 +27,7 @@ from ._text import PathLike
 FORMATS = (
     Format("SU2", "_su2"),
     Format("VTK", "_vtk", holds_arrays=True),
-    Format("gmsh", "gmsh.file"),
+    Format("gmsh", "_gmsh"),
     Format("Fluent", "_fluent", magic=(b"(",)),
     Format("Fluent HDF5", "_fluent_h5"),
     Format("CGNS", "cgns.file"),

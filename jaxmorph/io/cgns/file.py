@@ -1,6 +1,7 @@
 """CGNS, structured and unstructured: a copy of the file with other coordinates, rest untouched."""
 
 import dataclasses
+import itertools
 import pathlib
 from collections.abc import Iterator
 from typing import Any
@@ -16,8 +17,8 @@ from jaxmorph._mesh.polyhedra import Polyhedra
 from .._format import MeshLike, Source, faults_of, stamp_of
 from .._joined import join
 from .._tree import Coordinates, opened, points_of, singles_of, write_points
-from .conditions import Connection, connections, left_interfaces, patches, read_conditions, said
-from .zone import DIMENSION, TYPES, Zone, children, data, word
+from .conditions import Connection, connections, left_interfaces, name_patches, patches, said
+from .zone import DIMENSION, TYPES, Zone, children, data, first, word
 
 NAME = "CGNS"
 LEVEL = {TYPES[number]: dimension for number, dimension in DIMENSION.items()}
@@ -35,7 +36,7 @@ def read(path: pathlib.Path) -> Parts:
         points = points_of(coordinates, zones[-1].rows.stop, max(each.columns.stop for each in coordinates))
         singles = singles_of(coordinates)
         _read_cells(zones, dimension, points)
-        notes = [*_other_bases(file, dimension), *_other_grids(zones), *read_conditions(zones)]
+        notes = [*_other_bases(file, dimension), *_other_grids(zones), *name_patches(zones)]
         of_patch, faces, regions = _patches(zones)
         found = list(connections(zones))
         notes += [*regions_note(regions), *_left(zones, found, of_patch)]
@@ -61,19 +62,19 @@ def write(path: pathlib.Path, mesh: MeshLike) -> None:
 
 def open_zones(path: pathlib.Path, file: Any) -> tuple[list[Zone], int]:
     """Lists the zones of the base of the highest dimension, and this dimension of its cells."""
-    bases = list(_bases(file))
-    most = max((dimension for _, _, dimension in bases), default=0)
-    highest = {name: base for name, base, dimension in bases if dimension == most}
-    if len(highest) > 1:
-        names = ", ".join(highest)
-        raise ValueError(f"{path}: {len(highest)} bases of {most}-D cells in this file ({names}); one is read.")
-    zones, first = [], 0
-    for name, group in (child for base in highest.values() for child in children(base, "Zone_t")):
-        kind = word(next((child for _, child in children(group, "ZoneType_t")), None), "Structured")
-        is_structured, sizes = kind == "Structured", np.atleast_2d(data(group))[0]
+    most = max((level for *_, level in _bases(file)), default=0)
+    bases = {name: base for name, base, level in _bases(file) if level == most}
+    if len(bases) > 1:
+        raise ValueError(
+            f"{path}: {len(bases)} bases of {most}-D cells in this file ({', '.join(bases)}); one is read."
+        )
+    zones, start = [], 0
+    for name, group in (child for base in bases.values() for child in children(base, "Zone_t")):
+        is_structured = word(first(group, "ZoneType_t"), "Structured") == "Structured"
+        sizes = np.atleast_2d(data(group))[0]
         shape = tuple(map(int, sizes if is_structured else sizes[:1]))
-        zones.append(Zone(path, name, group, shape, is_structured, first))
-        first += zones[-1].count
+        zones.append(Zone(path, name, group, shape, is_structured, start))
+        start += zones[-1].count
     if not zones:
         raise ValueError(f"{path}: no CGNS base with zones in this file.")
     return zones, most
@@ -87,11 +88,11 @@ def _bases(file: Any) -> Iterator[tuple[str, Any, int]]:
 
 def _read_cells(zones: list[Zone], dimension: int, points: np.ndarray) -> None:
     contents = [zone.cells(points[zone.rows]) for zone in zones]
-    levels = [LEVEL[block.kind] for content in contents for block in content.blocks if len(block.corners)]
+    levels = {LEVEL[block.kind] for content in contents for block in content.blocks}
     if max(levels, default=0) == 2 < dimension:  # a surface alone in a base of volumes
         dimension = 2
     for zone, content in zip(zones, contents, strict=True):
-        blocks = [block for block in content.blocks if LEVEL[block.kind] == dimension and len(block.corners)]
+        blocks = [block for block in content.blocks if LEVEL[block.kind] == dimension]
         if not blocks:
             raise zone.error(f"no cells of {dimension} dimensions")
         zone.content = dataclasses.replace(content, blocks=blocks, dimension=dimension)
@@ -125,18 +126,13 @@ def _other_bases(file: Any, dimension: int) -> Iterator[str]:
 
 def _left(zones: list[Zone], found: list[Connection], patches: dict[str, list[np.ndarray]]) -> Iterator[str]:
     inside = np.zeros(zones[-1].rows.stop, bool)
-    for nodes in patches.values():
-        inside[np.concatenate(nodes)] = True
-    outside = [
-        section.section
-        for zone in zones
-        for section in zone.outer_sections()
-        if not inside[getattr(section.vertices, "values", section.vertices)].all()
-    ]
+    inside[np.concatenate([np.zeros(0, np.int64), *itertools.chain(*patches.values())])] = True
+    sections = itertools.chain(*(zone.outer_sections() for zone in zones))
+    outside = [each.section for each in sections if not inside[getattr(each.vertices, "values", each.vertices)].all()]
     if outside and any(zone.conditions for zone in zones):
         names = ", ".join(dict.fromkeys(outside))
         yield f"no boundary condition has all faces of the sections {names}: they are in unnamed."
-    interfaces = [name for zone in zones for name in left_interfaces(zone, found)]
+    interfaces = list(itertools.chain(*(left_interfaces(zone, found) for zone in zones)))
     if interfaces:
         yield f"interfaces without equal nodes on both sides are not read: {', '.join(interfaces)}."
 

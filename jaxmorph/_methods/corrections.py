@@ -1,4 +1,4 @@
-"""A correction that keeps the boundary layer together on walls that are not convex."""
+"""Corrections of a coarse field: a graph of the surface, a layer over walls, the nearest node."""
 
 import equinox as eqx
 import jax
@@ -6,15 +6,75 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
-from .._host.package.rounding import first_largest, nearest_of
+from .._host.linear.products import cofactors, dot
+from .._host.package.cores import Beside
+from .._host.package.rounding import Tree, first_largest, nearest_of
+from .._host.surface.graph import Graph, graph_of, locate
 from .._host.surface.neighbours import digest, near_walls
 from .._kernels.values import Either, as_jax, namespace, norm, root
-from .base import AbstractField, AbstractMethod, AbstractPlacing, carry, carry_place, check_kind, length_or_none, place
+from .base import (
+    AbstractField,
+    AbstractMethod,
+    AbstractPlacing,
+    Control,
+    Point,
+    Rows,
+    Scalar,
+    carry,
+    carry_place,
+    check_kind,
+    number_or_none,
+    place,
+)
 from .blocks import map_points
-from .delaunay import DelaunayGraph
 from .rbf.basis import WendlandC2
-from .sparse import InterpolatedField, Interpolation
+from .sparse import InterpolatedField, Interpolation, Reach, Searched, lost_unless, squared_distance
 from .surface import Surface
+
+
+class DelaunayGraph(AbstractPlacing):
+    """Moves each point with the simplex of surface nodes that holds it (eq. 8).
+
+    The graph stands on the undeformed surface and carries displacements, so that the map is one
+    linear operator for any motion. A surface node follows itself alone; the first of duplicate
+    nodes (moving before fixed) stands in the graph. The graph is discontinuous in the base
+    coordinates: nodes on one circle or sphere can be joined in several ways. Coordinates are
+    rounded first, far below the distance of nodes, so that round-off does not choose.
+
+    **Raises:** `prepare` raises a `ValueError` for points outside of the surface's convex hull.
+    """
+
+    def connect(self, surface: Surface, points):
+        rows = surface.rows(len(points))
+        vertices = np.repeat(rows[:, None], points.shape[1] + 1, axis=1)  # a node of the surface: itself, d + 1 times
+        inside = np.flatnonzero(rows == len(surface.points))
+        if inside.size:
+            vertices[inside] = locate(begun_graph(surface).result(), points, inside)
+        return None, vertices
+
+    def fit(self, ids, surface, points):
+        return None
+
+    def place(self, x, ids, factors, surface):
+        e = barycentric(x, [surface[i] for i in ids], ids[0] == ids[1])
+        return Interpolation(ids, jnp.stack(e))
+
+    def field(self, ids, factors, surface, u):
+        return InterpolatedField(u)
+
+
+def begun_graph(surface: Surface) -> Beside[Graph]:
+    """Starts the graph of a surface in the background, once."""
+    return surface.once("graph", lambda: Beside(graph_of, surface.points))
+
+
+def barycentric(x: Point, corners: list[Point], at_node) -> list[Scalar]:
+    edges = [corner - corners[0] for corner in corners[1:]]
+    rows = cofactors(edges)
+    whole = jnp.where(at_node, 1, dot(rows[0], edges[0]))
+    parts = [jnp.where(at_node, 0, dot(row, x - corners[0]) / whole) for row in rows]
+    return [1 - sum(parts, start=jnp.zeros_like(whole)), *parts]
+
 
 NEIGHBOURS = 6  # wall nodes that a point averages; one more node sets the distance at which weights vanish
 REACH = 0.5  # width of the layer, relative to the largest distance from a wall's node to its nearest source
@@ -43,7 +103,7 @@ class NearWall(AbstractPlacing):
     """
 
     correction: AbstractMethod = eqx.field(default_factory=DelaunayGraph)
-    width: Float[Array, ""] | None = eqx.field(default=None, converter=length_or_none("width"))
+    width: Scalar | None = eqx.field(default=None, converter=number_or_none("width", 0))
 
     def __check_init__(self):
         check_kind(self.correction, AbstractMethod, "correction", "jm.DelaunayGraph()")
@@ -144,15 +204,9 @@ def layer_width(width: Float[Either, ""] | None, extent: Extent, surface: Float[
     xp = namespace(surface)
     if width is not None:
         return xp.full(len(surface), xp.asarray(width, surface.dtype))
-    gap = norm(surface - surface[extent.matched])
-    if xp is np:
-        widest = np.full(len(extent.ends), -np.inf)
-        np.maximum.at(widest, extent.wall, gap)
-    else:
-        widest = jax.ops.segment_max(gap, extent.wall, len(extent.ends))
-    widest = xp.maximum((1 - SLIGHTLY) * widest, gap[extent.widest])
+    gap = norm(surface[extent.widest] - surface[extent.matched[extent.widest]])
     span = norm(surface[extent.ends[:, 0]] - surface[extent.ends[:, 1]])
-    return xp.maximum(REACH * widest, CHORD * extent.share.astype(surface.dtype) * span)[extent.wall]
+    return xp.maximum(REACH * gap, CHORD * extent.share.astype(surface.dtype) * span)[extent.wall]
 
 
 class WallRow(eqx.Module):
@@ -178,9 +232,7 @@ class NearWallField(AbstractField):
         return map_points(self.wall, points, ids.wall) + ids.outside[:, None] * correction
 
 
-def _blend(
-    x: Float[Array, " d"], row: WallRow, width: Float[Array, " b"], surface: Float[Array, "b d"]
-) -> tuple[Interpolation, Float[Array, ""]]:
+def _blend(x: Point, row: WallRow, width: Float[Array, " b"], surface: Rows) -> tuple[Interpolation, Scalar]:
     """Returns the wall's part at x, chi u_wall, and 1 - chi."""
     nearest, other = row.nodes[:-1], row.nodes[-1]
     distance = norm(surface[nearest] - x[None])
@@ -199,3 +251,84 @@ def _blend(
     fourth = (distance[0] / layer) ** 4 + halfway**4
     chi = jnp.where(row.reached & (width[nearest[0]] > 0), WendlandC2(1.0)(root(fourth)), 0)
     return Interpolation(nearest[:-1], chi * (weights / weights.sum()), row.reached), 1 - chi
+
+
+SEARCHED = 1.25  # search distance in radii: beyond 1 another node may come nearer than the nearest node
+SPACING = 2.0  # the automatic radius, relative to the width of the layer of `NearWall`
+
+
+class LocalIds(eqx.Module):
+    extent: Extent
+    searched: Searched
+
+
+class LocalFactors(eqx.Module):
+    radius: Float[Array, " b"]
+    is_certain: Bool[Array, ""]
+
+
+class LocalCorrection(AbstractPlacing):
+    """Moves a point with the nearest surface node, by a share that fades with distance.
+
+    u(x) = psi(|x - x_k| / R) u_k, with the nearest node k and Wendland's C2 function psi. So
+    Rendall and Allen correct what a reduced set of sources misses on the surface (Journal of
+    Computational Physics 228 and 229, 2009 and 2010). The field is exact at the surface's nodes. It
+    needs no system and no graph, so the mesh may reach beyond the hull of its boundary. The field
+    jumps where the nearest node changes, by as much as the offsets of two neighbours differ. Of
+    nodes that are equally near the first counts. Between two walls closer than twice the radius it
+    may tear cells; `NearWall` does not. Alone it reproduces no polynomial, and cells fold where the
+    offset is a good part of the radius. The `radius` R is in the mesh's units. By default it is for
+    each wall the largest distance from one of its nodes to the nearest source, or half of the mean
+    chord of a wall without sources. Rendall and Allen take a multiple of the largest offset, which
+    would not be linear in `u`.
+
+    **Raises:** `ValueError` for a radius that is not positive and finite. `refit` raises it where
+    another node has come within the radius of a point, and is nearer than the point's own node by a
+    quarter of the radius. Traced code answers NaN there.
+    """
+
+    radius: Scalar | None = eqx.field(default=None, converter=number_or_none("radius", 0))
+
+    def connect(self, surface: Surface, points):
+        extent = Extent.seen(surface)
+        distance = SEARCHED * self._radius(jax.tree.map(np.asarray, extent), np.asarray(surface.points)).max()
+        to_surface = Tree(surface.points).query(points, distance_upper_bound=distance or np.inf)[0]
+        reached, nodes = np.isfinite(to_surface), np.zeros(len(points), dtype=np.int32)
+        nodes[reached] = nearest_of(points[reached], surface.points, np.arange(len(surface.points)))
+        rows = surface.rows(len(points))
+        on_surface = rows < len(surface.points)
+        nodes[on_surface] = rows[on_surface]
+        searched = Searched(*as_jax((points, surface.points, np.asarray(distance))))
+        return LocalIds(extent, searched), Reach(*as_jax((nodes[:, None], (reached | on_surface)[:, None])))
+
+    def control(self, ids):
+        return Control() if self.radius is None else Control(reach=float(self.radius))
+
+    def fit(self, ids: LocalIds, surface, points):
+        radius = self._radius(ids.extent, surface)
+        return LocalFactors(radius, ids.searched.certain(radius.max(), surface, points))
+
+    def carry(self, ids, factors, surface, points):
+        return factors
+
+    def place(self, x, ids: Reach, factors: LocalFactors, surface):
+        radius = factors.radius[ids.nodes]
+        fades = radius > 0
+
+        def is_lost():
+            squared, reaches = squared_distance(x[None], surface), jax.lax.stop_gradient(factors.radius)
+            nearest = jnp.where(squared < reaches**2, jnp.sqrt(squared) + (SEARCHED - 1) * reaches, jnp.inf).min()
+            listed = jnp.sqrt(squared_distance(x[None], surface[ids.nodes]))[0]
+            return nearest < jnp.where(ids.reached[0], listed, jnp.inf)
+
+        lost = lost_unless(factors.is_certain, is_lost)
+        squared = jnp.sum((surface[ids.nodes] - x[None]) ** 2, axis=1)
+        weights = WendlandC2(1.0)(squared / jnp.where(fades, radius, 1) ** 2)
+        return ids.weighted(jnp.where(fades, weights, 0), lost)
+
+    def field(self, ids, factors, surface, u):
+        return InterpolatedField(u)
+
+    def _radius(self, extent: Extent, surface):
+        width = layer_width(self.radius, extent, surface)
+        return width if self.radius is not None else SPACING * width
