@@ -200,7 +200,7 @@ def sections(path: pathlib.Path, data: bytes, at: int) -> Iterator[tuple[str, Se
 
 
 def physical_names(section: Section, form: MeshFormat) -> Names:
-    count, *rows = [row for row in section.content.split(b"\n") if row.strip()] or [b""]
+    count, *rows = list(filter(bytes.strip, section.content.split(b"\n"))) or [b""]
     if count.strip() != b"%d" % len(rows):
         raise section.error(f"{len(rows)} lines of names in $PhysicalNames; as many as announced expected.")
     names: Names = {}
@@ -394,22 +394,20 @@ def _lines(stream: Stream) -> Iterator[tuple[str, np.ndarray]]:
     if not len(rows.counts) or rows.counts[0] != 1 or rows.values[0] != len(rows.counts) - 1:
         raise stream.section.error(f"{len(rows.counts) - 1} lines of elements, not as many as announced.", 0)
     values, counts, first = rows.values, rows.counts[1:], rows.first[1:]
-    is_first = stream.version < 2
-    head, at = (5, [2, 3]) if is_first else (3, [3, 4])
     message = "an element has a number, a type, and numbers of tags or of nodes."
-    rows.refuse(1 + np.flatnonzero(counts < head), lambda k: message)
+    rows.refuse(1 + np.flatnonzero(counts < (5 if stream.version < 2 else 4)), lambda k: message)
+    if stream.version < 2:  # two tags and the number of nodes become the number of tags and two tags
+        places = first[:, None] + np.arange(2, 5)
+        values[places] = np.insert(values[places[:, :2]], 0, 2, axis=1)
     types = values[first + 1]
     for number in dict.fromkeys(types.tolist()):
         kind, corners = _kind(number)
         chosen = np.flatnonzero(types == number)
-        start, size = first[chosen, None], counts[chosen]
-        told = values[start[:, 0] + head - 1]  # of nodes, or of tags
-        tags, nodes = (0, told) if is_first else (told, corners)
-        wrong = (size != head + tags + nodes) | (nodes != corners) | (told < 0)
+        start, tags, stop = first[chosen, None], values[first[chosen, None] + 2], (first + counts)[chosen, None]
+        wrong = ((tags < 0) | (stop - start != 3 + tags + corners)).ravel()
         rows.refuse(1 + chosen[wrong], lambda k: f"{counts[k - 1]} numbers, not those of its type and tags.")
-        table = values[np.minimum(start + at, len(values) - 1)]
-        table *= np.arange(2) < (2 if is_first else told[:, None])
-        yield kind, np.concatenate([table, values[start + size[:, None] + np.arange(-corners, 0)]], axis=1)
+        table = values[np.minimum(start + np.arange(3, 5), len(values) - 1)] * (np.arange(2) < tags)
+        yield kind, np.concatenate([table, values[stop + np.arange(-corners, 0)]], axis=1)
 
 
 def _old_blocks(stream: Stream) -> Iterator[tuple[str, np.ndarray]]:

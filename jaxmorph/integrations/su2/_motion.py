@@ -14,6 +14,7 @@ from jaxmorph import Mesh, io, shapes
 
 from ._options import LOWER, Options, Variable
 
+Names = Sequence[str]
 Numbers = Sequence[tuple[float, ...]] | Float[np.ndarray, "k p"]
 TAIL = 0.99
 """The place along the chord behind which `HICKS_HENNE_CAMBER` moves nothing."""
@@ -70,7 +71,7 @@ class DesignVariables(shapes.AbstractShape):
         return x + jnp.where(self.free, sum(terms[1:], terms[0]), 0) if terms else x
 
 
-def wall_parts(options: Options, listed: Sequence[Variable], mesh: Mesh, moving: Sequence[str]) -> list[AbstractPart]:
+def wall_parts(options: Options, listed: list[Variable], mesh: Mesh, moving: Names) -> list[AbstractPart]:
     """Makes a part of the variables of each kind that moves no boxes."""
     parts: list[AbstractPart] = []
     for kind in dict.fromkeys(variable.kind for variable in listed if variable.kind in MOVES):
@@ -102,12 +103,12 @@ def check_axis(kind: str, numbers: Sequence[float], d: int) -> None:
         raise ValueError(f"{kind} about an axis without length: its two ends are one point.")
 
 
-def _signs(options: Options, mesh: Mesh, moving: Sequence[str]) -> Float[np.ndarray, " m"]:
+def _signs(options: Options, mesh: Mesh, moving: Names) -> Float[np.ndarray, " m"]:
     """Finds the side of each node: 1 where the wall's normal points up, -1 where down."""
     return np.sign(shapes.wall_normals(mesh, *moving)[:, 1])
 
 
-def _chord(options: Options, mesh: Mesh, moving: Sequence[str]) -> tuple[shapes.Chord, Float[np.ndarray, " m"]]:
+def _chord(options: Options, mesh: Mesh, moving: Names) -> tuple[shapes.Chord, Float[np.ndarray, " m"]]:
     """Finds the airfoil's own chord, which SU2 takes to be 1 long; 1 for nodes ahead of `TAIL`."""
     wall = np.asarray(mesh.points, float)[mesh.patch(*moving)]
     own = shapes.Chord.along(wall)
@@ -116,7 +117,7 @@ def _chord(options: Options, mesh: Mesh, moving: Sequence[str]) -> tuple[shapes.
     return chord, np.where(np.asarray(chord.coordinates(jnp.asarray(wall))[0]) <= TAIL, 1.0, 0.0)
 
 
-def _file(options: Options, mesh: Mesh, moving: Sequence[str]) -> Float[np.ndarray, "m d"]:
+def _file(options: Options, mesh: Mesh, moving: Names) -> Float[np.ndarray, "m d"]:
     name = options.text("DV_FILENAME", options.text("MOTION_FILENAME", "surface_positions.dat"))  # the older name
     return io.read_displacement(options.beside(name), mesh, mesh.patch(*moving))
 

@@ -134,7 +134,8 @@ def _joints(zone: Zone) -> set[bytes]:
     for each in interfaces(zone):
         if each.is_joint and each.choice == "PointRange":
             with contextlib.suppress(ValueError):  # a wrong range of an interface does no harm
-                joined.add(np.unique(_picked(zone, each.name, each.node, "PointRange", "Vertex")).tobytes())
+                nodes = _picked(zone, each.name, each.node, "PointRange", "Vertex")
+                joined.add(b"" if nodes is None else np.unique(nodes).tobytes())
     return joined
 
 

@@ -1,5 +1,6 @@
 """CGNS, structured and unstructured: a copy of the file with other coordinates, rest untouched."""
 
+import collections
 import dataclasses
 import itertools
 import pathlib
@@ -138,19 +139,17 @@ def _left(zones: list[Zone], found: list[Connection], patches: dict[str, list[np
 
 
 def _pairs(found: list[Connection], patches: dict[str, list[np.ndarray]]) -> list[tuple[str, str, Connection]]:
-    names: list[str] = []
-    for interface in found:
-        is_taken = interface.name in patches or sum(interface.name == other.name for other in found) > 1
-        names.append(f"{interface.zone}/{interface.name}" if is_taken else interface.name)
-        patches[names[-1]] = [interface.nodes]
+    names, counts = {}, collections.Counter(each.name for each in found)
+    for each in found:
+        is_taken = each.name in patches or counts[each.name] > 1
+        name = f"{each.zone}/{each.name}" if is_taken else each.name
+        names[each.nodes.tobytes()], patches[name] = name, [each.nodes]
     pairs: dict[frozenset[str], tuple[str, str, Connection]] = {}
-    for name, interface in zip(names, found, strict=True):
-        of_nodes = (n for n, other in zip(names, found, strict=True) if np.array_equal(other.nodes, interface.others))
-        partner = next(of_nodes, None)
-        if partner is None:
-            partner = f"{name} donor"
-            patches[partner] = [interface.others]
-        pairs.setdefault(frozenset((name, partner)), (name, partner, interface))
+    for each in found:
+        name = names[each.nodes.tobytes()]
+        partner = names.setdefault(each.others.tobytes(), f"{name} donor")
+        patches.setdefault(partner, [each.others])
+        pairs.setdefault(frozenset((name, partner)), (name, partner, each))
     return list(pairs.values())
 
 

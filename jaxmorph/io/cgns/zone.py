@@ -73,7 +73,7 @@ def _sides(begins: np.ndarray, cells: list[Ragged]) -> np.ndarray:
 
 def _faces(labels: np.ndarray, sizes: np.ndarray, sides: np.ndarray) -> Faces:
     """Makes faces of those that have a cell; one with a cell only behind it is turned round."""
-    turned, has_cell = (sides[0] < 0) & (sides[1] >= 0), (sides >= 0).any(axis=0)
+    turned, has_cell = (sides[0] < 0) & (sides[1] >= 0), sides.max(axis=0) >= 0
     ends = np.cumsum(sizes)
     starts = ends - sizes
     rows, which = spread(starts, ends)
