@@ -118,7 +118,8 @@ def _xml_writer(data: Any, encoding: Encoding) -> Any:
 
 
 def _legacy_writer(data: Any, encoding: Encoding) -> Any:
-    writer = vtk.vtk("vtkIOLegacy").vtkDataSetWriter()
+    kind = data.GetClassName().removeprefix("vtk")  # a writer of any kind does not take the precision
+    writer = getattr(vtk.vtk("vtkIOLegacy"), f"vtk{kind}Writer")()
     writer.SetHeader(encoding.title)
     # before 5.1 files have another order of the nodes of hexahedra, in which VTK does not write
     is_new = encoding.version > "5" or VTK_LAGRANGE["hexahedron"] in vtk.numbers_of(vtk.unstructured(data))
