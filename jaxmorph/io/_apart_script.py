@@ -6,8 +6,8 @@ memory, and puts into the folder what is read. Tasks are
 
 - `vtk`: each data set in VTK's XML, raw and uncompressed. One line of JSON is printed: the names of
   the data sets, and what VTK said;
-- `gmsh`: `mesh.pickle`, points in the order of their numbers, and for the elements of each entity
-  gmsh's type, ids of nodes, names, and number;
+- `gmsh`: `mesh.pickle`, points in the order of their numbers, for the elements of each entity its
+  dimension and number, gmsh's type, ids of nodes and groups, and names of groups;
 - a name of meshio's formats: `mesh.pickle`, meshio's mesh.
 """
 
@@ -43,7 +43,7 @@ def by_meshio(kind: str, file: str, most: int) -> Any:
     return meshio.read(file, file_format=kind)
 
 
-def by_gmsh(file: str, most: int) -> tuple[Any, list[tuple[int, Any, list[str], int]]]:
+def by_gmsh(file: str, most: int) -> tuple[Any, list[tuple], dict[tuple[int, int], str]]:
     import gmsh
     import numpy as np
 
@@ -51,19 +51,18 @@ def by_gmsh(file: str, most: int) -> tuple[Any, list[tuple[int, Any, list[str], 
     gmsh.initialize(argv=["gmsh", "-noenv"], readConfigFiles=False, interruptible=False)
     gmsh.option.setNumber("General.Terminal", 0)
     gmsh.open(file)
-    mesh, found = gmsh.model.mesh, []
+    mesh, found, names = gmsh.model.mesh, [], {}
     tags, places, _ = map(np.asarray, mesh.getNodes())
     # gmsh's tags of nodes have gaps and any order: node i is the one with the i-th smallest tag
     order = np.argsort(tags)
-    ascending = tags[order]
     for level, entity in gmsh.model.getEntities():
-        groups = gmsh.model.getPhysicalGroupsForEntity(level, entity)
-        names = [gmsh.model.getPhysicalName(level, group) or f"group_{group}" for group in groups]
+        groups = [int(group) for group in gmsh.model.getPhysicalGroupsForEntity(level, entity)]
+        names |= {(level, tag): gmsh.model.getPhysicalName(level, tag) or f"group_{tag}" for tag in groups}
         for number, _, nodes in zip(*mesh.getElements(level, entity), strict=True):
             width = mesh.getElementProperties(number)[3]
-            ids = np.searchsorted(ascending, nodes).reshape(-1, width)
-            found.append((int(number), ids, names, entity))
-    return places.reshape(-1, 3)[order], found
+            ids = np.searchsorted(tags[order], nodes).reshape(-1, width)
+            found.append((level, entity, int(number), ids, groups))
+    return places.reshape(-1, 3)[order], found, names
 
 
 def by_vtk(path: Path, folder: Path, most: int) -> None:
