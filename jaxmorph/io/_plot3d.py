@@ -66,13 +66,13 @@ class FileLayout(NamedTuple):
         return [ndarray(block.shape[1], self.blank, numbers.data, int(start) + block.nbytes) for block, start in ends]
 
 
-class Plot3DContent(NamedTuple):
+@dataclasses.dataclass(frozen=True, eq=False)
+class Plot3DContent(FilePoints):
     data: bytes
     layout: FileLayout
-    joined: FilePoints
 
     def moved(self, points: ndarray) -> Pieces:
-        points, numbers, first = self.joined.in_file(points), _numbers(self.data, self.layout.is_text).copy(), 0
+        points, numbers, first = self.in_file(points), _numbers(self.data, self.layout.is_text).copy(), 0
         for block in self.layout.coordinates(numbers):
             block[...] = points[first : first + block.shape[1]].T
             first += block.shape[1]
@@ -101,8 +101,8 @@ def read(path: Path) -> Parts:
     singles = EVERYTHING if layout.dtype.itemsize == 4 else ()
     notes = (f"{blank} nodes are blank (IBLANK 0), and are read as all others.",) if blank else ()
     mesh, joined = join(points, *_zones(path, layout.shapes))
-    joined = dataclasses.replace(joined, singles=singles)
-    return mesh._replace(source=Source(path, NAME, Plot3DContent(data, layout, joined), notes=notes, **joined.known))
+    content = Plot3DContent(points, data, layout, node=joined.node, singles=singles)
+    return mesh._replace(source=Source(path, NAME, content, notes=notes, **content.known))
 
 
 def _plain(text: bytes) -> bytes:
