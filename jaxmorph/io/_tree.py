@@ -154,7 +154,7 @@ ADF = b"ADF Database Version "
 _ORDERS = {b"L": "<", b"B": ">"}
 _HEADER_TAGS = {32: b"adf0", 64: b"adf1", 96: b"adf2", 102: b"adf3", 130: b"adf4", 182: b"adf5"}
 _NODE = struct.Struct("4x 32s 32s 8s 8x 12s 32s 2s 96s 4s 12s 4x")
-"""A node's name, label, number and table of children, type, number of sizes, sizes, and its data."""
+"""A node's name, label, number and table of children, type, number of sizes, sizes, its data."""
 
 
 class Array:
