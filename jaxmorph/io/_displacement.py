@@ -168,13 +168,9 @@ def _obj(path: Path) -> Simplices:
             ids, counts = parse(text, np.int64), scan(text)[2]
             if len(ids) != counts.sum() or (counts < corners).any() or (ids < 1).any():
                 raise ValueError(f"faces and lines need the numbers, from 1, of {corners} vertices or more.")
-            return Simplices(points, fans(ids - 1, counts) if corners == 3 else _chains(ids - 1, counts))
+            chains = np.delete(np.column_stack([ids[:-1], ids[1:]]), np.cumsum(counts)[:-1] - 1, axis=0) - 1
+            return Simplices(points, fans(ids - 1, counts) if corners == 3 else chains)
     return Simplices(points, np.zeros((0, 3), np.int64))
-
-
-def _chains(ids: ndarray, counts: ndarray) -> ndarray:
-    pairs = np.column_stack([ids[:-1], ids[1:]])
-    return np.delete(pairs, np.cumsum(counts)[:-1] - 1, axis=0)
 
 
 def _npz(path: Path) -> Simplices:

@@ -83,7 +83,10 @@ def by_zones(path: Path, text: bytes) -> list[list[Keyword]]:
     cuts = [place for place, keyword in enumerate(keywords) if keyword.name == "IZONE"]
     head, *zones = [keywords[a:b] for a, b in itertools.pairwise([0, *cuts, len(keywords)])]
     _check_zones(head, zones)
-    return [_with_head(head, zone) for zone in sorted(zones, key=lambda zone: zone[0].number())] or [head]
+    zones = sorted(zones, key=lambda zone: zone[0].number())
+    return [[*(word for word in head if word.name not in [own.name for own in zone]), *zone] for zone in zones] or [
+        head
+    ]
 
 
 def _check_zones(head: list[Keyword], zones: list[list[Keyword]]) -> None:
@@ -93,11 +96,6 @@ def _check_zones(head: list[Keyword], zones: list[list[Keyword]]) -> None:
     numbers = [zone[0].number() for zone in zones]
     if sorted(numbers) != list(range(1, len(zones) + 1)):
         raise ValueError(f"IZONE= is {', '.join(map(str, numbers))}; 1 to {len(zones)} expected, each once.")
-
-
-def _with_head(head: list[Keyword], zone: list[Keyword]) -> list[Keyword]:
-    names = {keyword.name for keyword in zone}
-    return [*(keyword for keyword in head if keyword.name not in names), *zone]
 
 
 def mesh_of(path: Path, text: bytes, keywords: list[Keyword]) -> Parts:
