@@ -110,7 +110,7 @@ def is_whole(place: pathlib.Path, kind: str, text: bytes, damaged: bytes, at: in
     return (
         place.suffix in (".patches", ".toml")
         or (kind == "cut" and len(text[len(damaged) :].split()) < 2)
-        or (kind == "cut" and text[at:].lstrip().startswith((b"POINT_DATA", b"METADATA")))
+        or (kind == "cut" and text[at:].lstrip().startswith((b"POINT_DATA", b"METADATA", b"(39", b"(45")))
         or (kind == "cut" and b"METADATA" in damaged.rstrip()[-400:])
         or (kind != "cut" and any(damaged.count(word) < text.count(word) for word in lost))
     )
