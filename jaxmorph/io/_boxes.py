@@ -204,7 +204,7 @@ def with_boxes(mesh: Mesh, new: Sequence[Box]) -> Mesh:
         before += end
     shift = len(before) + len(written) - stop if start < content.start else 0
     text = before + written + content.text[stop:]
-    changed = dataclasses.replace(content, text=text, start=content.start + shift, stop=content.stop + shift)
+    changed = content._replace(text=text, start=content.start + shift, stop=content.stop + shift)
     return Mesh(mesh.points, mesh.cells, mesh.patches, dataclasses.replace(source, content=changed))
 
 
@@ -288,8 +288,8 @@ def _surface(keyword: Keyword, n: int, d: int) -> Surface:
     """Reads rows of a marker, a node and three coordinates; these are left in the text alone."""
     section, word = keyword.section, re.compile(rb"(?m)^[ \t]*(\S+)")
     text = section.text[: section.start] + word.sub(b"", section.content)
-    numbers = dataclasses.replace(section, text=text, stop=len(text))
-    rows = _rows(dataclasses.replace(keyword, section=numbers), 4)
+    numbers = section._replace(text=text, stop=len(text))
+    rows = _rows(keyword._replace(section=numbers), 4)
     wrong = np.flatnonzero(~np.isin(rows[:, 0], np.arange(n)))
     if len(wrong):
         raise numbers.error("a marker, a node and three coordinates in the box expected.", int(wrong[0]))

@@ -168,13 +168,9 @@ def _obj(path: Path) -> Simplices:
             ids, counts = parse(text, np.int64), scan(text)[2]
             if len(ids) != counts.sum() or (counts < corners).any() or (ids < 1).any():
                 raise ValueError(f"faces and lines need the numbers, from 1, of {corners} vertices or more.")
-            return Simplices(points, fans(ids - 1, counts) if corners == 3 else _chains(ids - 1, counts))
+            chains = np.delete(np.column_stack([ids[:-1], ids[1:]]), np.cumsum(counts)[:-1] - 1, axis=0) - 1
+            return Simplices(points, fans(ids - 1, counts) if corners == 3 else chains)
     return Simplices(points, np.zeros((0, 3), np.int64))
-
-
-def _chains(ids: ndarray, counts: ndarray) -> ndarray:
-    pairs = np.column_stack([ids[:-1], ids[1:]])
-    return np.delete(pairs, np.cumsum(counts)[:-1] - 1, axis=0)
 
 
 def _npz(path: Path) -> Simplices:
@@ -196,12 +192,14 @@ READERS = {".stl": _stl, ".obj": _obj, ".npz": _npz}
 FACT = re.compile(rb"^[ \t]*[A-Za-z_]+[ \t]*=.*$", re.MULTILINE)
 """A line `NAME= value`, as SU2's older restarts have behind their rows."""
 NAME = re.compile(rb"\"[^\"]*\"|[^\s,;]+")
+HEAD = re.compile(rb"\s*[\"']*(?!(?:nan|inf)\b)[a-z][^\n]*\n?", re.IGNORECASE)
+"""A header: a first line that begins with a name."""
 IDS = ("pointid", "point_id", "id", "node", "globalindex", "global_index")
 """Headers of the column of node ids, which is the first one otherwise."""
-MAGIC = 535532
+MAGICS = {(535532).to_bytes(4, "little"): "<", (535532).to_bytes(4, "big"): ">"}
 """The first number of a binary restart, in four bytes of either order."""
 HEADER = 5
-"""Whole numbers at its beginning: `MAGIC`, the counts of columns and nodes, and two zeros."""
+"""Whole numbers at its beginning: 535532, the counts of columns and nodes, and two zeros."""
 WIDTH = 33
 """Bytes of the name of one of its columns."""
 
@@ -230,20 +228,19 @@ def read_surface(path: PathLike, d: int) -> tuple[Int[ndarray, " m"], Float[ndar
 def read_table(path: Path, d: int, wanted: tuple[str, ...] = ()) -> tuple[Int[ndarray, " m"], Float[ndarray, "m d"]]:
     """Reads node ids and d numbers for each; with `wanted` those of columns with these headers."""
     text = path.read_bytes()
-    if wanted and MAGIC in (int.from_bytes(text[:4], "little"), int.from_bytes(text[:4], "big")):
+    if wanted and text[:4] in MAGICS:
         return _restart(text, wanted[:d])
     text = FACT.sub(b"", re.sub(rb"[%#][^\n]*", b"", text))
-    start = _after_header(text)
-    names = [name.strip(b"\"'").lower().decode(errors="replace") for name in NAME.findall(text[:start])]
-    section = Section(path, re.sub(rb"[,;]", b" ", text), start, len(text))
-    rows = section.rows(np.float64)
+    found = HEAD.match(text)
+    head = found[0] if found else b""
+    names = [decoded(name.strip(b"\"'").lower()) for name in NAME.findall(head)]
+    rows = Section(path, re.sub(rb"[,;]", b" ", text), len(head), len(text)).rows(np.float64)
     if not len(rows.counts):
         raise ValueError(f"no rows of node id and {d} numbers in this file.")
     columns, width, expected = list(range(d + 1)), d + 1, f"a node id and {d} numbers"
     if wanted and {*wanted[:d]} <= {*names}:
         columns = [next((k for k, name in enumerate(names) if name in IDS), 0), *map(names.index, wanted[:d])]
-        if max(columns) > d:
-            width, expected = len(names), f"{len(names)} numbers, as in the header,"
+        width, expected = len(names), f"{len(names)} numbers, as in the header,"
     rows.refuse(rows.counts != width, lambda k: f"{expected} expected, found {rows.counts[k]} numbers.")
     table = rows.values.reshape(-1, width)[:, columns]
     ids = np.abs(np.floor(table[:, 0]))
@@ -295,10 +292,9 @@ def in_order(
     return values[rows_in(ids, wanted)]
 
 
-def _restart(path: Path, content: bytes, wanted: tuple[str, ...]) -> tuple[Int[ndarray, " n"], Float[ndarray, "n d"]]:
+def _restart(content: bytes, wanted: tuple[str, ...]) -> tuple[Int[ndarray, " n"], Float[ndarray, "n d"]]:
     """Reads columns of a binary restart, which has a row for each node in the order of the mesh."""
-    order = "<" if int.from_bytes(content[:4], "little") == MAGIC else ">"
-    begin = 4 * HEADER
+    order, begin = MAGICS[content[:4]], 4 * HEADER
     k, n = map(int, np.frombuffer(content[:begin].ljust(begin, b"\0"), f"{order}i4")[1:3])
     start = begin + WIDTH * k
     size = start + 8 * n * k
@@ -313,12 +309,3 @@ def _restart(path: Path, content: bytes, wanted: tuple[str, ...]) -> tuple[Int[n
         raise ValueError(f"a binary restart without the columns {missing}; it has {', '.join(names)}.")
     values = np.frombuffer(content, f"{order}f8", n * k, start).reshape(n, k)[:, [*map(names.index, wanted)]]
     return np.arange(n), values.astype(float)
-
-
-def _after_header(text: bytes) -> int:
-    """Finds where the line after a header begins: a first line that begins with a name."""
-    first = len(text) - len(text.lstrip())
-    end = text.find(b"\n", first)
-    word = text[first : end if end >= 0 else len(text)].split()[:1]
-    is_name = bool(word) and word[0].strip(b"\"'")[:1].isalpha() and word[0].lower() not in (b"nan", b"inf")
-    return (end + 1 if end >= 0 else len(text)) if is_name else 0

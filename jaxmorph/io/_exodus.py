@@ -13,15 +13,14 @@ from jaxmorph._host.cells.topology import CORNERS, FACES, NODES, SHAPES, numbers
 from jaxmorph._mesh.exchange import Grid, Parts, Patch, regions_note
 
 from ._format import MeshLike
-from ._text import decoded
-from ._tree import Coordinates, of_tree, opened, points_of, write_points
+from ._tree import Coordinates, of_tree, opened, points_of, text_of, write_points
 
 NAME = "Exodus"
 WHAT = "an Exodus file"
 _TYPES = {"TRI": "triangle", "QUA": "quad", "TET": "tetra", "PYR": "pyramid", "WED": "wedge", "HEX": "hexahedron"}
 _TYPES |= dict.fromkeys(("BAR", "BEA", "TRU", "EDG", "ROD"), "line")
 _TYPES |= dict.fromkeys(("SPH", "CIR", "POI", "NOD"), "vertex")
-_SHELLS = {1: "vertex", 2: "line", 3: "line", 4: "quad", 6: "triangle", 8: "quad", 9: "quad"}
+_SHELLS = {1: "vertex", 2: "line", 3: "triangle", 4: "quad", 6: "triangle", 8: "quad", 9: "quad"}
 """Shapes of cells by first letters of Exodus's types; of shells by their number of nodes."""
 
 _SIDES = {
@@ -102,14 +101,12 @@ def _blocks(path: Path, file: Mapping[str, Any], dimension: int) -> Iterator[_Bl
     for _, name, own, array in _named(file, ("eb", "connect", "block"), "num_el_blk"):
         if array is None:
             continue
-        kind, corners = _text(array.attrs["elem_type"]), array[()].astype(np.int64) - 1
+        kind, corners = text_of(array.attrs["elem_type"]), array[()].astype(np.int64) - 1
         width, letters = corners.shape[-1] if corners.ndim == 2 else 0, kind.upper()[:3]
         ours = _type_of(letters, width)
         if ours not in (*NODES, "vertex"):
-            size = f" with {width} nodes" if width else ""
-            raise ValueError(
-                f"{path}: elements of type {kind[:40]}{size} are not read; of order 1 and 2 are (HEX8, HEX20, ...)."
-            )
+            what = f"elements of type {kind[:40]} with {width} nodes"
+            raise ValueError(f"{path}: {what} are not read; of order 1 and 2 are (HEX8, HEX20, ...).")
         if ours == "hexahedron27":
             corners = np.concatenate([corners[:, :20], corners[:, 21:], corners[:, 20:21]], axis=1)
         # triangles of a mesh in space have sides as shells have, quads have not
@@ -120,7 +117,6 @@ def _blocks(path: Path, file: Mapping[str, Any], dimension: int) -> Iterator[_Bl
 
 def _type_of(letters: str, width: int) -> str:
     shape = _SHELLS.get(width, "") if letters == "SHE" else _TYPES.get(letters, "")
-    shape = "triangle" if (letters, width) == ("SHE", 3) else shape
     return shape if width == CORNERS.get(shape, 1) else f"{shape}{width}"
 
 
@@ -166,7 +162,7 @@ def _named(file: Mapping[str, Any], what: tuple[str, str, str], number: str) -> 
         own, values = f"{word}_{numbers[at]}", file.get(f"{array}{at + 1}")
         if values is None and status[at]:
             raise ValueError(f"there is no {array}{at + 1}")
-        yield at + 1, _text(names[at]) or own, own, values
+        yield at + 1, text_of(names[at]) or own, own, values
 
 
 def _nodes(blocks: list[_Block], cells: ndarray, sides: ndarray) -> ndarray:
@@ -181,9 +177,3 @@ def _nodes(blocks: list[_Block], cells: ndarray, sides: ndarray) -> ndarray:
         rows = cells[(of_block == at) & (sides == side)] - starts[at]
         found.append(block.corners[rows][:, block.sides[side]].ravel())
     return np.concatenate(found)
-
-
-def _text(value: Any) -> str:
-    if isinstance(value, str):
-        return value
-    return decoded(np.asarray(value).tobytes().split(b"\0")[0]).strip()

@@ -20,7 +20,7 @@ from jaxmorph._mesh.faces import Faces, following
 from jaxmorph._mesh.polyhedra import Polyhedra, cells_of_faces, spread
 
 from ._format import FilePoints, Source
-from ._text import Section, decoded, replaced
+from ._text import Pieces, Section, decoded, replaced
 
 NAME = "Fluent"
 INTERIOR, PARENT = 2, 31
@@ -78,7 +78,7 @@ class FluentContent(FilePoints):
     text: bytes
     parts: list[NodeSection]
 
-    def moved(self, points: ndarray) -> Iterator[bytes | memoryview]:
+    def moved(self, points: ndarray) -> Pieces:
         """Yields the file with other points (n, d), section by section."""
         done, points = 0, self.in_file(points)
         for part in sorted(self.parts, key=lambda part: part.section.start):
@@ -113,7 +113,7 @@ class _FluentText:
             raise section.error("a mesh that was adapted, with parents of cells, is not read.")
         elif kind in (10, 12, 13) and (head := _HEAD.match(section.text, section.start)):
             stop = section.stop if width else section.text.rfind(b")", head.end(), section.stop)
-            body = dataclasses.replace(section, start=head.end(), stop=max(stop, head.end()))
+            body = section._replace(start=head.end(), stop=max(stop, head.end()))
             self._mesh(kind, [int(word, 16) for word in head[1].split()], body, width)
 
     def _mesh(self, kind: int, head: list[int], body: Section, width: int) -> None:

@@ -10,8 +10,7 @@ from jaxmorph._mesh.exchange import Parts
 
 from ._fluent import KINDS, FaceTable, FaceZone, mesh_of
 from ._format import FilePoints, MeshLike, Source, stamp_of
-from ._text import decoded
-from ._tree import Coordinates, opened, points_of, singles_of, write_points
+from ._tree import Coordinates, only, opened, points_of, singles_of, text_of, write_points
 
 NAME = "Fluent HDF5"
 WHAT = "a Fluent case in HDF5"
@@ -24,29 +23,21 @@ def read(path: Path) -> Parts:
                 "a mesh of HOPR, which is not read" if "ElemInfo" in file else f"not {WHAT}: there is no group `meshes`"
             )
             raise ValueError(f"{path}: this is {kind}.")
-        mesh, coordinates = _mesh(file), list(_coordinates(file))
-        n, d = coordinates[-1].rows.stop, coordinates[0].array.shape[1]
-        content = FilePoints(points_of(coordinates, n, d), stamp=stamp_of(path), singles=singles_of(coordinates))
-        table, zones = _table(mesh), list(_zones(mesh["faces"]))
-        regions = _names(mesh["cells"]["zoneTopology"])
-        count = int(mesh.attrs["cellCount"].flat[0])
-    return mesh_of(Source(path, NAME, content), table, zones, count, regions)
+        mesh, coordinates = only(file["meshes"], "meshes")[1], list(_coordinates(file))
+        points = points_of(coordinates, coordinates[-1].rows.stop, coordinates[0].array.shape[1])
+        content = FilePoints(points, stamp=stamp_of(path), singles=singles_of(coordinates))
+        found = _table(mesh), list(_zones(mesh["faces"]))
+        count, regions = int(mesh.attrs["cellCount"].flat[0]), _names(mesh["cells"]["zoneTopology"])
+    return mesh_of(Source(path, NAME, content), *found, count, regions)
 
 
 def write(path: Path, mesh: MeshLike) -> None:
     write_points(path, mesh, NAME, _coordinates, WHAT)
 
 
-def _mesh(file: Any) -> Any:
-    names = list(file["meshes"])
-    if len(names) != 1:
-        raise ValueError(f"{len(names)} meshes in the file, one is read")
-    return file["meshes"][names[0]]
-
-
 def _coordinates(file: Any) -> Iterator[Coordinates]:
     first = 0
-    for array in _sections(_mesh(file)["nodes"]["coords"]):
+    for array in _sections(only(file["meshes"], "meshes")[1]["nodes"]["coords"]):
         yield Coordinates(array, slice(first, first + len(array)), slice(None), by_rows=True)
         first += len(array)
 
@@ -80,5 +71,4 @@ def _zones(faces: Any) -> Iterator[FaceZone]:
 
 def _names(topology: Any) -> list[str]:
     """Reads the names of zones, of which one text holds all."""
-    text = np.asarray(topology["name"][()]).ravel()[0]
-    return (text if isinstance(text, str) else decoded(bytes(text).rstrip(b"\0"))).split(";")
+    return text_of(np.ravel(topology["name"][()])[0]).split(";")

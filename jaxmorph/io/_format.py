@@ -5,7 +5,7 @@ import dataclasses
 import importlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy import ndarray
@@ -114,8 +114,7 @@ MeshLike = Mesh | Parts
 """What a format writes."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Format:
+class Format(NamedTuple):
     """A format: its name, and the module of this package (or the codec) that reads and writes it.
 
     `magic` are the first bytes of its files, for an ending that two formats share. The module, and

@@ -128,14 +128,18 @@ def read(path: pathlib.Path) -> Parts:
         raise ValueError(f"{path}: no mesh, the file holds no $Nodes or no $Elements, or none in them.")
     with faults_of(path):
         blocks = _numbered(found.blocks, content.tags)
-    groups = list(_groups(blocks, found.names))
+    grid, patches, notes = grid_of(content.points, blocks, found.names)
+    notes += (f"sections {', '.join(found.others)} are not read, and stay in the file.",) * bool(found.others)
+    return of_grid(path, grid, Source(path, NAME, content, notes=notes, **content.known), patches)
+
+
+def grid_of(points: np.ndarray, blocks: list[ElementBlock], names: Names) -> tuple[Grid, list[Patch], tuple[str, ...]]:
+    """Makes a grid, patches of the groups of lower dimension, and a note on the others."""
+    groups = list(_groups(blocks, names))
     cells = [(block.kind, reordered(block.kind, block.corners, GMSH, None)) for block in blocks]
     top = max(DIMENSION.get(kind, 0) for kind, _ in cells)
     notes = tuple(regions_note(patch.name for level, patch in groups if level == top))
-    notes += (f"sections {', '.join(found.others)} are not read, and stay in the file.",) * bool(found.others)
-    source = Source(path, NAME, content, notes=notes, **content.known)
-    patches = [patch for level, patch in groups if level < top]
-    return of_grid(path, Grid(content.points, cells, {}, {}), source, patches)
+    return Grid(points, cells, {}, {}), [patch for level, patch in groups if level < top], notes
 
 
 def _groups(blocks: list[ElementBlock], names: Names) -> Iterator[tuple[int, Patch]]:

@@ -7,24 +7,17 @@ from typing import Any
 import numpy as np
 from numpy import ndarray
 
+from jaxmorph._host.cells.topology import numbers
 from jaxmorph._mesh.exchange import Grid, Parts
 
 from ._format import MeshLike
-from ._text import decoded
-from ._tree import Coordinates, of_tree, opened, points_of, write_points
+from ._tree import Coordinates, of_tree, only, opened, points_of, text_of, write_points
 
 NAME = "MED"
 WHAT = "a MED file"
-TYPES = {
-    "PO1": ("vertex", [0]),
-    "SE2": ("line", [0, 1]),
-    "TR3": ("triangle", [0, 1, 2]),
-    "QU4": ("quad", [0, 1, 2, 3]),
-    "TE4": ("tetra", [0, 2, 1, 3]),
-    "PY5": ("pyramid", [0, 3, 2, 1, 4]),
-    "PE6": ("wedge", [0, 2, 1, 3, 5, 4]),
-    "HE8": ("hexahedron", [0, 3, 2, 1, 4, 7, 6, 5]),
-}
+TYPES = {"PO1": ("vertex", "0"), "SE2": ("line", "01"), "TR3": ("triangle", "012"), "QU4": ("quad", "0123")}
+TYPES |= {"TE4": ("tetra", "0213"), "PY5": ("pyramid", "03214"), "PE6": ("wedge", "021354")}
+TYPES |= {"HE8": ("hexahedron", "03214765")}
 """Types of cells by MED's, and the places of MED's corners in VTK's order."""
 
 
@@ -39,7 +32,8 @@ def read(path: Path) -> Parts:
         for kind, group in step["MAI"].items():
             if kind not in TYPES:
                 raise ValueError(f"{path}: elements of type {kind}; linear ones are read ({', '.join(TYPES)}).")
-            ours, order = TYPES[kind]
+            ours, places = TYPES[kind]
+            (order,) = numbers(places)
             corners = group["NOD"][()].reshape(len(order), -1).T[:, order].astype(np.int64) - 1
             blocks.append((ours, corners))
             families.append(_families(group, len(corners)))
@@ -70,14 +64,8 @@ def _families(group: Any, count: int) -> ndarray:
 
 
 def _step(file: Any) -> tuple[str, Any]:
-    meshes = dict(file["ENS_MAA"].items())
-    if len(meshes) != 1:
-        raise ValueError(f"{len(meshes)} meshes in the file, one is read")
-    ((name, mesh),) = meshes.items()
-    steps = [mesh] if "NOE" in mesh else list(mesh.values())
-    if len(steps) != 1:
-        raise ValueError(f"{len(steps)} steps of time in the file, one is read")
-    return name, steps[0]
+    name, mesh = only(file["ENS_MAA"], "meshes")
+    return name, mesh if "NOE" in mesh else only(mesh, "steps of time")[1]
 
 
 def _groups(file: Any, name: str, kind: str) -> dict[str, list[int]]:
@@ -85,6 +73,5 @@ def _groups(file: Any, name: str, kind: str) -> dict[str, list[int]]:
     groups: dict[str, list[int]] = {}
     for family in families.get(kind, {}).values():
         for characters in family["GRO"]["NOM"][()] if "GRO" in family else ():
-            group = decoded(bytes(np.asarray(characters, np.uint8)).split(b"\0")[0]).strip()
-            groups.setdefault(group, []).append(int(family.attrs["NUM"]))
+            groups.setdefault(text_of(np.asarray(characters, np.uint8)), []).append(int(family.attrs["NUM"]))
     return groups

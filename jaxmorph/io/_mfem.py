@@ -15,8 +15,8 @@ from jaxmorph._host.cells.orders import NodeOrder, reordered
 from jaxmorph._host.cells.topology import CORNERS, DIMENSION, EDGES, numbers
 from jaxmorph._mesh.exchange import Parts, checked_parts, gathered, regions_note
 
-from ._format import Source
-from ._text import Section, blanked, replaced
+from ._format import Arrays, Source
+from ._text import Pieces, Section, blanked, replaced
 
 ORDER = NodeOrder(
     EDGES | {"tetra": numbers("01 02 03 12 13 23")},
@@ -77,7 +77,7 @@ def _in_file_order(cells: list[AttributedCells], tables: Iterable[ndarray]) -> n
     return ids[np.argsort(rows, kind="stable")]
 
 
-def at_places(cells: dict[str, ndarray], points: ndarray, *, are_lobatto: bool) -> ndarray:
+def at_places(cells: Arrays, points: ndarray, *, are_lobatto: bool) -> ndarray:
     """Takes nodes at equal steps to MFEM's Gauss-Lobatto places (from order 3 on), or back."""
     moved = points.copy()
     for kind, ids in cells.items():
@@ -107,8 +107,7 @@ SAME = 1e-8
 _SPACE = rb"\s*FiniteElementSpace\s+FiniteElementCollection:\s*(\S+)\s+VDim:\s*(\d{1,9})\s+Ordering:\s*([01])\b"
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Space:
+class Space(NamedTuple):
     """The finite element space of the coordinates: order, and dimension `d` of its values.
 
     - `section`: where the numbers are, behind `skipped` others; `by_nodes`: all x come first.
@@ -154,7 +153,7 @@ class MFEMContent:
     values: ndarray
     node: ndarray
     points: ndarray
-    cells: dict[str, ndarray]
+    cells: Arrays
 
     def in_file(self, points: ndarray) -> ndarray:
         """Computes the file's coordinates (m, d); unchanged where points have not changed."""
@@ -167,7 +166,7 @@ class MFEMContent:
         lobatto = values[np.unique(self.node, return_index=True)[1], : self.points.shape[1]]
         return at_places(self.cells, lobatto, are_lobatto=True)
 
-    def moved(self, points: ndarray) -> Iterator[bytes | memoryview]:
+    def moved(self, points: ndarray) -> Pieces:
         rows, section = self.in_file(points), self.space.section
         words = (rows.T if self.space.by_nodes else rows).ravel()
         at = np.arange(len(words)) + self.space.skipped
@@ -201,9 +200,7 @@ def read(path: Path) -> Parts:
     return checked_parts(content.points.copy(), nodes, patches, source)
 
 
-def _content(
-    text: bytes, space: Space, cells: list[AttributedCells], nodes: dict[str, ndarray], total: int
-) -> MFEMContent:
+def _content(text: bytes, space: Space, cells: list[AttributedCells], nodes: Arrays, total: int) -> MFEMContent:
     node, curved = np.arange(total), nodes if space.order > 2 else {}
     if space.is_torn:  # cell by cell, the first coordinate fastest
         tables = [ids[:, np.lexsort(lagrange_types()[kind].lattice.T)] for kind, ids in nodes.items()]
@@ -238,7 +235,7 @@ def _elements(section: Section, count: int) -> list[AttributedCells]:
     table = section.rows(np.int64)
     if not len(table.counts) or table.counts[0] != 1 or table.values[0] != len(table.counts) - 1:
         raise section.error("a number of elements expected, and as many rows of attribute, type and corners.")
-    rows = dataclasses.replace(table, values=table.values[1:], counts=table.counts[1:], row=1)
+    rows = table._replace(values=table.values[1:], counts=table.counts[1:], row=1)
     found = sorted(rows.by_kind(1, SIZES, count), key=lambda kind: kind[0])
     return [AttributedCells(GEOMETRIES[kind], each[:, 2:], at, each[:, 0]) for kind, at, each in found if kind]
 
@@ -257,11 +254,11 @@ def _space_of(parts: dict[str, Section]) -> Space:
     known = re.fullmatch(r"(H1|L2_T1)_(?:[23]D_)?P([1-4])", name)
     if known is None:
         raise section.error(f"nodes of {name[:40]} are not read; H1 and L2_T1 of order 1 to 4 are.")
-    numbers = dataclasses.replace(section, start=section.start + head.end())
+    numbers = section._replace(start=section.start + head.end())
     return Space(numbers, count, int(known[2]), int(head[2]), head[3] == b"0", known[1] != "H1")
 
 
-def _patches(sides: list[AttributedCells], nodes: list[ndarray]) -> dict[str, ndarray]:
+def _patches(sides: list[AttributedCells], nodes: list[ndarray]) -> Arrays:
     found = gathered(
         (attribute, ids[each.attributes == attribute].ravel())
         for each, ids in zip(sides, nodes, strict=True)

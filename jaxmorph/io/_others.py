@@ -16,26 +16,22 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy import ndarray
 
-from jaxmorph._host.cells.orders import GMSH, reordered
 from jaxmorph._host.package.text import ending
 from jaxmorph._mesh.exchange import (
-    DIMENSION,
     GROUPS,
     LEVELS,
     MARKERS,
     Grid,
     Parts,
     Patch,
-    gathered,
     imported,
     of_meshio,
-    regions_note,
 )
 from jaxmorph._mesh.export import to_meshio
 
 from ._apart import run_apart
 from ._format import EVERYTHING, FilePoints, MeshLike, Source, of_grid, own_source
-from ._gmsh import TYPES
+from ._gmsh import TYPES, ElementBlock, Names, grid_of
 from ._text import parse, replaced, scan
 
 MOST = 8
@@ -98,8 +94,7 @@ class OtherContent(FilePoints):
         return [name for name in names if name.lower() not in (*MARKERS, *GROUPS)]
 
 
-@dataclasses.dataclass(frozen=True)
-class Codec:
+class Codec(NamedTuple):
     """Reads and writes one of `KINDS`."""
 
     name: str
@@ -214,29 +209,14 @@ def _found(path: Path, kind: LibraryKind, size: int) -> tuple[Grid, list[Patch],
     return (of_meshio(found), [], ()) if kind.library == "meshio" else _of_gmsh(*found)
 
 
-def _of_gmsh(points: ndarray, found: list[tuple]) -> tuple[Grid, list[Patch], tuple[str, ...]]:
-    """Makes a grid of what `_apart_script.py` gives, and patches of groups."""
-    unknown = [number for number, *_ in found if number not in TYPES]
+def _of_gmsh(points: ndarray, found: list[tuple], names: Names) -> tuple[Grid, list[Patch], tuple[str, ...]]:
+    """Makes a grid of what `_apart_script.py` gives; a boundary without a group is `surface_5`."""
+    unknown = [number for _, _, number, *_ in found if number not in TYPES]
     if unknown or not found:
         raise ValueError(f"elements of gmsh's types {unknown} are not read." if unknown else "no elements.")
-    elements = [(TYPES[number], ids.astype(np.int64), names, entity) for number, ids, names, entity in found]
-    return _grid(points, elements)
-
-
-def _grid(
-    points: ndarray, found: list[tuple[str, ndarray, list[str], int]]
-) -> tuple[Grid, list[Patch], tuple[str, ...]]:
-    blocks = [(kind, reordered(kind, ids, GMSH, None)) for kind, ids, *_ in found]
-    top = max(DIMENSION.get(kind, 0) for kind, _ in blocks)
-    sets = gathered(_sets(found, top))
-    patches = [Patch(name, f"{name}_{LEVELS[level]}", ids) for (level, name), ids in sets.items() if level < top]
-    regions = [name for level, name in sets if level == top]
-    return Grid(points, blocks, {}, {}), patches, tuple(regions_note(regions if len(regions) > 1 else ()))
-
-
-def _sets(found: list[tuple], top: int) -> Iterator[tuple[tuple[int, str], ndarray]]:
-    """Yields nodes by dimension and name; a boundary without a group has gmsh's, `surface_5`."""
-    for kind, ids, names, entity in found:
-        level = DIMENSION.get(kind, 0)
-        for name in names or [f"{LEVELS[level]}_{entity}"] * (level == top - 1):
-            yield (level, name), ids.ravel()
+    blocks, top = [], max(level for level, *_ in found)
+    for level, entity, number, ids, groups in found:
+        if not groups and level == top - 1:
+            groups, names[level, -entity] = [-entity], f"{LEVELS[level]}_{entity}"
+        blocks.append(ElementBlock(TYPES[number], ids.astype(np.int64), dict.fromkeys(groups, slice(None))))
+    return grid_of(points, blocks, names)

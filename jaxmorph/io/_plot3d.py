@@ -5,6 +5,7 @@ import itertools
 import math
 from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy import ndarray
@@ -13,7 +14,7 @@ from jaxmorph._mesh.exchange import Parts
 
 from ._format import EVERYTHING, FilePoints, Source
 from ._joined import SIDES, block_cells, block_ids, block_sides, join
-from ._text import chunks, parse, replaced
+from ._text import Pieces, chunks, parse, replaced
 
 NAME = "PLOT3D"
 TEXT = bytes([*b"\t\r\n", *range(32, 127)])
@@ -21,8 +22,7 @@ WORDS = bytes.maketrans(b",Dd", b" ee")
 """Fortran's commas and exponents, as NumPy reads them."""
 
 
-@dataclasses.dataclass(frozen=True)
-class RecordForm:
+class RecordForm(NamedTuple):
     """Types of a record's mark, of sizes, of coordinates and IBLANK (or None); text is doubles."""
 
     mark: int
@@ -32,6 +32,7 @@ class RecordForm:
 
 DOUBLE = np.dtype("f8")
 TEXTS = [RecordForm(0, DOUBLE, [(DOUBLE, None), (DOUBLE, DOUBLE)])]
+Shapes = tuple[tuple[int, ...], ...]
 BINARIES = [
     RecordForm(mark, whole, [(np.dtype(order + real), blank) for real in ("f8", "f4") for blank in (None, whole)])
     for order, whole in (("<", np.dtype("<i4")), (">", np.dtype(">i4")))
@@ -41,11 +42,10 @@ WAYS = ((True, 3), (False, 3), (True, 2), (False, 2))
 """Whether a count of blocks comes first, and the dimension."""
 
 
-@dataclasses.dataclass(frozen=True)
-class FileLayout:
+class FileLayout(NamedTuple):
     """Sizes of the blocks, the bytes at which their coordinates begin, types, and whether text."""
 
-    shapes: tuple[tuple[int, ...], ...]
+    shapes: Shapes
     starts: ndarray
     dtype: np.dtype
     blank: np.dtype | None
@@ -67,13 +67,12 @@ class FileLayout:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Plot3DContent:
+class Plot3DContent(FilePoints):
     data: bytes
     layout: FileLayout
-    joined: FilePoints
 
-    def moved(self, points: ndarray) -> Iterator[bytes | memoryview]:
-        points, numbers, first = self.joined.in_file(points), _numbers(self.data, self.layout.is_text).copy(), 0
+    def moved(self, points: ndarray) -> Pieces:
+        points, numbers, first = self.in_file(points), _numbers(self.data, self.layout.is_text).copy(), 0
         for block in self.layout.coordinates(numbers):
             block[...] = points[first : first + block.shape[1]].T
             first += block.shape[1]
@@ -102,8 +101,8 @@ def read(path: Path) -> Parts:
     singles = EVERYTHING if layout.dtype.itemsize == 4 else ()
     notes = (f"{blank} nodes are blank (IBLANK 0), and are read as all others.",) if blank else ()
     mesh, joined = join(points, *_zones(path, layout.shapes))
-    joined = dataclasses.replace(joined, singles=singles)
-    return mesh._replace(source=Source(path, NAME, Plot3DContent(data, layout, joined), notes=notes, **joined.known))
+    content = Plot3DContent(points, data, layout, node=joined.node, singles=singles)
+    return mesh._replace(source=Source(path, NAME, content, notes=notes, **content.known))
 
 
 def _plain(text: bytes) -> bytes:
@@ -124,7 +123,7 @@ def _numbers(data: bytes, is_text: bool) -> ndarray:
 
 
 def _layouts(numbers: ndarray, form: RecordForm) -> Iterator[FileLayout]:
-    """Yields the sizes that fit a form to its last byte, between Fortran's marks where it has them."""
+    """Yields sizes that fit a form to its last byte, between Fortran's marks where it has them."""
     mark, head = form.mark, form.head
     for is_multiple, d in WAYS:
         start = mark + (head.itemsize + 2 * mark) * is_multiple
@@ -152,7 +151,7 @@ def _view(numbers: ndarray, dtype: np.dtype) -> ndarray:
     return numbers[: len(numbers) // dtype.itemsize * dtype.itemsize].view(dtype)
 
 
-def _shapes(count: ndarray, sizes: ndarray, d: int) -> tuple[tuple[int, ...], ...]:
+def _shapes(count: ndarray, sizes: ndarray, d: int) -> Shapes:
     """Reads the sizes of so many blocks; returns none if the numbers cannot be sizes."""
     if not len(count) or not 0 < count[0] <= len(sizes) // d or count[0] != np.floor(count[0]):
         return ()
@@ -164,7 +163,7 @@ def _shapes(count: ndarray, sizes: ndarray, d: int) -> tuple[tuple[int, ...], ..
     return tuple(tuple(map(int, row)) for row in rows)
 
 
-def _zones(path: Path, shapes: tuple[tuple[int, ...], ...]) -> tuple[list, dict, list[ndarray], list[str]]:
+def _zones(path: Path, shapes: Shapes) -> tuple[list, dict, list[ndarray], list[str]]:
     """Makes the cells, patches and outer faces of all blocks, and the names of the faces."""
     cells, faces, names, first = [], [], [], 0
     for block, shape in enumerate(shapes, start=1):
@@ -179,7 +178,7 @@ def _zones(path: Path, shapes: tuple[tuple[int, ...], ...]) -> tuple[list, dict,
     return cells, patches, faces, [] if patches else names
 
 
-def _patches(path: Path, shapes: tuple[tuple[int, ...], ...]) -> dict[str, list[ndarray]]:
+def _patches(path: Path, shapes: Shapes) -> dict[str, list[ndarray]]:
     patches: dict[str, list[ndarray]] = {}
     for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
         words = line.partition("#")[0].split()
@@ -195,7 +194,7 @@ def _patches(path: Path, shapes: tuple[tuple[int, ...], ...]) -> dict[str, list[
     return patches
 
 
-def _patch(words: list[str], shapes: tuple[tuple[int, ...], ...]) -> ndarray:
+def _patch(words: list[str], shapes: Shapes) -> ndarray:
     block = int(words[1]) - 1
     shape = shapes[block] if block >= 0 else ()
     ids = block_ids(shape, sum(map(math.prod, shapes[:block]))).reshape(shape)

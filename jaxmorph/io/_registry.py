@@ -4,7 +4,7 @@ import contextlib
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -63,8 +63,7 @@ def format_of(path: Path, source: object = None) -> Format:
     return min(found, key=lambda candidate: candidate.rank(first))
 
 
-@dataclasses.dataclass(frozen=True)
-class _Plugin:
+class _Plugin(NamedTuple):
     """A format of another package: a `codec` with `read(path)`, and perhaps `write(path, mesh)`."""
 
     name: str

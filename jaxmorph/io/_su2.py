@@ -1,11 +1,10 @@
 """SU2's native mesh format, 2-D and 3-D (su2code.github.io/docs_v7/Mesh-File)."""
 
 import collections
-import dataclasses
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy import ndarray
@@ -17,9 +16,9 @@ from jaxmorph._host.package.arguments import checked
 from jaxmorph._host.package.files import complete, input_path
 from jaxmorph._mesh.exchange import Parts, checked_parts, gathered
 
-from ._format import MeshLike, Source, faults_of, patch_faces, source_of
+from ._format import Arrays, MeshLike, Source, faults_of, patch_faces, source_of
 from ._registry import check_nodes, check_output
-from ._text import PathLike, Section, blank_comments, decoded, replaced
+from ._text import PathLike, Pieces, Section, blank_comments, decoded, replaced
 
 NAME = "SU2"
 TYPES = {number: kind for kind, number in VTK.items()}
@@ -33,8 +32,7 @@ ROWS = 1 << 16
 WANTED = "`meshes` must be zones that io.read_zones has read, and the file end in .su2; io.write writes other meshes."
 
 
-@dataclasses.dataclass(frozen=True)
-class Keyword:
+class Keyword(NamedTuple):
     name: str
     value: str
     section: Section
@@ -47,8 +45,7 @@ class Keyword:
         return int(words[0])
 
 
-@dataclasses.dataclass(frozen=True)
-class SU2Content:
+class SU2Content(NamedTuple):
     """A file's text, and where its coordinates are: rows (n, width) of d and indices."""
 
     text: bytes
@@ -57,7 +54,7 @@ class SU2Content:
     shape: tuple[int, int]
     width: int
 
-    def moved(self, points: ndarray) -> Iterator[bytes | memoryview]:
+    def moved(self, points: ndarray) -> Pieces:
         n, d = self.shape
         places = (self.width * np.arange(n)[:, None] + np.arange(d)).ravel()
         return replaced(self.text, slice(self.start, self.stop), points.ravel(), at=places, plain=blank_comments)
@@ -86,7 +83,10 @@ def by_zones(path: Path, text: bytes) -> list[list[Keyword]]:
     cuts = [place for place, keyword in enumerate(keywords) if keyword.name == "IZONE"]
     head, *zones = [keywords[a:b] for a, b in itertools.pairwise([0, *cuts, len(keywords)])]
     _check_zones(head, zones)
-    return [_with_head(head, zone) for zone in sorted(zones, key=lambda zone: zone[0].number())] or [head]
+    zones = sorted(zones, key=lambda zone: zone[0].number())
+    return [[*(word for word in head if word.name not in [own.name for own in zone]), *zone] for zone in zones] or [
+        head
+    ]
 
 
 def _check_zones(head: list[Keyword], zones: list[list[Keyword]]) -> None:
@@ -96,11 +96,6 @@ def _check_zones(head: list[Keyword], zones: list[list[Keyword]]) -> None:
     numbers = [zone[0].number() for zone in zones]
     if sorted(numbers) != list(range(1, len(zones) + 1)):
         raise ValueError(f"IZONE= is {', '.join(map(str, numbers))}; 1 to {len(zones)} expected, each once.")
-
-
-def _with_head(head: list[Keyword], zone: list[Keyword]) -> list[Keyword]:
-    names = {keyword.name for keyword in zone}
-    return [*(keyword for keyword in head if keyword.name not in names), *zone]
 
 
 def mesh_of(path: Path, text: bytes, keywords: list[Keyword]) -> Parts:
@@ -189,14 +184,14 @@ def _points(keyword: Keyword, d: int) -> ndarray:
     return table
 
 
-def _cells(keyword: Keyword, n: int) -> dict[str, ndarray]:
+def _cells(keyword: Keyword, n: int) -> Arrays:
     cells = gathered(_tables(keyword, keyword.section, n, "elements"))
     if 1 in cells:
         raise keyword.section.error("NELEM= holds elements of type 1 (a single node); these are no cells.")
     return {TYPES[number]: corners for number, corners in cells.items()}
 
 
-def _markers(keywords: list[Keyword], n: int) -> dict[str, ndarray]:
+def _markers(keywords: list[Keyword], n: int) -> Arrays:
     tags = [place for place, keyword in enumerate(keywords) if keyword.name == "MARKER_TAG"]
     patches = gathered(item for at in tags for item in _marker(*keywords[at : at + 3], n=n))
     stated = _only(keywords, "NMARK")
@@ -232,7 +227,7 @@ def _check_count(keyword: Keyword, stated: int, count: int, what: str) -> None:
         raise keyword.section.error(f"{keyword.name}= {stated}, but {count} rows of {what} follow.")
 
 
-def _new_text(mesh: MeshLike) -> Iterator[bytes]:
+def _new_text(mesh: MeshLike) -> Pieces:
     points, markers = np.asarray(mesh.points), patch_faces(mesh)
     n, d = points.shape
     yield f"NDIME= {d}\nNELEM= {sum(map(len, mesh.cells.values()))}\n".encode()
@@ -245,12 +240,12 @@ def _new_text(mesh: MeshLike) -> Iterator[bytes]:
         yield from _element_rows(faces)
 
 
-def _element_rows(cells: Mapping[str, Any]) -> Iterator[bytes]:
+def _element_rows(cells: Mapping[str, Any]) -> Pieces:
     for kind, corners in cells.items():
         yield from _rows(" ".join([str(VTK[kind]), *["%d"] * corners.shape[1]]), np.asarray(corners))
 
 
-def _rows(form: str, table: ndarray) -> Iterator[bytes]:
+def _rows(form: str, table: ndarray) -> Pieces:
     for start in range(0, len(table), ROWS):
         block = table[start : start + ROWS]
         yield (f"{form}\n" * len(block) % tuple(block.ravel().tolist())).encode()
@@ -308,7 +303,7 @@ def write_zones(path: PathLike, meshes: Sequence[Mesh]) -> None:
         raise ValueError(f"{path}: one zone is twice in `meshes`.")
     # from the last zone to the first, so that places of earlier zones stay
     for content, mesh in sorted(zones, key=lambda zone: -zone[0].start):
-        text = b"".join(dataclasses.replace(content, text=text).moved(np.asarray(mesh.points)))
+        text = b"".join(content._replace(text=text).moved(np.asarray(mesh.points)))
     with complete(Path(path)) as partial:
         partial.write_bytes(text)
 

@@ -1,13 +1,12 @@
 """Numbers in large text files: read in bulk, rounded correctly, and replaced where they stand."""
 
-import dataclasses
 import io
 import os
 import re
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy import ndarray
@@ -16,6 +15,8 @@ from jaxmorph._host.package.text import decoded as decoded
 
 PathLike = str | os.PathLike[str]
 """The name of a file, as users give it."""
+Pieces = Iterator[bytes | memoryview]
+"""A file, piece by piece."""
 
 ENOUGH = 1 << 14
 """Bytes from which SciPy's writer of Matrix Market files pays: `repr`'s digits, much faster."""
@@ -86,8 +87,7 @@ CHUNK = 1 << 20
 """Bytes looked at together: all tables made of them stay in a core's own cache."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Section:
+class Section(NamedTuple):
     """Marks the bytes `start` to `stop` of a file's text, and names the line of anything in it."""
 
     path: Path
@@ -143,8 +143,7 @@ class Section:
         return self.error("the rows that follow hold something that is not a number.")
 
 
-@dataclasses.dataclass(frozen=True)
-class Rows:
+class Rows(NamedTuple):
     """Lines of a section with numbers, from number `row` on: all `values`, `counts` a line."""
 
     section: Section
@@ -168,7 +167,7 @@ class Rows:
     ) -> Iterator[tuple[int, ndarray, ndarray]]:
         """Yields each type of elements in a column, its rows, and their numbers up to the nodes.
 
-        These are 0 to n - 1, so many of each type as `sizes` says. Behind them is an index if `more` is 1.
+        These are 0 to n - 1, so many of each type as `sizes` says. An index follows if `more` is 1.
         """
         self.refuse(self.counts <= column, "an element's type and nodes expected.")
         kinds = self.values[self.first + column]
@@ -222,7 +221,7 @@ def replaced(
     *,
     at: ndarray | None = None,
     plain: Callable[[bytes], bytes] = bytes,
-) -> Iterator[bytes | memoryview]:
+) -> Pieces:
     """Yields the text, in pieces, with `values` in place of the numbers in a part of it.
 
     `at` are the places of these numbers among all words of the part, ascending; None for all words.

@@ -76,6 +76,17 @@ def _refuse_foreign_data(path: Path, file: Any) -> None:
         raise ValueError(f"{path}: {found[-200:]}. {remedy}")
 
 
+def text_of(value: Any) -> str:
+    """Decodes a text in a file: what stands before its first zero, without blanks around."""
+    return value if isinstance(value, str) else decoded(np.asarray(value).tobytes().split(b"\0")[0]).strip()
+
+
+def only(groups: Mapping[str, Any], what: str) -> tuple[str, Any]:
+    if len(groups) != 1:
+        raise ValueError(f"{len(groups)} {what} in the file, one is read")
+    return next(iter(groups.items()))
+
+
 class Coordinates(NamedTuple):
     """An array of coordinates in a tree, at `rows` and `columns` of a file's points, by columns.
 
@@ -143,7 +154,7 @@ ADF = b"ADF Database Version "
 _ORDERS = {b"L": "<", b"B": ">"}
 _HEADER_TAGS = {32: b"adf0", 64: b"adf1", 96: b"adf2", 102: b"adf3", 130: b"adf4", 182: b"adf5"}
 _NODE = struct.Struct("4x 32s 32s 8s 8x 12s 32s 2s 96s 4s 12s 4x")
-"""Name, label, number and table of children, type and number of dimensions, sizes, number and table of data."""
+"""A node's name, label, number and table of children, type, number of sizes, sizes, its data."""
 
 
 class Array:
@@ -347,7 +358,7 @@ class _Header:
         return int.from_bytes(self.taken(width or self.count), "big")
 
     def entries(self, tag: int) -> Iterator[str]:
-        """Yields the names of a list: behind a tag and a count, or zeros for a list that is absent."""
+        """Yields names of a list: behind a tag and a count, or zeros for a list that is absent."""
         found, count = self.number(4), self.number()
         if found != tag and (found, count) != (0, 0):
             raise ValueError(f"a list of tag {found} where {tag} is expected")

@@ -1,13 +1,12 @@
 """VTK's files of one mesh, XML and legacy (.vtk): VTK reads them apart, and writes them."""
 
-import dataclasses
 import json
 import os
 import re
 import tempfile
 import urllib.parse
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -31,8 +30,7 @@ TOLD = re.compile(r"(?:ERROR|Warning): In .*\n(?:\w+ \(0x[0-9a-f]+\): )?((?:.+\n
 """An error or a warning of VTK, and its sentence."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Encoding:
+class Encoding(NamedTuple):
     """How a file is written: an XML file's mode (ascii, binary or appended, base64 or raw), its
     compressor, header and order of bytes; a legacy file's mode, title and version.
     """
@@ -47,8 +45,7 @@ class Encoding:
     version: str = "4.2"
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class VTKContent:
+class VTKContent(NamedTuple):
     data: Any
     encoding: Encoding
 
@@ -121,7 +118,8 @@ def _xml_writer(data: Any, encoding: Encoding) -> Any:
 
 
 def _legacy_writer(data: Any, encoding: Encoding) -> Any:
-    writer = vtk.vtk("vtkIOLegacy").vtkDataSetWriter()
+    kind = data.GetClassName().removeprefix("vtk")  # a writer of any kind does not take the precision
+    writer = getattr(vtk.vtk("vtkIOLegacy"), f"vtk{kind}Writer")()
     writer.SetHeader(encoding.title)
     # before 5.1 files have another order of the nodes of hexahedra, in which VTK does not write
     is_new = encoding.version > "5" or VTK_LAGRANGE["hexahedron"] in vtk.numbers_of(vtk.unstructured(data))
