@@ -19,9 +19,12 @@ from .._kernels.callback import host_call
 from .._kernels.compile import compiled
 from .._kernels.module import Module
 from .._kernels.values import as_jax, largest, norm
-from .base import AbstractField, AbstractMethod, Points, Rows, Scalar, check_kind, einsum, matmul, number
+from .base import AbstractField, AbstractMethod, Flag, Pairs, Points, Rows, Scalar, check_kind, einsum, matmul, number
 from .blocks import fold_rows
 from .surface import ByKind, Surface
+
+Samples = Float[Array, " q"]
+"""Values at quadrature points."""
 
 CELLS = 4096  # cells in a block
 
@@ -41,7 +44,7 @@ class NodeIds(eqx.Module):
     """Ids of a mesh's n nodes for a solve."""
 
     cells: dict[str, CellIds]
-    pairs: Int[Array, "e 2"]  # nodes that share an entry of the matrix, the smaller id first
+    pairs: Pairs  # nodes that share an entry of the matrix, the smaller id first
     frame: Float[Array, "d d"]  # axes in columns; the normal of each symmetry plane is one
     free: Bool[Array, "n d"]  # unknowns, by node and axis of the frame
     wall: Int[Array, " n"]  # for each node the nearest moving node
@@ -59,7 +62,7 @@ class NodeFactors(eqx.Module):
     masses: Float[Array, " q"]
     places: Points
 
-    def times(self, pairs: Int[Array, "e 2"], x: Points) -> Points:
+    def times(self, pairs: Pairs, x: Points) -> Points:
         i, j = pairs.T
 
         def scaled(a, b):
@@ -72,7 +75,7 @@ class NodeFactors(eqx.Module):
 
         return once(once(x) / self.masses[:, None]) if len(self.masses) else once(x)
 
-    def solve(self, pairs: Int[Array, "e 2"], free: Bool[Array, "n d"], right: Points) -> Points:
+    def solve(self, pairs: Pairs, free: Bool[Array, "n d"], right: Points) -> Points:
         leaves = (pairs, self.values, self.diagonal, self.masses, free)
 
         def times(x):
@@ -211,7 +214,7 @@ class AbstractCellMethod(AbstractMethod):
 
 
 @compiled
-def _is_solved(method: AbstractCellMethod, ids: NodeIds, factors: NodeFactors, u: Rows) -> Bool[Array, ""]:
+def _is_solved(method: AbstractCellMethod, ids: NodeIds, factors: NodeFactors, u: Rows) -> Flag:
     return jnp.isfinite(method.field(ids, factors, u, u).values).all()
 
 
@@ -282,7 +285,7 @@ class ByDistance(AbstractStiffness):
 SLIVER = 1e-6  # share of a cell's largest Jacobian below which a quadrature point fades out
 
 
-def gradients(kind: str, corners: Float[Array, "c d"]) -> tuple[Float[Array, "q c d"], Float[Array, " q"]]:
+def gradients(kind: str, corners: Float[Array, "c d"]) -> tuple[Float[Array, "q c d"], Samples]:
     """Returns the shape functions' gradients and the volumes at the quadrature points. Traced."""
     # A point whose Jacobian is small beside the cell's largest fades out: it belongs to a triangle
     # at a straight corner, or between two corners at one place.
@@ -296,9 +299,7 @@ def gradients(kind: str, corners: Float[Array, "c d"]) -> tuple[Float[Array, "q 
     return gradient, weights * jnp.where(top > 0, volume, jnp.abs(safe))
 
 
-def stiffness(
-    of_cell: AbstractStiffness, kind: str, volume: Float[Array, " q"], distance: Float[Array, " c"]
-) -> Float[Array, " q"]:
+def stiffness(of_cell: AbstractStiffness, kind: str, volume: Samples, distance: Float[Array, " c"]) -> Samples:
     """Computes the stiffness at the quadrature points. A point takes the mean distance of the
     corners whose shape functions vary there. Where all corners move, nothing depends on the
     stiffness.
@@ -309,7 +310,7 @@ def stiffness(
     return jax.vmap(lambda mean: of_cell(volume.sum(), mean))(jnp.where(mean > 0, mean, 1))
 
 
-def _inverse(matrix: Float[Array, "q d d"]) -> tuple[Float[Array, "q d d"], Float[Array, " q"], Float[Array, " q"]]:
+def _inverse(matrix: Float[Array, "q d d"]) -> tuple[Float[Array, "q d d"], Samples, Samples]:
     """Inverts matrices in closed form; returns determinants, and divisors that are not zero."""
     columns = list(jnp.moveaxis(matrix, 0, 2).swapaxes(0, 1))
     rows = cofactors(columns)

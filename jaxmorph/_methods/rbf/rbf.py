@@ -51,8 +51,7 @@ class Iterative(Module):
     **Arguments:**
 
     - `tolerance`: the distance by which the field misses its sources when a solve ends, relative to
-      the largest displacement: the root of the sum of squares over all sources. Default 1e-10;
-      1.2e-5 at least in single precision.
+      the largest displacement. Default 1e-10; 1.2e-5 at least in single precision.
     - `neighbours`: sources in each function's small system. More of them take fewer products, and
       more time and memory to prepare. Default 100.
     - `dense`: the number of first sources that are solved densely. Default None: a sixth of all
