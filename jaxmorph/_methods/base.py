@@ -150,6 +150,11 @@ class AbstractPlacing(AbstractMethod):
         """Computes the place of a point: its ids, and numbers that do not depend on `u`. Traced."""
 
 
+def or_one(values: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """Makes divisors of values that are not negative."""
+    return jnp.where(values > 0, values, 1)
+
+
 def has_part(method: AbstractMethod, kind: type) -> bool:
     """Checks whether a method is of a kind, or made of such a method."""
 

@@ -19,7 +19,20 @@ from .._kernels.callback import host_call
 from .._kernels.compile import compiled
 from .._kernels.module import Module
 from .._kernels.values import as_jax, largest, norm
-from .base import AbstractField, AbstractMethod, Flag, Pairs, Points, Rows, Scalar, check_kind, einsum, matmul, number
+from .base import (
+    AbstractField,
+    AbstractMethod,
+    Flag,
+    Pairs,
+    Points,
+    Rows,
+    Scalar,
+    check_kind,
+    einsum,
+    matmul,
+    number,
+    or_one,
+)
 from .blocks import fold_rows
 from .surface import ByKind, Surface
 
@@ -294,7 +307,7 @@ def gradients(kind: str, corners: Float[Array, "c d"]) -> tuple[Float[Array, "q 
     inverse, determinant, safe = _inverse(jacobian)
     volume = jnp.abs(determinant)
     top = largest(volume)
-    share = jnp.where(top > 0, jnp.minimum(volume / (SLIVER * jnp.where(top > 0, top, 1)), 1) ** 2, 1)
+    share = jnp.where(top > 0, jnp.minimum(volume / (SLIVER * or_one(top)), 1) ** 2, 1)
     gradient = einsum("qba,qca->qcb", inverse * share[:, None, None], reference)
     return gradient, weights * jnp.where(top > 0, volume, jnp.abs(safe))
 
@@ -307,7 +320,7 @@ def stiffness(of_cell: AbstractStiffness, kind: str, volume: Samples, distance: 
     share = np.any(quadrature(kind)[0] != 0, axis=2).astype(float)
     share = jnp.asarray(share / share.sum(axis=1, keepdims=True), distance.dtype)
     mean = matmul(share, distance)
-    return jax.vmap(lambda mean: of_cell(volume.sum(), mean))(jnp.where(mean > 0, mean, 1))
+    return jax.vmap(lambda mean: of_cell(volume.sum(), mean))(or_one(mean))
 
 
 def _inverse(matrix: Float[Array, "q d d"]) -> tuple[Float[Array, "q d d"], Samples, Samples]:
@@ -316,7 +329,7 @@ def _inverse(matrix: Float[Array, "q d d"]) -> tuple[Float[Array, "q d d"], Samp
     rows = cofactors(columns)
     determinant = dot(rows[0], columns[0])
     size = jnp.sum(matrix**2, axis=(1, 2)) ** (len(rows) / 2)
-    least = float(jnp.finfo(matrix.dtype).eps) * jnp.where(size > 0, size, 1)
+    least = float(jnp.finfo(matrix.dtype).eps) * or_one(size)
     safe = jnp.where(jnp.abs(determinant) > least, determinant, least)
     return jnp.moveaxis(jnp.stack([jnp.stack(row) for row in rows]), 2, 0) / safe[:, None, None], determinant, safe
 
@@ -374,7 +387,7 @@ class Biharmonic(AbstractCellMethod):
             volumes = jax.vmap(lambda corners, kind=kind: gradients(kind, places[corners])[1].sum())(cells.corners)
             share = jnp.broadcast_to(volumes[:, None], cells.corners.shape) / cells.corners.shape[1]
             masses = masses.at[cells.corners].add(share)
-        return jnp.where(masses > 0, masses, 1)
+        return or_one(masses)
 
 
 def _products(gradient, volume, ends):

@@ -23,6 +23,7 @@ from .base import (
     Scalar,
     check_kind,
     number_or_none,
+    or_one,
 )
 from .blocks import map_points
 from .rbf.basis import WendlandC2
@@ -237,7 +238,7 @@ def _blend(x: Point, row: WallRow, width: Float[Array, " b"], surface: Rows) -> 
     safe = jnp.where(at_node, 1, distance)
     weights = jnp.where(at_node, 0, (reach - safe) * (safe[0] / safe)) ** 2  # Franke and Little, times safe[0]
     weights = jnp.where(at_node, jnp.zeros_like(weights).at[0].set(1), weights)[:-1]
-    layer = jnp.where(width[nearest[0]] > 0, width[nearest[0]], 1)
+    layer = or_one(width[nearest[0]])
     gap = norm(surface[other] - x)
     alone = (other == nearest[0]) | (gap == 0)
     halfway = jnp.where(alone, 0, 2 * distance[0] / (distance[0] + jnp.where(alone, 1, gap)))  # 1 between two walls

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jax.scipy.sparse.linalg import cg
 from jaxtyping import Array, Float, Int
 
-from ..base import Scalar, matmul
+from ..base import Scalar, matmul, or_one
 from .basis import Columns, Sources
 from .system import polynomial, squared_distances
 
@@ -52,7 +52,7 @@ def local_weights(
         is_there = is_there.at[0].set(True)
         places = sources[ids] - sources[ids[0]][None]
         extent = jnp.abs(places).max()
-        tail = polynomial(places / jnp.where(extent > 0, extent, 1), degree) * is_there[:, None]
+        tail = polynomial(places / or_one(extent), degree) * is_there[:, None]
         kernel = phi(squared_distances(places, places))
         size = jnp.abs(kernel).max()
         kernel = jnp.where(is_there[:, None] & is_there[None], kernel / size, sign * jnp.eye(count, dtype=size.dtype))
