@@ -20,7 +20,6 @@ from runs import runs
 from scipy.spatial.transform import Rotation
 
 import jaxmorph as jm
-from jaxmorph._methods.base import place
 
 FAST = {("delaunay", 2), ("reduced", 2)}
 """Cases whose laws the fast tests hold."""
@@ -385,7 +384,7 @@ def test_blocks_agree_with_the_one_point_form(name, dimension):
 
     def one_by_one(own):
         field = method.field(surface.ids, surface.factors, surface.points, own)
-        at = lambda x, ids: field(x, place(method, x, ids, surface.factors, surface.points))  # noqa: E731
+        at = lambda x, ids: field(x, method.place(x, ids, surface.factors, surface.points))  # noqa: E731
         return jax.vmap(at)(plan.points, plan.volume.ids)
 
     answers = [jax.jit(lambda own, form=form: jax.vjp(form, own)) for form in (blocks, one_by_one)]

@@ -226,16 +226,6 @@ def test_nothing_is_corrected_where_every_node_is_a_source():
         assert all((slope == 0).all() for slope in slopes)
 
 
-@pytest.mark.nightly
-def test_beyond_the_layer_of_near_wall_it_is_what_moves():
-    mesh, alone = body(2), jm.LocalCorrection(2.0)
-    u = motion(mesh.points[mesh.moving])
-    expected, moved = (moved_by(mesh, method, u) for method in (alone, jm.NearWall(alone, width=0.1)))
-    apart = np.linalg.norm(mesh.points[:, None] - mesh.points[mesh.boundary][None], axis=2).min(axis=1)
-    np.testing.assert_allclose(moved[apart > 0.1], expected[apart > 0.1], rtol=0, atol=1e-14)
-    assert np.abs(moved - expected).max() > 1e-4
-
-
 @over("correction", [jm.Multiscale()], nightly=[jm.LocalCorrection(0.5)])
 def test_points_beyond_the_hull_of_the_boundary_are_moved(correction):
     """A graph would refuse them."""
@@ -297,43 +287,6 @@ def test_the_order_does_not_depend_on_the_unit():
         again = farthest_first(size * points, none, own)
         assert (again[0] == order).all()
         assert (again[1] == nearest).all()
-
-
-def test_nothing_moves_beyond_the_radii():
-    """A bump of one node between sources: points farther from it than from the next node before stay where they are."""
-    x = np.linspace(0, 1, 9)
-    wall, lid = np.column_stack([x, 0 * x]), np.column_stack([x, 0 * x + 1])
-    rng = np.random.default_rng(0)
-    points = np.concatenate([wall, lid, rng.uniform(size=(200, 2)) * [1, 0.4]])
-    coarse = jm.RBF(reduction=jm.AllPoints(), fixed_reduction=jm.AllPoints())
-    method = jm.SurfaceReconstruction(Every(coarse), jm.Multiscale())
-    plan = jm.prepare(points, np.arange(9), np.arange(9, 18), method=method)
-    u = np.zeros((9, 2))
-    u[3, 1] = 0.1  # the others are sources
-    away = np.linalg.norm(points - wall[3], axis=1)
-    moved = np.asarray(jm.deform(plan, u)) - points
-    near = away < 0.125
-    assert 4 < near.sum() < 30
-    assert (moved[~near] == 0).all()
-    np.testing.assert_allclose(moved[near, 1], 0.1 * wendland(away[near] / 0.125), atol=1e-15)
-
-
-class Every(jm.AbstractMethod):
-    """A coarse field that rests, and whose sources are all nodes of the surface but the fourth."""
-
-    inner: jm.AbstractMethod
-
-    def connect(self, surface, points):
-        return self.inner.connect(surface, points)
-
-    def fit(self, ids, surface, points):
-        return self.inner.fit(ids, surface, points)
-
-    def field(self, ids, factors, surface, u):
-        return self.inner.field(ids, factors, surface, jnp.zeros_like(u))
-
-    def control(self, ids):
-        return jm.Control(matched=np.delete(np.sort(np.asarray(ids)), 3))
 
 
 @over("method", slow=[jm.Multiscale()], nightly=[jm.Multiscale.whole(1.0, 0.2)], ids=["alone", "whole"])

@@ -173,7 +173,7 @@ def test_derivatives_by_base_points_are_equal_on_both_sides():
 def test_one_of_two_largest_gaps_decides_how_wide_the_layer_is():
     """Two nodes are equally far from the source: the first one's distance is the width, and moves it either way."""
     surface = jnp.array([[0.0, 0.0], [1.0, 1.0], [1.0, -1.0]])
-    extent = Extent(*map(jnp.array, ([0, 0, 0], [0, 0, 0], [[1, 2]], [1], [0.0])))
+    extent = Extent(*map(jnp.array, ([0, 0, 0], [[[1, 0], [1, 2]]], [0.0])))
     slope = jax.jacfwd(lambda x: layer_width(None, extent, x)[0])(surface)
     for step in (1e-8, -1e-8):
         for node in (1, 2):

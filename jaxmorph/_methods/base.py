@@ -9,7 +9,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from .._host.package.arguments import between
 from .._kernels.module import Module
@@ -20,11 +20,15 @@ matmul = functools.partial(jnp.matmul, precision="highest")
 einsum = functools.partial(jnp.einsum, precision="highest")
 
 Scalar = Float[Array, ""]
+Flag = Bool[Array, ""]
 Point = Float[Array, " d"]
 Points = Float[Array, "n d"]
 """Coordinates or displacements of a mesh's points."""
 Rows = Float[Array, "b d"]
 """Coordinates or displacements of the rows of a surface."""
+
+Pairs = Int[Array, "e 2"]
+"""Pairs of nodes."""
 
 BLOCK = 512  # points in a block: memory, also of derivatives, is that of one block
 
@@ -93,6 +97,20 @@ class AbstractMethod(Module):
     def field(self, ids: PyTree, factors: PyTree, surface: Rows, u: Rows) -> AbstractField:
         """Makes the displacement field. Traced, and linear in `u` for a method that is `linear`."""
 
+    def place(self, x: Point, ids: PyTree, factors: PyTree, surface: Rows) -> PyTree:
+        """Returns the ids of a point; an `AbstractPlacing` computes its place. Traced."""
+        return ids
+
+    def carry(self, ids: PyTree, factors: PyTree, surface: Rows, points: Points) -> PyTree:
+        """Computes factors on the mesh after a step of `march`, by default with `fit`. Traced.
+        Factors that belong to the places of points stay as they are.
+        """
+        return self.fit(ids, surface, points)
+
+    def carry_place(self, x: Point, ids: PyTree, factors: PyTree, surface: Rows, placed: PyTree) -> PyTree:
+        """Changes a point's place after a step of `march`; it stays by default. Traced."""
+        return placed
+
     def control(self, ids: PyTree) -> Control:
         """Returns the rows that control the field, on the host; none by default."""
         return Control()
@@ -131,30 +149,10 @@ class AbstractPlacing(AbstractMethod):
     def place(self, x: Point, ids: PyTree, factors: PyTree, surface: Rows) -> PyTree:
         """Computes the place of a point: its ids, and numbers that do not depend on `u`. Traced."""
 
-    def carry(self, ids: PyTree, factors: PyTree, surface: Rows, points: Points) -> PyTree:
-        """Computes factors on the mesh after a step of `march`, by default with `fit`. Traced.
-        Factors that belong to the places of points stay as they are.
-        """
-        return self.fit(ids, surface, points)
 
-    def carry_place(self, x: Point, ids: PyTree, factors: PyTree, surface: Rows, placed: PyTree) -> PyTree:
-        """Changes a point's place after a step of `march`; it stays by default. Traced."""
-        return placed
-
-
-# The three functions of an `AbstractPlacing`, with its arguments, for any method
-
-
-def place(method: AbstractMethod, x: Point, ids: PyTree, *data: PyTree) -> PyTree:
-    return method.place(x, ids, *data) if isinstance(method, AbstractPlacing) else ids
-
-
-def carry(method: AbstractMethod, ids: PyTree, factors: PyTree, *data: Any) -> PyTree:
-    return method.carry(ids, factors, *data) if isinstance(method, AbstractPlacing) else method.fit(ids, *data)
-
-
-def carry_place(method: AbstractMethod, x: Point, *data: PyTree) -> PyTree:
-    return method.carry_place(x, *data) if isinstance(method, AbstractPlacing) else data[-1]
+def or_one(values: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """Makes divisors of values that are not negative."""
+    return jnp.where(values > 0, values, 1)
 
 
 def has_part(method: AbstractMethod, kind: type) -> bool:

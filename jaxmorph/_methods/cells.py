@@ -19,9 +19,25 @@ from .._kernels.callback import host_call
 from .._kernels.compile import compiled
 from .._kernels.module import Module
 from .._kernels.values import as_jax, largest, norm
-from .base import AbstractField, AbstractMethod, Points, Rows, Scalar, check_kind, einsum, matmul, number
+from .base import (
+    AbstractField,
+    AbstractMethod,
+    Flag,
+    Pairs,
+    Points,
+    Rows,
+    Scalar,
+    check_kind,
+    einsum,
+    matmul,
+    number,
+    or_one,
+)
 from .blocks import fold_rows
 from .surface import ByKind, Surface
+
+Samples = Float[Array, " q"]
+"""Values at quadrature points."""
 
 CELLS = 4096  # cells in a block
 
@@ -41,7 +57,7 @@ class NodeIds(eqx.Module):
     """Ids of a mesh's n nodes for a solve."""
 
     cells: dict[str, CellIds]
-    pairs: Int[Array, "e 2"]  # nodes that share an entry of the matrix, the smaller id first
+    pairs: Pairs  # nodes that share an entry of the matrix, the smaller id first
     frame: Float[Array, "d d"]  # axes in columns; the normal of each symmetry plane is one
     free: Bool[Array, "n d"]  # unknowns, by node and axis of the frame
     wall: Int[Array, " n"]  # for each node the nearest moving node
@@ -59,7 +75,7 @@ class NodeFactors(eqx.Module):
     masses: Float[Array, " q"]
     places: Points
 
-    def times(self, pairs: Int[Array, "e 2"], x: Points) -> Points:
+    def times(self, pairs: Pairs, x: Points) -> Points:
         i, j = pairs.T
 
         def scaled(a, b):
@@ -72,7 +88,7 @@ class NodeFactors(eqx.Module):
 
         return once(once(x) / self.masses[:, None]) if len(self.masses) else once(x)
 
-    def solve(self, pairs: Int[Array, "e 2"], free: Bool[Array, "n d"], right: Points) -> Points:
+    def solve(self, pairs: Pairs, free: Bool[Array, "n d"], right: Points) -> Points:
         leaves = (pairs, self.values, self.diagonal, self.masses, free)
 
         def times(x):
@@ -211,7 +227,7 @@ class AbstractCellMethod(AbstractMethod):
 
 
 @compiled
-def _is_solved(method: AbstractCellMethod, ids: NodeIds, factors: NodeFactors, u: Rows) -> Bool[Array, ""]:
+def _is_solved(method: AbstractCellMethod, ids: NodeIds, factors: NodeFactors, u: Rows) -> Flag:
     return jnp.isfinite(method.field(ids, factors, u, u).values).all()
 
 
@@ -282,7 +298,7 @@ class ByDistance(AbstractStiffness):
 SLIVER = 1e-6  # share of a cell's largest Jacobian below which a quadrature point fades out
 
 
-def gradients(kind: str, corners: Float[Array, "c d"]) -> tuple[Float[Array, "q c d"], Float[Array, " q"]]:
+def gradients(kind: str, corners: Float[Array, "c d"]) -> tuple[Float[Array, "q c d"], Samples]:
     """Returns the shape functions' gradients and the volumes at the quadrature points. Traced."""
     # A point whose Jacobian is small beside the cell's largest fades out: it belongs to a triangle
     # at a straight corner, or between two corners at one place.
@@ -291,14 +307,12 @@ def gradients(kind: str, corners: Float[Array, "c d"]) -> tuple[Float[Array, "q 
     inverse, determinant, safe = _inverse(jacobian)
     volume = jnp.abs(determinant)
     top = largest(volume)
-    share = jnp.where(top > 0, jnp.minimum(volume / (SLIVER * jnp.where(top > 0, top, 1)), 1) ** 2, 1)
+    share = jnp.where(top > 0, jnp.minimum(volume / (SLIVER * or_one(top)), 1) ** 2, 1)
     gradient = einsum("qba,qca->qcb", inverse * share[:, None, None], reference)
     return gradient, weights * jnp.where(top > 0, volume, jnp.abs(safe))
 
 
-def stiffness(
-    of_cell: AbstractStiffness, kind: str, volume: Float[Array, " q"], distance: Float[Array, " c"]
-) -> Float[Array, " q"]:
+def stiffness(of_cell: AbstractStiffness, kind: str, volume: Samples, distance: Float[Array, " c"]) -> Samples:
     """Computes the stiffness at the quadrature points. A point takes the mean distance of the
     corners whose shape functions vary there. Where all corners move, nothing depends on the
     stiffness.
@@ -306,16 +320,16 @@ def stiffness(
     share = np.any(quadrature(kind)[0] != 0, axis=2).astype(float)
     share = jnp.asarray(share / share.sum(axis=1, keepdims=True), distance.dtype)
     mean = matmul(share, distance)
-    return jax.vmap(lambda mean: of_cell(volume.sum(), mean))(jnp.where(mean > 0, mean, 1))
+    return jax.vmap(lambda mean: of_cell(volume.sum(), mean))(or_one(mean))
 
 
-def _inverse(matrix: Float[Array, "q d d"]) -> tuple[Float[Array, "q d d"], Float[Array, " q"], Float[Array, " q"]]:
+def _inverse(matrix: Float[Array, "q d d"]) -> tuple[Float[Array, "q d d"], Samples, Samples]:
     """Inverts matrices in closed form; returns determinants, and divisors that are not zero."""
     columns = list(jnp.moveaxis(matrix, 0, 2).swapaxes(0, 1))
     rows = cofactors(columns)
     determinant = dot(rows[0], columns[0])
     size = jnp.sum(matrix**2, axis=(1, 2)) ** (len(rows) / 2)
-    least = float(jnp.finfo(matrix.dtype).eps) * jnp.where(size > 0, size, 1)
+    least = float(jnp.finfo(matrix.dtype).eps) * or_one(size)
     safe = jnp.where(jnp.abs(determinant) > least, determinant, least)
     return jnp.moveaxis(jnp.stack([jnp.stack(row) for row in rows]), 2, 0) / safe[:, None, None], determinant, safe
 
@@ -373,7 +387,7 @@ class Biharmonic(AbstractCellMethod):
             volumes = jax.vmap(lambda corners, kind=kind: gradients(kind, places[corners])[1].sum())(cells.corners)
             share = jnp.broadcast_to(volumes[:, None], cells.corners.shape) / cells.corners.shape[1]
             masses = masses.at[cells.corners].add(share)
-        return jnp.where(masses > 0, masses, 1)
+        return or_one(masses)
 
 
 def _products(gradient, volume, ends):

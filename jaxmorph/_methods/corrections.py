@@ -17,14 +17,13 @@ from .base import (
     AbstractMethod,
     AbstractPlacing,
     Control,
+    Flag,
     Point,
     Rows,
     Scalar,
-    carry,
-    carry_place,
     check_kind,
     number_or_none,
-    place,
+    or_one,
 )
 from .blocks import map_points
 from .rbf.basis import WendlandC2
@@ -139,15 +138,15 @@ class NearWall(AbstractPlacing):
         return Layered(self.correction.fit(ids.correction, surface, points), width)
 
     def carry(self, ids, factors, surface, points):
-        correction = carry(self.correction, ids.correction, factors.correction, surface, points)
+        correction = self.correction.carry(ids.correction, factors.correction, surface, points)
         return Layered(correction, factors.wall)
 
     def place(self, x, ids, factors, surface):
-        correction = place(self.correction, x, ids.correction, factors.correction, surface)
+        correction = self.correction.place(x, ids.correction, factors.correction, surface)
         return WallPlace(correction, *_blend(x, ids.wall, factors.wall, surface))
 
     def carry_place(self, x, ids, factors, surface, placed):
-        correction = carry_place(self.correction, x, ids.correction, factors.correction, surface, placed.correction)
+        correction = self.correction.carry_place(x, ids.correction, factors.correction, surface, placed.correction)
         return WallPlace(correction, *_blend(x, ids.wall, factors.wall, surface))
 
     def field(self, ids, factors, surface, u):
@@ -177,9 +176,7 @@ class Extent(eqx.Module):
     """Walls, as rows of the surface."""
 
     wall: Int[Array, " b"]  # each row's wall
-    matched: Int[Array, " b"]  # each row's nearest matched row of its wall, or itself
-    ends: Int[Array, "w 2"]  # two ends of each wall
-    widest: Int[Array, " w"]  # each wall's row that is farthest from its matched row
+    pairs: Int[Array, "w 2 2"]  # each wall's row that is farthest from the matched ones, with the nearest; its two ends
     share: Float[Array, " w"]  # each wall's mean chord, relative to the distance of its ends; zero with matched rows
 
     @classmethod
@@ -189,23 +186,21 @@ class Extent(eqx.Module):
     @classmethod
     def _searched(cls, surface: Surface) -> "Extent":
         wall, ends, share = surface.walls
-        share, points = share.copy(), surface.points
-        matched, widest = np.arange(len(wall)), np.zeros(len(ends), dtype=np.int64)
+        share, points, pairs = share.copy(), surface.points, np.stack([0 * ends, ends], axis=1)
         for label in np.unique(wall):
             here, chosen = np.flatnonzero(wall == label), surface.matched[wall[surface.matched] == label]
-            if len(chosen):
-                matched[here] = nearest_of(points[here], points[chosen], chosen)
-                share[label] = 0
-            widest[label] = here[first_largest(np.linalg.norm(points[here] - points[matched[here]], axis=1))]
-        return cls(*as_jax([*(ids.astype(np.int32) for ids in (wall, matched, ends, widest)), share]))
+            matched = nearest_of(points[here], points[chosen], chosen) if len(chosen) else here
+            farthest = first_largest(np.linalg.norm(points[here] - points[matched], axis=1))
+            pairs[label, 0] = here[farthest], matched[farthest]
+            share[label] = 0 if len(chosen) else share[label]
+        return cls(*as_jax((wall.astype(np.int32), pairs.astype(np.int32), share)))
 
 
 def layer_width(width: Float[Either, ""] | None, extent: Extent, surface: Float[Either, "b d"]) -> Float[Either, " b"]:
     xp = namespace(surface)
     if width is not None:
         return xp.full(len(surface), xp.asarray(width, surface.dtype))
-    gap = norm(surface[extent.widest] - surface[extent.matched[extent.widest]])
-    span = norm(surface[extent.ends[:, 0]] - surface[extent.ends[:, 1]])
+    gap, span = norm(surface[extent.pairs[..., 0]] - surface[extent.pairs[..., 1]]).T
     return xp.maximum(REACH * gap, CHORD * extent.share.astype(surface.dtype) * span)[extent.wall]
 
 
@@ -243,7 +238,7 @@ def _blend(x: Point, row: WallRow, width: Float[Array, " b"], surface: Rows) -> 
     safe = jnp.where(at_node, 1, distance)
     weights = jnp.where(at_node, 0, (reach - safe) * (safe[0] / safe)) ** 2  # Franke and Little, times safe[0]
     weights = jnp.where(at_node, jnp.zeros_like(weights).at[0].set(1), weights)[:-1]
-    layer = jnp.where(width[nearest[0]] > 0, width[nearest[0]], 1)
+    layer = or_one(width[nearest[0]])
     gap = norm(surface[other] - x)
     alone = (other == nearest[0]) | (gap == 0)
     halfway = jnp.where(alone, 0, 2 * distance[0] / (distance[0] + jnp.where(alone, 1, gap)))  # 1 between two walls
@@ -264,7 +259,7 @@ class LocalIds(eqx.Module):
 
 class LocalFactors(eqx.Module):
     radius: Float[Array, " b"]
-    is_certain: Bool[Array, ""]
+    is_certain: Flag
 
 
 class LocalCorrection(AbstractPlacing):

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, Int
 
 from .._host.package.arguments import between, check_fields
 from .._kernels.values import area_vectors, as_jax, largest, norm, root
-from .base import AbstractField, AbstractMethod, Rows, Scalar, einsum, matmul, number
+from .base import AbstractField, AbstractMethod, Rows, Scalar, einsum, matmul, number, or_one
 from .rbf.system import block_size, squared_distances
 from .surface import Surface
 
@@ -78,7 +78,7 @@ class InverseDistance(AbstractMethod):
         moves = jnp.arange(len(surface)) < ids.moving
         middle = jnp.sum(jnp.where(moves[:, None], surface, 0), axis=0) / ids.moving
         extent = root(largest(jnp.sum((surface - middle[None]) ** 2, axis=1)))
-        extent = jnp.where(extent > 0, extent, 1)  # all nodes at one place: any length serves
+        extent = or_one(extent)  # all nodes at one place: any length serves
         area = _areas(ids.faces, surface) if ids.faces else jnp.ones(len(surface), surface.dtype)
         return InverseDistanceFactors(area, extent)
 

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float, Int
 from .._host.package.arguments import checked
 from .._host.sources.hierarchy import Share, farthest_first, overlaps, padded, sweeps
 from .._kernels.values import as_jax
-from .base import AbstractMethod, AbstractPlacing, Rows
+from .base import AbstractMethod, AbstractPlacing, Rows, or_one
 from .corrections import DelaunayGraph, NearWall
 from .inverse_distance import InverseDistance
 from .rbf.basis import WendlandC2
@@ -123,7 +123,7 @@ class MultiscaleFactors(eqx.Module):
 
 
 def _wendland(squared_distance: Float[Array, "..."], squared_radius: Float[Array, "..."]) -> Float[Array, "..."]:
-    return WendlandC2(1.0)(squared_distance / jnp.where(squared_radius > 0, squared_radius, 1))
+    return WendlandC2(1.0)(squared_distance / or_one(squared_radius))
 
 
 def _squared(vectors: Float[Array, "*n d"]) -> Float[Array, "*n"]:

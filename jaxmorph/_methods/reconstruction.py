@@ -11,11 +11,8 @@ from .base import (
     AbstractMethod,
     AbstractPlacing,
     Control,
-    carry,
-    carry_place,
     check_kind,
     has_part,
-    place,
 )
 from .blocks import map_points, place_points
 from .corrections import DelaunayGraph, NearWall, begun_graph
@@ -93,16 +90,16 @@ class SurfaceReconstruction(AbstractPlacing):
     def carry(self, ids, factors, surface, points):
         coarse, _, correction = ids
         coarse_factors, placed, correction_factors = factors
-        carried = carry(self.coarse, coarse, coarse_factors, surface, points)
-        return carried, placed, carry(self.correction, correction, correction_factors, surface, points)
+        carried = self.coarse.carry(coarse, coarse_factors, surface, points)
+        return carried, placed, self.correction.carry(correction, correction_factors, surface, points)
 
     def place(self, x, ids, factors, surface):
-        coarse = place(self.coarse, x, ids[0], factors[0], surface)
-        return coarse, place(self.correction, x, ids[1], factors[2], surface)
+        coarse = self.coarse.place(x, ids[0], factors[0], surface)
+        return coarse, self.correction.place(x, ids[1], factors[2], surface)
 
     def carry_place(self, x, ids, factors, surface, placed):
-        coarse = carry_place(self.coarse, x, ids[0], factors[0], surface, placed[0])
-        return coarse, carry_place(self.correction, x, ids[1], factors[2], surface, placed[1])
+        coarse = self.coarse.carry_place(x, ids[0], factors[0], surface, placed[0])
+        return coarse, self.correction.carry_place(x, ids[1], factors[2], surface, placed[1])
 
     def control(self, ids):
         coarse, correction = self.coarse.control(ids[0]), self.correction.control(ids[2])

@@ -14,7 +14,7 @@ from scipy.sparse import csr_array
 
 from .._kernels.linear import linear_primitive
 from .._kernels.values import as_jax
-from .base import AbstractField, Points, Rows, Scalar
+from .base import AbstractField, Flag, Points, Rows, Scalar
 
 WIDTH = 16  # entries in a row of the table
 
@@ -102,7 +102,7 @@ class Reach(eqx.Module):
     nodes: Int[Array, "*n k"]
     reached: Bool[Array, "*n k"]
 
-    def weighted(self, weights: Float[Array, " k"], is_lost: Bool[Array, ""] | bool = False) -> Interpolation:
+    def weighted(self, weights: Float[Array, " k"], is_lost: Flag | bool = False) -> Interpolation:
         """Gives weights to the nodes; NaN where a node `is_lost`, which would belong to them."""
         weights = jnp.where(is_lost, jnp.nan, weights)
         return Interpolation(self.nodes, jnp.where(self.reached, weights, 0), self.reached)
@@ -188,7 +188,7 @@ SLACK = 0.05
 """Search slack, relative to the radius: it serves bases that differ by less than half of it."""
 
 
-def lost_unless(is_certain: Bool[Array, ""], is_lost: Callable[[], Any]) -> Bool[Array, ""]:
+def lost_unless(is_certain: Flag, is_lost: Callable[[], Any]) -> Flag:
     """Checks whether a node was lost, where it is not certain that none was."""
     return jax.lax.cond(is_certain, lambda: jnp.array(False), is_lost)
 
@@ -198,7 +198,7 @@ class Searched(eqx.Module):
     surface: Rows
     distance: Scalar
 
-    def certain(self, radius: Scalar, surface: Rows, points: Points) -> Bool[Array, ""]:
+    def certain(self, radius: Scalar, surface: Rows, points: Points) -> Flag:
         """True if all nodes within a radius were surely found: nodes may have come nearer since."""
         shifts = surface - self.surface, points - self.points[: len(points)]  # images, which follow, are of the surface
         mean = shifts[0].mean(axis=0)

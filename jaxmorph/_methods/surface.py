@@ -61,11 +61,11 @@ class Surface:
 
     @property
     def walls(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        return self.once("walls", self._walls)
+        def found():
+            wall = walls(self.points, self.moving, self.faces, self.in_planes)
+            return wall, *chords(self.points, wall, self.faces)
 
-    def _walls(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        wall = walls(self.points, self.moving, self.faces, self.in_planes)
-        return wall, *chords(self.points, wall, self.faces)
+        return self.once("walls", found)
 
     def once(self, key: Any, make: Callable[[], T]) -> T:
         """Caches a value for all surfaces that are `altered` from this one. `key` names it, with

@@ -137,6 +137,7 @@ class SurfaceRows:
 
     u: int
     points: int
+    count: int
 
 
 @functools.singledispatch
@@ -151,11 +152,11 @@ def recorded(method: AbstractMethod, tape: Tape, ids: Any, factors: Any, rows: S
 @recorded.register
 def _(method: SurfaceReconstruction, tape, ids, factors, rows) -> Field:
     coarse = recorded(method.coarse, tape, ids[0], factors[0], rows)
-    at_surface, offset = (tape.register(tape.rows[rows.u]) for _ in range(2))
+    at_surface, offset = (tape.register(rows.count) for _ in range(2))
     coarse(tape, at_surface, Places(rows.points, factors[1]))
     tape.step("add", offset, rows.u, number=1)
     tape.step("add", offset, at_surface, number=-1)  # eq. (5)
-    correction = recorded(method.correction, tape, ids[2], factors[2], SurfaceRows(offset, rows.points))
+    correction = recorded(method.correction, tape, ids[2], factors[2], SurfaceRows(offset, rows.points, rows.count))
 
     def add(tape: Tape, out: int, places: Places) -> None:
         coarse(tape, out, places.of(places.placed[0]))
@@ -172,7 +173,7 @@ def _(method, tape, ids, factors, rows) -> Field:
 
 @recorded.register
 def _(method: Multiscale, tape, ids: Hierarchy, factors, rows) -> Field:
-    count = tape.rows[rows.u]
+    count = rows.count
     values = tape.register(count)
     own, row, column = np.arange(count), ids.row, ids.column
     has_function = ids.nearest != own
@@ -198,7 +199,7 @@ def _topological(row: Any, column: Any, count: int) -> np.ndarray:
 @recorded.register
 def _(method: NearWall, tape, ids, factors, rows) -> Field:
     correction = recorded(method.correction, tape, ids.correction, factors.correction, rows)
-    count = tape.rows[rows.u]
+    count = rows.count
 
     def add(tape: Tape, out: int, places: Places) -> None:
         place, outside = places.placed, places.placed.outside
@@ -252,7 +253,7 @@ def _(method: InverseDistance, tape, ids, factors: InverseDistanceFactors, rows)
 @recorded.register
 def _(method: RBF, tape, ids, factors: RBFFactors, rows) -> Field:
     coefficients, sources = tape.register(len(factors.lu)), method.control(ids).sources
-    tape.sparse(coefficients, rows.u, _stacked([_chosen(sources, tape.rows[rows.u])], len(factors.lu)))
+    tape.sparse(coefficients, rows.u, _stacked([_chosen(sources, rows.count)], len(factors.lu)))
     return _expansion(method.expansion, tape, factors, coefficients)
 
 
@@ -280,7 +281,7 @@ def _expansion(expansion: Expansion, tape: Tape, factors: RBFFactors, values: in
 
 @recorded.register
 def _(method: FittedRBF, tape, ids: WallIds, factors: FitFactors, rows) -> Field:
-    u, expansion, count = rows.u, method.rbf.expansion, tape.rows[rows.u]
+    u, expansion, count = rows.u, method.rbf.expansion, rows.count
     terms = np.asarray(polynomial(jnp.asarray(factors.rbf.sources), method.rbf.degree))
     moving, tail = len(ids.moving), len(factors.rbf.lu)
     values = tape.register(tail)

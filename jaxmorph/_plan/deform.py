@@ -6,7 +6,6 @@ import itertools
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -225,9 +224,9 @@ def _share(shared: Shared, volume: VolumePart, cotangent: Array, k: Any, constan
     def cut(leaf: Any) -> Any:
         if not is_rows(leaf):
             return _rows_of(leaf, start, size)
-        bare, length = _rows_of(leaf.without_table(), start, size), len(leaf.table.owner) // number
+        length = len(leaf.table.owner) // number
         table = _rows_of(leaf.table, k * length, length)
-        return eqx.tree_at(lambda rows: rows.table, bare, table, is_leaf=lambda leaf: leaf is None)
+        return dataclasses.replace(_rows_of(leaf.without_table(), start, size), table=table)
 
     rows, at = jax.tree.map(cut, volume, is_leaf=is_rows), rows_from(start, shared.nodes, size)
     is_counted = start + jnp.arange(size) >= k * size
@@ -245,7 +244,7 @@ def _share(shared: Shared, volume: VolumePart, cotangent: Array, k: Any, constan
 @compiled
 def _put_together(plan: Plan, u: Any, mask: Constant, parts: PyTree) -> Float[Array, "m d"]:
     """Sums the shares, always in one order, and pulls the sum back to `u`."""
-    total = functools.reduce(lambda first, other: jax.tree.map(jnp.add, first, other), parts)
+    total = jax.tree.map(lambda *leaves: functools.reduce(jnp.add, leaves), *parts)
     u = jnp.asarray(u, plan.points.dtype)
     return jax.vjp(lambda u: _varying(_shared(plan, u), mask.value), u)[1](total)[0]
 

@@ -195,7 +195,7 @@ def _field(tape: Tape, plan: Plan, own: int) -> Field:
     tape.step("take", u, own, tape.array(images.rows))
     for kind, matrix in enumerate(np.asarray(images.matrices)[1:], start=1):
         tape.rows_in_place("turn", u, np.asarray(images.kind) == kind, matrix)
-    rows = SurfaceRows(u, tape.array(surface.points))
+    rows = SurfaceRows(u, tape.array(surface.points), tape.rows[u])
     return recorded(plan.method, tape, *jax.tree.map(np.asarray, (surface.ids, surface.factors)), rows)
 
 

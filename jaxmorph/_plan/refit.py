@@ -16,37 +16,31 @@ from .._boundary.tracks import Track
 from .._host.package.arguments import checked
 from .._host.package.errors import MeshError, place_of, worst_first
 from .._host.package.rounding import spacing
-from .._kernels.compile import compiled
+from .._kernels.compile import Constant, compiled
 from .._kernels.values import is_readable
-from .._methods.base import carry as carry_factors
 from .._methods.blocks import place_points, with_tables_of, without_tables
 from .devices import over_points, pad_rows
 from .judge import deviations
 from .plan import Own, Plan, VolumePart
 
-
-@compiled
-def refitted(plan: Plan, points: Any) -> Plan:
-    return _fitted(plan, points)
+STEP = Constant(True)
 
 
 @compiled
-def carry(plan: Plan, points: Any, surface: Own | None = None) -> Plan:
-    """Moves a plan to the mesh of one of its own steps; a piece needs the whole moved surface. The
-    solve and layers over walls are made anew, and every point keeps its place in the graph.
+def refitted(plan: Plan, points: Any, surface: Own | None = None, step: Constant | None = None) -> Plan:
+    """Computes a plan anew on other points. With `STEP` they are those after one of its own steps:
+    the solve and layers over walls are made anew, and every point keeps its place in the graph. A
+    piece then needs the whole moved surface.
     """
-    return _fitted(plan, points, surface, carried=True)
-
-
-def _fitted(plan: Plan, points: Any, surface: Own | None = None, *, carried: bool = False) -> Plan:
+    carried = step is not None
     method, old, whole = plan.method, plan.surface, base_points(plan, points)
     own = whole[old.nodes] if surface is None else surface
     rows = old.images.points(own)
     guide = old.guide
     if guide is not None:
-        guide = eqx.tree_at(lambda guide: guide.plan, guide, _fitted(guide.plan, own, carried=carried))
+        guide = dataclasses.replace(guide, plan=refitted(guide.plan, own, None, step))
     ids, before = old.ids, old.factors
-    factors = carry_factors(method, ids, before, rows, whole) if carried else method.fit(ids, rows, whole)
+    factors = method.carry(ids, before, rows, whole) if carried else method.fit(ids, rows, whole)
 
     def place(shared: PyTree, volume: VolumePart) -> PyTree:
         factors, rows, first = shared
@@ -54,8 +48,7 @@ def _fitted(plan: Plan, points: Any, surface: Own | None = None, *, carried: boo
         placed = place_points(method, volume.seen(first), volume.ids, factors, rows, before)
         return placed if volume.placed is None else with_tables_of(volume.placed, placed)
 
-    at = whole if plan.layout is None else pad_rows(whole, plan.layout)
-    volume = dataclasses.replace(plan.volume, points=at)
+    volume = dataclasses.replace(plan.volume, points=pad_rows(whole, plan.layout))
     volume = dataclasses.replace(volume, placed=over_points(plan.layout, place, (factors, rows, own[0]), volume))
     surface_part = dataclasses.replace(old, points=rows, factors=factors, guide=guide)
     return dataclasses.replace(plan, surface=surface_part, volume=volume, carried=carried)

@@ -14,7 +14,7 @@ from .._mesh.mesh import Mesh
 from .deform import transposable
 from .plan import Own, Plan, deform_surface, moved_surface
 from .prepare import plan_of
-from .refit import carry, refitted, with_boundary
+from .refit import STEP, refitted, with_boundary
 
 
 @checked
@@ -42,7 +42,7 @@ def march(
     _check_march(plan, rebuild, mesh)
     points, surface, plans = plan.points, None, []
     for j, target in enumerate(_targets(plan, path)):
-        step = plan if j == 0 else _anew(plan, points, mesh) if rebuild else carry(plan, points, surface)
+        step = plan if j == 0 else _anew(plan, points, mesh) if rebuild else refitted(plan, points, surface, STEP)
         points, surface = _advance(step, target)
         plans.append(step)
     return tuple(plans), points
@@ -69,7 +69,7 @@ def replay(plans: Sequence[Plan], path: Real[ArrayLike, "k m d"] | Sequence[Any]
     current, points, surface = plans[0], plans[0].points, None
     for plan, target in zip(plans, targets, strict=True):
         if plan.carried:
-            current = carry(current, points, surface)
+            current = refitted(current, points, surface, STEP)
         elif current is not plan:
             current = refitted(with_boundary(plan, current.surface.tracks, current.surface.pairings), points)
         points, surface = _advance(current, target)

@@ -24,6 +24,8 @@ Sources = Float[Array, "s d"]
 """Coordinates of sources."""
 Columns = Float[Array, "s k"]
 """Values or weights at sources, in columns."""
+Weights = Float[Array, "k s"]
+"""Weights of sources, in rows."""
 
 
 class AbstractBasis(Module):

@@ -12,7 +12,7 @@ from ..._host.sources.hierarchy import overlaps, padded
 from ..._host.sources.reduction import drop_close
 from ..._kernels.compile import compiled
 from ..._kernels.values import as_jax
-from ..base import AbstractPlacing, Control, Point, Rows, Scalar, number_or_none
+from ..base import AbstractPlacing, Control, Flag, Pairs, Point, Rows, Scalar, number_or_none
 from ..cells import NodeFactors
 from ..sparse import SLACK, InterpolatedField, Reach, Searched, lost_unless, squared_distance
 from ..surface import Surface
@@ -28,7 +28,7 @@ class CompactIds(eqx.Module):
 
     stands: Int[Array, " b"]  # the row that has the function of all rows at its place
     speaks: Bool[Array, " b"]  # whether a row's displacement counts; a fixed row at a moving row's place does not
-    pairs: Int[Array, "e 2"]  # rows with functions, within the search's distance of each other
+    pairs: Pairs  # rows with functions, within the search's distance of each other
     radius: Scalar  # the functions' radius
     searched: Searched  # the coordinates of the search
 
@@ -47,7 +47,7 @@ class CompactFactors(eqx.Module):
     radius: Scalar
     matrix: NodeFactors
     has_function: Bool[Array, " b"]
-    is_certain: Bool[Array, ""]
+    is_certain: Flag
 
     def reaches(self, x: Float[Array, "*k d"], y: Float[Array, "*m d"]) -> Bool[Array, "*n"]:
         """Checks whether a function at y reaches x; at the very end of the reach it does not."""

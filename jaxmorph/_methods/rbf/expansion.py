@@ -7,16 +7,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.lax.linalg import triangular_solve
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from ..._host.package.errors import place_of, warn
 from ..._host.package.rounding import Tree
 from ..._host.surface.neighbours import nearly_coincident
 from ..._kernels.compile import compiled
 from ..._kernels.module import Module
-from ..base import AbstractField, Point, Scalar, matmul
+from ..base import AbstractField, Flag, Point, Scalar, matmul
 from ..blocks import map_rows
-from .basis import AbstractBasis, Columns, Sources
+from .basis import AbstractBasis, Columns, Sources, Weights
 from .iterations import Cardinals, iterated, precondition
 from .system import (
     Radial,
@@ -61,7 +61,7 @@ class RBFField(AbstractField):
     sources: Sources
     centre: Point
     scale: Scalar
-    beta: Float[Array, "k s"]
+    beta: Weights
     alpha: Float[Array, "k p"]
 
     def __call__(self, x, ids):
@@ -218,7 +218,7 @@ def rounding(expansion: Expansion, factors: RBFFactors, values: Columns) -> Scal
 
 
 @compiled
-def is_solved(expansion: Expansion, factors: RBFFactors, values: Columns) -> Bool[Array, ""]:
+def is_solved(expansion: Expansion, factors: RBFFactors, values: Columns) -> Flag:
     return jnp.isfinite(expansion.field(factors, values, values.dtype).beta).all()
 
 

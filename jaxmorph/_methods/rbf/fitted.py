@@ -22,9 +22,9 @@ from ..._host.surface.skin import (
     thinned,
 )
 from ..._kernels.values import as_jax, norm
-from ..base import AbstractMethod, Control, Rows, Scalar, check_kind, einsum, matmul, number_or_none
+from ..base import AbstractMethod, Control, Pairs, Rows, Scalar, check_kind, einsum, matmul, number_or_none
 from ..surface import Surface
-from .basis import Columns, Sources
+from .basis import Columns, Sources, Weights
 from .expansion import RBFFactors
 from .rbf import RBF, Direct
 from .system import polynomial
@@ -37,23 +37,18 @@ SOURCES_ALONE = 64
 
 
 ELL, MU = {2: 0.17, 3: 0.07}, {2: 0.1, 3: 0.4}
-"""Defaults of `ell` and `mu` by dimension, relative to the mean chord of the wall.
-
-A body that twists in 3-D pays for every large rotation, so less of it is asked for there.
+"""Defaults of `ell` and `mu` by dimension, relative to the mean chord of the wall. A body that
+twists in 3-D pays for every large rotation, so less of it is asked for there.
 """
 
 BEHIND, BEYOND_TIP = 0.02, 0.2
-"""Distance of the source behind a sharp tip, and its largest distance.
-
-Both are relative to the mean chord, or to the distance of the nearest held node if that is less.
+"""Distance of the source behind a sharp tip, and its largest distance, relative to the mean chord
+or to the distance of the nearest held node, whichever is less.
 """
 
 AT_TIP = 0.03, 0.5
-"""Distance from a sharp tip, and `mu` there, both relative to the mean chord.
-
-The field follows the wall's slope at the tip.
-
-Cells at a sharp tip are small, and the wall's angle there changes with the thickness.
+"""Distance from a sharp tip, and `mu` there, both relative to the mean chord: the field follows the
+wall's slope. Cells there are small, and the wall's angle changes with the thickness.
 """
 
 WALLS = {2: 8, 3: 2}
@@ -80,9 +75,9 @@ class WallIds(eqx.Module):
     moving: Int[Array, " s"]
     fixed: Int[Array, " t"]
     nodes: Int[Array, " k"]
-    edges: Int[Array, "e 2"]
+    edges: Pairs
     held: Int[Array, " e"]
-    ends: Int[Array, "e 2"]
+    ends: Pairs
     far: Int[Array, " r"]
     tips: Int[Array, "g 3"]
     ell: Float[Array, " e"]
@@ -128,22 +123,16 @@ class WallIds(eqx.Module):
         return jnp.concatenate([moving, fixed, ring, self.behind_tips(surface)])
 
     def behind_tips(self, values: Rows) -> Float[Array, "g d"]:
-        """Continues places or displacements of the walls behind their tips.
-
-        A place behind is the mirror image in the tip.
-
-        It is right for affine motions.
+        """Continues places or displacements of the walls behind their tips: a place behind is the
+        mirror image in the tip, which is right for affine motions.
         """
         tip, first, second = self.tips.T
         return 2 * values[tip] - (values[first] + values[second]) / 2
 
     def at_rings(self, values: Rows) -> Float[Array, "r d"]:
-        """Computes the displacement of the rings, a share of the walls' mean displacement.
-
-        So a body that is carried far away takes them along.
-
-        It is the share of the deflection of a plate that is held at the far field and pushed in the
-        middle.
+        """Computes the displacement of the rings, a share of the walls' mean displacement: that of
+        a plate which is held at the far field and pushed in the middle. So a body that is carried
+        far away takes them along.
         """
         return deflection(self.reach.astype(values.dtype))[:, None] * values[self.moving].mean(axis=0)[None]
 
@@ -157,13 +146,9 @@ def deflection(reach: Float[Array, " r"]) -> Float[Array, " r"]:
 def _at_tips(
     surface: Surface, pairs: np.ndarray, chord: np.ndarray, closest: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Finds sources (k,) beside sharp tips in 2-D, and the tips.
-
-    It returns the sources, the tips (g, 3) that get a source behind them, each with a node on
-    either side, and the places (h, 2) of all tips.
-
-    `pairs` are all edges of the moving walls: a tip lies between two. `chord` (e,) is that of each
-    edge's wall. A source stands behind the g tips.
+    """Finds sources (k,) beside sharp tips in 2-D; the tips (g, 3) that get a source behind them,
+    each with a node on either side; and the places (h, 2) of all tips. `pairs` are all edges of the
+    moving walls, `chord` (e,) is that of each edge's wall.
     """
     held = nearest_held(surface.points, surface.moving, surface.walls[0], pairs)
     distance = np.linalg.norm(surface.points[pairs].mean(axis=1) - surface.points[held], axis=1)
@@ -381,7 +366,7 @@ class FitFactors(eqx.Module):
     """
 
     rbf: RBFFactors
-    nodes: Float[Array, "k s"]
+    nodes: Weights
     edges: Float[Array, "e s"]
     outer: Float[Array, "d s d t"]
     fit: Cholesky
@@ -392,9 +377,8 @@ class FitFactors(eqx.Module):
 
 
 def _system(follow: Float[Array, "m s"], slopes: Float[Array, "e d s"]) -> Float[Array, "d m d s"]:
-    """Assembles the normal equations of the first m sources, which move.
-
-    They hold `follow` for each component, and 2 |dev sym G|^2 = G:G + G:G^T - 2/d (tr G)^2.
+    """Assembles the normal equations of the first m sources, which move: `follow` for each
+    component, and 2 |dev sym G|^2 = G:G + G:G^T - 2/d (tr G)^2.
     """
     (count, d, s), m = slopes.shape, len(follow)
     moving = slopes[:, :, :m].reshape(count, d * m)

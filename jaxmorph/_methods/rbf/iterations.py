@@ -8,12 +8,12 @@ import jax.numpy as jnp
 from jax.scipy.sparse.linalg import cg
 from jaxtyping import Array, Float, Int
 
-from ..base import Scalar, matmul
+from ..base import Scalar, matmul, or_one
 from .basis import Columns, Sources
 from .system import polynomial, squared_distances
 
 LIMIT = 150  # most products of a solve. A sound matrix takes 10 to 20.
-ROUNDS = 2  # solves: the second one for what rounding leaves of the residual
+MEAN = 0.1  # residual at which steps end, as a mean over the sources, in tolerances
 
 MISSED, NOTICEABLE = 1e3, 1e-3
 """A field is NaN that misses its sources by this many tolerances, and share of the displacement."""
@@ -52,7 +52,7 @@ def local_weights(
         is_there = is_there.at[0].set(True)
         places = sources[ids] - sources[ids[0]][None]
         extent = jnp.abs(places).max()
-        tail = polynomial(places / jnp.where(extent > 0, extent, 1), degree) * is_there[:, None]
+        tail = polynomial(places / or_one(extent), degree) * is_there[:, None]
         kernel = phi(squared_distances(places, places))
         size = jnp.abs(kernel).max()
         kernel = jnp.where(is_there[:, None] & is_there[None], kernel / size, sign * jnp.eye(count, dtype=size.dtype))
@@ -106,13 +106,21 @@ def iterated(
     def unseen(values):
         return values - matmul(tail, coefficients(matmul(tail.T, values)))
 
+    def improved(state, left):
+        beta, rest = state
+        steps = {"tol": 0.0, "atol": left, "maxiter": LIMIT, "M": lambda x: unseen(inverse(x))}
+        beta = beta + cg(lambda x: unseen(product(x)), unseen(rest), **steps)[0]
+        return beta, values - product(beta)
+
+    def missed(rest):
+        return jnp.abs(unseen(rest)).max()
+
     beta = matmul(tail, coefficients(moments))
     rest = jax.lax.cond((moments != 0).any(), lambda: values - product(beta), lambda: values)
     size = jnp.abs(rest).max()
-    options = {"tol": 0.0, "atol": tolerance * size, "maxiter": LIMIT, "M": lambda rest: unseen(inverse(rest))}
-    for _ in range(ROUNDS):
-        beta = beta + cg(lambda x: unseen(product(x)), unseen(rest), **options)[0]
-        rest = values - product(beta)
+    goal = tolerance * size
+    state = improved((beta, rest), MEAN * rest.size**0.5 * goal)
+    beta, rest = jax.lax.cond(missed(state[1]) > goal, lambda state: improved(state, goal), lambda state: state, state)
     allowed = jnp.minimum(MISSED * tolerance, jnp.maximum(tolerance, NOTICEABLE))
     solved = jnp.concatenate([beta, coefficients(matmul(tail.T, rest))])
-    return jnp.where(jnp.abs(unseen(rest)).max() <= allowed * size, solved, jnp.nan)
+    return jnp.where(missed(rest) <= allowed * size, solved, jnp.nan)

@@ -20,7 +20,7 @@ from ..._kernels.gpu import fused_sum, has_kernels, is_elementwise
 from ..._kernels.linear import MOST_ROWS, few_rows_times, few_rows_times_transposed, linear_primitive
 from ..base import BLOCK, Scalar, matmul
 from ..blocks import fold_rows, map_rows
-from .basis import AbstractBasis, Columns, Sources, Squared
+from .basis import AbstractBasis, Columns, Sources, Squared, Weights
 
 KERNEL_BLOCK = 2**17  # elements of the kernel in a block of points: 1 MiB in float64, for a core's own cache
 MOST_FUSED = 48  # columns of weights beyond which a product of matrices is faster than the GPU's kernel
@@ -33,7 +33,7 @@ def polynomial(points: Float[Array, "k d"], degree: int | None) -> Float[Array, 
     return {None: one[:, :0], 0: one, 1: jnp.concatenate([one, points], axis=1)}[degree]
 
 
-def squared_distances(a: Float[Array, "k d"], b: Sources) -> Float[Array, "k s"]:
+def squared_distances(a: Float[Array, "k d"], b: Sources) -> Weights:
     return sum((a[:, None, k] - b[None, :, k]) ** 2 for k in range(a.shape[1]))  # pyright: ignore[reportReturnType]
 
 
@@ -50,16 +50,14 @@ def in_rows(points: Float[Array, "c d"], scale: Scalar) -> Float[Array, "d c"]:
     return jax.lax.optimization_barrier(matmul(matrix, points.T))
 
 
-def kernel_sum(
-    phi: Callable, sources: Sources, weights: Float[Array, "k s"], points: Float[Array, "d c"]
-) -> Float[Array, "k c"]:
+def kernel_sum(phi: Callable, sources: Sources, weights: Weights, points: Float[Array, "d c"]) -> Float[Array, "k c"]:
     """Sums weighted functions at points that `in_rows` laid out; `phi` takes squared distances."""
     # one loop along the points for distances and kernel, then a product with the weights; the
     # compiler makes vector instructions of it only if each coordinate lies in a row of its own
     return few_rows_times(weights, phi(squared_distances(sources, points.T)))
 
 
-def symmetric_kernel_sum(phi: Callable, sources: Sources, weights: Float[Array, "k s"]) -> Float[Array, "k s"]:
+def symmetric_kernel_sum(phi: Callable, sources: Sources, weights: Weights) -> Weights:
     # The sources are padded to whole blocks by copies of the last one, which have the weight 0. A
     # scan goes over the blocks (i, j) with i <= j: a block gives sums of columns j and, transposed,
     # of columns i.
