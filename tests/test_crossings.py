@@ -220,7 +220,7 @@ def test_overlapping_boxes_are_those_of_all_pairs(d):
     low, high = corners.min(axis=1), corners.max(axis=1)
     overlap = ((low[:, None] <= high[None]) & (low[None] <= high[:, None])).all(axis=2) & (moves[:, None] | moves)
     expected = {tuple(pair) for pair in np.argwhere(np.triu(overlap, 1))}
-    listed = [tuple(sorted(pair)) for pair in zip(*overlapping_boxes(corners, moves), strict=True)]
+    listed = [tuple(sorted(pair)) for pair in overlapping_boxes(corners, moves)]
     assert len(listed) == len(set(listed))
     assert set(listed) == expected
 

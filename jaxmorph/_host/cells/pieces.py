@@ -26,9 +26,10 @@ def linear_cells(cells: Mapping[str, Any], join: Any = np.concatenate) -> dict[s
 
 def owners(cells: Mapping[str, Any]) -> dict[str, np.ndarray]:
     """The cell of each of the `linear_cells`, by type; cells are numbered as in `cells`."""
-    ids = np.cumsum([0, *map(len, cells.values())])
-    numbered = {kind: np.arange(first, first + len(cells[kind])) for kind, first in zip(cells, ids, strict=False)}
-    nodes = {kind: np.repeat(ids[:, None], NODES[kind], axis=1) for kind, ids in numbered.items()}
+    nodes, first = {}, 0
+    for kind, ids in cells.items():
+        nodes[kind] = np.repeat(np.arange(first, first + len(ids))[:, None], NODES[kind], axis=1)
+        first += len(ids)
     return {shape: corners[:, 0] for shape, corners in linear_cells(nodes).items()}
 
 
@@ -48,36 +49,32 @@ def owned_sides(
     cells: Mapping[str, np.ndarray], n: int, among: np.ndarray | None = None
 ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Finds the `boundary_sides`, and the cell (f,) of each; cells are numbered as in `cells`."""
-    is_candidate = None
-    if among is not None:
-        is_candidate = np.zeros(n, bool)
-        is_candidate[among] = True
-    found: dict[str, list[tuple[list[np.ndarray], int, np.ndarray | None]]] = {}
+    is_candidate = np.zeros(n, bool)
+    is_candidate[[] if among is None else among] = True
+    found: dict[str, list[tuple[list[np.ndarray], np.ndarray]]] = {}
     first = 0
     for kind, ids in cells.items():
-        nodes = columns_of(ids)
+        nodes, every = columns_of(ids), np.arange(first, first + len(ids))
         for side, rows in lagrange_types()[kind].sides:
-            columns, here = [nodes[row] for row in rows], None
-            if is_candidate is not None:
+            columns, owner = [nodes[row] for row in rows], every
+            if among is not None:
                 # both copies of an inner face pass or fail together
                 here = np.flatnonzero(np.logical_and.reduce([is_candidate[column] for column in columns]))
-                columns = [column[here] for column in columns]
-            found.setdefault(side, []).append((columns, first, here))
+                columns, owner = [column[here] for column in columns], every[here]
+            found.setdefault(side, []).append((columns, owner))
         first += len(ids)
-    return {
-        side: _single(found[side], n) for side in sorted(found, key=lambda side: (CORNERS[SHAPES[side]], NODES[side]))
-    }
+    sides = sorted(found, key=lambda side: (CORNERS[SHAPES[side]], NODES[side]))
+    return {side: _single(found[side], n) for side in sides}
 
 
-def _single(parts: list[tuple[list[np.ndarray], int, np.ndarray | None]], n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Finds unique faces and their cells. A part: faces by column, first cell, its rows or None."""
-    columns, owner = [], []
-    for (part, first, here), rows in zip(parts, unpaired([part for part, *_ in parts], n), strict=True):
-        columns.append([column[rows] for column in part])
-        owner.append(first + (rows if here is None else here[rows]))
+def _single(parts: list[tuple[list[np.ndarray], np.ndarray]], n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Finds unique faces and their cells, from faces by column, and their cells."""
+    rows = unpaired([columns for columns, _ in parts], n)
+    columns = [[column[left] for column in part] for (part, _), left in zip(parts, rows, strict=True)]
+    owner = np.concatenate([cells[left] for (_, cells), left in zip(parts, rows, strict=True)])
     joined = [np.concatenate(column) for column in zip(*columns, strict=True)]
     single = is_single(sorted_columns(joined, len(joined)))
-    return np.stack([column[single] for column in joined], axis=1).astype(np.int64), np.concatenate(owner)[single]
+    return np.stack([column[single] for column in joined], axis=1).astype(np.int64), owner[single]
 
 
 @functools.cache
