@@ -11,7 +11,7 @@ import jaxmorph as jm
 from jaxmorph import cases, io
 from jaxmorph._advice.inspect import crossings, simplices
 from jaxmorph._advice.inspection import Crossings
-from jaxmorph._host.surface.crossings import crossing_faces, overlapping_boxes
+from jaxmorph._host.surface.gaps import crossing_faces, overlapping_boxes
 from jaxmorph.cli import main
 
 METHOD = jm.DelaunayGraph()

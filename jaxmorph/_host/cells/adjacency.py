@@ -2,16 +2,16 @@
 
 import functools
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from scipy.sparse import coo_array
 
 from ..package.cores import by_blocks, in_order
-from .topology import FACES
+from .topology import FACES, ByType, Pair
 
 
-def neighbours(cells: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+def neighbours(cells: ByType) -> Pair:
     """Finds the cell behind every face of `cells`, corner ids (k, corners) by type.
 
     Returns two arrays with one entry a face, by cell, faces in the order of `FACES`. The first has
@@ -59,9 +59,7 @@ def _has_extent(rows: Sequence[np.ndarray]) -> np.ndarray:
     return np.sum(steps, axis=0, dtype=np.int8) >= np.where(rows[2] < 0, 1, 2) if len(rows) > 2 else steps[0]
 
 
-def handedness(
-    cells: Mapping[str, np.ndarray], neighbour: np.ndarray, flipped: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def handedness(cells: ByType, neighbour: np.ndarray, flipped: np.ndarray) -> Pair:
     """Returns each cell's orientation sign, 1 or -1, and the id of its connected part, from
     `neighbour` and `flipped` of `neighbours`: ids alone decide, no coordinates. A part that cannot
     be oriented (a Moebius strip) has sign 1 throughout.
@@ -152,7 +150,7 @@ def unpaired(parts: Sequence[Sequence[np.ndarray]], n: int) -> list[np.ndarray]:
     random = np.random.default_rng(n).integers(0, 2**64, n, dtype=np.uint64)
     left, firsts = np.zeros(n, np.uint64), []
 
-    def numbered(columns: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    def numbered(columns: Sequence[np.ndarray]) -> Pair:
         number = functools.reduce(np.add, (random[column] for column in columns))
         return functools.reduce(np.minimum, columns), number * (number | np.uint64(1))
 

@@ -1,14 +1,13 @@
 """First grid lines off a wall, from the cells' own polynomials; linear cells are of order 1."""
 
 import functools
-from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from .lagrange import PLACES, derivatives_at_nodes, lagrange_types, values
 from .pieces import owned_sides
-from .topology import CORNERS, DIMENSION, EDGES, FACES, SHAPES
+from .topology import CORNERS, DIMENSION, EDGES, FACES, SHAPES, ByType
 
 
 class WallSides(NamedTuple):
@@ -60,7 +59,7 @@ def _slopes(kind: str) -> np.ndarray:
     return slopes if lagrange_types()[kind].order > 1 else np.broadcast_to(slopes.mean(axis=0), slopes.shape)
 
 
-def first_lines(cells: Mapping[str, np.ndarray], points: np.ndarray, wall: np.ndarray) -> Lines:
+def first_lines(cells: ByType, points: np.ndarray, wall: np.ndarray) -> Lines:
     """Picks, for every wall node, the grid line off the wall that is nearest to the wall's normal.
     From a node inside of an edge or a side, a line goes to the node opposite. Raises `ValueError`
     if no boundary side of a cell has all nodes among the wall nodes.
@@ -99,7 +98,7 @@ def _neighbours(kind: str) -> np.ndarray:
     return np.where(squared > 0, squared, squared.max() + 1).argmin(axis=1)
 
 
-def _sides(cells: Mapping[str, np.ndarray], points: np.ndarray, wall: np.ndarray) -> dict[str, WallSides]:
+def _sides(cells: ByType, points: np.ndarray, wall: np.ndarray) -> dict[str, WallSides]:
     """Sides of single cells with all nodes on the wall, by type; rows are ids here."""
     corners = [points[ids[:, : CORNERS[SHAPES[kind]]]].mean(axis=1) for kind, ids in cells.items()]
     centre, result = np.concatenate(corners or [points[:0]]), {}
@@ -113,7 +112,7 @@ def _sides(cells: Mapping[str, np.ndarray], points: np.ndarray, wall: np.ndarray
 
 
 def _candidates(
-    cells: Mapping[str, np.ndarray], starts: np.ndarray, on_wall: np.ndarray
+    cells: ByType, starts: np.ndarray, on_wall: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Lines from `starts` to nodes off the wall: start, end, nodes and weights (l, k)."""
     width = max((len(row) for kind in cells for *_, row, _ in _lines(kind)), default=1)
@@ -138,16 +137,15 @@ def _lines(kind: str) -> tuple[tuple[int, int, np.ndarray, np.ndarray], ...]:
     for edge in cell.edges:
         first, last = edge[:2].tolist()
         lines += [(first, last, edge, ends[0]), (last, first, edge, -ends[1])]
-    place, slopes, corners = cell.place, derivatives_at_nodes(kind), np.array(PLACES[cell.shape])
+    slopes, corners = derivatives_at_nodes(kind), np.array(PLACES[cell.shape])
     for face, (side, nodes) in zip(FACES[cell.shape], cell.sides, strict=True):
         beyond = corners[[_beyond(cell.shape, face, corner) for corner in face]]
         ends = np.rint(cell.order * values(SHAPES[side], lagrange_types()[side].reference) @ beyond).astype(int)
-        for node, end in zip(nodes.tolist(), ends.tolist(), strict=True):
-            last = place[tuple(end)]
+        inner = nodes >= cell.corners
+        for node, last in zip(nodes[inner].tolist(), cell.nodes_at(ends[inner]).tolist(), strict=True):
             weights = slopes[node] @ (cell.reference[last] - cell.reference[node])
             near = np.flatnonzero(np.abs(weights) > 1e-12 * np.abs(weights).max())
-            if node >= cell.corners:
-                lines.append((node, last, near, weights[near]))
+            lines.append((node, last, near, weights[near]))
     return tuple(lines)
 
 

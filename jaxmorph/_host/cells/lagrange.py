@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.polynomial import legendre
 
-from .topology import CORNERS, DIMENSION, EDGES, FACES, SIDE_TYPES, numbers
+from .topology import CORNERS, DIMENSION, EDGES, FACES, SIDE_TYPES, Pair, numbers
 
 ORDERS = (1, 2, 3, 4)
 STEP = 1e-30  # imaginary step of a derivative
@@ -70,9 +70,11 @@ class Lagrange:
         """The place (k, d) of each node in the reference cell."""
         return self.lattice / self.order
 
-    @property
-    def place(self) -> dict[tuple[int, ...], int]:
-        return {tuple(at): node for node, at in enumerate(self.lattice.tolist())}
+    def nodes_at(self, places: np.ndarray) -> np.ndarray:
+        """The nodes at places (..., d) of the lattice; -1 for none."""
+        table = np.full((self.order + 1,) * self.dimension, -1)
+        table[tuple(self.lattice.T)] = np.arange(len(self.lattice))
+        return table[tuple(np.moveaxis(places, -1, 0))]
 
     @property
     def edges(self) -> np.ndarray:
@@ -84,12 +86,12 @@ class Lagrange:
     @property
     def sides(self) -> list[tuple[str, np.ndarray]]:
         """Type of each face of `FACES` (2-D: edge), and its nodes in that type's own order."""
-        place, corners, sides = self.place, np.array(PLACES[self.shape]), []
+        corners, sides = np.array(PLACES[self.shape]), []
         for face in FACES[self.shape]:
             side = of_order(SIDE_TYPES[len(face)], self.order, self.is_complete)
             along = corners[[face[1], face[-1]][: side.dimension]] - corners[face[0]]
             at = self.order * corners[face[0]] + side.lattice @ along
-            sides.append((side.name, np.array([place[tuple(position)] for position in at.tolist()])))
+            sides.append((side.name, self.nodes_at(at)))
         return sides
 
     def completion(self) -> tuple[str, np.ndarray]:
@@ -97,9 +99,8 @@ class Lagrange:
         keeps its curved shape: a missing node is where the serendipity functions put it.
         """
         complete = of_order(self.shape, self.order)
-        place, matrix = complete.place, np.zeros((len(complete.lattice), len(self.lattice)))
-        for node, at in enumerate(self.lattice.tolist()):
-            matrix[place[tuple(at)], node] = 1
+        matrix = np.zeros((len(complete.lattice), len(self.lattice)))
+        matrix[complete.nodes_at(self.lattice), np.arange(len(self.lattice))] = 1
         middles = iter(np.flatnonzero(~matrix.any(axis=1)))
         for side, nodes in self.sides if self.dimension == 3 else [(self.name, np.arange(len(self.lattice)))]:
             if side == "quad8":  # in its middle functions of corners are -1/4, functions of edges 1/2
@@ -161,7 +162,7 @@ def derivatives_at_nodes(kind: str) -> np.ndarray:
 
 
 @functools.cache
-def jacobian_samples(kind: str) -> tuple[np.ndarray, np.ndarray]:
+def jacobian_samples(kind: str) -> Pair:
     """Shape function derivatives (s, nodes, d) where det J is measured, and weights (s,). Places
     are a lattice of half the step, of weight 0, and Gauss points of the exact volume.
     """
@@ -193,14 +194,14 @@ def values(kind: str, places: np.ndarray) -> np.ndarray:
     return at_places @ inverse @ completion
 
 
-def _expanded(kind: str, places: np.ndarray) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray, np.ndarray]:
+def _expanded(kind: str, places: np.ndarray) -> tuple[Pair, np.ndarray, np.ndarray]:
     name, completion = lagrange_types()[kind].completion()
     complete = lagrange_types()[name]
     at_nodes, _ = _basis(complete, collapsed(name, complete.reference))
     return _basis(complete, places), np.linalg.inv(at_nodes), completion
 
 
-def _basis(cell: Lagrange, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _basis(cell: Lagrange, places: np.ndarray) -> Pair:
     """The basis (s, k) at places, and its derivatives (s, k, d)."""
     # Products of polynomials. An imaginary step of a coordinate has the derivative by it, exactly.
     d, powers = cell.dimension, cell.lattice

@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 from scipy.sparse import linalg
 
+Operator = Callable[[np.ndarray], np.ndarray]
+
 DIRECT = 12_000  # unknowns up to which a 3-D system is factored; 2-D systems always are: factors stay sparse
 
 
@@ -112,7 +114,7 @@ class Multigrid:
     """A V-cycle of smoothed aggregation (Vanek, Mandel and Brezina 1996), and its `last` solver."""
 
     levels: Sequence[Level]
-    last: Callable[[np.ndarray], np.ndarray]
+    last: Operator
 
     def __call__(self, right: np.ndarray, depth: int = 0) -> np.ndarray:
         if depth == len(self.levels):

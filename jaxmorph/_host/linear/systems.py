@@ -11,7 +11,7 @@ from scipy.sparse import linalg
 
 from ..cells.adjacency import parts_of
 from ..package.rounding import distinct
-from .solves import Factors, conjugate_gradients, hierarchy, inner_product, is_factored
+from .solves import Factors, Operator, conjugate_gradients, hierarchy, inner_product, is_factored
 
 ACCURACY = 1e-9  # residual relative to the right side, and error relative to the solution, that end CG
 LIMIT = 500  # most steps of conjugate gradients. A mesh of 65,000 nodes takes 50.
@@ -55,7 +55,7 @@ def check_solver(unknowns: int, dimension: int) -> None:
         )
 
 
-def _inverse(pairs, values, diagonal, masses, free, multigrid: bool) -> Callable[[np.ndarray], np.ndarray]:
+def _inverse(pairs, values, diagonal, masses, free, multigrid: bool) -> Operator:
     # Of blocks there is one system; of numbers one for all columns with the same free unknowns.
     n, d = free.shape
     kinds, kind = free.any(axis=1)[:, None], np.zeros(d, dtype=int)
@@ -92,7 +92,7 @@ def _matrix(pairs, values, diagonal, rows) -> Any:
     return kind((entries[chosen.data - 1], chosen.indices, chosen.indptr))
 
 
-def _of_matrix(matrix: Any, used: np.ndarray, d: int, multigrid: bool) -> Callable[[np.ndarray], np.ndarray]:
+def _of_matrix(matrix: Any, used: np.ndarray, d: int, multigrid: bool) -> Operator:
     """The solver of the `used` unknowns for right sides; other unknowns are zero."""
     diagonal = np.where(used, matrix.diagonal(), 1)
     if not (diagonal > 0).all():
@@ -100,17 +100,16 @@ def _of_matrix(matrix: Any, used: np.ndarray, d: int, multigrid: bool) -> Callab
     scale = used / np.sqrt(diagonal)
     _scale(matrix, scale)
     factors = functools.cache(lambda: Factors(matrix))
-    is_direct = is_factored(len(scale), d)
-    cycle = _cycle(matrix, 1 / np.where(used, scale, 1)) if multigrid and not is_direct else None
+    multigrid &= not (is_direct := is_factored(len(scale), d))
+    cycle = _cycle(matrix, 1 / np.where(used, scale, 1)) if multigrid else None
+    may_factor = is_direct or (multigrid and len(scale) <= RESORT)
 
     def apply(right):
-        if not np.isfinite(right).all():
-            return np.full_like(right, np.nan)
         columns = right.reshape(len(scale), -1) * scale[:, None]
         x = np.full_like(columns, np.nan)
         if not (is_direct or factors.cache_info().currsize):
-            x = np.stack([iterated(matrix, column, cycle, scale) for column in columns.T], axis=1)
-        if is_direct or (cycle is not None and len(scale) <= RESORT and not np.isfinite(x).all()):
+            x = np.apply_along_axis(lambda column: iterated(matrix, column, cycle, scale), 0, columns)
+        if may_factor and np.isfinite(right).all() and not np.isfinite(x).all():
             x = factors()(columns)
         return (x * scale[:, None]).reshape(right.shape)
 
@@ -127,9 +126,7 @@ def _scale(matrix: Any, scale: np.ndarray) -> None:
     data[owner == matrix.indices] += (factor == 0)[:, :, None] * np.eye(factor.shape[1])
 
 
-def iterated(
-    matrix: Any, right: np.ndarray, cycle: Callable[[np.ndarray], np.ndarray] | None, scale: np.ndarray
-) -> np.ndarray:
+def iterated(matrix: Any, right: np.ndarray, cycle: Operator | None, scale: np.ndarray) -> np.ndarray:
     """Solves for a right side (k,); NaN if CG does not converge, or the matrix is not positive. The
     wanted unknowns are `scale` (k,) times x. The cycle's image of the residual is as large as the
     error: a residual that is small beside stiff cells moves soft cells far.
@@ -138,7 +135,9 @@ def iterated(
 
     def is_enough(x, residual, steep):
         is_small = inner_product(residual, residual) <= enough
-        return is_small and (cycle is None or _largest(scale * steep) <= ACCURACY * _largest(scale * x))
+        return is_small and (
+            cycle is None or np.abs(scale * steep).max(initial=0) <= ACCURACY * np.abs(scale * x).max(initial=0)
+        )
 
     # Without a cycle, twice as many steps are allowed.
     inverse, limit = (cycle, LIMIT) if cycle else (lambda residual: residual, 2 * LIMIT)
@@ -146,11 +145,7 @@ def iterated(
     return x if is_solved else np.full_like(right, np.nan)
 
 
-def _largest(x: np.ndarray) -> float:
-    return max(float(x.max(initial=0)), -float(x.min(initial=0)))
-
-
-def _cycle(matrix: Any, mode: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+def _cycle(matrix: Any, mode: np.ndarray) -> Operator:
     """A matrix's multigrid cycle; for blocks, one a component, by Korn's inequality."""
     d, cycles = len(mode) // (len(matrix.indptr) - 1), []
     for k, data in enumerate(matrix.data.reshape(-1, d, d).diagonal(axis1=1, axis2=2).T):
@@ -165,7 +160,7 @@ def _cycle(matrix: Any, mode: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
     return cycle
 
 
-def _of_square(root: Any) -> Callable[[np.ndarray], np.ndarray]:
+def _of_square(root: Any) -> Operator:
     """The solver of B^T B x = right for a sparse B (n, k), without squaring its condition."""
     n = root.shape[0]
     scale = 1 / np.sqrt(np.ravel(root.power(2).sum(axis=0)))

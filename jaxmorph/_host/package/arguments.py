@@ -87,15 +87,9 @@ def between(name: str, value: Any, low: float | int = -np.inf, high: float | int
     allowed = [end for end, sign in zip((low, high), ends, strict=True) if sign in "[]"]
     if _is_real(value) and (low < value < high or value in allowed):
         return
-    words = []
-    if low > -np.inf:
-        words.append(f"of {low:g} or more" if ends[0] == "[" else f"above {low:g}")
-    if high < np.inf:
-        words.append(f"up to {high:g}" if ends[1] == "]" else f"below {high:g}")
-    elif ends[1] == ")":
-        words.append("finite" if words else "that is finite")
-    wanted = f"a real number {' and '.join(words)}".strip()
-    raise ValueError(f"`{name}` must be {wanted}, not {shown(value)}.")
+    least = {"[": f"of {low:g} or more and", "(": f"above {low:g} and"}[ends[0]] if low > -np.inf else "that is"
+    most = {"]": f"up to {high:g}", ")": f"below {high:g}"}[ends[1]] if high < np.inf else "finite"
+    raise ValueError(f"`{name}` must be a real number {least} {most}, not {shown(value)}.")
 
 
 def as_array(name: str, values: Any) -> np.ndarray:
@@ -109,7 +103,7 @@ def rows_of(name: str, ids: Any, count: int) -> np.ndarray:
     """Returns ids (k,), such as a caller's list of nodes. Raises `ValueError` for what is no list
     of whole numbers, with a hint for a mask, and for ids that are not in 0 to `count` - 1.
     """
-    array = as_array(name, ids) if isinstance(ids, list | tuple | range) or has_type(ids) else NOTHING
+    array = _array(ids)
     if array.size == 0:
         return np.zeros(0, dtype=np.int64)
     if array.dtype.kind not in "iu" or array.ndim != 1:
@@ -131,10 +125,7 @@ def real_array(name: str, values: Any, *shapes: tuple[int | None, ...]) -> np.nd
     """Returns floats, in their precision, of one of the shapes, in which None is any length. Raises
     `ValueError` for other shapes, and for what are no real numbers.
     """
-    array = NOTHING
-    if (isinstance(values, list | tuple) or has_type(values)) and not np.ma.is_masked(values):
-        with contextlib.suppress(ValueError):  # rows of several lengths
-            array = np.asarray(values)
+    array = _array(values)
     words = " or ".join(str(shape).replace("None", "any") for shape in shapes)
     if array.dtype.kind not in "fiu":
         raise ValueError(f"`{name}` must be an array of real numbers {words}, not {shown(values)}.")
@@ -142,6 +133,14 @@ def real_array(name: str, values: Any, *shapes: tuple[int | None, ...]) -> np.nd
     if not any(all(n in (None, m) for n, m in zip(shape, array.shape, strict=True)) for shape in fitting):
         raise ValueError(f"`{name}` has shape {array.shape}; expected {words}.")
     return array if array.dtype.kind == "f" else array.astype(float)
+
+
+def _array(values: Any) -> np.ndarray:
+    """An array or a list as an array; `NOTHING` for other values, masks, rows of many lengths."""
+    with contextlib.suppress(ValueError):
+        if (isinstance(values, list | tuple | range) or has_type(values)) and not np.ma.is_masked(values):
+            return np.asarray(values)
+    return NOTHING
 
 
 def finite_array(name: str, values: Any, *shapes: tuple[int | None, ...]) -> np.ndarray:
@@ -178,9 +177,10 @@ def _is_whole(value: Any) -> bool:
 
 REAL, WHOLE = Rule("a real number", _is_real), Rule("a whole number", _is_whole)
 FUNCTION = Rule("a function", lambda value: callable(value) and not isinstance(value, type))
-SIMPLE = {int: WHOLE, np.integer: WHOLE, float: REAL, np.number: REAL, Callable: FUNCTION}
+TRUTH = Rule("True or False", lambda value: isinstance(value, bool | np.bool_))
+SIMPLE = {bool: TRUTH, int: WHOLE, np.integer: WHOLE, float: REAL, np.number: REAL, Callable: FUNCTION}
 
-WORDS = {bool: "True or False", str: "a word", os.PathLike: "a path", types.NoneType: "None", type: "a class"}
+WORDS = {str: "a word", os.PathLike: "a path", types.NoneType: "None", type: "a class"}
 """What a value of a class is called, if not after the class."""
 
 KINDS = {"Float": "fiuV", "Real": "fiuV", "Int": "iu", "Integer": "iu", "Bool": "b", "Shaped": "fiubcV"}
@@ -216,24 +216,21 @@ def _rule(annotation: Any) -> Rule:
     for kind in MANY:
         if members and issubclass(cls, kind):
             return _of_members(kind, members)
-    classes = (bool, np.bool_) if cls is bool else cls
-    return Rule(WORDS.get(cls, f"a {cls.__name__}"), lambda value: isinstance(value, classes))
+    return Rule(WORDS.get(cls, f"a {cls.__name__}"), lambda value: isinstance(value, cls))
 
 
 def _of_union(members: tuple[Any, ...]) -> Rule:
     arrays = [member for member in members if hasattr(member, "dim_str")]
-    others = [member for member in members if member not in arrays]
-    if arrays:
-        others = [member for member in others if typing.get_args(member) not in LISTS_OF_NUMBERS]
-    rules = [_rule(member) for member in (*arrays[:1], *others)]
-    words = dict.fromkeys(rule.words for rule in rules)
-    if REAL.words in words:
-        words.pop(WHOLE.words, None)
+    lists = LISTS_OF_NUMBERS if arrays else ()
+    others = [member for member in members if member not in arrays and typing.get_args(member) not in lists]
+    rules = list(map(_rule, (*arrays[:1], *others)))
+    words, _ = zip(*rules, strict=True)
 
     def fits(value):
-        return any(rule.fits(value) for rule in (rules[:1] if arrays and has_type(value) else rules))
+        possible = rules[:1] if arrays and has_type(value) else rules
+        return any(rule.fits(value) for rule in possible)
 
-    return Rule(" or ".join(words), fits)
+    return Rule(" or ".join(dict.fromkeys(words)).replace(f"{REAL.words} or {WHOLE.words}", REAL.words), fits)
 
 
 def _of_array(annotation: Any) -> Rule:
@@ -269,11 +266,12 @@ def _of_members(kind: type, members: tuple[Any, ...]) -> Rule:
         if not is_kind(value):
             return False
         entries = list(value.values() if kind is Mapping else value)
-        wanted = rules if is_row else rules[-1:] * len(entries)
-        return len(wanted) == len(entries) and all(
-            rule.fits(entry) for rule, entry in zip(wanted, entries, strict=True)
-        )
+        return _fit(rules if is_row else rules[-1:] * len(entries), entries)
 
     if is_row:
         return Rule(f"({', '.join(rule.words for rule in rules)})", fits)
     return Rule(f"{words} {rules[-1].words}" if rules[-1].words else words.partition(",")[0], fits)
+
+
+def _fit(rules: list[Rule], entries: list[Any]) -> bool:
+    return len(rules) == len(entries) and all(rule.fits(entry) for rule, entry in zip(rules, entries, strict=True))

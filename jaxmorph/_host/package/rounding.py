@@ -6,10 +6,12 @@ from typing import Any
 import numpy as np
 from scipy.spatial import KDTree
 
+from ..cells.topology import Pair
 from .cores import cores
 
 SAME = 1e-9  # relative difference up to which two numbers count as equal
 TIES = 4  # nearest places that are searched first; if all are equally near, more are searched
+
 FEW = 4096  # points of a search up to which threads cost more than they gain
 
 
@@ -19,7 +21,7 @@ class Tree(KDTree):
     def query(self, x: Any, *arguments: Any, **keywords: Any) -> tuple[Any, Any]:  # pyright: ignore[reportIncompatibleMethodOverride]
         return super().query(x, *arguments, **{"workers": cores() if len(x) > FEW else 1} | keywords)
 
-    def within(self, x: np.ndarray, radius: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def within(self, x: np.ndarray, radius: np.ndarray) -> Pair:
         """Pairs of a row of `x` (k, d) and a point within its radius (k,), by row, then point."""
         around = self.query_ball_point(x, radius, return_sorted=True)
         rows = np.repeat(np.arange(len(x)), [len(ids) for ids in around])
@@ -43,7 +45,7 @@ def ranked(values: np.ndarray, slack: float) -> np.ndarray:
     return rank
 
 
-def distinct(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def distinct(points: np.ndarray) -> Pair:
     """Each place's first point (k,), and each point's place (n,)."""
     slack = roundoff(points)
     rows = np.stack([ranked(column, slack) for column in points.T], axis=1)

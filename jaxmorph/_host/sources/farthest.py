@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 
+from ..cells.topology import Pair
 from ..package.arguments import between, check_fields, whole
 from ..package.rounding import SAME, Tree, canonical_order, first_largest, nearest_of, spacing
 from .reduction import AbstractReduction, AbstractSeparated, KDTree, chosen_in_order, extreme_points
@@ -184,7 +185,7 @@ def _room(points: np.ndarray, others: np.ndarray) -> np.ndarray:
     return np.maximum(distance, nearest_of(points, others, spacing(others)))
 
 
-def far_to_near(points: np.ndarray, first: int, count: int) -> tuple[np.ndarray, np.ndarray]:
+def far_to_near(points: np.ndarray, first: int, count: int) -> Pair:
     """Orders points (n, d) so that each is far from its predecessors, and finds near predecessors.
 
     Returns ids (n,), and places in their order (n - first, count): the point's own place, then

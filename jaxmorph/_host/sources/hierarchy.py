@@ -6,6 +6,7 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial.distance import cdist
 
+from ..cells.topology import Pair
 from ..package.arguments import between
 from ..package.rounding import SAME, Tree, canonical_order, first_largest, nearest_of, ranked, roundoff
 from .farthest import FarthestPoints
@@ -15,7 +16,7 @@ BATCH = 256  # candidates for the next nodes in a batch
 WIDTH = 8  # entries in a row of a sweep's table
 
 
-def farthest_first(points: np.ndarray, earlier: np.ndarray, images: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def farthest_first(points: np.ndarray, earlier: np.ndarray, images: np.ndarray) -> Pair:
     """Orders nodes so that the next is always the farthest from its predecessors.
 
     Also finds nearest predecessors. The `earlier` nodes are predecessors of all nodes, and mirror
@@ -76,7 +77,7 @@ class Share(AbstractReduction):
         return FarthestPoints(count)(points) if count else np.zeros(0, dtype=np.int64)
 
 
-def _pairs_of_equals(numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _pairs_of_equals(numbers: np.ndarray) -> Pair:
     """All pairs of two different rows (k,) with equal numbers, both ways."""
     groups = np.unique(numbers, return_inverse=True)[1]
     member = sparse.csr_array((np.ones(len(numbers), bool), (np.arange(len(numbers)), groups)))
@@ -92,9 +93,7 @@ def _farthest(distance: np.ndarray, least: float) -> np.ndarray:
     return batch[np.lexsort((batch, ranked(-distance[batch], SAME * distance.max())))[:BATCH]]
 
 
-def overlaps(
-    points: np.ndarray, centres: np.ndarray, radius: np.ndarray, targets: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def overlaps(points: np.ndarray, centres: np.ndarray, radius: np.ndarray, targets: np.ndarray) -> Pair:
     """Pairs (target, centre) within the centre's radius (b,), by target, then centre."""
     tree = Tree(targets, leafsize=32, balanced_tree=False, compact_nodes=False)
     rank, target = tree.within(points[centres], radius[centres])
@@ -109,7 +108,7 @@ def _places_in_runs(*keys: np.ndarray) -> np.ndarray:
     return row - np.maximum.accumulate(np.where(begins, row, 0))
 
 
-def padded(target: np.ndarray, centre: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+def padded(target: np.ndarray, centre: np.ndarray, count: int) -> Pair:
     """Lays pairs, sorted by target, into rows (count, k) of centres, with a mask of the pairs."""
     column = _places_in_runs(target)
     rows = np.zeros((count, 1 + column.max(initial=0)), dtype=np.int32)
@@ -118,7 +117,7 @@ def padded(target: np.ndarray, centre: np.ndarray, count: int) -> tuple[np.ndarr
     return rows, used
 
 
-Sweep = tuple[np.ndarray, np.ndarray]
+Sweep = Pair
 """The order in which a triangular system is solved: s steps of r rows. A row adds up to `WIDTH`
 entries of its owner: positions (s, r, WIDTH), -1 for padding, and owners (s, r).
 """

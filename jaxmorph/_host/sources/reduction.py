@@ -9,6 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from ..cells.topology import Pair
 from ..package.arguments import between, check_fields, finite_array, whole
 from ..package.rounding import SAME, Tree, canonical_order, first_largest, nearest_of, roundoff
 
@@ -205,7 +206,7 @@ class KDTree(AbstractSeparated):
         return np.array([[points[members].min(axis=0), points[members].max(axis=0)] for members in done])
 
 
-def _halves(points: np.ndarray, members: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray]:
+def _halves(points: np.ndarray, members: np.ndarray, axis: int) -> Pair:
     """Splits members at the median along an axis; points at one coordinate stay together."""
     members = members[np.argsort(points[members, axis], kind="stable")]
     along = points[members, axis]

@@ -12,6 +12,7 @@ import functools
 import numpy as np
 from scipy.spatial import Delaunay, QhullError
 
+from ..cells.topology import Pair
 from ..linear.products import cofactor_rows, normals, smallest_height, unit_rows
 from ..package.cores import by_blocks
 from ..package.errors import MeshError, place_of, worst_first
@@ -159,7 +160,7 @@ def locate(graph: Graph, points: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     return graph.unique.astype(np.int32)[graph.delaunay.simplices][simplex]
 
 
-def _repair(graph: Graph, points: np.ndarray, simplex: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _repair(graph: Graph, points: np.ndarray, simplex: np.ndarray) -> Pair:
     # A point moves a little towards the middle, out of the flat simplices along a plane side of the
     # hull, and is searched again. The best simplex has the largest smallest weight.
     simplex = np.maximum(simplex, 0)
@@ -175,7 +176,7 @@ def _repair(graph: Graph, points: np.ndarray, simplex: np.ndarray) -> tuple[np.n
     return simplex, best
 
 
-def _search(graph: Graph, points: np.ndarray, simplex: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _search(graph: Graph, points: np.ndarray, simplex: np.ndarray) -> Pair:
     heights = smallest_height(graph.nodes[graph.delaunay.simplices])
     sound = np.flatnonzero(heights > graph.flat)
     corners, margin = graph.nodes[graph.delaunay.simplices[sound]], 2 * JITTER + graph.flat

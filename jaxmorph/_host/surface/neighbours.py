@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from ..cells.topology import Pair
 from ..package.cores import by_blocks
 from ..package.rounding import SAME, Tree, few_by, lowest_of_equals, morton_order, nearest_few, roundoff
 
@@ -27,7 +28,7 @@ def near_walls(
     points: np.ndarray,
     count: int,
     once: Once = lambda key, make: make(),
-) -> tuple[np.ndarray, np.ndarray]:
+) -> Pair:
     """Finds the points near a wall, and the ids (k, count + 1) of the surface nodes near them.
 
     `reach` (b,) is the distance to which a node's wall reaches into the volume. A row holds the
@@ -40,16 +41,8 @@ def near_walls(
     # point. Then the points of a wall are compared with the nodes of all other walls.
     if len(points) == 0:
         return np.zeros(0, dtype=np.int64), np.zeros((0, count + 1), dtype=np.int32)
-    order, bounded = (
-        morton_order(points),
-        [],
-    )  # a tree is searched three times faster for neighbours one after the other
-    for members in searched_together(wall, np.flatnonzero(reach > 0)):
-        # nodes of similar reach are searched together: too large a bound costs ten times as much
-        size = np.frexp(reach[members])[1]
-        groups = [members[size == exponent] for exponent in np.unique(size)]
-        bounded += [(rows, reach[rows].max()) for rows in groups]
-    distance, first = _nearest(surface, bounded, points[order], once, reach)
+    order = morton_order(points)  # a tree is searched three times faster for neighbours one after the other
+    distance, first = _nearest(surface, _by_reach(wall, reach), points[order], once, reach)
     hit = np.flatnonzero(distance < np.inf)
     near, first, distance = order[hit], first[hit], distance[hit]
     around = once(("around", digest(wall), count), lambda: _around(surface, wall, 2 * count))
@@ -73,6 +66,15 @@ def near_walls(
             rows[here[close], count] = other[close]
             is_nearest[here[close]] = distance[here[close]] <= closest[close]
     return near[is_nearest], rows[is_nearest]
+
+
+def _by_reach(wall: np.ndarray, reach: np.ndarray) -> list[tuple[np.ndarray, float]]:
+    # nodes of similar reach are searched together: too large a bound costs ten times as much
+    size, bounded = np.frexp(reach)[1], []
+    for members in searched_together(wall, np.flatnonzero(reach > 0)):
+        groups = [members[size[members] == exponent] for exponent in np.unique(size[members])]
+        bounded += [(rows, reach[rows].max()) for rows in groups]
+    return bounded
 
 
 def _closest(nodes: np.ndarray, squared: np.ndarray, count: int) -> np.ndarray:
@@ -101,16 +103,11 @@ def _nearest(
     points: np.ndarray,
     once: Once,
     reach: np.ndarray | None = None,
-) -> tuple[np.ndarray, np.ndarray]:
+) -> Pair:
     """The nearest node of several lists within their bounds, and its distance, else infinite. With
     `reach` (b,), a node counts only within its own reach. Ties go to the first list.
     """
-    # cells cut in the middle are faster for many searches than at the median
-    options = {"leafsize": 32, "balanced_tree": False, "compact_nodes": False}
-    trees = [
-        once(("tree", digest(members)), lambda members=members: Tree(surface[members], **options))
-        for members, _ in bounded
-    ]
+    trees = [once(("tree", digest(members)), lambda members=members: _tree(surface[members])) for members, _ in bounded]
     distance, nearest = np.full(len(points), np.inf), np.zeros(len(points), dtype=np.int64)
     place, slack = np.zeros(len(points), dtype=np.int32), max(roundoff(points), roundoff(surface))
 
@@ -130,9 +127,7 @@ def _nearest(
     def search_all(part: slice) -> None:
         # A tree is searched only for points whose answer so far is farther than the tree's box. The
         # tree with the nearest box comes first: it holds the answer of most points.
-        boxes = [zip(points[part].T, tree.mins, tree.maxes, strict=True) for tree in trees]
-        squared = [sum(np.maximum(np.maximum(low - x, x - high), 0) ** 2 for x, low, high in box) for box in boxes]
-        away = np.sqrt(squared)
+        away = np.stack([_to_box(points[part], tree) for tree in trees])
         away[away > (1 + SAME) * np.array([[bound] for _, bound in bounded])] = np.inf
         first = away.argmin(axis=0)
         for is_first, k in itertools.product((True, False), range(len(trees))):
@@ -143,6 +138,17 @@ def _nearest(
 
     by_blocks(search_all, len(points) if bounded else 0)
     return distance, nearest
+
+
+def _to_box(points: np.ndarray, tree: Tree) -> np.ndarray:
+    """Distances (n,) of points from the box of a tree's points."""
+    box = zip(points.T, tree.mins, tree.maxes, strict=True)
+    return np.sqrt(sum(np.maximum(np.maximum(low - x, x - high), 0) ** 2 for x, low, high in box))
+
+
+def _tree(points: np.ndarray) -> Tree:
+    """A tree for many searches: cells cut in the middle are faster than at the median."""
+    return Tree(points, leafsize=32, balanced_tree=False, compact_nodes=False)
 
 
 def _around(surface: np.ndarray, wall: np.ndarray, count: int) -> np.ndarray:
@@ -156,7 +162,7 @@ def _around(surface: np.ndarray, wall: np.ndarray, count: int) -> np.ndarray:
     return around
 
 
-def nearly_coincident(points: np.ndarray, radius: float, share: float) -> tuple[np.ndarray, np.ndarray]:
+def nearly_coincident(points: np.ndarray, radius: float, share: float) -> Pair:
     """Points with neighbours far nearer than the next: ids, and nearest ids, closest first. Far
     nearer means below a `share` of the distance of the next neighbour, or of the `radius`. Up to
     `AROUND` points may be near each other.

@@ -1,11 +1,11 @@
 """The skin of the moving walls: edges between its nodes, the size of bodies, sharp tips in 2-D."""
 
 import dataclasses
-from collections.abc import Mapping
 
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
+from ..cells.topology import ByType, Pair
 from ..linear.products import outward
 from ..package.rounding import (
     SAME,
@@ -22,7 +22,7 @@ from ..package.rounding import (
 )
 from ..sources.farthest import farthest
 
-FacesByType = Mapping[str, np.ndarray] | None
+FacesByType = ByType | None
 
 RINGS, BEYOND = (40, 80), 1.1
 """Radii of rings at which a body's field comes to rest.
@@ -76,7 +76,7 @@ def thinned(places: np.ndarray, most: int) -> np.ndarray:
     return np.sort(order[np.linspace(0, len(order) - 1, most).astype(np.int64)])
 
 
-def chords(points: np.ndarray, wall: np.ndarray, faces: FacesByType = None) -> tuple[np.ndarray, np.ndarray]:
+def chords(points: np.ndarray, wall: np.ndarray, faces: FacesByType = None) -> Pair:
     """Finds two distant nodes of every wall (w, 2), and measures its mean chord (w,).
 
     It is half of the wall's length, in 3-D of its area over the distance of the two nodes: a wing's
@@ -160,7 +160,7 @@ def has_free_sides(surface: np.ndarray, is_free: np.ndarray, points: np.ndarray)
     return any((free @ np.array(normal) + offset > -slack).sum() > 1 for *normal, offset in equations[largest])
 
 
-def has_free_faces(points: np.ndarray, faces: Mapping[str, np.ndarray], is_held: np.ndarray) -> bool:
+def has_free_faces(points: np.ndarray, faces: ByType, is_held: np.ndarray) -> bool:
     """Checks whether boundary faces, but for the sides of a cut, have corners that are not held."""
     free = [corners[~is_held[corners].all(axis=1)] for corners in faces.values()]
     middles = np.concatenate([points[corners].mean(axis=1) for corners in free])

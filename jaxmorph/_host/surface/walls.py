@@ -1,10 +1,9 @@
 """Walls of a surface: by faces between its nodes, or by chains of nearest neighbours; its order."""
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from ..cells.adjacency import parts_of
+from ..cells.topology import ByType
 from ..linear.products import outward, unit_rows
 from ..package.rounding import SAME, Tree, distinct, nearest_of, ranked
 from ..sources.farthest import farthest
@@ -21,7 +20,7 @@ AROUND = 512  # nearest nodes among which a node finds its vote; if votes fail, 
 def walls(
     points: np.ndarray,
     moving: int,
-    faces: Mapping[str, np.ndarray] | None = None,
+    faces: ByType | None = None,
     in_planes: np.ndarray | None = None,
 ) -> np.ndarray:
     """Returns each surface node's wall (b,); the first `moving` nodes move.
@@ -57,7 +56,7 @@ def in_order(faces: np.ndarray) -> np.ndarray:
     return faces[np.lexsort(faces.T[::-1])]
 
 
-def ordered_rows(points: np.ndarray, moving: int, faces: Mapping[str, np.ndarray] | None) -> np.ndarray:
+def ordered_rows(points: np.ndarray, moving: int, faces: ByType | None) -> np.ndarray:
     """Sorts nodes (b, d) by place, the first `moving` nodes before all others. Of nodes in one
     place, as on two sides of a slit, the directions of their `faces` decide.
     """
