@@ -185,8 +185,8 @@ def test_surfaces_without_extent(dimension):
 
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_mortons_order_interleaves_the_bits_of_the_coordinates(dimension):
-    """Against whole numbers of Python: bit k of axis a is bit k d + a of the key, 31 bits an axis in 2-D, 20 in 3-D."""
-    bits = 62 // dimension
+    """Against whole numbers of Python: bit k of axis a is bit k d + a of the key, 30 bits an axis in 2-D, 20 in 3-D."""
+    bits = 60 // dimension
     points = np.random.default_rng(0).random((200, dimension))
     points[:2] = [[0], [1]]
     keys = [

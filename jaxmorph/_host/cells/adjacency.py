@@ -45,12 +45,10 @@ def neighbours(cells: ByType) -> Pair:
 def _turns(nodes: Sequence[np.ndarray], ordered: Sequence[np.ndarray]) -> np.ndarray:
     if len(nodes) == 2:
         return nodes[0] < nodes[1]
-    turns = np.zeros(len(nodes[0]), dtype=bool)
-    for corner, node in enumerate(nodes):
-        after, before = nodes[(corner + 1) % len(nodes)], nodes[corner - 1]
-        before = np.where(before == node, nodes[corner - 2], before)  # the lowest node may be repeated
-        turns |= (node == ordered[0]) & (after != node) & (after < before)
-    return turns
+    here = np.stack(nodes)
+    after, before, opposite = (np.roll(here, shift, axis=0) for shift in (-1, 1, 2))
+    before = np.where(before == here, opposite, before)  # the lowest node may be repeated
+    return ((here == ordered[0]) & (after != here) & (after < before)).any(axis=0)
 
 
 def _has_extent(rows: Sequence[np.ndarray]) -> np.ndarray:

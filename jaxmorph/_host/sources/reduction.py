@@ -225,12 +225,11 @@ def chosen_in_order(points: np.ndarray, choose: Callable[[np.ndarray, np.ndarray
 
 def extreme_points(points: np.ndarray) -> np.ndarray:
     extremes, slack = [], SAME * float(np.ptp(points, axis=0).max())
-    for axis in range(points.shape[1]):
-        for sign in (-1, 1):
-            along = sign * points[:, axis]
-            touching = np.flatnonzero(along >= along.max() - slack)
-            others = np.delete(points[touching], axis, axis=1)
-            extremes += [touching[first_largest(side * column, slack)] for column in others.T for side in (-1, 1)]
+    for axis, sign in itertools.product(range(points.shape[1]), (-1, 1)):
+        along = sign * points[:, axis]
+        touching = np.flatnonzero(along >= along.max() - slack)
+        others = np.delete(points[touching], axis, axis=1)
+        extremes += [touching[first_largest(side * column, slack)] for column in others.T for side in (-1, 1)]
     return np.unique(extremes)
 
 
