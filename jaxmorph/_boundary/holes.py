@@ -6,7 +6,7 @@ from scipy.spatial import Delaunay, QhullError
 
 from .._host.cells.adjacency import parts_of
 from .._host.linear.products import normals, unit_rows
-from .._host.surface.gaps import distance_from_segment
+from .._host.surface.gaps import closest
 
 CONTINUES = 0.5
 """Least cosine (60 degrees) of a hole's faces to those around: a dome's rim is no hole."""
@@ -82,10 +82,7 @@ def rim(faces: Int[np.ndarray, "e d"]) -> Int[np.ndarray, "r c"]:
 
 def distance_from_edges(x: np.ndarray, ends: np.ndarray) -> np.ndarray:
     """Distances (k,) of points from the nearest edge (r, 2, d), or end (r, 1, d)."""
-    least = np.full(len(x), np.inf)
-    for edge in ends:
-        least = np.minimum(least, distance_from_segment(x, edge[0], edge[-1]))
-    return least
+    return closest(ends[:, [0, -1]], x)[2] if len(ends) else np.full(len(x), np.inf)
 
 
 def inside(x: np.ndarray, ends: np.ndarray) -> np.ndarray:

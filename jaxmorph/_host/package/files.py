@@ -27,14 +27,6 @@ def input_path(path: str | os.PathLike[str]) -> pathlib.Path:
     return path
 
 
-def file_path(path: str | os.PathLike[str]) -> pathlib.Path:
-    """Returns a path to write. Raises `ValueError` for a folder or a null byte."""
-    name = os.fspath(path)
-    if name.endswith((os.sep, os.altsep or os.sep)):
-        raise ValueError(f"{name}: ends as a folder does, but a file is written. Remove the {name[-1]} at the end.")
-    return _without_null(path)
-
-
 def _without_null(path: str | os.PathLike[str]) -> pathlib.Path:
     if "\0" in os.fspath(path):
         raise ValueError(f"{os.fspath(path)!r}: a name of a file holds no null byte.")
@@ -46,7 +38,10 @@ def output_path(path: str | os.PathLike[str], *endings: str, folder: bool = Fals
     a name without one of the `endings`, if there are any, without a parent folder, and for a
     folder, a device or a pipe.
     """
-    path = _without_null(path) if folder else file_path(path)
+    name = os.fspath(path)
+    if not folder and name.endswith((os.sep, os.altsep or os.sep)):
+        raise ValueError(f"{name}: ends as a folder does, but a file is written. Remove the {name[-1]} at the end.")
+    path = _without_null(path)
     if endings and path.suffix.lower() not in endings:
         raise ValueError(f"{path}: the name should end in {' or '.join(endings)}.")
     if not path.parent.is_dir():
@@ -67,19 +62,17 @@ def read_arrays(path: pathlib.Path, what: str = "an NPZ file") -> dict[str, np.n
     with path.open("rb") as file:
         try:
             with zipfile.ZipFile(file) as archive:
-                return {name.removesuffix(".npy"): _member(archive, name) for name in archive.namelist()}
+                arrays = {}
+                for name in archive.namelist():
+                    # To the end, where `zipfile` compares the checksum: a damaged type hides a part
+                    with archive.open(name) as member:
+                        arrays[name.removesuffix(".npy")] = np.lib.format.read_array(member, allow_pickle=False)
+                        if member.read(1):
+                            raise ValueError(f"{name} holds more than its array")
+                return arrays
         except Exception as error:  # zipfile, zlib and NumPy raise a dozen classes for damage
             detail = " ".join(str(error).split())[:120]
             raise ValueError(f"{path}: not {what}, or a damaged one ({type(error).__name__}: {detail}).") from error
-
-
-def _member(archive: zipfile.ZipFile, name: str) -> np.ndarray:
-    # read to the end, where `zipfile` compares the checksum: a damaged type hides a part
-    with archive.open(name) as member:
-        array = np.lib.format.read_array(member, allow_pickle=False)
-        if member.read(1):
-            raise ValueError(f"{name} holds more than its array")
-    return array
 
 
 def real_array(path: pathlib.Path, arrays: dict[str, np.ndarray], name: str) -> np.ndarray:
