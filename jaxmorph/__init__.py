@@ -21,17 +21,15 @@ if typing.TYPE_CHECKING:  # `as` makes a name public for type checkers; `_NAMES`
     from . import cases as cases, cli as cli, extend as extend, integrations as integrations, io as io
     from . import native as native, plot as plot, shapes as shapes
     from ._advice.compare import Comparison as Comparison, compare as compare
-    from ._advice.cures import Cure as Cure, cures as cures
+    from ._advice.cures import Cure as Cure, Turn as Turn, cures as cures
     from ._advice.fewest_steps import Steps as Steps, fewest_steps as fewest_steps
-    from ._advice.inspect import inspect as inspect
-    from ._advice.inspection import Inspection as Inspection
+    from ._advice.inspect import Inspection as Inspection, inspect as inspect
     from ._advice.largest_step import (
         DesignedMesh as DesignedMesh,
         LargestStep as LargestStep,
         largest_step as largest_step,
     )
     from ._advice.methods import METHODS as METHODS
-    from ._advice.turn import Turn as Turn
     from ._advice.valid_steps import ValidSteps as ValidSteps
     from ._boundary.boundary import Boundary as Boundary
     from ._boundary.facets import Facets as Facets
@@ -133,13 +131,11 @@ __version__: str
 _SUBMODULES = ("cases", "cli", "extend", "integrations", "io", "native", "plot", "shapes")
 _NAMES = {
     "._advice.compare": "Comparison compare",
-    "._advice.cures": "Cure cures",
+    "._advice.cures": "Cure Turn cures",
     "._advice.fewest_steps": "Steps fewest_steps",
-    "._advice.inspect": "inspect",
-    "._advice.inspection": "Inspection",
+    "._advice.inspect": "Inspection inspect",
     "._advice.largest_step": "DesignedMesh LargestStep largest_step",
     "._advice.methods": "METHODS",
-    "._advice.turn": "Turn",
     "._advice.valid_steps": "ValidSteps",
     "._boundary.boundary": "Boundary",
     "._boundary.facets": "Facets",

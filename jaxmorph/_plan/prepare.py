@@ -210,7 +210,7 @@ def surface_of(
     faces = boundary.surface_faces
     order = ordered_rows(points[nodes], moving, faces) if order is None else order
     on_plane = boundary.on_planes
-    images, copies = images_of(planes, boundary.pairings, on_plane, nodes, moving, points, order)
+    images, copies = images_of(boundary, order)
     place, own = np.argsort(order), order[copies.rows]
     faces = None if faces is None else {kind: copies.faces(place[corners]) for kind, corners in faces.items()}
     normals = np.array([plane.normal for plane in planes]).reshape(-1, points.shape[1])
