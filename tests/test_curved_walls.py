@@ -8,7 +8,7 @@ from meshes import ring
 
 import jaxmorph as jm
 from jaxmorph import cases
-from jaxmorph._boundary.faces import CurvedFaces
+from jaxmorph._boundary.walls import CurvedFaces
 
 
 def wall_of(mesh, patch):
