@@ -15,7 +15,6 @@ from ._host.package.arguments import (
 )
 from ._host.package.errors import warn as warn
 from ._host.package.files import (
-    appearing_if as appearing_if,
     complete as complete,
     input_path as input_path,
     output_path as output_path,

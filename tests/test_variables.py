@@ -200,7 +200,7 @@ SET = 'set = { "wall2.rotate" = 8 }'
         (f"{SENSITIVITY} x.npz", SET, r"x.npz: the name should end in .csv or .json"),
         ("sensitivity ring.su2 volume.npz x.csv --set a=1", SET, "--set without --job"),
         (DEFORM, "set = 3", "job.toml: set is a table of names and numbers, found 3"),
-        (DEFORM, "set = { a = 'x' }", "job.toml: set.a is a number, or a list of numbers, found 'x'"),
+        (DEFORM, "set = { a = 'x' }", "job.toml: argument --set: 'a=x' is not NAME"),
     ],
 )
 def test_design_variables_that_make_no_sense(here, capsys, words, set_to, message):

@@ -1,7 +1,6 @@
 """Files and folders that appear when they are complete."""
 
 import contextlib
-import contextvars
 import gzip
 import os
 import pathlib
@@ -12,7 +11,7 @@ import stat
 import tempfile
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -118,23 +117,6 @@ def packed(path: pathlib.Path, name: str) -> Iterator[pathlib.Path]:
             shutil.copyfileobj(file, target)
 
 
-class UnwantedError(Exception):
-    """Ends the writing of a file that is complete, but not wanted."""
-
-
-_is_wanted: contextvars.ContextVar[Callable[[], bool] | None] = contextvars.ContextVar("_is_wanted", default=None)
-
-
-@contextlib.contextmanager
-def appearing_if(is_wanted: Callable[[], bool]) -> Iterator[None]:
-    """Lets a `complete` file appear only if `is_wanted()`, else raises `UnwantedError`."""
-    token = _is_wanted.set(is_wanted)
-    try:
-        yield
-    finally:
-        _is_wanted.reset(token)
-
-
 @contextlib.contextmanager
 def complete(path: pathlib.Path, *, folder: bool = False, name_errors: bool = True) -> Iterator[pathlib.Path]:
     """Yields a temporary file or folder that replaces `path` at the end; a failure leaves nothing.
@@ -153,9 +135,6 @@ def complete(path: pathlib.Path, *, folder: bool = False, name_errors: bool = Tr
     try:
         with named(path) if name_errors else contextlib.nullcontext():
             yield partial
-        is_wanted = _is_wanted.get()
-        if is_wanted is not None and not is_wanted():
-            raise UnwantedError
         with named(path):
             partial.replace(target)
     finally:
