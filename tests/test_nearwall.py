@@ -13,7 +13,7 @@ from scipy.spatial.distance import cdist
 import jaxmorph as jm
 from jaxmorph import cases
 from jaxmorph._host.surface.neighbours import near_walls
-from jaxmorph.cases._structured import c_grid
+from jaxmorph.cases._meshes import c_grid
 
 PUBLISHED, NEAR_WALL = jm.DelaunayGraph(), jm.NearWall()
 

@@ -10,7 +10,7 @@ from scipy.interpolate import BSpline
 from scipy.special import comb
 
 from jaxmorph import io, shapes
-from jaxmorph.shapes._lattice import SLAB
+from jaxmorph.shapes._freeform import SLAB
 
 
 def cloud(d, count=60):
