@@ -417,10 +417,10 @@ def skin(grid: Any) -> Any:
 def _polygons(whole: Any, grid: Any, cell_ids: Any) -> Any:
     """Returns polyhedra's outer faces as in the file, with the mean of their cell's pieces."""
     outer = np.flatnonzero(whole.all_neighbours() < 0)
-    nodes, corners = np.unique(np.concatenate([whole.nodes(k, k + 1) for k in outer.tolist()]), return_inverse=True)
-    sizes = whole.sizes[outer]
-    polygons = np.insert(corners.ravel(), np.cumsum(sizes) - sizes, sizes)
-    faces = pyvista().PolyData(np.asarray(grid.points)[nodes], polygons)
+    rows = np.column_stack([whole.sizes[outer], whole.padded(outer)])  # -1 behind the last corner
+    is_node = np.pad(rows[:, 1:] >= 0, ((0, 0), (1, 0)))
+    nodes, rows[is_node] = np.unique(rows[is_node], return_inverse=True)
+    faces = pyvista().PolyData(np.asarray(grid.points)[nodes], rows[rows >= 0])
     faces.point_data["node"] = nodes
     if "values" in grid.cell_data:
         mean = np.bincount(cell_ids, grid.cell_data["values"]) / np.bincount(cell_ids)

@@ -286,7 +286,7 @@ def _borders(height: Column, airfoil: Vector) -> Float[Array, "5 m"]:
     """
     camber, place = airfoil[0], airfoil[1]
     bend = -camber / jnp.stack([place, 1 - place])[:, None] ** 2
-    square = -(1 + 2 * bend * (camber - height)) / (6 * bend**2)  # of v at the extremum; without a bend -inf
+    square = -(1 + 2 * bend * (camber - height)[None]) / (6 * bend**2)  # of v at the extremum; without a bend -inf
     ahead, behind = jnp.minimum(jnp.sqrt(jnp.maximum(square, 0)), REACH)
     last = jnp.full_like(height, REACH)
     return place + jnp.stack([-last, -ahead, 0 * last, behind, last])

@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Array, Bool, Int
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import KDTree
 
 from jaxmorph import Facets, MeshError, Plane
 from jaxmorph.extend import Module
@@ -102,14 +101,15 @@ def clipped(target: Facets, plane: Plane, side: float, slack: float) -> tuple[Cl
 @dataclasses.dataclass(frozen=True)
 class Curves:
     """Edges (s, 2) of a surface, in 2-D points (s, 1), by `kinds`: 0 for sharp ones, k for those on
-    the border in the k-th plane, then named ones. `corners` are by place the kinds that meet there.
+    the border in the k-th plane, then named ones. At `corners` kinds meet, the bits of `codes`.
     """
 
     points: np.ndarray
     normals: np.ndarray
     edges: np.ndarray
     kinds: np.ndarray
-    corners: dict[int, tuple[int, ...]]
+    corners: np.ndarray
+    codes: np.ndarray
 
     @classmethod
     def of(cls, facets: Facets, planes: Sequence[Plane], slack: float, ids: Sequence[Any]) -> "Curves":
@@ -122,7 +122,7 @@ class Curves:
             edges = np.unique(sides[np.isin(sides, named).all(axis=1)], axis=0)
             found.append(np.reshape(named, (-1, 1)) if rim.shape[1] == 1 else edges)
         edges, kinds = np.concatenate(found), np.repeat(np.arange(len(found)), [len(part) for part in found])
-        return cls(points, normals, edges, kinds, _corners(points, edges, kinds, rim, len(planes)))
+        return cls(points, normals, edges, kinds, *_corners(points, edges, kinds, rim, len(planes)))
 
     def chains(self, kind: int) -> list[np.ndarray]:
         """The edges of a kind in parts between corners; none in 2-D, where all are corners."""
@@ -130,7 +130,7 @@ class Curves:
         if edges.shape[1] == 1 or not len(edges):
             return []
         own = len(self.points) + np.arange(edges.size).reshape(edges.shape)  # a corner joins no edges
-        ends = np.where(np.isin(edges, list(self.corners)), own, edges)
+        ends = np.where(np.isin(edges, self.corners), own, edges)
         links = coo_array((np.ones(len(ends)), tuple(ends.T)), (len(self.points) + edges.size,) * 2)
         part = connected_components(links, directed=False)[1][ends[:, 0]]
         return [edges[part == number] for number in np.unique(part)]
@@ -138,25 +138,22 @@ class Curves:
 
 def _corners(
     points: np.ndarray, edges: np.ndarray, kinds: np.ndarray, rim: np.ndarray, planes: int
-) -> dict[int, tuple[int, ...]]:
+) -> tuple[np.ndarray, np.ndarray]:
     nodes, number = np.unique(edges, return_inverse=True)
-    number, total = number.reshape(edges.shape), np.zeros((len(nodes), points.shape[1]))
+    number, is_corner = number.reshape(edges.shape), np.ones(len(nodes), bool)
     met = np.zeros((len(nodes), max(kinds.max(initial=0), planes) + 1), bool)
     met[number, kinds[:, None]] = True
-    if edges.shape[1] == 1:
-        at = np.arange(len(nodes))
-    else:
+    if edges.shape[1] == 2:
         # Two directions away from a node cancel on a straight curve; at 60 degrees their sum has
         # length 1. An edge that ends at the border of the surface slides along itself.
-        along = points[edges[:, 1]] - points[edges[:, 0]]
+        along, total = points[edges[:, 1]] - points[edges[:, 0]], np.zeros((len(nodes), points.shape[1]))
         along = along / np.linalg.norm(along, axis=1, keepdims=True)
         np.add.at(total, number, np.stack([along, -along], axis=1))
         count = np.bincount(number.ravel())
         is_single = ~np.isin(nodes, rim) | met[:, planes + 1 :].any(axis=1)
         is_end = np.where(count == 1, is_single, (count > 2) | (np.sum(total**2, axis=1) > 1))
-        is_end &= ~met[:, 1 : planes + 1].any(axis=1)
-        at = np.flatnonzero(is_end | (met.sum(axis=1) > 1))
-    return {int(nodes[k]): tuple(np.flatnonzero(met[k]).tolist()) for k in at}
+        is_corner = (is_end & ~met[:, 1 : planes + 1].any(axis=1)) | (met.sum(axis=1) > 1)
+    return nodes[is_corner], met[is_corner] @ (1 << np.arange(met.shape[1]))
 
 
 def guides_of(wall: Facets, target: Facets, planes: Sequence[Plane], features: Sequence[Any]) -> tuple[Rail, ...]:
@@ -164,7 +161,7 @@ def guides_of(wall: Facets, target: Facets, planes: Sequence[Plane], features: S
     slack = SAME * np.ptp(np.asarray(wall.points), axis=0).max()
     ids = _named(features, len(wall.points)), _named([pair[::-1] for pair in features], len(target.points))
     own, other = (Curves.of(facets, planes, slack, named) for facets, named in zip((wall, target), ids, strict=True))
-    guides = [guide for kinds in sorted({*own.corners.values()}) for guide in _on_points(own, other, kinds)]
+    guides = [guide for code in np.unique(own.codes).tolist() for guide in _on_points(own, other, code)]
     taken = np.concatenate([np.zeros(0, int), *(guide.rows for guide in guides)])
     kinds = range(own.kinds.max(initial=0) + 1)
     return (*(guide for kind in kinds for guide in _on_curves(own, other, kind, taken)), *guides)
@@ -176,20 +173,21 @@ def _named(features: Sequence[Any], count: int) -> list[Int[np.ndarray, " k"]]:
     return [rows_of("features", ids, count) for ids, _ in features]
 
 
-def _on_points(own: Curves, other: Curves, kinds: tuple[int, ...]) -> list[Rail]:
+def _on_points(own: Curves, other: Curves, code: int) -> list[Rail]:
     """A corner goes onto the closest corner of the same kinds of curves, that looks alike."""
-    rows, ids = (np.array([at for at, met in side.corners.items() if met == kinds], int) for side in (own, other))
+    rows, ids = (side.corners[side.codes == code] for side in (own, other))
     if not len(ids):
         return []
     away, chosen = _best(own, rows, other.points[ids], other.normals[ids])
-    away |= max(kinds) > 0
+    away |= code > 1  # a plane or a name leaves no choice
     rows, ids, places = rows[away], ids[chosen][away], other.points[ids[chosen]][away]
-    pairs = KDTree(places).query_pairs(0, output_type="ndarray") if len(rows) else np.zeros((0, 2), int)
-    if len(pairs):
+    _, place, count = np.unique(places, axis=0, return_inverse=True, return_counts=True)
+    shared = np.flatnonzero(count[place.ravel()] > 1)
+    if len(shared):
         raise MeshError(
-            f"{len(np.unique(pairs))} corners of the wall share one of the target, at {shown_place(places[pairs[0, 0]])}, one is "
+            f"{len(shared)} corners of the wall share one of the target, at {shown_place(places[shared[0]])}, one is "
             "node {node}. Name pairs in `features`, or find fewer edges by the `angle` of `Facets`.",
-            rows[np.unique(pairs)],
+            rows[shared],
         )
     return [Rail(rows, np.stack([rows, rows], axis=1), ids)] if len(rows) else []
 

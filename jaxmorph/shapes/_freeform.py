@@ -13,7 +13,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
-from scipy.interpolate import BSpline
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
@@ -45,6 +44,8 @@ def splines(t: Column, count: int, degree: int) -> Weights:
     """B-splines on clamped, equal knots in [0, 1]; Bernstein polynomials at the highest degree."""
     if degree == count - 1:
         return bernstein(t, degree)
+    from scipy.interpolate import BSpline  # not before it is needed: it takes a tenth of a second
+
     breaks = np.linspace(0, 1, count - degree + 1)
     spline = BSpline(np.pad(breaks, degree, mode="edge"), np.eye(count), degree)
     return piecewise(t, breaks, [spline(breaks[:-1], p) / math.factorial(p) for p in range(degree + 1)])

@@ -7,7 +7,6 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from scipy.interpolate import CubicSpline, make_interp_spline
 
 from jaxmorph.extend import checked, finite_array, is_known
 
@@ -193,6 +192,8 @@ class ReferenceAxis(AbstractShape):
         if not (steps > 0).all():
             raise ValueError(f"station {int(np.argmin(steps)) + 1} is not farther along the span than the one before.")
         self.points, self.chordwise, self.spanwise = jnp.asarray(known), jnp.asarray(along), jnp.asarray(across)
+        from scipy.interpolate import CubicSpline, make_interp_spline  # not before they are needed
+
         stations, values = known @ across, np.eye(len(known))
         is_cubic = cubic and len(known) > 2
         spline = (
