@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 import jaxmorph as jm
-from jaxmorph import Mesh, _demo, io
+from jaxmorph import Mesh, io
 
 from ._method import mesh_of
 from ._output import Output, count, some, title, wrapped
@@ -138,4 +138,6 @@ def _line_of_box(box: io.Box) -> str:
 
 
 def demo(request: Demo, out: Output) -> int:
+    from jaxmorph import _demo  # with matplotlib
+
     return _demo.run(request.output)

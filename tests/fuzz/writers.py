@@ -31,6 +31,7 @@ sys.path.insert(0, str(pathlib.Path(__file__).parents[1]))
 import cgns
 import foam
 import meshio
+from matplotlib.figure import Figure
 from meshes import bricks
 from mfem_meshes import straight
 from plot3d import box
@@ -141,7 +142,7 @@ def png(folder: pathlib.Path) -> Output:
     mesh = jm.Mesh([[0.0, 0], [1, 0], [0, 1]], {"triangle": [[0, 1, 2]]})
 
     def write(path: pathlib.Path, k: int) -> None:
-        vars(sys.modules["jaxmorph.plot._files"])["_in_2d"] = lambda *_: drawn[k]
+        Figure.savefig = lambda self, file, **_: pathlib.Path(file).write_bytes(drawn[k])
         plot.picture(path, mesh, np.asarray(mesh.points), moving=np.arange(3))
 
     return Output("a.png", write)
