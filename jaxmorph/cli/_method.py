@@ -84,7 +84,7 @@ class Patches:
         return method_of(self.request, np.asarray(self.mesh.points)[self.nodes])
 
     def chunks(self, size: int | None = None) -> Chunks:
-        """Yields the nodes and the plan of each chunk of `size` inner nodes, or of the whole mesh."""
+        """Yields nodes and plan of each chunk of `size` inner nodes, or of the whole mesh."""
         return jm.prepare_in_chunks(self.boundary, method=self.method, size=size)
 
     def half(self) -> jm.SurfaceHalf:
