@@ -6,6 +6,7 @@ import re
 import warnings
 from collections.abc import Callable, Iterable
 from concurrent.futures import Future
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -133,11 +134,38 @@ def _written(attempt: Attempt, way: Way, nodes: np.ndarray, plan: jm.Plan, out: 
         measures = {name: getattr(boundary, name) for name in boundary.nodes}
         out.say(wrapped(f"boundary: {boundary}"), boundary=measures | {"ended": boundary.ended.tolist()})
     write_job(request, attempt.motion, out)
-    draw(request.picture, way.mesh, out, way.stored, moving=attempt.patches.nodes, verdict=verdict)
+    picture = request.picture
+    draw(picture, way.mesh, out, way.stored, moving=attempt.patches.nodes, verdict=verdict)
+    for name, wall in off.items() if picture is not None else ():
+        file = picture.with_name(f"{picture.stem}_distance_{Path(name).stem}.png")
+        _draw_distances(file, *wall)
+        out.say(f"picture  {file}")
     bad = faults(verdict)
     if bad:
         bad[-1] += _advice(attempt, out)
     return finish(bad, request.allow_inverted, request.output, lambda: way.write(verdict), out)
+
+
+def _draw_distances(file: Path, wall: jm.Facets, *distances: np.ndarray) -> None:
+    """Draws the distances of a wall's nodes from its target, before and after, in one scale."""
+    import matplotlib.pyplot as plt
+
+    points, faces = np.asarray(wall.points), np.asarray(wall.faces)
+    figure = plt.figure(figsize=(10, 4))
+    for k, off in enumerate(distances):
+        axes: Any = figure.add_subplot(1, 2, 1 + k, projection="3d" if points.shape[1] == 3 else None)
+        axes.set_title(f"distance {('before', 'after')[k]}, up to {off.max():.3g}")
+        if points.shape[1] == 2:
+            drawn = axes.scatter(*points.T, c=off, s=8)
+        else:
+            drawn = axes.plot_trisurf(*points.T, triangles=faces, antialiased=False)
+            drawn.set_array(off[faces].mean(axis=1))
+        drawn.set_clim(0.0, max(distances[0].max(), 1e-300))
+        axes.set_aspect("equal")
+        figure.colorbar(drawn, ax=axes, shrink=0.7)
+    with complete(file) as partial:
+        figure.savefig(partial, format="png", dpi=120)
+    plt.close(figure)
 
 
 def _tell(
