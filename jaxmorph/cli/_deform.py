@@ -136,10 +136,11 @@ def _written(attempt: Attempt, way: Way, nodes: np.ndarray, plan: jm.Plan, out: 
     write_job(request, attempt.motion, out)
     picture = request.picture
     draw(picture, way.mesh, out, way.stored, moving=attempt.patches.nodes, verdict=verdict)
-    for name, wall in off.items() if picture is not None else ():
-        file = picture.with_name(f"{picture.stem}_distance_{Path(name).stem}.png")
-        _draw_distances(file, *wall)
-        out.say(f"picture  {file}")
+    if picture is not None:
+        for name, wall in off.items():
+            file = picture.with_name(f"{picture.stem}_distance_{Path(name).stem}.png")
+            _draw_distances(file, *wall)
+            out.say(f"picture  {file}")
     bad = faults(verdict)
     if bad:
         bad[-1] += _advice(attempt, out)
