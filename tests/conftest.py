@@ -44,14 +44,14 @@ MEMORY = {}
 """Largest resident memory of each worker, bytes."""
 
 LONG = (
-    *("notebooks", "openfoam_runs", "wing", "fuzz", "compare", "improve", "shared_cases", "conditioning"),
+    *("notebooks", "openfoam_runs", "wing", "fuzz", "compare", "improve", "conditioning"),
     *("mpi", "halves", "cli_chunks", "free_faces", "agard445", "demo", "mphys", "tesseract", "docs", "one_core"),
     *("native", "native_openfoam"),
 )
 """Files of few tests, each of which takes long. They come first, so that no worker waits for another at the end."""
 
 UNCOUNTED = (
-    *("basis", "convex", "generated", "kernel_sum", "nearwall", "wallfit", "wing", "agard445", "cli"),
+    *("basis", "generated", "kernel_sum", "nearwall", "wallfit", "wing", "agard445", "cli"),
     *("cli_chunks", "cli_compiled", "cli_help", "cli_picture", "demo", "mphys", "naca0015", "naca4"),
     *("notebooks", "openmdao", "plot", "plot_page", "plot_sources"),
     *("shapes", "shapes_curves", "shapes_freeform", "shapes_measures", "shapes_smooth"),

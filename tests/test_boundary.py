@@ -7,7 +7,6 @@ from meshes import box_with_hole, drum, joined, ring, sector
 from runs import refusals
 
 import jaxmorph as jm
-from jaxmorph._boundary.holes import rim
 
 TPS = full(jm.ThinPlateSpline(), 1)
 AXIS = jm.Revolution((0, 0, 3))
@@ -107,13 +106,6 @@ test_what_a_boundary_is_not = refusals(
         r"meet at 10 nodes without an edge, the worst is node \d+ at \(.*Let both slide as one patch, jm\.Slide\(\(first",
     ),
 )
-
-
-def test_the_rim_of_faces():
-    """By counting: two triangles have four edges of their own, a closed polygon has no end."""
-    assert sorted(map(tuple, rim(np.array([[0, 1, 2], [0, 2, 3]])))) == [(0, 1), (0, 3), (1, 2), (2, 3)]
-    assert len(rim(np.array([[0, 1], [1, 2], [2, 0]]))) == 0
-    assert sorted(rim(np.array([[0, 1], [1, 2]])).ravel()) == [0, 2]
 
 
 @pytest.mark.nightly

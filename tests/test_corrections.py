@@ -16,7 +16,7 @@ from jaxmorph._host.sources.hierarchy import farthest_first
 from jaxmorph._host.surface.neighbours import near_walls
 from jaxmorph._methods.corrections import LocalFactors
 from jaxmorph._methods.sparse import Reach
-from jaxmorph.cases._structured import c_grid
+from jaxmorph.cases._meshes import c_grid
 
 PUBLISHED, NEAR_WALL = jm.DelaunayGraph(), jm.NearWall()
 

@@ -13,14 +13,9 @@ from runs import over, runs
 
 import jaxmorph as jm
 from jaxmorph import cases
-from jaxmorph._boundary.periodic import Pairing
-from jaxmorph._boundary.tracks import Track
-from jaxmorph._boundary.walls import Flat
-from jaxmorph._host.linear.hessians import pattern, solve
-from jaxmorph._improve.constraints import constraints_of, prepared
-from jaxmorph._improve.motion import Ways
-from jaxmorph._kernels.values import as_jax
-from jaxmorph._quality.distortion import IDEAL, energy, samples, solid, target
+from jaxmorph._host.linear.hessians import solve
+from jaxmorph._improve.constraints import prepared
+from jaxmorph._quality.distortion import IDEAL, energy, samples, target
 from jaxmorph._quality.smooth_quality import positive_part
 from jaxmorph._quality.vector import corners
 
@@ -90,31 +85,6 @@ def test_inverted_cells_have_a_finite_energy_that_pulls_them_back(kind):
     assert along[2] > 10
 
 
-@pytest.mark.nightly
-@pytest.mark.parametrize("dimension", [2, 3])
-def test_hessian_blocks_are_those_of_the_energy_where_it_is_convex(dimension):
-    """At the target the Hessian is positive: blocks add up to it, and the host solves with it."""
-    mesh = unit_grid(3, dimension)
-    n = len(mesh.points)
-    distortion, pairs = prepared(mesh, jnp.float64, constraints_of(jm.Boundary(mesh, ()), mesh), False, 0.5)
-    base, y = jnp.asarray(mesh.points), jnp.zeros_like(jnp.asarray(mesh.points))
-    dense = np.asarray(jax.hessian(lambda y: distortion(y, base))(y)).reshape(n * dimension, -1)
-    blocks = np.asarray(distortion.blocks(y, base))
-    ids = next(iter(mesh.cells.values()))
-    rows = np.repeat(ids.T, ids.shape[1], axis=0).ravel()
-    columns = np.tile(ids.T, (ids.shape[1], 1)).ravel()
-    whole = np.zeros((n, dimension, n, dimension))
-    np.add.at(whole, (rows, slice(None), columns), blocks.transpose(2, 0, 1))
-    whole = whole.reshape(n * dimension, -1)
-    values = np.linalg.eigvalsh(whole - dense)
-    assert values.min() > -1e-9  # nothing but negative curvature of samples was left out
-    right = np.random.default_rng(0).normal(size=(n, dimension))
-    shift = np.ones(n)
-    found = solve(*pairs, blocks, shift, right)
-    np.testing.assert_allclose((whole + np.eye(n * dimension)) @ found.ravel(), right.ravel(), atol=1e-9)
-    assert pattern([ids], n, dimension).block.max() + 1 == len(pairs.columns)
-
-
 @over("dimension", slow=[2], nightly=[3])
 def test_it_finds_scipys_minimum_and_untangles(dimension):
     mesh = unit_grid(3, dimension)
@@ -129,7 +99,7 @@ def test_it_finds_scipys_minimum_and_untangles(dimension):
     assert float(result.residual) < 1e-6
     assert np.array_equal(np.asarray(result.points)[~inner], points[~inner])
     assert "0 are now" in str(result)
-    distortion, _ = prepared(mesh, jnp.float64, constraints_of(jm.Boundary(mesh, ()), mesh), False, 0.5)
+    distortion, _ = prepared(jm.Boundary(mesh, ()), mesh, jnp.float64, False, 0.5)
     found = jnp.asarray(result.points)
     sharp = eqx.tree_at(lambda it: it.softness, distortion, jnp.asarray(1e-3))
     value_and_grad = jax.jit(jax.value_and_grad(lambda y: sharp(y.reshape(found.shape), found)))
@@ -176,8 +146,10 @@ def test_derivatives_with_nodes_that_slide():
     rng = np.random.default_rng(4)
     weights, tangent = rng.normal(size=points.shape), rng.normal(size=points.shape)
 
+    boundary = jm.Boundary(mesh, (), sliding=("left", "low"))
+
     def objective(points):
-        improved = jm.improve(jm.Boundary(mesh, (), sliding=("left", "low")), points, tolerance=1e-10).points
+        improved = jm.improve(boundary, points, tolerance=1e-10).points
         return jnp.sum(jnp.sin(3 * improved) * weights)
 
     step = 1e-4
@@ -197,35 +169,6 @@ def quarter():
     mesh = jm.Mesh(points, {"quad": blocks(ids)}, patches)
     wrapped = {"sliding": jm.Slide("shroud", jm.Revolution()), "periodic": jm.Periodic("first", "last")}
     return mesh, radius, angle, wrapped
-
-
-@pytest.mark.nightly
-def test_steps_lead_along_walls_and_partners_follow():
-    """Of a shifted start a node keeps what leads off its walls, and a partner what leads it apart from the other."""
-    quarter, none = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]), np.zeros(0, dtype=np.int32)
-    start = np.array([[0.3, 0.4, 0], [0, 0.7, 0], [1, 2, 3], [2, 1, 0.5], [-1, 2, 0.5], [1, 0, 1], [1, 2, 1]])
-    floor, side = (Flat(np.asarray(normal), np.zeros(3)) for normal in ([0.0, 0, 1], [0.6, 0, 0.8]))
-    tracks = Track(np.array([0]), (floor,)), Track(np.array([1]), (side, floor))
-    nodes = [np.array([k], dtype=np.int32) for k in range(3, 7)]
-    pairings = (
-        Pairing(*nodes[:2], none, quarter, np.zeros(3), np.diag([0.0, 0, 1]), 4, 1, True),
-        Pairing(*nodes[2:], none, np.eye(3), np.array([0.0, 2, 0]), np.eye(3), 0, 1, False),
-    )
-    follows = jnp.asarray([False, False, False, False, True, False, True])
-    ways = Ways(*as_jax((tracks, pairings)), follows, jnp.zeros((7, 2, 3))).at(jnp.asarray(start))
-    off = np.zeros((7, 3, 3))
-    off[0], off[1] = np.diag([0, 0, 1]), np.diag([1, 0, 1])
-    np.testing.assert_allclose(ways.off, off, rtol=0, atol=1e-14)
-    step, given = np.random.default_rng(0).normal(size=(2, 7, 3))
-    expected = np.array(step)
-    expected[0, 2], expected[1, [0, 2]] = given[0, 2], given[1, [0, 2]]
-    expected[4], expected[6] = quarter @ (step[3] - given[3]) + given[4], step[5] - given[5] + given[6]
-    found = ways(*map(jnp.asarray, (start, step, given)))
-    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-14)
-    moved = start + 0.1 * np.cos(np.arange(21.0)).reshape(7, 3)
-    matched = np.array(moved)
-    matched[6] = moved[5] + [0, 2, 0]
-    np.testing.assert_array_equal(ways.matched(jnp.asarray(start), jnp.asarray(moved)), matched)
 
 
 @pytest.mark.nightly
@@ -257,27 +200,33 @@ def test_a_node_at_a_quarter_turn_from_its_start_is_no_minimum():
     assert "stopped early" in str(result)
 
 
-@pytest.mark.nightly
-def test_second_derivatives_on_curved_walls_and_of_pairs():
-    """Blocks add up to the Hessian, with the walls' curvature in it; what is off a wall or follows a partner has none."""
-    mesh, _, _, wrapped = quarter()
+@over("case", [2], nightly=[3, "walls"])
+def test_blocks_add_up_to_the_hessian(case):
+    """With the walls' curvature in it, and nothing of what is off a wall or follows a partner; the host solves with it."""
+    mesh, _, _, wrapped = quarter() if case == "walls" else (unit_grid(3, case), None, None, {})
+    n, d = mesh.points.shape
     base, rng = jnp.asarray(mesh.points + 0.05 * np.sin(3 * mesh.points[:, ::-1])), np.random.default_rng(0)
-    distortion, pairs = prepared(mesh, jnp.float64, constraints_of(jm.Boundary(mesh, (), **wrapped), mesh), False, 0.5)
-    ways = distortion.ways
-    assert ways is not None
-    distortion = eqx.tree_at(lambda it: it.ways, distortion, eqx.filter_jit(ways.at)(base))
-    y = jnp.asarray(0.1 * rng.normal(size=base.shape))
-    dense = np.asarray(jax.jit(jax.hessian(lambda y: distortion(y, base)))(y)).reshape(40, 40)
-    blocks = np.asarray(jax.jit(lambda y: distortion.blocks(y, base, -jnp.inf))(y))
-    data = np.zeros((len(pairs.columns), 2, 2))
-    np.add.at(data, pairs.block, np.moveaxis(blocks, 2, 0))
-    rows = pairs.order[np.repeat(np.arange(20), np.diff(pairs.starts))]
-    whole = np.zeros((20, 2, 20, 2))
-    whole[rows, :, pairs.order[pairs.columns]] = data
-    off = np.asarray(eqx.filter_jit(ways.at)(base).off)
-    assert np.abs(off).max() > 0.1
-    whole[np.arange(20), :, np.arange(20)] -= off
-    np.testing.assert_allclose(whole.reshape(40, 40), dense, rtol=0, atol=1e-12)
+    distortion, pairs = prepared(jm.Boundary(mesh, (), **wrapped), mesh, jnp.float64, False, 0.5)
+    ways = eqx.filter_jit(distortion.ways.at)(base)
+    distortion, y = eqx.tree_at(lambda it: it.ways, distortion, ways), jnp.asarray(0.1 * rng.normal(size=base.shape))
+    dense = np.asarray(jax.jit(jax.hessian(lambda y: distortion(y, base)))(y)).reshape(n * d, -1)
+    assert (np.abs(np.asarray(ways.off)).max() > 0.1) == (case == "walls")
+    rows = pairs.order[np.repeat(np.arange(n), np.diff(pairs.starts))]
+
+    def whole(blocks):
+        data, matrix = np.zeros((len(pairs.columns), d, d)), np.zeros((n, d, n, d))
+        np.add.at(data, pairs.block, np.moveaxis(blocks, 2, 0))
+        matrix[rows, :, pairs.order[pairs.columns]] = data
+        matrix[np.arange(n), :, np.arange(n)] -= ways.off
+        return matrix.reshape(n * d, -1)
+
+    exact, convex = (np.asarray(eqx.filter_jit(distortion.blocks)(y, base, floor)) for floor in (-jnp.inf, 0.0))
+    np.testing.assert_allclose(whole(exact), dense, rtol=0, atol=1e-11)
+    if case != "walls":  # nothing but negative curvature of samples is left out
+        assert np.linalg.eigvalsh(whole(convex) - dense).min() > -1e-9
+        right = rng.normal(size=(n, d))
+        found = solve(*pairs, convex, np.ones(n), right)
+        np.testing.assert_allclose((whole(convex) + np.eye(n * d)) @ found.ravel(), right.ravel(), atol=1e-9)
 
 
 @pytest.mark.nightly
@@ -333,16 +282,6 @@ def test_ideal_targets_make_a_lattice_regular_again():
 
 
 @pytest.mark.nightly
-def test_choice_of_fixed_nodes():
-    mesh = unit_grid(3)
-    points = mesh.points.copy()
-    points[5] += 0.4
-    held = np.array([5, *np.flatnonzero(np.any((points < 0.01) | (points > 0.99), axis=1))])
-    result = jm.improve(jm.Boundary(mesh, (), fixed=held), points)
-    assert np.array_equal(np.asarray(result.points)[5], points[5])
-
-
-@pytest.mark.nightly
 def test_an_airfoil_beyond_what_graph_mapping_bears():
     mesh = cases.naca0015(points=1500)
     base = mesh.points[mesh.patch("airfoil")]
@@ -355,11 +294,6 @@ def test_an_airfoil_beyond_what_graph_mapping_bears():
     assert float(report.min_jacobian_ratio) > 0.5
     held = mesh.patch("airfoil", "farfield")
     assert np.array_equal(np.asarray(result.points)[held], np.asarray(points)[held])
-
-
-def test_solid_cells_leave_boundary_elements_out():
-    cells = {"triangle": np.zeros((2, 3)), "tetra": np.zeros((2, 4)), "line": np.zeros((1, 2))}
-    assert set(solid(cells, 3)) == {"tetra"}
 
 
 def test_soft_maximum_of_equal_values_is_theirs_and_sharpens():

@@ -9,12 +9,10 @@ import numpy as np
 import pytest
 from meshes import grid, ring, turn
 from runs import over, refusals
-from scipy.interpolate import RBFInterpolator
 from scipy.spatial.transform import Rotation
 
 import jaxmorph as jm
 from jaxmorph import cases
-from jaxmorph._advice.inspect import missed
 
 
 @pytest.fixture(scope="module")
@@ -279,16 +277,6 @@ test_a_motion_that_is_none = refusals(
     (lambda *case: jm.fewest_steps(*case, lambda t: None), "`motion.t.` must be"),
     of=one_triangle,
 )
-
-
-@pytest.mark.parametrize(("count", "some", "d"), [(5000, 60, 3), (90, 1, 3), (500, 100, 2)])
-def test_what_sources_miss_is_what_scipys_interpolation_by_distances_misses(count, some, d):
-    rng = np.random.default_rng(count)
-    points = rng.random((count, d))
-    u, rows = np.sin(5 * points), np.sort(rng.choice(count, some, replace=False))
-    field = RBFInterpolator(points[rows], u[rows], kernel="linear", degree=0)(points)
-    expected = np.linalg.norm(field - u, axis=1).max() / np.linalg.norm(u, axis=1).max()
-    np.testing.assert_allclose(missed(points, u, rows), expected, rtol=1e-9)
 
 
 def sleeve(around=80, layers=13):

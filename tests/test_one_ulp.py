@@ -12,7 +12,7 @@ from runs import over
 import jaxmorph as jm
 from jaxmorph import cases
 from jaxmorph._host.package.rounding import distinct, first_largest, nearest_few, ranked
-from jaxmorph._host.surface.graph import locate
+from jaxmorph._host.surface.graph import graph_of, locate
 from jaxmorph._methods.corrections import Extent, layer_width
 
 LEAST = 1e-9
@@ -148,7 +148,9 @@ def test_the_graph_of_a_lattice_is_one():
     """Each cell of a lattice can be cut in several ways; noise chooses none."""
     lattice = np.asarray(bricks(4).points)
     inside = np.random.default_rng(0).random((200, 3))
-    vertices = [np.sort(locate(x, inside, np.arange(200))) for x in (lattice, *(noisy(lattice, k) for k in range(4)))]
+    vertices = [
+        np.sort(locate(graph_of(x), inside, np.arange(200))) for x in (lattice, *(noisy(lattice, k) for k in range(4)))
+    ]
     for each in vertices[1:]:
         np.testing.assert_array_equal(each, vertices[0])
 

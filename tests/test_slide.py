@@ -43,8 +43,9 @@ def check_derivatives(plan, u, rtol=1e-6):
         np.testing.assert_allclose(np.vdot(jm.pullback(plan, at, w), v), np.vdot(w, pushed), rtol=1e-8)
 
 
-@pytest.mark.nightly
+@pytest.mark.slow
 def test_a_block_in_a_box_of_sliding_sides():
+    """A flat patch slides as its plane does."""
     mesh, sides = box_with_hole(), ["left", "right", "bottom", "top"]
     plan = jm.prepare(mesh, "hole", sliding=sides, method=TPS)
     assert plan.is_linear
@@ -63,15 +64,6 @@ def test_a_block_in_a_box_of_sliding_sides():
     held = jm.deform(jm.prepare(mesh, "hole", sides, method=TPS), u)
     assert jm.quality(mesh, moved).min_jacobian_ratio > jm.quality(mesh, held).min_jacobian_ratio + 0.05
     check_linear(plan, u)
-
-
-@pytest.mark.slow
-def test_a_flat_patch_slides_as_its_plane_does():
-    mesh, sides = box_with_hole(), ["left", "right", "bottom", "top"]
-    plan, points = jm.prepare(mesh, "hole", sliding=sides, method=TPS), mesh.points
-    block = points[plan.moving]
-    u = np.asarray(jm.shapes.rotate(block, 0.8, about=(0, 0))) + 0.5 - block
-    moved = np.asarray(jm.deform(plan, u))
     named = [jm.Slide(mesh.patch(name), jm.Plane.through(points, mesh.patch(name))) for name in sides]
     again = jm.prepare(points, mesh.patch("hole"), sliding=named, method=TPS)
     assert (jm.deform(again, u) == moved).all()

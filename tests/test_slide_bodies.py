@@ -7,7 +7,7 @@ from meshes import blocks, circle, lattice, on_circle
 import jaxmorph as jm
 from benchmarks import faults
 from jaxmorph import cases
-from jaxmorph._boundary.holes import filled
+from jaxmorph._boundary.slide import filled
 from jaxmorph._host.cells.pieces import boundary_faces
 from jaxmorph._host.surface.gaps import closest
 
@@ -52,23 +52,19 @@ def test_a_wing_moves_along_a_fuselage_of_faces():
     assert float(report.min_jacobian_ratio) > float(before.min_jacobian_ratio) + 0.3
 
 
-def test_holes_below_moving_bodies_are_filled():
-    """A square of triangles without its middle: the hole's area is filled, seen from the same side; in 2-D a gap is bridged."""
-    side = np.arange(5.0)
-    points = lattice(side, side, [0.0])
-    ids = np.arange(25).reshape(5, 5)
-    quads = blocks(ids)
-    quads = quads[(np.abs(points[quads].mean(axis=1) - 2)[:, :2] > 1).any(axis=1)]
-    faces = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
-    moves = (np.abs(points - [2, 2, 0]) <= 1).all(axis=1)
-    whole = filled(faces, points, np.asarray(moves))
-    first, second, third = (points[whole[:, k]] for k in range(3))
+@pytest.mark.parametrize("hole", [[6, 7, 11, 12], [6, 12]], ids=["square", "two that share a node"])
+def test_holes_below_moving_bodies_are_filled(hole):
+    """The hole's area is covered once, seen from the same side; in 2-D a gap is bridged."""
+    vertices, quads = lattice(*[np.arange(6.0)] * 2, [0.0]), blocks(np.arange(36).reshape(6, 6))
+    left, moves = np.delete(quads, hole, axis=0), np.isin(np.arange(36), quads[hole])
+    faces = np.concatenate([left[:, :3], left[:, [0, 2, 3]]])
+    first, second, third = (vertices[corner] for corner in filled(faces, vertices, moves).T)
     areas = np.cross(second - first, third - first)[:, 2] / 2
     assert areas.min() > 0
-    assert areas.sum() == pytest.approx(16)
-    assert len(filled(faces, points, np.zeros(25, dtype=bool))) == len(faces)
+    assert areas.sum() == pytest.approx(25)
+    assert len(filled(faces, vertices, np.zeros(36, dtype=bool))) == len(faces)
     lines, moves = np.array([[0, 1], [1, 2], [3, 4]]), np.array([False, True, True, True, False])
-    assert filled(lines, points[:5, :2], moves).tolist() == [[0, 1], [1, 2], [3, 4], [2, 3]]
+    assert filled(lines, vertices[[0, 6, 12, 18, 24], :2], moves).tolist() == [[0, 1], [1, 2], [3, 4], [2, 3]]
 
 
 def airfoil():

@@ -9,12 +9,12 @@ from meshes import ball, blocks, lattice, on_circle, ring
 from runs import over
 
 import jaxmorph as jm
-from jaxmorph._boundary.faces import Faceted, SmoothFaces, faces_around
+from jaxmorph._boundary.walls import Faceted, SmoothFaces
 
 
 def wall(kind, vertices, faces):
     faces = np.asarray(faces, dtype=np.int32)
-    return kind(np.arange(len(vertices)), vertices, faces, faces_around(faces, len(vertices)))
+    return kind.of(np.arange(len(vertices)), vertices, faces)
 
 
 def arc(count):

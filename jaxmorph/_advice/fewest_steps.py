@@ -8,14 +8,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Real
 
+from .._boundary.boundary import changed
 from .._host.package.arguments import between, checked, finite_array, whole
-from .._improve.improve import Improvement, improve_of
+from .._improve.improve import Improvement
+from .._improve.improve import improve as improved
 from .._mesh.mesh import Mesh
 from .._plan.plan import Plan
 from .._plan.steps import march
 from .._quality.quality import quality
 from .._quality.report import QualityReport
-from .turn import Turn
+from .cures import Turn
 
 
 @dataclasses.dataclass(frozen=True)
@@ -100,7 +102,7 @@ def fewest_steps(
         path, improvement = jnp.stack(list(map(jnp.asarray, parts))), None
         plans, points = march(plan, path)
         if mend:
-            improvement = improve_of(plan, mesh, points)
+            improvement = improved(changed(plan.boundary, mesh=mesh), points)
             points = improvement.points
         return Steps(count, fraction, points, quality(mesh, points), plans, path, improvement)
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -10,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
+from numpy.polynomial.polynomial import polyval
 
 from .._host.cells.topology import DIMENSION
 from .._host.package.arguments import between, checked, finite_array
@@ -18,11 +20,10 @@ from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod
 from .._plan.deform import deform
 from .._plan.plan import Plan
-from .._quality import measures
-from .._quality.proof import bernstein
-from .._quality.proof.form import form_of, nodes_of
-from .._quality.proof.proof import proof
-from .._quality.proof.search import DEPTH, blocks
+from .._quality import bernstein, measures
+from .._quality.bounds import DEPTH, blocks
+from .._quality.jacobian_form import form_of, nodes_of
+from .._quality.proof import proof
 from .._quality.quality import places, signs_of, standards_of
 from .._quality.vector import corners
 
@@ -106,29 +107,27 @@ def _nonlinear(plan: Plan) -> str:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Corners:
-    """Cells of one type, with their signs (k,), and the mask of judged corners (s, k). `scale` (k,)
-    are the smallest corner Jacobians of the undeformed cells.
+    """Cells of one type, from the number `first` on, with their signs (k,), and the mask of judged
+    corners (s, k). `scale` (k,) are the smallest corner Jacobians of the undeformed cells.
     """
 
     kind: str
     ids: Int[np.ndarray, "k c"]
+    first: int
     sign: np.ndarray
     judged: Bool[np.ndarray, "s k"]
     scale: Float[np.ndarray, " k"]
 
     def jacobians(self, points: Any) -> Any:
-        return self.sign[None] * _jacobians(self.kind, points, self.ids)
+        relative = measures.relative_corners(corners(points, self.ids))[0]
+        return self.sign[None] * measures.jacobians(self.kind, relative)[0]
 
     def polynomials(self, start: np.ndarray, end: np.ndarray) -> Float[np.ndarray, "4 s k"]:
         """Coefficients of Jacobians over t from 0 to 1, the lowest first."""
         times = np.arange(4) / 3
-        samples = [self.jacobians(start + t * (end - start)) for t in times]
-        inverse = np.linalg.inv(np.vander(times, increasing=True))
-        return np.tensordot(inverse, np.stack(samples).astype(float), axes=1)
-
-
-def _jacobians(kind: str, points: Any, ids: Any) -> Any:
-    return measures.jacobians(kind, measures.relative_corners(corners(points, ids))[0])[0]
+        samples = np.stack([self.jacobians(start + t * (end - start)) for t in times]).astype(float)
+        powers = np.vander(times, increasing=True)
+        return np.linalg.solve(powers, samples.reshape(4, -1)).reshape(samples.shape)
 
 
 class CornerBounds:
@@ -137,27 +136,27 @@ class CornerBounds:
     def __init__(self, mesh: Mesh, dtype: Any, min_jacobian_ratio: float, proven: bool = False):
         self.mesh, self.min_jacobian_ratio = mesh, min_jacobian_ratio
         self.of_cells = min_jacobian_ratio * least_undeformed(mesh) if proven else None
-        standards, self.signs = jax.tree.map(np.asarray, (standards_of(mesh, dtype), signs_of(mesh)))
-        self.parts = []
+        standards, signs = jax.tree.map(np.asarray, (standards_of(mesh, dtype), signs_of(mesh)))
+        self.signs, self.parts = signs, []
         for kind, ids in jax.tree.map(np.asarray, mesh.cells).items():
-            standard, rows = standards[kind], len(_jacobians(kind, np.asarray(mesh.points), ids[:1]))
-            judged = (standard.is_judged & ~standard.is_folded)[:rows]  # not the least one of a curved cell
-            self.parts.append(_Corners(kind, ids, standard.sign, judged, standard.jacobian))
+            standard, first = standards[kind], sum(len(part.ids) for part in self.parts)
+            every = _Corners(kind, ids, first, standard.sign, standard.is_judged, standard.jacobian)
+            # not the least one of a curved cell
+            judged = (standard.is_judged & ~standard.is_folded)[: len(every.jacobians(np.asarray(mesh.points)))]
+            self.parts.append(dataclasses.replace(every, judged=judged))
 
     def largest_share(self, start: Float[np.ndarray, "n d"], end: Float[np.ndarray, "n d"]) -> LargestStep:
         """Finds the share of the way, at most 1, that keeps all bounds, and the cell there."""
-        best, first = LargestStep(1.0, -1), 0
+        best = LargestStep(1.0, -1)
         for part in self.parts:
             values = part.polynomials(start, end)
             values[0] -= self.min_jacobian_ratio * part.scale
             rows, columns = np.nonzero(part.judged)
-            best = _sooner(best, first_roots(values[:, rows, columns]), first + columns)
-            first += len(part.ids)
+            best = _sooner(best, first_roots(values[:, rows, columns]), part.first + columns)
         if self.of_cells is None:
             return best
         # Never beyond what the corners allow, so that round-off is that of the step itself.
-        begin, way = np.asarray(start, float), np.asarray(end, float) - np.asarray(start, float)
-        proven = self.proven_share(begin, begin + best.step * way)
+        proven = self.proven_share(start, start + best.step * (np.asarray(end, float) - start))
         return LargestStep(best.step * proven.step, proven.cell) if proven.step < 1 else best
 
     def proven_share(self, start: Float[np.ndarray, "n d"], end: Float[np.ndarray, "n d"]) -> LargestStep:
@@ -166,17 +165,17 @@ class CornerBounds:
         first coefficient falls below. Only cells that would end it are cut.
         """
         assert self.of_cells is not None
-        best, first, ends = LargestStep(1.0, -1), 0, (np.asarray(start, float), np.asarray(end, float))
+        best, ends = LargestStep(1.0, -1), (np.asarray(start, float), np.asarray(end, float))
         for part in self.parts:
-            if DIMENSION[part.kind] == self.mesh.points.shape[1]:
-                form, space = form_of(part.kind, True), form_of(part.kind).space
-                for rows in blocks(np.arange(len(part.ids)), 4 * bernstein.count(space)):
-                    x = nodes_of(part.ids[rows].T, *ends)
-                    columns = form.columns(x)
-                    excess = self.signs[part.kind][rows] * form.determinant(columns) - form.round_off(x, columns)
-                    excess = (excess - self.of_cells[first + rows]).reshape(-1, bernstein.count(space), len(rows))
-                    best = _search(space, excess, first + rows, best)
-            first += len(part.ids)
+            if DIMENSION[part.kind] != self.mesh.points.shape[1]:
+                continue
+            form, space = form_of(part.kind, True), form_of(part.kind).space
+            for rows in blocks(np.arange(len(part.ids)), 4 * bernstein.count(space)):
+                x, cell = nodes_of(part.ids[rows].T, *ends), part.first + rows
+                columns = form.columns(x)
+                excess = self.signs[part.kind][rows] * form.determinant(columns) - form.round_off(x, columns)
+                excess = (excess - self.of_cells[cell]).reshape(-1, bernstein.count(space), len(rows))
+                best = _search(space, excess, cell, best)
         return best
 
     def hold(self, points: Float[Array, "n d"]) -> Bool[Array, ""]:
@@ -193,9 +192,8 @@ class CornerBounds:
     @property
     def cells(self) -> Int[np.ndarray, " s"]:
         """The cell of each ratio, -1 at corners without a bound."""
-        starts = itertools.accumulate((len(part.ids) for part in self.parts), initial=0)
-        pairs = zip(self.parts, starts, strict=False)
-        return np.concatenate([np.where(p.judged, at + np.arange(len(p.ids)), -1).ravel() for p, at in pairs])
+        cells = [np.where(part.judged, part.first + np.arange(len(part.ids)), -1).ravel() for part in self.parts]
+        return np.concatenate(cells)
 
 
 class DesignedMesh(Module):
@@ -287,47 +285,29 @@ def _sooner(best: LargestStep, steps: Float[np.ndarray, " p"], cell: Int[np.ndar
 
 def _first(excess: Float[np.ndarray, "t n p"]) -> Float[np.ndarray, " p"]:
     """When each part's first coefficient falls below 0; infinity if none does in 0 to 1."""
-    steps = np.full(excess.shape[1:], np.inf)
-    falls = excess.min(axis=0) < 0
-    steps[falls] = first_roots(_powers(excess[:, falls]))
+    steps, falls, degree = np.full(excess.shape[1:], np.inf), excess.min(axis=0) < 0, len(excess) - 1
+    # from Bernstein coefficients in time, of degree 2 or 3, to those of powers
+    powers = np.zeros((4, falls.sum()))
+    for k in range(degree + 1):
+        powers[k] = math.comb(degree, k) * np.diff(excess[:, falls], k, axis=0)[0]
+    steps[falls] = first_roots(powers)
     return steps.min(axis=0)
-
-
-def _powers(values: Float[np.ndarray, "t k"]) -> Float[np.ndarray, "4 k"]:
-    """From Bernstein coefficients of degree 2 or 3 to coefficients of powers, lowest first."""
-    if len(values) == 3:
-        a, b, c = values
-        return np.stack([a, 2 * (b - a), a - 2 * b + c, np.zeros_like(a)])
-    a, b, c, d = values
-    return np.stack([a, 3 * (b - a), 3 * (a - 2 * b + c), d - 3 * c + 3 * b - a])
 
 
 def first_roots(coefficients: Float[np.ndarray, "4 k"]) -> Float[np.ndarray, " k"]:
     """Where cubics (lowest coefficient first) first fall below 0 in 0 to 1; else infinity."""
-    roots = np.full(coefficients.shape[1], np.inf)
-    roots[coefficients[0] < 0] = 0
-    c0, c1, c2, c3 = coefficients
+    roots, (_, c1, c2, c3) = np.where(coefficients[0] < 0, 0, np.inf), coefficients
     with np.errstate(divide="ignore", invalid="ignore"):
         # places of the extremes, by the form of the quadratic's roots that does not cancel
         half = c2 + np.copysign(np.sqrt(np.maximum(c2**2 - 3 * c1 * c3, 0)), c2)
         extremes = np.stack([-half / (3 * c3), -c1 / half])
-    extremes = np.where((extremes > 0) & (extremes < 1), extremes, 1)
-    stops = np.concatenate([np.zeros((1, len(c0))), np.sort(extremes, axis=0), np.ones((1, len(c0)))])
-    for before, after in itertools.pairwise(stops):
-        falls = np.isinf(roots) & (_value(coefficients, after) < 0)
-        if falls.any():
-            roots[falls] = _bisect(coefficients[:, falls], before[falls], after[falls])
+    extremes = np.sort(np.where((extremes > 0) & (extremes < 1), extremes, 1), axis=0)
+    for low, high in itertools.pairwise([0 * c1, *extremes, 0 * c1 + 1]):
+        falls = np.isinf(roots) & (polyval(high, coefficients, tensor=False) < 0)
+        some, low, high = coefficients[:, falls], low[falls], high[falls]
+        for _ in range(60 if falls.any() else 0):
+            middle = 0.5 * (low + high)
+            is_below = polyval(middle, some, tensor=False) < 0
+            low, high = np.where(is_below, low, middle), np.where(is_below, middle, high)
+        roots[falls] = low
     return roots
-
-
-def _value(coefficients: np.ndarray, t: np.ndarray) -> np.ndarray:
-    c0, c1, c2, c3 = coefficients
-    return c0 + t * (c1 + t * (c2 + t * c3))
-
-
-def _bisect(coefficients: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        is_below = _value(coefficients, middle) < 0
-        low, high = np.where(is_below, low, middle), np.where(is_below, middle, high)
-    return low

@@ -4,20 +4,31 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import jax
 import numpy as np
 from jaxtyping import ArrayLike, Bool, Int, Integer, Real
 
 from .._host.cells.topology import solid
-from .._host.package.arguments import rows_of
-from .._host.package.errors import MeshError, place_of, warn
+from .._host.package.arguments import real_array, rows_of, shown
+from .._host.package.errors import MeshError, check_none, place_of, warn
 from .._host.surface.skin import has_free_faces
 from .._mesh.mesh import Mesh
-from .names import PAIRS, by_kinds, check_named_once, checked_points, nodes_named, planes_named, several, slides
-from .outer_faces import FreeFaces, OuterFaces, free_faces, outer_faces
+from .outer_faces import Faces, FreeFaces, Ids, OuterFaces, free_faces, mask, outer_faces, row_of
 from .periodic import Pairing, Periodic, merged, paired
 from .slide import Slide, Walls, walls_of_patch, with_own_curves
-from .symmetry import Plane, check_dimension
+from .symmetry import Plane, check_dimension, check_planes
 from .tracks import Track, check_repeated, tracks_of
+
+USE = 'prepare(mesh, "airfoil", "farfield") with a Mesh, or prepare(points, moving_ids, fixed_ids)'
+
+SMALL = 1e4  # smallest extent of a mesh, relative to the length whose cube is the smallest normal number
+PAIRS = "pairs such as jm.Periodic('lower', 'upper', translation=(0, 1))"
+PLANES = "jm.Plane(normal=(0, 1), origin=(0, 0)), jm.Plane.through(points, nodes), or the name of a patch of the mesh"
+SLIDES = "slides such as jm.Slide('shroud', jm.Revolution((1, 0, 0))), or names of patches"
+SYMMETRY = frozenset({"BCSymmetryPlane", "symmetry", "symmetryPlane", "axis"})
+
+INSIDE = "cyclic", "processor", "empty", "wedge", "overset"
+"""Prefixes of kinds of patches that are no outer boundary; overset grids lie inside others."""
 
 Nodes = str | Sequence[str] | Integer[ArrayLike, " _k"] | Sequence[int | np.integer]
 
@@ -67,15 +78,15 @@ class Boundary:
     points: np.ndarray
     moving: Int[np.ndarray, " m"]
     fixed: Int[np.ndarray, " f"]
-    free: Int[np.ndarray, " k"]
+    free: Ids
     guided: Int[np.ndarray, " g"]
     planes: tuple[Plane, ...]
     pairings: tuple[Pairing, ...]
     tracks: tuple[Track, ...]
-    faces: Mapping[str, np.ndarray] | None
+    faces: Faces | None
     left: FreeFaces | None
     is_open: bool | None
-    cells: Mapping[str, np.ndarray] | None
+    cells: Faces | None
     loose: Int[np.ndarray, " l"]
     hidden: Int[np.ndarray, " h"]
 
@@ -103,8 +114,13 @@ class Boundary:
         pairings = _pairings(periodic, points, patches)
         walls = _walls(sliding, points, patches, {"fixed": fixed, "moving": moving}, outer)
         tracks, corners = tracks_of(walls, planes if walls else (), points)
-        _check_corners(corners, moving, points)
-        check_repeated(tracks, corners, pairings, points, np.isin(np.arange(len(points)), fixed, invert=True))
+        check_none(
+            corners[np.isin(corners, moving)],
+            "{count} moving nodes are corners of sliding patches and cannot move, the first is node {node} at ({place}). Remove "
+            "them from `moving`, or slide along fewer patches.",
+            points,
+        )
+        check_repeated(tracks, corners, pairings, points, ~mask(len(points), fixed))
         fixed = np.append(fixed, corners[~np.isin(corners, fixed)])
         left = (Track(track.rows[~np.isin(track.rows, fixed)], track.walls) for track in tracks)
         tracks = tuple(track for track in left if len(track.rows))
@@ -142,7 +158,7 @@ class Boundary:
         """Faces with all nodes on the surface, as rows of `nodes`; None without known faces."""
         if self.faces is None:
             return None
-        rows = {kind: _rows(self.nodes, len(self.points))[corners] for kind, corners in self.faces.items()}
+        rows = {kind: row_of(self.nodes, len(self.points))[corners] for kind, corners in self.faces.items()}
         return {kind: corners[(corners >= 0).all(axis=1)] for kind, corners in rows.items()}
 
     def warn_of_free_faces(self) -> None:
@@ -164,7 +180,7 @@ class Boundary:
 
     def _restricted(self, nodes: np.ndarray) -> "Boundary":
         """Returns the boundary of some nodes in their order, those of the surface among them."""
-        place, faces = _rows(nodes, len(self.points)), self.surface_faces
+        place, faces = row_of(nodes, len(self.points)), self.surface_faces
         faces = faces and {kind: place[self.nodes[rows]] for kind, rows in faces.items()}
         lists: dict[str, Any] = {name: place[getattr(self, name)] for name in ("moving", "fixed", "guided")}
         lists["pairings"], lists["tracks"] = renumbered(self.pairings, self.tracks, place)
@@ -195,57 +211,42 @@ def with_cells(boundary: Boundary, mesh: Mesh, outer: OuterFaces | None = None) 
     if outer is None:
         return boundary
     cells = {kind: np.asarray(corners) for kind, corners in solid(mesh.linear.cells, boundary.points.shape[1]).items()}
-    loose = np.setdiff1d(of_no_cell(mesh), boundary.nodes) if cells else boundary.loose
+    # in no cell stand, for example, gmsh's points of the geometry with `SaveAll`
+    labels = [] if mesh.polyhedra is None else [mesh.polyhedra.faces.labels]
+    in_cells = mask(len(mesh.points), *mesh.cells.values(), *labels)
+    loose = np.setdiff1d(np.flatnonzero(~in_cells), boundary.nodes) if cells else boundary.loose
     hidden, outer = _without_bodies(boundary, mesh, cells, outer)
     return with_faces(changed(boundary, mesh=mesh, cells=cells, loose=loose, hidden=hidden), outer)
 
 
-def _without_bodies(
-    boundary: Boundary, mesh: Mesh, cells: Mapping[str, np.ndarray], outer: OuterFaces
-) -> tuple[np.ndarray, OuterFaces]:
+def _without_bodies(boundary: Boundary, mesh: Mesh, cells: Faces, outer: OuterFaces) -> tuple[np.ndarray, OuterFaces]:
     """Finds moving nodes inside of bodies whose nodes all move, and the boundary without bodies."""
-    is_moving, is_inside, is_seen = (np.zeros(len(boundary.points), dtype=bool) for _ in range(3))
-    is_moving[boundary.moving] = True
-    for corners in cells.values():
-        is_inside[corners] = True
-    for corners in outer.corners.values():
-        is_inside[corners] = False
-    if mesh.polyhedra is not None or not (is_inside & is_moving).any():
-        return _NONE, outer
-    left = {kind: corners[~is_moving[corners].all(axis=1)] for kind, corners in cells.items()}
-    for corners in left.values():
-        is_seen[corners] = True
-    hidden = np.flatnonzero(is_moving & is_inside & ~is_seen)
-    return (hidden, outer_faces(Mesh(mesh.points, left)) or outer) if len(hidden) else (_NONE, outer)
+    n = len(boundary.points)
+    is_moving = mask(n, boundary.moving)
+    is_hidden = is_moving & mask(n, *cells.values()) & ~mask(n, *outer.corners.values())
+    if mesh.polyhedra is None and is_hidden.any():
+        left = {kind: corners[~is_moving[corners].all(axis=1)] for kind, corners in cells.items()}
+        hidden = np.flatnonzero(is_hidden & ~mask(n, *left.values()))
+        if len(hidden):
+            return hidden, outer_faces(Mesh(mesh.points, left)) or outer
+    return _NONE, outer
 
 
 def with_faces(boundary: Boundary, outer: OuterFaces) -> Boundary:
     """Adds boundary faces, and finds those in no list."""
-    is_listed, mesh = np.zeros(len(boundary.points), dtype=bool), boundary.mesh or Mesh(boundary.points)
-    is_listed[boundary.nodes] = True
-    is_listed |= boundary.on_planes.any(axis=1)
+    mesh = boundary.mesh or Mesh(boundary.points)
+    is_listed = mask(len(boundary.points), boundary.nodes) | boundary.on_planes.any(axis=1)
     is_open = has_free_faces(boundary.points, outer.corners, is_listed)
-    is_listed[boundary.free] = True
-    return changed(boundary, faces=outer.corners, left=free_faces(mesh, outer, is_listed), is_open=is_open)
+    left = free_faces(mesh, outer, is_listed | mask(len(is_listed), boundary.free))
+    return changed(boundary, faces=outer.corners, left=left, is_open=is_open)
 
 
 def _listed(points: np.ndarray, mesh: Mesh | None, **lists: Nodes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     moving, fixed, free = (nodes_named(ids, name, mesh, len(points)) for name, ids in lists.items())
     unique, counts = np.unique(moving, return_counts=True)
-    if len(twice := unique[counts > 1]):
-        raise MeshError(f"{len(twice)} nodes are named more than once in `moving`, first node {{node}}.", twice)
+    check_none(unique[counts > 1], "{count} nodes are named more than once in `moving`, first node {node}.")
     fixed = fixed[np.sort(np.unique(fixed, return_index=True)[1])]  # each once, where it comes first
     return moving, fixed[~np.isin(fixed, moving)], free
-
-
-def _check_corners(corners: np.ndarray, moving: np.ndarray, points: np.ndarray) -> None:
-    wrong = corners[np.isin(corners, moving)]
-    if len(wrong):
-        raise MeshError(
-            f"{len(wrong)} moving nodes are corners of sliding patches and cannot move, the first is node {{node}} at "
-            f"({place_of(points[wrong[0]])}). Remove them from `moving`, or slide along fewer patches.",
-            wrong,
-        )
 
 
 def _pairings(periodic: Any, points: np.ndarray, mesh: Mesh | None) -> tuple[Pairing, ...]:
@@ -257,22 +258,19 @@ def _pairings(periodic: Any, points: np.ndarray, mesh: Mesh | None) -> tuple[Pai
     return merged(pairings, float(np.ptp(points, axis=0).max()))
 
 
-def _walls(
-    sliding: Any, points: np.ndarray, mesh: Mesh | None, lists: Mapping[str, np.ndarray], outer: OuterFaces | None
-) -> Walls:
+def _walls(sliding: Any, points: np.ndarray, mesh: Mesh | None, lists: Faces, outer: OuterFaces | None) -> Walls:
     walls, patches, faces = [], [], None
     if mesh is not None:
         faces = (outer or OuterFaces.numbered(mesh.linear.cells)).corners  # of a surface, its cells
     for slide in slides(sliding):
         nodes = np.unique(nodes_named(slide.patch, "sliding", mesh, len(points)))
         for name, listed in lists.items():
-            if len(nodes) and np.isin(nodes, listed).all():
-                place = place_of(points[nodes[0]])
-                raise MeshError(
-                    f"all {len(nodes)} nodes of {slide.name} are in `{name}`, first node {{node}} at ({place}): "
-                    "the patch would not slide. Remove them from one list.",
-                    nodes,
-                )
+            check_none(
+                nodes if np.isin(nodes, listed).all() else nodes[:0],
+                f"all {{count}} nodes of {slide.name} are in `{name}`, first node {{node}} at ({{place}}): the patch would not "
+                "slide. Remove them from one list.",
+                points,
+            )
         if any(np.array_equal(nodes, other) for other in patches):
             raise ValueError(f"{slide.name} comes twice in `sliding`. Its nodes slide along one surface. Remove one.")
         patches.append(nodes)
@@ -301,16 +299,6 @@ def _guided(
     return nodes[role[nodes] == 0]
 
 
-def of_no_cell(mesh: Mesh) -> np.ndarray:
-    """Lists the nodes of no cell, such as gmsh's points of the geometry with `SaveAll`."""
-    is_loose = np.ones(len(mesh.points), dtype=bool)
-    for corners in mesh.cells.values():
-        is_loose[np.asarray(corners)] = False
-    if mesh.polyhedra is not None:
-        is_loose[mesh.polyhedra.faces.labels] = False
-    return np.flatnonzero(is_loose)
-
-
 def renumbered(
     pairings: Sequence[Pairing], tracks: Sequence[Track], place: np.ndarray
 ) -> tuple[tuple[Pairing, ...], tuple[Track, ...]]:
@@ -318,8 +306,126 @@ def renumbered(
     return tuple(pairing.renumbered(place) for pairing in pairings), tuple(track.renumbered(place) for track in tracks)
 
 
-def _rows(nodes: np.ndarray, n: int) -> np.ndarray:
-    """Finds the row of each of n nodes in `nodes`; -1 for an absent node."""
-    row = np.full(n, -1, dtype=np.int32)
-    row[nodes] = np.arange(len(nodes))
-    return row
+def checked_points(points: Any) -> np.ndarray:
+    if isinstance(points, str | bytes) or points is None:
+        raise ValueError(f"`prepare` takes a mesh or points first, not {points!r}. Call {USE}.")
+    array = real_array("points", points, (None, 2), (None, 3))
+    if array.dtype not in (np.float32, np.float64):
+        array = array.astype(np.float64)
+    check_finite(array)
+    dtype = jax.dtypes.canonicalize_dtype(array.dtype)  # the precision of the plan
+    size = np.abs(array).max(axis=1, initial=0)
+    far = np.flatnonzero(size > np.finfo(dtype).max ** (1 / 3))
+    if len(far):
+        raise MeshError(
+            f"{len(far)} of {len(array)} points are too far out for {dtype}, first node {{node}} at {size[far[0]]:.3g}: "
+            "volumes overflow. Choose a larger unit of length.",
+            far,
+        )
+    extent = float(np.ptp(array, axis=0).max(initial=0)) if len(array) else 0.0
+    if 0 < extent < SMALL * float(np.finfo(dtype).tiny) ** (1 / 3):
+        raise ValueError(
+            f"all {len(array)} points lie within {extent:.3g}, too near each other for {dtype}: volumes underflow. "
+            "Choose a smaller unit of length."
+        )
+    return array
+
+
+def check_finite(points: np.ndarray) -> None:
+    wrong = np.flatnonzero(~np.isfinite(points).all(axis=1))
+    check_none(wrong, f"{{count}} of {len(points)} points are not finite, first node {{node}}.")
+
+
+def names_in(values: Any) -> tuple[str, ...] | None:
+    if isinstance(values, str):
+        return (values,)
+    is_list = isinstance(values, list | tuple | set | frozenset)
+    return tuple(values) if is_list and values and all(isinstance(name, str) for name in values) else None
+
+
+def nodes_named(values: Any, name: str, mesh: Mesh | None, n: int) -> Ids:
+    names = names_in(values)
+    if names is None:
+        return node_ids(values, name, n)
+    if mesh is None:
+        raise ValueError(
+            f"`{name}` names patches ({', '.join(map(repr, names))}), but points alone have no patches: pass the mesh, "
+            f"prepare(mesh, ...), or node ids, mesh.patch({names[0]!r})."
+        )
+    return mesh.patch(*names).astype(np.int64)
+
+
+def node_ids(values: Any, name: str, n: int) -> Ids:
+    if values is None or isinstance(values, Mesh | Plane):
+        raise ValueError(f"`{name}` must be node ids or names of patches, not {shown(values)}. Call {USE}.")
+    if n == 0:
+        raise ValueError(f"the mesh has no points. Call {USE}.")
+    return rows_of(name, values, n)
+
+
+def several(name: str, value: Any, kinds: type | tuple[type, ...], example: str) -> list[Any]:
+    entries = [value] if isinstance(value, kinds) else value
+    is_list = isinstance(entries, Sequence | set | frozenset) and not isinstance(entries, str | bytes)
+    wrong = [entry for entry in entries if not isinstance(entry, kinds)] if is_list else [value]
+    if wrong:
+        raise ValueError(f"`{name}` holds {shown(wrong[0])}: pass {example}.")
+    return list(entries)
+
+
+def planes_named(symmetry: Any, points: np.ndarray, mesh: Mesh | None) -> tuple[Plane, ...]:
+    planes: list[Plane] = []
+    for entry in several("symmetry", symmetry, Plane if mesh is None else (Plane, str), PLANES):
+        of_entry = (entry,) if isinstance(entry, Plane) or mesh is None else Plane.of_patch(mesh, entry)
+        planes += [new for new in of_entry if not any(new.equals(plane, points) for plane in planes)]
+    return tuple(planes)
+
+
+def slides(sliding: Any) -> list[Slide]:
+    """Lists slides; a name slides along its own faces."""
+    entries = several("sliding", sliding, (Slide, str), SLIDES)
+    return [Slide(entry) if isinstance(entry, str) else entry for entry in entries]
+
+
+def check_named_once(sliding: Any, **lists: Any) -> None:
+    for slide in slides(sliding):
+        for name, values in lists.items():
+            both = set(names_in(slide.patch) or ()) & set(names_in(values) or ())
+            if both:
+                raise ValueError(
+                    f"the patch {min(both)!r} is named in `sliding` and in `{name}`: it would not slide. Remove it from one list."
+                )
+
+
+def by_kinds(mesh: Any, moving: Any, periodic: Sequence[Periodic]) -> tuple[list[str], list[str]]:
+    """Chooses fixed and symmetry patches by their kinds in the file, if only moving ones are named.
+    Symmetry patches that lie in planes slide; all other outer patches with a kind are fixed. A
+    warning names the choice. Nothing is chosen without kinds, or where `moving` are no names.
+    """
+    names = names_in(moving)
+    if not isinstance(mesh, Mesh) or names is None:
+        return [], []
+    elsewhere = {*mesh.patch_names(*names)}.union(*(pair.patches for pair in periodic))
+    kinds = {name: kind for name, kind in mesh.kinds.items() if name not in elsewhere and not kind.startswith(INSIDE)}
+    kinds = {name: kind for name, kind in kinds.items() if len(mesh.patches[name])}
+    symmetry = [name for name in kinds if kinds[name] in SYMMETRY]
+    chosen = {"fixed": [name for name in kinds if name not in symmetry], "symmetry": _in_planes(mesh, symmetry)}
+    shown = {name: ", ".join(f"{patch!r} ({kinds[patch]})" for patch in patches) for name, patches in chosen.items()}
+    clauses = " and ".join(f"`{name}` are {patches}" for name, patches in shown.items() if patches)
+    if clauses:
+        warn(
+            f"No patches beside `moving` are named. By their kinds in the file {clauses}. Name the patches to choose otherwise."
+        )
+    return chosen["fixed"], chosen["symmetry"]
+
+
+def _in_planes(mesh: Mesh, names: list[str]) -> list[str]:
+    """Lists the patches that lie in planes; the caller must name a bent one."""
+    flat, planes = [], []
+    for name in names:
+        try:
+            more = [*planes, *Plane.of_patch(mesh, name)]
+            check_planes(more, np.asarray(mesh.points))
+        except ValueError:
+            continue
+        flat, planes = [*flat, name], more
+    return flat

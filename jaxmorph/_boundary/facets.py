@@ -16,10 +16,10 @@ from .._host.package.arguments import as_array, checked, finite_array, rows_of
 from .._host.surface.gaps import closest
 from .._kernels.callback import host_call
 from .._kernels.module import Module
-from .._kernels.values import area_vectors, array, is_known, norm
+from .._kernels.values import Either, area_vectors, array, is_known, norm
 from .._mesh.mesh import Mesh
-from .faces import SmoothFaces, nearest_of
-from .outer_faces import boundary_faces
+from .outer_faces import boundary_faces, row_of
+from .walls import SmoothFaces, nearest_of
 
 Numbers = Real[ArrayLike, "..."] | Sequence[Any]
 
@@ -49,16 +49,16 @@ class Facets(Module):
     Source: Boubekeur and Alexa, Phong tessellation, ACM Trans. Graph. 27, 2008.
     """
 
-    points: Float[Array | np.ndarray, "n d"]
-    faces: Int[Array | np.ndarray, "k c"]
-    beside: Int[Array | np.ndarray, "k c"]  # the face beyond each edge (2-D: end) that is not sharp, else the face
-    corners: Int[Array | np.ndarray, "k c"]  # as `faces`, numbered apart on the sides of sharp edges
-    origins: Int[Array | np.ndarray, " v"]  # the point of each number in `corners`
-    welded: Int[Array | np.ndarray, " n"]  # the vertex of each point: the first point at its place
-    part: Int[Array | np.ndarray, " k"]
-    sharp: Int[Array | np.ndarray, "s e"]  # edges (2-D: vertices) between faces that turn
-    rim: Int[Array | np.ndarray, "r e"]  # edges (2-D: vertices) of one face
-    sides: Float[Array | np.ndarray, "k d"] | None
+    points: Float[Either, "n d"]
+    faces: Int[Either, "k c"]
+    beside: Int[Either, "k c"]  # the face beyond each edge (2-D: end) that is not sharp, else the face
+    corners: Int[Either, "k c"]  # as `faces`, numbered apart on the sides of sharp edges
+    origins: Int[Either, " v"]  # the point of each number in `corners`
+    welded: Int[Either, " n"]  # the vertex of each point: the first point at its place
+    part: Int[Either, " k"]
+    sharp: Int[Either, "s e"]  # edges (2-D: vertices) between faces that turn
+    rim: Int[Either, "r e"]  # edges (2-D: vertices) of one face
+    sides: Float[Either, "k d"] | None
     smooth: bool = eqx.field(static=True)
     angle: float = eqx.field(static=True)
 
@@ -76,17 +76,17 @@ class Facets(Module):
             self.faces = self.corners = self.beside = faces
             self.origins, self.part, self.sharp, self.rim = (np.zeros(0, int),) * 2 + (np.zeros((0, 1), int),) * 2
             return
-        vertices = self.welded[faces]
-        faces = faces[(np.sort(vertices, axis=1)[:, 1:] > np.sort(vertices, axis=1)[:, :-1]).all(axis=1)]
-        beside, sign, self.part = _beside(self.welded[faces])
+        faces = faces[np.diff(np.sort(self.welded[faces], axis=1), axis=1).all(axis=1)]
+        _, sign, self.part = _beside(self.welded[faces])
         self.faces = np.where(sign[:, None] < 0, faces[:, ::-1], faces)
         vertices = self.welded[self.faces]
         beside = _beside(vertices)[0]
         unit = unit_rows(normals(exact[vertices])) if vertices.shape[1] == exact.shape[1] else np.ones((len(faces), 1))
         turns = np.sum(unit[:, None] * unit[beside], axis=2) < np.cos(angle)
         self.sharp, self.rim = _borders(vertices, beside, turns)
-        self.beside = np.where((beside < 0) | turns, np.arange(len(beside))[:, None], beside)
-        self.corners, self.origins = _split(vertices, (beside >= 0) & ~turns)
+        is_smooth = (beside >= 0) & ~turns
+        self.beside = np.where(is_smooth, beside, np.arange(len(beside))[:, None])
+        self.corners, self.origins = _split(vertices, beside, is_smooth)
 
     @staticmethod
     @checked
@@ -100,8 +100,7 @@ class Facets(Module):
         """
         nodes = mesh.patch(*patches) if patches else np.arange(len(mesh.points))
         faces = _faces_of(mesh, patches)
-        place = np.full(len(mesh.points), -1)
-        place[nodes] = np.arange(len(nodes))
+        place = row_of(nodes, len(mesh.points))
         rows = [place[ids][(place[ids] >= 0).all(axis=1)] for ids in faces]
         return Facets(mesh.points[nodes], [ids for ids in rows if len(ids)], smooth=smooth, angle=angle)
 
@@ -265,15 +264,15 @@ def _borders(vertices: np.ndarray, beside: np.ndarray, turns: np.ndarray) -> tup
     return np.concatenate([sharp, single[count > 1]]), single[count == 1]
 
 
-def _split(vertices: np.ndarray, smooth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _split(vertices: np.ndarray, beside: np.ndarray, smooth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     # Two faces share a corner where they meet smoothly; corners that hang together are one vertex.
-    width, beside = vertices.shape[1], _beside(vertices)[0]
     face, edge = np.nonzero(smooth)
-    first, second = [], []
-    for nodes in np.moveaxis(_edges(vertices)[face, edge], 1, 0):
-        for rows, faces in ((first, face), (second, beside[face, edge])):
-            rows.append(faces * width + np.argmax(vertices[faces] == nodes[:, None], axis=1))
-    number = parts_of(np.concatenate(first), np.concatenate(second), vertices.size)
+    other, pairs = beside[face, edge], []
+    for nodes in _edges(vertices)[face, edge].T:
+        columns = (np.argmax(vertices[rows] == nodes[:, None], axis=1) for rows in (face, other))
+        pairs.append([rows * vertices.shape[1] + column for rows, column in zip((face, other), columns, strict=True)])
+    first, second = np.concatenate(pairs, axis=1)
+    number = parts_of(first, second, vertices.size)
     origins = np.zeros(number.max() + 1, int)
     origins[number] = vertices.ravel()
     return number.reshape(vertices.shape), origins
@@ -291,10 +290,10 @@ def _found(x: np.ndarray, facing: np.ndarray, points: np.ndarray, faces: np.ndar
     away = np.flatnonzero(np.sum(unit[face] * facing, axis=1) < 0)
     # These look for the closest face again, among those that look along the largest component.
     axis = np.abs(facing[away]).argmax(axis=1)
-    ahead = np.sign(facing[away, axis])
-    for k in range(x.shape[1]):
-        for sign in (1, -1):
-            rows, kept = away[(axis == k) & (ahead == sign)], np.flatnonzero(sign * unit[:, k] > 0)
-            if len(rows) and len(kept):
-                face[rows] = kept[closest(corners[kept], x[rows])[0]]
+    side = 2 * axis + (facing[away, axis] > 0)
+    for number in np.unique(side):
+        component = unit[:, number // 2] * (1 if number % 2 else -1)
+        rows, kept = away[side == number], np.flatnonzero(component > 0)
+        if len(kept):
+            face[rows] = kept[closest(corners[kept], x[rows])[0]]
     return face

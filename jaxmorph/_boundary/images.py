@@ -11,6 +11,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._host.package.rounding import Tree, rows_in
 from .._kernels.values import as_jax
+from .boundary import Boundary
+from .outer_faces import mask, row_of
 from .periodic import Pairing
 from .symmetry import Plane, facing, tolerance
 
@@ -103,51 +105,40 @@ class Copies:
         return rows_in(place, faces[first]).astype(np.int32)
 
 
-def images_of(
-    planes: Sequence[Plane],
-    pairings: Sequence[Pairing],
-    on_plane: Bool[np.ndarray, "n p"],
-    nodes: np.ndarray,
-    moving: int,
-    points: Float[np.ndarray, "n d"],
-    order: np.ndarray,
-) -> tuple[Images, Copies]:
-    """Makes the images of `nodes` (o,), and the list of their places; `moving` nodes come first.
+def images_of(boundary: Boundary, order: np.ndarray) -> tuple[Images, Copies]:
+    """Makes the images of a boundary's nodes (o,), and the list of their places; moving nodes come
+    first.
 
-    The own rows of the `Copies` are those of `nodes` in an `order` (o,), which keeps moving nodes
+    The own rows of the `Copies` are those of the nodes in an `order` (o,), which keeps moving nodes
     first. Parallel planes make no images. Of several rows and images at one place, one counts. The
     nearest images come first.
     """
-    row, ordered = np.full((2, len(on_plane)), -1, dtype=np.int32)
-    row[nodes], ordered[nodes[order]] = np.arange(len(nodes)), np.arange(len(nodes))
-    pairs = [pairing.renumbered(ordered) for pairing in pairings]
+    planes, nodes = boundary.planes, boundary.nodes
+    (n, d), own, on_plane = boundary.points.shape, nodes[order], boundary.on_planes[nodes]
+    pairs, own_pairs = (
+        tuple(pairing.renumbered(row_of(ids, n)) for pairing in boundary.pairings) for ids in (own, nodes)
+    )
     # A transform is a power of every periodic transform, then a mirror flag of every plane. The
     # sort by the sum of powers is stable.
     flags = itertools.product(*((False,) if is_facing else (False, True) for is_facing in facing(planes)))
     powers = itertools.product(*(pairing.powers for pairing in pairs))
     elements = sorted(itertools.product(powers, flags), key=lambda element: sum(map(abs, element[0])))
-    d = points.shape[1]
-    transforms = [_transform(planes, pairs, *element, d) for element in elements]
-    matrices, shifts = map(np.stack, zip(*transforms, strict=True))
-    places, roots = _numbered(elements, pairs, on_plane[nodes[order]])
+    transforms = np.stack([_transform(planes, pairs, *element, d) for element in elements])
+    matrices, shifts = transforms[:, :-1, :-1], transforms[:, :-1, -1]
+    places, roots = _numbered(elements, pairs, on_plane[order])
     if pairs:
-        own = points[nodes[order]]
-        places = _joined(places, np.einsum("tij,oj->toi", matrices, own.astype(float)) + shifts[:, None], own)
+        x = boundary.points[own]
+        places = _joined(places, np.einsum("tij,oj->toi", matrices, x.astype(float)) + shifts[:, None], x)
     # each place once: moving rows first, own rows before images
     kind, rows = np.divmod(np.sort(np.unique(places, return_index=True)[1]), len(nodes))
-    first = np.argsort(rows >= moving, kind="stable")
-    rows, kind = rows[first], kind[first]
-    sides = _sides(pairs, len(nodes))
+    first = np.argsort(rows >= len(boundary.moving), kind="stable")
+    rows, kind = rows[first].astype(np.int32), kind[first].astype(np.int32)
+    listed = [np.append(side, pairing.alone) for pairing in pairs for side in (pairing.first, pairing.second)]
+    sides = np.array([mask(len(nodes), side) for side in listed], dtype=bool).reshape(-1, len(nodes)).T
     normals, origins = np.reshape([(plane.normal, plane.origin) for plane in planes], (-1, 2, d)).swapaxes(0, 1)
     exponents = np.array([powers for powers, _ in elements], dtype=np.int32).reshape(len(elements), len(pairs))
-    images = (normals, origins, on_plane[nodes], order[rows].astype(np.int32), kind.astype(np.int32), matrices, shifts)
-    own_pairs = tuple(pairing.renumbered(row) for pairing in pairings)
-    return Images(*as_jax((*images, exponents, own_pairs))), Copies(places, roots, rows, kind, matrices, sides)
-
-
-def _sides(pairings: Sequence[Pairing], count: int) -> Bool[np.ndarray, "o s"]:
-    lists = [np.append(side, pairing.alone) for pairing in pairings for side in (pairing.first, pairing.second)]
-    return np.array([np.isin(np.arange(count), side) for side in lists], dtype=bool).reshape(-1, count).T
+    of_rows = order[rows].astype(np.int32), kind, matrices, shifts, exponents, own_pairs
+    return Images(*as_jax((normals, origins, on_plane, *of_rows))), Copies(places, roots, rows, kind, matrices, sides)
 
 
 def _numbered(
@@ -194,15 +185,14 @@ def _joined(places: Int[np.ndarray, "t o"], at: Float[np.ndarray, "t o d"], poin
 
 
 def _transform(
-    planes: Sequence[Plane], pairings: Sequence[Pairing], powers, flags, dimension: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """The transform of one image: first periodic transforms, then reflections."""
-    matrix, shift = np.eye(dimension), np.zeros(dimension)
+    planes: Sequence[Plane], pairings: Sequence[Pairing], powers: Sequence[int], flags: Sequence[bool], dimension: int
+) -> Float[np.ndarray, "e e"]:
+    """The affine matrix of one image: first periodic transforms, then reflections."""
+    affine = np.eye(dimension + 1)
     for pairing, k in zip(pairings, powers, strict=True):
-        turn, by = pairing.power(k)
-        matrix, shift = turn @ matrix, turn @ shift + by
-    for plane, is_mirrored in zip(planes, flags, strict=True):
-        if is_mirrored:
-            turn = np.eye(dimension) - 2 * np.outer(plane.normal, plane.normal)
-            matrix, shift = turn @ matrix, turn @ shift + 2 * (plane.origin @ plane.normal) * plane.normal
-    return matrix, shift
+        affine = pairing.power(k) @ affine
+    for plane in itertools.compress(planes, flags):
+        mirror = np.eye(dimension + 1)
+        mirror[:-1] -= 2 * np.outer(plane.normal, np.append(plane.normal, -plane.origin @ plane.normal))
+        affine = mirror @ affine
+    return affine

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from jaxtyping import Bool, Float, Int
 
 from .._host.cells import topology
 from .._host.cells.adjacency import is_among
@@ -13,6 +14,10 @@ from .._host.linear.products import outward
 from .._host.package.arguments import checked
 from .._mesh.mesh import Mesh
 from .._mesh.polyhedra import Polyhedra, triangles
+
+Points = Float[np.ndarray, "n d"]
+Ids = Int[np.ndarray, " k"]
+Faces = Mapping[str, np.ndarray]  # corners (k, c), or numbers (k,), by type
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -27,14 +32,22 @@ class OuterFaces:
 
     @classmethod
     def numbered(cls, faces: Mapping[str, Any]) -> "OuterFaces":
-        corners = {kind: np.asarray(nodes) for kind, nodes in faces.items()}
-        ends = np.cumsum([len(nodes) for nodes in corners.values()])
-        ids = {kind: np.arange(end - len(corners[kind]), end) for kind, end in zip(corners, ends, strict=True)}
-        return cls(corners, ids)
+        return cls({kind: np.asarray(nodes) for kind, nodes in faces.items()}, owners(faces))
 
-    def count(self, chosen: Mapping[str, np.ndarray] | None = None) -> int:
-        ids = [numbers if chosen is None else numbers[chosen[kind]] for kind, numbers in self.ids.items()]
-        return len(np.unique(np.concatenate(ids))) if ids else 0
+
+def mask(n: int, *nodes: Any) -> Bool[np.ndarray, " n"]:
+    """Marks nodes among n."""
+    marked = np.zeros(n, dtype=bool)
+    for ids in nodes:
+        marked[np.asarray(ids)] = True
+    return marked
+
+
+def row_of(nodes: np.ndarray, n: int) -> Int[np.ndarray, " n"]:
+    """Finds the row of each of n nodes in `nodes`; -1 for an absent node."""
+    row = np.full(n, -1, dtype=np.int32)
+    row[nodes] = np.arange(len(nodes))
+    return row
 
 
 @checked
@@ -52,8 +65,7 @@ def boundary_faces(mesh: Mesh, *patches: str) -> dict[str, np.ndarray]:
     outer = outer_faces(mesh)
     if outer is None:
         raise ValueError(f"the mesh has no cells of {mesh.points.shape[1]} dimensions, and so no boundary faces.")
-    inside = np.full(len(mesh.points), not patches)
-    inside[mesh.patch(*patches)] = True
+    inside = mask(len(mesh.points), mesh.patch(*patches) if patches else np.arange(len(mesh.points)))
     return {kind: corners[inside[corners].all(axis=1)] for kind, corners in outer.corners.items()}
 
 
@@ -65,59 +77,40 @@ def outer_faces(mesh: Mesh) -> OuterFaces | None:
         return None
     if mesh.polyhedra is not None and points.shape[1] == 3:
         return _of_polyhedra(mesh.polyhedra, points, mesh.between)
-    sides, outwards = {}, [np.zeros(0)]
-    for kind, (nodes, owner) in owned_sides(cells, len(points)).items():
-        if mesh.between is not None:
-            is_outer = ~is_among(nodes, mesh.between)
-            nodes, owner = nodes[is_outer], owner[is_outer]
-        sides[kind] = nodes
-        corners = nodes[:, : topology.CORNERS[topology.SHAPES[kind]]]
-        outwards.append(_outwards(points[corners], _middles(cells, points, owner)))
+    sides, owner = {}, []
+    for kind, (nodes, cell) in owned_sides(cells, len(points)).items():
+        is_outer = np.ones(len(nodes), dtype=bool) if mesh.between is None else ~is_among(nodes, mesh.between)
+        sides[kind] = nodes[is_outer]
+        owner.append(cell[is_outer])
+    corners = [ids[:, : topology.CORNERS[topology.SHAPES[kind]]].T for kind, ids in cells.items()]
+    middle = np.concatenate([sum(points[ids] for ids in columns) / len(columns) for columns in corners])
     ids = owners(sides)
-    return OuterFaces(_seen_from_outside(linear_cells(sides), ids, np.concatenate(outwards)), ids)
+    return OuterFaces(_seen_from_outside(linear_cells(sides), ids, points, middle[np.concatenate(owner)]), ids)
 
 
-def _middles(cells: Mapping[str, np.ndarray], points: np.ndarray, owner: np.ndarray) -> np.ndarray:
-    """The middles (f, d) of the corners of cells, numbered as in `cells`."""
-    middle, first = np.empty((len(owner), points.shape[1])), 0
-    for kind, ids in cells.items():
-        here = (owner >= first) & (owner < first + len(ids))
-        middle[here] = points[ids[owner[here] - first, : topology.CORNERS[topology.SHAPES[kind]]]].mean(axis=1)
-        first += len(ids)
-    return middle
-
-
-def _outwards(corners: np.ndarray, middle: np.ndarray) -> np.ndarray:
-    """Values (f,) for faces (f, c, d), negative for a face that points to its cell."""
-    return np.einsum("kd,kd->k", outward(corners), corners.mean(axis=1) - middle)
-
-
-def _seen_from_outside(
-    corners: Mapping[str, np.ndarray], ids: Mapping[str, np.ndarray], outwards: np.ndarray
-) -> dict[str, np.ndarray]:
-    """Reverses faces that point to their cell, each for itself: its cell runs clockwise."""
+def _seen_from_outside(corners: Faces, ids: Faces, points: np.ndarray, middle: np.ndarray) -> dict[str, np.ndarray]:
+    """Reverses faces that point to the `middle` (f, d) of their cell, each for itself: it runs
+    clockwise. A face has one sense, that of the sum of its pieces.
+    """
+    outwards = np.zeros(len(middle))
+    for kind, rows in corners.items():
+        x, face = points[rows], ids[kind]
+        np.add.at(outwards, face, np.einsum("kd,kd->k", outward(x), x.mean(axis=1) - middle[face]))
     return {kind: np.where(outwards[ids[kind], None] < 0, rows[:, ::-1], rows) for kind, rows in corners.items()}
 
 
 def _of_polyhedra(whole: Polyhedra, points: np.ndarray, between: np.ndarray | None) -> OuterFaces:
     """The file's faces: pieces of polyhedra share none with the whole cells beside them."""
     faces = whole.faces
-    outer = np.ones(len(faces.owner), dtype=bool)
-    outer[: len(faces.neighbour)] = faces.neighbour < 0
-    rows = np.flatnonzero(outer)
-    quads, others = (rows[is_quad] for is_quad in (faces.sizes[rows] == 4, faces.sizes[rows] != 4))
-    cut, owner = triangles(faces, others, points) if len(others) else (np.zeros((0, 3), np.int64), np.zeros(0, int))
-    corners = {"triangle": cut, "quad": faces.corners(quads, 4) if len(quads) else np.zeros((0, 4), np.int64)}
-    ids = {"triangle": others[owner], "quad": quads}
-    middle, outwards = whole.middles(points, faces.owner[rows]), np.zeros(len(outer))
-    for kind, numbers in ids.items():
-        np.add.at(outwards, numbers, _outwards(points[corners[kind]], middle[faces.owner[numbers]]))
-    corners = _seen_from_outside(corners, ids, outwards)
+    rows = np.setdiff1d(np.arange(len(faces.owner)), np.flatnonzero(faces.neighbour >= 0))
     if between is not None:
-        inner = rows[is_among(faces.padded(rows), between)]
-        is_outer = {kind: ~np.isin(numbers, inner) for kind, numbers in ids.items()}
-        corners, ids = ({kind: table[is_outer[kind]] for kind, table in part.items()} for part in (corners, ids))
-    return OuterFaces(corners, ids)
+        rows = rows[~is_among(faces.padded(rows), between)]
+    quads, others = (np.flatnonzero(is_kind) for is_kind in (faces.sizes[rows] == 4, faces.sizes[rows] != 4))
+    none = np.zeros((0, 3), np.int64), np.zeros(0, int)
+    cut, piece_of = triangles(faces, rows[others], points) if len(others) else none
+    corners = {"triangle": cut, "quad": faces.corners(rows[quads], 4) if len(quads) else np.zeros((0, 4), np.int64)}
+    ids, owner = {"triangle": others[piece_of], "quad": quads}, faces.owner[rows]
+    return OuterFaces(_seen_from_outside(corners, ids, points, whole.middles(points, owner)[owner]), ids)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -149,13 +142,18 @@ class FreeFaces:
 
 def free_faces(mesh: Mesh, faces: OuterFaces, is_listed: np.ndarray) -> FreeFaces:
     """Finds the faces with a node that is not listed; `is_listed` is a mask (n,)."""
-    free = {kind: np.asarray(~is_listed[corners].all(axis=1)) for kind, corners in faces.corners.items()}
-    count, patches, unnamed = faces.count(free), {}, dict(free)
-    for name, nodes in mesh.patches.items() if count else ():
-        inside = np.zeros(len(is_listed), dtype=bool)
-        inside[np.asarray(nodes)] = True
-        here = {kind: free[kind] & inside[corners].all(axis=1) for kind, corners in faces.corners.items()}
-        unnamed = {kind: is_unnamed & ~here[kind] for kind, is_unnamed in unnamed.items()}
-        if number := faces.count(here):
-            patches[name] = number
-    return FreeFaces(count, faces.count(), patches, faces.count(unnamed))
+    ids = np.concatenate([np.zeros(0, int), *faces.ids.values()])
+
+    def inside(is_in: np.ndarray) -> np.ndarray:
+        return np.concatenate([np.zeros(0, bool), *(is_in[ids].all(axis=1) for ids in faces.corners.values())])
+
+    def count(chosen: Any) -> int:
+        return len(np.unique(ids[chosen]))
+
+    free, patches = ~inside(is_listed), {}
+    unnamed = free.copy()
+    for name, nodes in mesh.patches.items() if free.any() else ():
+        here = free & inside(mask(len(is_listed), nodes))
+        unnamed &= ~here
+        patches |= {name: count(here)} if here.any() else {}
+    return FreeFaces(count(free), count(slice(None)), patches, count(unnamed))

@@ -12,9 +12,13 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from .._host.package.arguments import between, check_patch, finite_array, whole
-from .._host.package.errors import MeshError, place_of, worst_first
+from .._host.package.errors import check_none, worst_first
 from .._host.package.rounding import Tree, spacing
+from .._kernels.values import Either
+from .outer_faces import Ids, Points
 from .symmetry import Plane, tolerance
+
+Nodal = Float[Array, "n d"]  # a place, or a displacement, of every node
 
 
 @dataclasses.dataclass(frozen=True, eq=False, init=False)
@@ -86,12 +90,12 @@ ALONG_AXIS = 1e-9  # component of a translation, relative to the largest compone
 class Pairing(eqx.Module):
     """Pairs of nodes, and the transform x -> `matrix` x + `shift` from `first` to `second`."""
 
-    first: Int[Array | np.ndarray, " q"]  # ids or rows of the nodes
-    second: Int[Array | np.ndarray, " q"]  # their partners
-    alone: Int[Array | np.ndarray, " s"]  # nodes on the axis of a rotation, which the transform does not move
-    matrix: Float[Array | np.ndarray, "d d"]
-    shift: Float[Array | np.ndarray, " d"]
-    keeps: Float[Array | np.ndarray, "d d"]  # projection onto the vectors that the transform does not turn
+    first: Int[Either, " q"]  # ids or rows of the nodes
+    second: Int[Either, " q"]  # their partners
+    alone: Int[Either, " s"]  # nodes on the axis of a rotation, which the transform does not move
+    matrix: Float[Either, "d d"]
+    shift: Float[Either, " d"]
+    keeps: Float[Either, "d d"]  # projection onto the vectors that the transform does not turn
     turn: int = eqx.field(static=True)  # sectors in a whole turn; 0 if no power is the identity
     copies: int = eqx.field(static=True)  # images on either side; 0 for pairs that do no more than move alike
     is_rotation: bool = eqx.field(static=True)
@@ -104,21 +108,19 @@ class Pairing(eqx.Module):
     def powers(self) -> list[int]:
         """The powers of the transform that make images, the nearest first: 0, 1, -1, 2, ..."""
         powers = sorted(range(-self.copies, self.copies + 1), key=lambda k: (abs(k), -k))
-        if not self.turn:
-            return powers
-        return list({k % self.turn: k for k in powers[::-1]}.values())[::-1]  # the nearest of equal images
+        equal = {k % self.turn if self.turn else k: k for k in powers[::-1]}  # the nearest of equal images
+        return list(equal.values())[::-1]
 
-    def power(self, k: int) -> tuple[np.ndarray, np.ndarray]:
-        matrix, shift = (self.matrix, self.shift) if k >= 0 else (self.matrix.T, -self.matrix.T @ self.shift)
-        once = np.eye(len(shift) + 1)
-        once[:-1, :-1], once[:-1, -1] = matrix, shift
-        power = np.linalg.matrix_power(once, abs(k))
-        return power[:-1, :-1], power[:-1, -1]
+    def power(self, k: int) -> Float[np.ndarray, "e e"]:
+        """The affine matrix (d + 1, d + 1) of a power of the transform."""
+        affine = np.eye(len(self.shift) + 1)
+        affine[:-1] = np.column_stack([self.matrix, self.shift])
+        return np.linalg.matrix_power(affine, k)
 
     @property
     def inverse(self) -> "Pairing":
-        matrix, shift = self.power(-1)
-        return dataclasses.replace(self, first=self.second, second=self.first, matrix=matrix, shift=shift)
+        back = self.power(-1)[:-1]
+        return dataclasses.replace(self, first=self.second, second=self.first, matrix=back[:, :-1], shift=back[:, -1])
 
     def renumbered(self, place: Int[np.ndarray, " n"]) -> "Pairing":
         """Renumbers node k to `place[k]`. Pairs with a node of place -1 are dropped."""
@@ -126,7 +128,7 @@ class Pairing(eqx.Module):
         first, second = pairs[:, (pairs >= 0).all(axis=0)]
         return dataclasses.replace(self, first=first, second=second, alone=alone[alone >= 0])
 
-    def at(self, points: Float[Array, "n d"]) -> "Pairing":
+    def at(self, points: Nodal) -> "Pairing":
         """Moves pairs to other base points: translations follow, rotations stay. Traced."""
         if self.is_rotation:
             return self
@@ -138,11 +140,11 @@ class Pairing(eqx.Module):
         shift = jnp.where(jnp.abs(shift) < ALONG_AXIS * jnp.max(jnp.abs(shift)), 0, shift)
         return dataclasses.replace(self, shift=shift)
 
-    def misses(self, points: Float[np.ndarray, "n d"]) -> Float[np.ndarray, " q"]:
+    def misses(self, points: Points) -> Float[np.ndarray, " q"]:
         """Distances of second nodes from their partners' images, on the host."""
         return np.linalg.norm(points[self.first] @ self.matrix.T + self.shift - points[self.second], axis=1)
 
-    def matched(self, base: Float[Array, "n d"], points: Float[Array, "n d"]) -> Float[Array, "n d"]:
+    def matched(self, base: Nodal, points: Nodal) -> Nodal:
         """Makes pairs match bit for bit if a translation does so at `base`. Traced."""
         if self.is_rotation:
             return points
@@ -150,75 +152,74 @@ class Pairing(eqx.Module):
         matched = base[self.first] + shift == base[self.second]
         return points.at[self.second].set(jnp.where(matched, points[self.first] + shift, points[self.second]))
 
-    def alike(self, u: Float[Array, "n d"]) -> Float[Array, "n d"]:
+    def alike(self, u: Nodal) -> Nodal:
         """Makes displacements of a pair equal after the transform, by their mean. Traced."""
         matrix, keeps = jnp.asarray(self.matrix, u.dtype), jnp.asarray(self.keeps, u.dtype)
         mean = (u[self.first] + _product(u[self.second], matrix)) / 2
         u = u.at[self.first].set(mean).at[self.second].set(_product(mean, matrix.T))
         return u.at[self.alone].set(_product(u[self.alone], keeps)) if len(self.alone) else u
 
-    def led(self, u: Float[Array, "n d"]) -> Float[Array, "n d"]:
+    def led(self, u: Nodal) -> Nodal:
         """Moves the second nodes as the first nodes move, after the transform. Traced."""
         return u.at[self.second].set(_product(u[self.first], jnp.asarray(self.matrix, u.dtype).T))
 
 
-def _product(rows: Float[Array, "n d"], matrix: Float[Array, "d d"]) -> Float[Array, "n d"]:
+def _product(rows: Nodal, matrix: Float[Array, "d d"]) -> Nodal:
     return jnp.matmul(rows, matrix, precision="highest")
+
+
+def _differ(first: np.ndarray, second: np.ndarray, size: float) -> bool:
+    """Whether affine matrices differ, in lengths of a mesh of this `size`."""
+    return bool(((np.abs(first - second)[:-1] / np.append(np.ones(len(first) - 1), size)) > 1e-6).any())
 
 
 def merged(pairings: Sequence[Pairing], size: float) -> tuple[Pairing, ...]:
     """Joins all pairings of one transform, such as the sides of a passage cut into patches."""
     joined: list[Pairing] = []
     for pairing in pairings:
-        for (k, other), way in itertools.product(enumerate(joined), (pairing, pairing.inverse)):
-            if np.abs(way.matrix - other.matrix).max() < 1e-9 and np.abs(way.shift - other.shift).max() < 1e-6 * size:
-                pairs = np.concatenate([[each.first, each.second] for each in (other, way)], axis=1)
-                alone, copies = np.unique([*other.alone, *way.alone]).astype(np.int32), max(other.copies, way.copies)
-                first, second = np.unique(pairs, axis=1)
-                joined[k] = dataclasses.replace(other, first=first, second=second, alone=alone, copies=copies)
-                break
-        else:
-            joined.append(pairing)
+        pairs = itertools.product(enumerate(joined), (pairing, pairing.inverse))
+        equal = [(k, other, way) for (k, other), way in pairs if not _differ(way.power(1), other.power(1), size)]
+        for k, other, way in equal[:1]:
+            first, second = np.unique(np.hstack([[side.first, side.second] for side in (other, way)]), axis=1)
+            alone, copies = np.unique([*other.alone, *way.alone]).astype(np.int32), max(other.copies, way.copies)
+            joined[k] = dataclasses.replace(other, first=first, second=second, alone=alone, copies=copies)
+        joined += [] if equal else [pairing]
     return tuple(joined)
 
 
 def check_pairings(pairings: Sequence[Pairing], planes: Sequence[Plane], size: float) -> None:
     """Refuses transforms that turn a symmetry plane, or that do not commute."""
     pairings = [pairing for pairing in pairings if pairing.copies]  # others may lie across a plane
-    for k, pairing in enumerate(pairings):
-        for plane in planes:
-            normal = plane.normal
-            if np.abs(pairing.matrix @ normal - normal).max() > 1e-9 or abs(normal @ pairing.shift) > 1e-9 * size:
-                raise ValueError(
-                    f"a periodic transform moves the symmetry plane with normal {normal.tolist()}: the plane must be parallel to "
-                    "the translation, or at right angles to the rotation's axis."
-                )
-        for other in pairings[:k]:
-            there = pairing.matrix @ other.shift + pairing.shift - other.matrix @ pairing.shift - other.shift
-            back = pairing.matrix @ other.matrix - other.matrix @ pairing.matrix
-            if np.abs(there).max() > 1e-6 * size or np.abs(back).max() > 1e-6:
-                raise ValueError("two periodic transforms must commute: all rotations need one axis.")
+    for pairing, plane in itertools.product(pairings, planes):
+        normal = plane.normal
+        if np.abs(pairing.matrix @ normal - normal).max() > 1e-9 or abs(normal @ pairing.shift) > 1e-9 * size:
+            raise ValueError(
+                f"a periodic transform moves the symmetry plane with normal {normal.tolist()}: the plane must be parallel to "
+                "the translation, or at right angles to the rotation's axis."
+            )
+    for first, second in itertools.combinations([pairing.power(1) for pairing in pairings], 2):
+        if _differ(first @ second, second @ first, size):
+            raise ValueError("two periodic transforms must commute: all rotations need one axis.")
 
 
 MISMATCH = 1e-4  # largest allowed distance of a node from its partner's image, relative to the node spacing
 
 
-def paired(
-    periodic: Periodic, first: Int[np.ndarray, " k"], second: Int[np.ndarray, " l"], points: Float[np.ndarray, "n d"]
-) -> Pairing:
-    try:
-        return _paired(periodic, first, second, points)
-    except ValueError:
-        is_given = periodic.translation is not None or periodic.is_rotation
+def paired(periodic: Periodic, first: Ids, second: Int[np.ndarray, " l"], points: Points) -> Pairing:
+    ways = [periodic]
+    if periodic.translation is None and not periodic.is_rotation:
         axes = [{"axis": axis} for axis in np.eye(3)] if points.shape[1] == 3 else [{"about": (0, 0)}]
-        for axis in () if is_given else axes:
-            turned = Periodic(periodic.patch, periodic.partner, copies=periodic.copies, **axis)
-            with contextlib.suppress(ValueError):
-                return _paired(turned, first, second, points)
-        raise
+        ways += [Periodic(periodic.patch, periodic.partner, copies=periodic.copies, **axis) for axis in axes]
+    errors = []
+    for way in ways:
+        try:
+            return _paired(way, first, second, points)
+        except ValueError as error:
+            errors.append(error)
+    raise errors[0]
 
 
-def across_one_layer(planes: Sequence[Plane], points: Float[np.ndarray, "n d"]) -> tuple[Pairing, ...]:
+def across_one_layer(planes: Sequence[Plane], points: Points) -> tuple[Pairing, ...]:
     """Pairs the nodes of two parallel planes that hold all nodes, around one layer of cells. The
     pairs move alike, and make no images. There are none where the planes' nodes do not match.
     """
@@ -235,23 +236,18 @@ def across_one_layer(planes: Sequence[Plane], points: Float[np.ndarray, "n d"]) 
     return ()
 
 
-def _paired(
-    periodic: Periodic, first: Int[np.ndarray, " k"], second: Int[np.ndarray, " l"], points: Float[np.ndarray, "n d"]
-) -> Pairing:
+def _paired(periodic: Periodic, first: Ids, second: Int[np.ndarray, " l"], points: Points) -> Pairing:
     exact = points.astype(float)
     if not len(first) or not len(second):
         raise ValueError(f"{periodic.name}: one of them has no nodes.")
-    matrix, shift, angle = _transform(periodic, exact[first].mean(axis=0), exact[second].mean(axis=0))
+    matrix, shift, keeps, angle = _transform(periodic, exact[first].mean(axis=0), exact[second].mean(axis=0))
     partner = _partners(periodic, first, second, points, exact[first] @ matrix.T + shift)
     is_alone = first == partner
     sectors = 2 * np.pi / abs(angle) if angle else 0
     turn = round(sectors) if abs(sectors - round(sectors)) < 1e-6 * sectors else 0
     copies = periodic.copies if turn or not angle else max(1, min(periodic.copies, int((sectors - 1) / 2)))
     pairs = first[~is_alone].astype(np.int32), partner[~is_alone].astype(np.int32)
-    keeps = np.eye(len(shift))
-    if periodic.is_rotation:  # the direction of the axis alone
-        keeps = keeps - _generator(periodic.axis, len(shift))[1]
-    elif periodic.translation is None:
+    if not angle and periodic.translation is None:
         shift = _sharp(np.median(exact[pairs[1]] - exact[pairs[0]], axis=0))  # most pairs have it bit for bit
     return Pairing(*pairs, first[is_alone].astype(np.int32), matrix, shift, keeps, turn, copies, periodic.is_rotation)
 
@@ -263,43 +259,44 @@ def _partners(
     distance, nearest = map(np.asarray, Tree(exact).query(images))
     gaps = np.minimum(spacing(exact), np.ptp(points.astype(float), axis=0).max())
     allowed = np.maximum(MISMATCH * gaps[nearest], 2 * tolerance(points))
-    unmatched = worst_first(distance, allowed)
-    if unmatched.size:
-        place = place_of(points[first[unmatched[0]]])
-        raise MeshError(
-            f"{periodic.name} do not match: {len(unmatched)} of {len(first)} nodes of the first have no partner, the worst is "
-            f"node {{node}} at ({place}): {distance[unmatched[0]]:.3g} from the nearest after the transform. Check "
-            "`translation`, or `rotation`, `about` and `axis`; they lead from the first patch to the second.",
-            first[unmatched],
-        )
-    single = second[np.setdiff1d(np.arange(len(second)), nearest)]
-    if single.size:
-        raise MeshError(
-            f"{periodic.name} do not match: {len(single)} of {len(second)} nodes of the second have no partner, first node "
-            f"{{node}} at ({place_of(points[single[0]])}). Both patches need equal nodes: mesh one as the copy of the other.",
-            single,
-        )
+    check_none(
+        first[worst_first(distance, allowed)],
+        f"{periodic.name} do not match: {{count}} of {len(first)} nodes of the first have no partner, the worst is node {{node}} "
+        f"at ({{place}}): {distance[distance > allowed].max(initial=0):.3g} from the nearest after the transform. Check "
+        "`translation`, or `rotation`, `about` and `axis`; they lead from the first patch to the second.",
+        points,
+    )
+    check_none(
+        np.setdiff1d(second, second[nearest]),
+        f"{periodic.name} do not match: {{count}} of {len(second)} nodes of the second have no partner, first node {{node}} at "
+        "({place}). Both patches need equal nodes: mesh one as the copy of the other.",
+        points,
+    )
     return second[nearest]
 
 
-def _transform(periodic: Periodic, middle: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-    dimension = len(middle)
-    _check_vectors(periodic, dimension)
+def _transform(
+    periodic: Periodic, middle: np.ndarray, other: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+    """Matrix and shift of a transform, the projection on what it does not turn, and its angle."""
+    d = len(middle)
+    _check_vectors(periodic, d)
     if not periodic.is_rotation:
         shift = _sharp(other - middle) if periodic.translation is None else periodic.translation
         if not np.abs(shift).max() > 0:
             raise ValueError(f"{periodic.name}: the translation is zero; give `rotation`, `about` or `axis`.")
-        return np.eye(dimension), shift, 0.0
-    about = np.zeros(dimension) if periodic.about is None else periodic.about
-    cross, plane = _generator(periodic.axis, dimension)
+        return np.eye(d), shift, np.eye(d), 0.0
+    about = np.zeros(d) if periodic.about is None else periodic.about
+    axis = np.array([0.0, 0, 1]) if periodic.axis is None else periodic.axis / np.linalg.norm(periodic.axis)
     angle = periodic.rotation
     if angle is None:
-        start, end = plane @ (middle - about), plane @ (other - about)
-        angle = float(np.arctan2(end @ cross @ start, end @ start))
+        start, end = (np.cross(axis, np.pad(place - about, (0, 3 - d))) for place in (middle, other))
+        angle = float(np.arctan2(axis @ np.cross(start, end), start @ end))
     if not abs(np.sin(angle / 2)) > 1e-12:
         raise ValueError(f"{periodic.name}: the angle of the rotation is zero.")
-    matrix = np.eye(dimension) + np.sin(angle) * cross + (1 - np.cos(angle)) * (cross @ cross)
-    return matrix, about - matrix @ about, angle
+    along, across = np.outer(axis, axis)[:d, :d], np.cross(axis, np.eye(3)).T[:d, :d]
+    matrix = np.cos(angle) * (np.eye(d) - along) + np.sin(angle) * across + along  # Rodrigues
+    return matrix, about - matrix @ about, along, angle
 
 
 def _check_vectors(periodic: Periodic, dimension: int) -> None:
@@ -316,11 +313,3 @@ def _check_vectors(periodic: Periodic, dimension: int) -> None:
 def _sharp(shift: np.ndarray) -> np.ndarray:
     """Clears components of a translation that are round-off: their coordinates stay bit for bit."""
     return np.where(np.abs(shift) < ALONG_AXIS * np.abs(shift).max(), 0, shift)
-
-
-def _generator(axis: np.ndarray | None, dimension: int) -> tuple[np.ndarray, np.ndarray]:
-    if axis is None:
-        return np.array([[0.0, -1.0], [1.0, 0.0]]), np.eye(dimension)
-    x, y, z = axis / np.linalg.norm(axis)
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return cross, -cross @ cross

@@ -1,30 +1,31 @@
 """Sliding patches: the surfaces that a caller names, checked, and made into walls."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.sparse import csr_array
+from scipy.spatial import Delaunay, QhullError
 
 from .._host.cells.adjacency import parts_of
 from .._host.cells.pieces import boundary_sides, linear_cells
 from .._host.cells.topology import solid
-from .._host.linear.products import normals
+from .._host.linear.products import normals, unit_rows
 from .._host.package.arguments import check_patch, finite_array
-from .._host.package.errors import MeshError, place_of, worst_first
+from .._host.package.errors import MeshError, check_none, place_of, worst_first
 from .._host.package.rounding import canonical_order
 from .._host.surface.walls import in_order
 from .._mesh.mesh import Mesh
-from .faces import CurvedFaces, Faceted, FlatFaces, faces_around
-from .holes import CONTINUES, filled
+from .outer_faces import Faces, Ids, row_of
 from .symmetry import Plane
 from .tracks import SMOOTH
-from .walls import AbstractWall, Flat, Round
+from .walls import ALONG_AXIS, AbstractWall, CurvedFaces, Faceted, Flat, FlatFaces, Round, faces_around
 
 Walls = list[tuple[AbstractWall, np.ndarray]]
 
+CONTINUES = 0.5  # least cosine (60 degrees) of a hole's faces to those around: a dome's rim is no hole
 DEVIATION = 1e-5  # distance of nodes on a surface, relative to the patch's extent: files have few digits
 
 
@@ -95,9 +96,9 @@ class Slide:
 
 def walls_of_patch(
     slide: Slide,
-    nodes: Int[np.ndarray, " k"],
+    nodes: Ids,
     points: np.ndarray,
-    faces: Mapping[str, np.ndarray] | None,
+    faces: Faces | None,
     moving: np.ndarray | Sequence[int] = (),
 ) -> Walls:
     """Makes walls: own faces are divided at sharp edges, and filled up below `moving` bodies."""
@@ -117,18 +118,16 @@ def walls_of_patch(
         )
     off = np.abs(np.asarray(wall.height(jnp.asarray(exact[nodes]))[0]))
     allowed = DEVIATION * np.ptp(exact[nodes], axis=0).max()
-    wrong = nodes[worst_first(off, allowed)]
-    if wrong.size:
-        place = place_of(exact[wrong[0]])
-        raise MeshError(
-            f"{slide.name} does not lie on its surface: {len(wrong)} of {len(nodes)} nodes are off, the worst is node {{node}} at "
-            f"({place}), {off.max():.3g} away (allowed {allowed:.3g}). Give the right surface, or None for the patch's faces.",
-            wrong,
-        )
+    check_none(
+        nodes[worst_first(off, allowed)],
+        f"{slide.name} does not lie on its surface: {{count}} of {len(nodes)} nodes are off, the worst is node {{node}} at "
+        f"({{place}}), {off.max():.3g} away (allowed {allowed:.3g}). Give the right surface, or None for the patch's faces.",
+        exact,
+    )
     return [(wall, nodes)]
 
 
-def _of_revolution(slide: Slide, on: Revolution, patch: np.ndarray) -> Round:
+def _of_revolution(slide: Slide, on: Revolution, patch: np.ndarray) -> AbstractWall:
     dimension = patch.shape[1]
     if (on.axis is None) != (dimension == 2):
         raise ValueError(f"{slide.name}: a surface of revolution has an axis in 3-D, and none in 2-D.")
@@ -136,43 +135,40 @@ def _of_revolution(slide: Slide, on: Revolution, patch: np.ndarray) -> Round:
     if origin.shape != (dimension,):
         raise ValueError(f"{slide.name}: `origin` has shape {origin.shape}; the mesh has {dimension} dimensions.")
     axis = np.zeros(dimension) if on.axis is None else on.axis / np.linalg.norm(on.axis)
-    profile = on.profile
-    if profile is None:
-        line, profile = _line_or_profile(patch, axis, origin)
-    else:
-        line = None if len(profile) > 1 else np.array([0, 1, profile[0, 1]])
-    if line is not None:
-        return Round(axis, origin, line)
-    from scipy.interpolate import CubicSpline  # here: it would take a tenth of the time of all imports
+    line, profile = _line_or_profile(patch, axis, origin) if on.profile is None else (None, on.profile)
+    if line is None and len(profile) > 1:
+        from scipy.interpolate import CubicSpline  # here: it would take a tenth of the time of all imports
 
-    spline = CubicSpline(*profile.T, bc_type="natural" if len(profile) > 2 else "not-a-knot")
-    return Round(axis, origin, np.array([0.0, 1.0, 0.0]), spline.x, spline.c)
+        spline = CubicSpline(*profile.T, bc_type="natural" if len(profile) > 2 else "not-a-knot")
+        return Round(axis, origin, spline.x, spline.c)
+    a, b, c = (0, 1, profile[0, 1]) if line is None else line
+    if abs(b) < ALONG_AXIS:
+        return Flat(axis, origin + c / a * axis)
+    return Round(axis, origin, np.array([0, np.inf]), np.array([[0], [0], [-a / b], [c / b]]))
 
 
 def _line_or_profile(patch: np.ndarray, axis: np.ndarray, origin: np.ndarray) -> tuple[np.ndarray | None, np.ndarray]:
+    """The line a z + b r = c of a patch, if it lies on one; places and radii of nodes, sorted."""
     arm, size = patch - origin, np.ptp(patch, axis=0).max()
     along = arm @ axis
     profile = np.stack([along, np.linalg.norm(arm - along[:, None] * axis, axis=1)], axis=1)
-    middle, normal, is_solid = profile.mean(axis=0), np.array([0.0, 1.0]), patch.shape[1] == 3
-    if is_solid and np.ptp(profile) > 0 and np.ptp(profile[:, 1]) > 1e-9 * size:
+    middle, normal = profile.mean(axis=0), np.array([0.0, 1.0])
+    if axis.any() and np.ptp(profile[:, 1]) > 1e-9 * size:
         normal = np.linalg.svd(profile - middle, full_matrices=False)[2][-1]
-    is_line = not is_solid or np.abs((profile - middle) @ normal).max() <= DEVIATION * size
+    is_line = not axis.any() or np.abs((profile - middle) @ normal).max() <= DEVIATION * size
     profile = profile[np.argsort(profile[:, 0], kind="stable")]
     profile = profile[np.append(True, np.diff(profile[:, 0]) > 1e-6 * size)]
     return np.array([*normal, middle @ normal]) if is_line else None, profile
 
 
-def _of_faces(
-    slide: Slide, nodes: np.ndarray, points: np.ndarray, faces: Mapping[str, np.ndarray] | None, moves: np.ndarray
-) -> Walls:
+def _of_faces(slide: Slide, nodes: np.ndarray, points: np.ndarray, faces: Faces | None, moves: np.ndarray) -> Walls:
     if faces is None:
         raise ValueError(
             f"{slide.name} slides on its faces, but points alone have no faces: pass the mesh with its cells, or a surface, "
             "jm.Slide(nodes, jm.Plane(normal, origin))."
         )
     dimension = points.shape[1]
-    row = np.full(len(points), -1)
-    row[nodes] = np.arange(len(nodes))
+    row = row_of(nodes, len(points))
     pieces = [np.zeros((0, dimension), dtype=np.int64)]
     for corners in faces.values():
         # quads are cut into triangles about the node that comes first by place
@@ -196,15 +192,13 @@ def _parted(nodes: np.ndarray, points: np.ndarray, elements: np.ndarray) -> Wall
     has_area = size > 1e-14 * size.max()  # a quad that ends in a point has a triangle without area
     elements = elements[has_area].astype(np.int32)
     part = _smooth_parts(elements, area[has_area] / size[has_area, None])
-    is_whole = part.max() == 0 or len(np.unique(elements)) < len(nodes)  # nodes of no face belong to all parts
-    if is_whole:
-        return [(Faceted(nodes, points[nodes], elements, faces_around(elements, len(nodes))), nodes)]
+    if part.max() == 0 or len(np.unique(elements)) < len(nodes):  # nodes of no face belong to all parts
+        return [(Faceted.of(nodes, points[nodes], elements), nodes)]
     walls = []
     for number in range(part.max() + 1):
-        rows = np.unique(elements[part == number])
-        corners, ids = np.searchsorted(rows, elements[part == number]).astype(np.int32), nodes[rows]
-        flat = _flat(ids, points, corners)
-        walls.append((flat or Faceted(ids, points[ids], corners, faces_around(corners, len(ids))), ids))
+        rows, corners = np.unique(elements[part == number], return_inverse=True)
+        ids, corners = nodes[rows], corners.reshape(-1, elements.shape[1]).astype(np.int32)
+        walls.append((_flat(ids, points, corners) or Faceted.of(ids, points[ids], corners), ids))
     return walls
 
 
@@ -228,6 +222,74 @@ def _smooth_parts(elements: Int[np.ndarray, "e d"], normals: Float[np.ndarray, "
     return parts_of(beside.row[joined], beside.col[joined], len(elements))
 
 
+def filled(
+    faces: Int[np.ndarray, "e d"], vertices: Float[np.ndarray, "v d"], moves: Bool[np.ndarray, " v"]
+) -> Int[np.ndarray, "f d"]:
+    """Adds faces across all holes whose rim moves, left by bodies; other holes stay open. New faces
+    continue the direction of the faces around them. In 2-D a line joins two ends that move. In 3-D
+    a Delaunay triangulation in the rim's mean plane makes the faces. Old faces come first.
+    """
+    if faces.shape[1] == 2:
+        new = [_joined(faces, vertices, moves)]
+    else:
+        new = [_across(rim, faces, vertices) for rim in _closed_rims(faces, moves)]
+    return np.concatenate([faces, *new]).astype(faces.dtype)
+
+
+def _joined(faces: np.ndarray, vertices: np.ndarray, moves: np.ndarray) -> np.ndarray:
+    """Lists lines (k, 2) from moving ends to the nearest moving starts that lie ahead."""
+    start, end = faces.T
+    along = unit_rows(vertices[end] - vertices[start])  # zero for a face of two nodes at one place
+    last = np.flatnonzero(~np.isin(end, start) & moves[end])
+    first = np.flatnonzero(~np.isin(start, end) & moves[start])
+    gap = vertices[start[first]][None] - vertices[end[last]][:, None]
+    size = np.linalg.norm(gap, axis=2)
+    ahead = np.minimum(np.sum(gap * along[last][:, None], axis=2), np.sum(gap * along[first][None], axis=2))
+    cost = np.where((size > 0) & (ahead > CONTINUES * size), size, np.inf)
+    if not cost.size:
+        return faces[:0]
+    best = cost.argmin(axis=1)
+    kept = np.isfinite(cost.min(axis=1)) & (cost.argmin(axis=0)[best] == np.arange(len(best)))
+    return np.stack([end[last[kept]], start[first[best[kept]]]], axis=1)
+
+
+def _closed_rims(faces: np.ndarray, moves: np.ndarray) -> list[np.ndarray]:
+    """Closed rims of moving vertices: edges (r, 2) against the faces beside them."""
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    size = int(faces.max()) + 1
+    is_rim = ~np.isin(edges @ [1, size], edges @ [size, 1]) & moves[edges].all(axis=1)
+    edges = edges[is_rim][:, ::-1]
+    part = parts_of(edges[:, 0], edges[:, 1], size)[edges[:, 0]]
+    rims = [edges[part == number] for number in np.unique(part)]
+    return [rim for rim in rims if np.array_equal(*np.sort(rim, axis=0).T)]  # as many begin at a node as end
+
+
+def _across(rim: np.ndarray, faces: np.ndarray, vertices: np.ndarray) -> np.ndarray:
+    """Triangles (k, 3) across a rim, unless they would turn off from the faces beside it."""
+    nodes, ends = np.unique(rim), vertices[rim]
+    area = np.cross(ends[:, 0] - ends[0, 0], ends[:, 1] - ends[0, 0]).sum(axis=0)
+    beside = normals(vertices[faces[np.isin(faces, nodes).sum(axis=1) > 1]])
+    if not (unit_rows(beside) @ area).mean() > CONTINUES * np.linalg.norm(area):
+        return faces[:0]
+    axes = np.linalg.svd(area[None])[2][1:]
+    try:
+        corners = nodes[Delaunay(vertices[nodes] @ axes.T).simplices]
+    except QhullError:
+        return faces[:0]
+    corners = corners[_inside(vertices[corners].mean(axis=1) @ axes.T, ends @ axes.T)]
+    is_back = normals(vertices[corners]) @ area < 0
+    return np.where(is_back[:, None], corners[:, ::-1], corners)
+
+
+def _inside(x: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    """Marks the points (k, 2) within closed lines, given by their edges (r, 2, 2)."""
+    (a, b), (c, d) = np.moveaxis(ends, 0, 2)
+    across, up = x.T[..., None]
+    with np.errstate(divide="ignore", invalid="ignore"):  # of level edges, which none crosses
+        is_left = across < a + (up - b) * (c - a) / (d - b)
+    return np.sum(((b > up) != (d > up)) & is_left, axis=1) % 2 == 1
+
+
 def with_own_curves(walls: Walls, mesh: Mesh | None) -> Walls:
     """Replaces the linear pieces of walls by the curved faces that they are pieces of. Walls whose
     faces are of two types, or that have faces across holes, keep their pieces.
@@ -245,8 +307,6 @@ def _curved(wall: Faceted, mesh: Mesh) -> AbstractWall:
     if len(sides) != 1 or pieces != len(wall.faces):
         return wall
     ((kind, ids),) = sides.items()
-    place = np.full(len(mesh.points), -1)
-    place[nodes] = np.arange(len(nodes))
-    rows = place[ids].astype(np.int32)
+    rows = row_of(nodes, len(mesh.points))[ids]
     rows = rows[np.lexsort(np.sort(rows, axis=1).T)]
     return CurvedFaces(wall.nodes, wall.vertices, wall.faces, faces_around(rows, len(nodes)), rows, kind)

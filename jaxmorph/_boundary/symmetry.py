@@ -1,17 +1,18 @@
 """Symmetry planes: where they may stand, and which nodes lie on them."""
 
+import contextlib
 from collections.abc import Iterable, Sequence
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Int
 
-from .._host.linear.products import normals
+from .._host.linear.products import normals, unit_rows
 from .._host.package.arguments import checked, finite_array, rows_of
-from .._host.package.errors import MeshError, place_of, worst_first
+from .._host.package.errors import MeshError, check_none, worst_first
 from .._host.package.rounding import roundoff
 from .._kernels.module import Module
 from .._mesh.mesh import Mesh
-from .outer_faces import outer_faces
+from .outer_faces import Ids, Points, outer_faces
 
 TOLERANCE = 1e-8  # distance from a plane, relative to the mesh's extent, within which a node lies on it
 
@@ -42,7 +43,7 @@ class Plane(Module):
         self.normal, self.origin = normal / length, origin
 
     @staticmethod
-    def through(points: Float[np.ndarray, "n d"], nodes: Int[np.ndarray, " k"]) -> "Plane":
+    def through(points: Points, nodes: Ids) -> "Plane":
         """Finds the plane through nodes (k,), ids of `points` (n, d), all points of a mesh.
 
         **Raises:** `ValueError`, with the worst node, if the nodes do not lie in one plane.
@@ -58,13 +59,11 @@ class Plane(Module):
         if np.abs(np.delete(normal, axis)).max() < 1e-7:  # the usual case: keep the coordinate bit for bit
             normal, origin[axis] = np.eye(len(normal))[axis], np.median(patch[:, axis])
         deviation = np.abs((patch - origin) @ normal)
-        if deviation.max() > tolerance(points):
-            order = np.argsort(-deviation, kind="stable")
-            place = place_of(patch[order[0]])
-            raise MeshError(
-                f"these {len(nodes)} nodes do not lie in one plane: node {{node}} at ({place}) is {deviation.max():.3g} off.",
-                nodes[order],
-            )
+        check_none(
+            nodes[worst_first(deviation, tolerance(points))],
+            f"these {len(nodes)} nodes do not lie in one plane: node {{node}} at ({{place}}) is {deviation.max():.3g} off.",
+            points,
+        )
         return Plane(normal, origin)
 
     @staticmethod
@@ -98,9 +97,7 @@ class Plane(Module):
 MOST = 6  # most planes of one patch: the sides of a box
 
 
-def planes_through(
-    points: Float[np.ndarray, "n d"], nodes: Int[np.ndarray, " k"], faces: Iterable[Int[np.ndarray, "_ c"]]
-) -> tuple[Plane, ...]:
+def planes_through(points: Points, nodes: Ids, faces: Iterable[Int[np.ndarray, "_ c"]]) -> tuple[Plane, ...]:
     """Finds the planes of a patch, such as front and back, by boundary faces (e, corners). The
     plane with most of the nodes comes first, then the plane with most of the remaining nodes.
     Raises the error of `Plane.through` if `MOST` planes do not hold all nodes, or if other planes
@@ -109,58 +106,40 @@ def planes_through(
     try:
         return (Plane.through(points, nodes),)
     except MeshError as error:
-        planes, first = _largest_first(points, nodes, faces)
-        if not planes or not all(any(plane.equals(other, points) for other in planes) for plane in first):
+        planes = _candidates(points, nodes, faces)
+        on = np.array([plane.holds(points)[nodes] for plane in planes], dtype=bool).reshape(-1, len(nodes))
+        left, chosen = np.ones(len(nodes), dtype=bool), []
+        while left.any() and len(chosen) < MOST and (on & left).sum(axis=1).max(initial=0) >= points.shape[1]:
+            chosen.append(int((on & left).sum(axis=1).argmax()))
+            left &= ~on[chosen[-1]]
+        largest = np.flatnonzero(on.sum(axis=1) == on.sum(axis=1).max(initial=0))
+        if left.any() or not np.isin(largest, chosen).all():
             raise error from None  # one cell wide and high: nodes do not decide which sides are meant
-        return tuple(planes)
+        return tuple(planes[k] for k in chosen)
 
 
-def _largest_first(
-    points: Float[np.ndarray, "n d"], nodes: Int[np.ndarray, " k"], faces: Iterable[Int[np.ndarray, "_ c"]]
-) -> tuple[list[Plane], list[Plane]]:
-    """Planes that hold all nodes, none without such; also those with most nodes at first."""
-    remaining = np.zeros(len(points), dtype=bool)
-    remaining[nodes] = True
-    sides = [np.asarray(corners)[remaining[corners].all(axis=1)][:, : points.shape[1]] for corners in faces]
-    planes, first = [], []
-    while remaining.any():
-        candidates = _candidates(points.astype(float), sides, remaining) if len(planes) < MOST else []
-        counts = np.array([remaining[plane.holds(points)].sum() for plane in candidates], dtype=int)
-        if counts.max(initial=0) < points.shape[1]:
-            return [], first
-        best = [candidates[k] for k in np.flatnonzero(counts == counts.max())]
-        first = first or best
-        chosen = best[0].holds(points)
-        on = nodes[chosen[nodes]]
-        planes.append(Plane.through(points, on))
-        remaining[on] = False
-        sides = [corners[~chosen[corners].all(axis=1)] for corners in sides]
-    return planes, first
-
-
-def _candidates(
-    points: Float[np.ndarray, "n d"], faces: Sequence[Int[np.ndarray, "_ d"]], remaining: Bool[np.ndarray, " n"]
-) -> list[Plane]:
-    """Planes of many faces, the most frequent first, moved onto `remaining` nodes nearby."""
+def _candidates(points: Points, nodes: Ids, faces: Iterable[Int[np.ndarray, "_ c"]]) -> list[Plane]:
+    """Different planes of faces between nodes, those of most faces first."""
     # A face has a key: its unit normal and its height, rounded to four digits, equal for faces of
-    # one plane. Equal keys are counted.
-    corners = points[np.concatenate([np.zeros((0, points.shape[1]), dtype=np.int64), *faces])]
-    normal = normals(corners)
-    size = np.linalg.norm(normal, axis=1)
-    normal, corners = normal[size > 0] / size[size > 0, None], corners[size > 0, 0]
-    extent = np.ptp(points, axis=0).max()
+    # one plane. Equal keys are counted. The plane of one face is tilted by the digits of its
+    # corners: it is fitted to all nodes nearby.
+    inside = np.isin(np.arange(len(points)), nodes)
+    sides = [ids[inside[ids].all(axis=1)][:, : points.shape[1]] for ids in faces]
+    corners = points[np.concatenate([np.zeros((0, points.shape[1]), dtype=np.int64), *sides])].astype(float)
+    area, extent = normals(corners), np.ptp(points, axis=0).max()
+    corners, normal = corners[area.any(axis=1), 0], unit_rows(area[area.any(axis=1)])
     height = np.sum(normal * (corners - points.mean(axis=0)), axis=1) / extent
-    keys = np.round(np.concatenate([normal, height[:, None]], axis=1), 4) + 0.0
+    keys = np.round(np.column_stack([normal, height]), 4) + 0.0
     _, first, count = np.unique(keys, axis=0, return_index=True, return_counts=True)
-    fitted = []
-    for k in first[np.argsort(-count, kind="stable")[: 2 * MOST]]:
+    planes: list[Plane] = []
+    for k in first[np.argsort(-count, kind="stable")[: 4 * MOST]]:
         plane = Plane(normal[k], corners[k])
-        near = np.flatnonzero(remaining & (np.abs(plane.height(points)) <= 1e-3 * extent))
-        try:
-            fitted.append(Plane.through(points, near))  # the plane of one face is tilted by the digits of its corners
-        except ValueError:
-            fitted.append(plane)
-    return fitted
+        near = nodes[np.abs(plane.height(points[nodes])) <= 1e-3 * extent]
+        with contextlib.suppress(ValueError):
+            plane = Plane.through(points, near)
+        if not any(plane.equals(other, points) for other in planes):
+            planes.append(plane)
+    return planes
 
 
 def tolerance(points: np.ndarray) -> float:
@@ -199,22 +178,19 @@ def _check_bounds(plane: Plane, points: np.ndarray) -> None:
             np.array([nearest]),
         )
     above, below = ~on & (height > 0), ~on & (height < 0)
-    beyond = above if above.sum() < below.sum() else below
-    if beyond.any():
-        outside = worst_first(np.abs(height) * beyond, 0)
-        worst = outside[0]
-        place = place_of(points[worst])
-        raise MeshError(
-            f"{name} has nodes on both sides: {beyond.sum()} of {len(points)} lie beyond it, the farthest is node {{node}} at "
-            f"({place}), {abs(height[worst]):.3g} away. A symmetry plane bounds the mesh: pass one half of the mesh, or no plane.",
-            outside,
-        )
+    off = np.abs(height) * (above if above.sum() < below.sum() else below)
+    check_none(
+        worst_first(off, 0),
+        f"{name} has nodes on both sides: {{count}} of {len(points)} lie beyond it, the farthest is node {{node}} at ({{place}}), "
+        f"{off.max():.3g} away. A symmetry plane bounds the mesh: pass one half of the mesh, or no plane.",
+        points,
+    )
 
 
 def facing(planes: Sequence[Plane]) -> Bool[np.ndarray, " p"]:
     return np.array([sum(abs(plane.normal @ other.normal) > 0.5 for other in planes) > 1 for plane in planes], bool)
 
 
-def on_facing(planes: Sequence[Plane], points: Float[np.ndarray, "n d"]) -> Bool[np.ndarray, " n"]:
+def on_facing(planes: Sequence[Plane], points: Points) -> Bool[np.ndarray, " n"]:
     on = [plane.holds(points) for plane, has_other in zip(planes, facing(planes), strict=True) if has_other]
     return np.logical_or.reduce([np.zeros(len(points), dtype=bool), *on])

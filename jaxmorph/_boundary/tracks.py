@@ -1,5 +1,6 @@
 """Tracks: the nodes that slide along one wall, or where two walls meet."""
 
+import itertools
 from collections.abc import Sequence
 
 import equinox as eqx
@@ -8,12 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from .._host.package.errors import MeshError, place_of, worst_first
-from .._kernels.values import norm
-from .faces import Faceted, SmoothFaces
-from .periodic import Pairing
+from .._host.package.errors import MeshError, check_none, place_of, worst_first
+from .._kernels.values import Either, norm
+from .outer_faces import mask
+from .periodic import Nodal, Pairing
 from .symmetry import Plane
-from .walls import AbstractWall, Flat, Round
+from .walls import AbstractWall, Faceted, Flat, Places, Round, SmoothFaces, solved
 
 STEPS = 6  # Newton steps to a curved wall, or to the edge between two walls; they converge quadratically
 SMOOTH = np.cos(np.deg2rad(5))  # cosine of the angle below which two sliding patches meet without an edge
@@ -22,7 +23,7 @@ SMOOTH = np.cos(np.deg2rad(5))  # cosine of the angle below which two sliding pa
 class Track(eqx.Module):
     """Nodes, `rows` (k,), that stay on one wall, or on the edge between two `walls`."""
 
-    rows: Int[Array | np.ndarray, " k"]
+    rows: Int[Either, " k"]
     walls: tuple[AbstractWall, ...]
 
     @property
@@ -30,7 +31,7 @@ class Track(eqx.Module):
         """True if all walls are flat: `along` is then linear in the displacements."""
         return all(wall.is_flat for wall in self.walls)
 
-    def normals(self, points: Float[Array, "n d"]) -> Float[Array, "k w d"]:
+    def normals(self, points: Nodal) -> Float[Array, "k w d"]:
         """In each row, orthogonal unit vectors that span the walls' normals. Traced."""
         places = self.project(points[self.rows])
         first, *others = (wall.height(places)[1] for wall in self.walls)
@@ -40,30 +41,34 @@ class Track(eqx.Module):
             frame.append(rest / norm(rest)[:, None])
         return jnp.stack(frame, axis=1)
 
-    def along(self, points: Float[Array, "n d"], u: Float[Array, "n d"]) -> Float[Array, "n d"]:
+    def along(self, points: Nodal, u: Nodal) -> Nodal:
         """Changes displacements so that the rows keep their distance from the walls. Traced."""
         start, displacement = points[self.rows], u[self.rows]
         if self.is_linear:
-            normals = [jnp.asarray(wall.height(start[:1])[1][0]) for wall in self.walls]
-            above = [jnp.matmul(displacement, normal, precision="highest") for normal in normals]
+            normals = self._heights(start)[1]
+            above = jnp.einsum("kwd,kd->kw", normals, displacement, precision="highest")
             tangential = displacement - _least(normals, above)
         else:
             tangential = self.project(start + displacement) - self.project(start)
         return u.at[self.rows].set(tangential)
 
-    def project(self, x: Float[Array, "k d"]) -> Float[Array, "k d"]:
+    def _heights(self, x: Places) -> tuple[Float[Array, "k w"], Float[Array, "k w d"]]:
+        above, normals = zip(*(wall.height(x) for wall in self.walls), strict=True)
+        return jnp.stack(above, axis=1), jnp.stack(normals, axis=1)
+
+    def project(self, x: Places) -> Places:
         only = self.walls[0] if len(self.walls) == 1 else None
         if isinstance(only, Faceted):
             return only.nearest(x)[0]
-        is_exact = self.is_linear or (isinstance(only, Round) and only.spline is None)
+        is_exact = self.is_linear or (isinstance(only, Round) and only.is_straight)
 
         def nearer(x, _):
-            above, normals = zip(*(wall.height(x) for wall in self.walls), strict=True)
+            above, normals = self._heights(x)
             return x - _least(normals, above), None
 
-        return nearer(x, None)[0] if is_exact else jax.lax.scan(nearer, x, length=STEPS)[0]
+        return jax.lax.scan(nearer, x, length=1 if is_exact else STEPS)[0]
 
-    def at(self, points: Float[Array, "n d"]) -> "Track":
+    def at(self, points: Nodal) -> "Track":
         return Track(self.rows, tuple(wall.at(points) for wall in self.walls))
 
     def renumbered(self, place: Int[np.ndarray, " n"]) -> "Track":
@@ -78,16 +83,10 @@ def smoothed(track: Track) -> Track:
     return Track(np.asarray(track.rows), tuple(walls))
 
 
-def _least(normals, above):
+def _least(normals: Float[Array, "k w d"], above: Float[Array, "k w"]) -> Places:
     """The shortest vectors with the components `above` along one or two normals."""
-    first, *others = (jnp.broadcast_to(normal, (len(above[0]), normal.shape[-1])) for normal in normals)
-    if not others:
-        return above[0][:, None] * first
-    (second,) = others
-    cosine = jnp.sum(first * second, axis=1)
-    whole = 1 - cosine**2
-    a, b = (above[0] - cosine * above[1]) / whole, (above[1] - cosine * above[0]) / whole
-    return a[:, None] * first + b[:, None] * second
+    gram = jnp.einsum("kvd,kwd->kvw", normals, normals, precision="highest")
+    return jnp.einsum("kw,kwd->kd", jax.vmap(solved)(gram, above), normals, precision="highest")
 
 
 def tracks_of(
@@ -97,21 +96,19 @@ def tracks_of(
     # A node has a row of flags: the walls and planes on which it lies. Equal rows are one track. A
     # node on as many walls as there are dimensions cannot slide.
     n, dimension = points.shape
-    flags = np.zeros((n, len(walls) + len(planes)), dtype=bool)
-    is_apex = np.zeros(n, dtype=bool)
-    for k, (wall, nodes) in enumerate(walls):
-        flags[nodes, k] = True
-        is_apex[nodes] |= wall.is_apex(points[nodes])
-    sliding = np.flatnonzero(flags.any(axis=1) & ~is_apex)
-    for k, plane in enumerate(planes):
-        flags[sliding, len(walls) + k] = plane.holds(points)[sliding]
     surfaces = [wall for wall, _ in walls] + [Flat(plane.normal, plane.origin) for plane in planes]
-    groups, number = np.unique(flags[sliding], axis=0, return_inverse=True)
+    is_apex = np.zeros(n, dtype=bool)
+    for wall, nodes in walls:
+        is_apex[nodes] |= wall.is_apex(points[nodes])
+    on = [mask(n, nodes) for _, nodes in walls]
+    sliding = np.flatnonzero(mask(n, *(nodes for _, nodes in walls)) & ~is_apex)
+    flags = np.array([*on, *(plane.holds(points) for plane in planes)], dtype=bool).reshape(-1, n)[:, sliding].T
+    groups, number = np.unique(flags, axis=0, return_inverse=True)
     tracks: list[Track] = []
     corners: list[np.ndarray] = [np.flatnonzero(is_apex)]
     for k, group in enumerate(groups):
         nodes = sliding[number.ravel() == k].astype(np.int32)
-        chosen = tuple(surface for surface, is_on in zip(surfaces, group, strict=True) if is_on)
+        chosen = tuple(itertools.compress(surfaces, group))
         if len(chosen) == 2:
             _check_edge(chosen, nodes, points)
         if len(chosen) < dimension:
@@ -123,14 +120,12 @@ def tracks_of(
 
 def _check_edge(walls: tuple[AbstractWall, ...], nodes: np.ndarray, points: np.ndarray) -> None:
     first, second = (np.asarray(wall.height(jnp.asarray(points[nodes]))[1]) for wall in walls)
-    wrong = nodes[worst_first(np.abs(np.sum(first * second, axis=1)), SMOOTH)]
-    if wrong.size:
-        place = place_of(points[wrong[0]])
-        raise MeshError(
-            f"two sliding patches, or a sliding patch and a symmetry plane, meet at {len(wrong)} nodes without an edge, the worst "
-            f"is node {{node}} at ({place}). Let both slide as one patch, jm.Slide((first, second)), or remove one.",
-            wrong,
-        )
+    check_none(
+        nodes[worst_first(np.abs(np.sum(first * second, axis=1)), SMOOTH)],
+        "two sliding patches, or a sliding patch and a symmetry plane, meet at {count} nodes without an edge, the worst "
+        "is node {node} at ({place}). Let both slide as one patch, jm.Slide((first, second)), or remove one.",
+        points,
+    )
 
 
 def check_repeated(

@@ -7,14 +7,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Integer
 
-from .._boundary.names import nodes_named
+from .._boundary.boundary import nodes_named
+from .._boundary.facets import Facets
 from .._boundary.outer_faces import outer_faces
 from .._boundary.symmetry import Plane
 from .._host.cells.lagrange import lagrange_types
-from .._host.cells.topology import DIMENSION
 from .._host.package.arguments import checked, finite_array, shown
-from .._host.package.errors import MeshError, place_of, warn
-from .._host.surface.gaps import closest
+from .._host.package.errors import check_none, warn, worst_first
 from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod
 from .._plan.deform import deform
@@ -70,28 +69,12 @@ def curve(
 
 def _places(surface: Any, wall: np.ndarray) -> np.ndarray:
     if isinstance(surface, Mesh):
-        return _nearest(surface, wall)
+        return np.asarray(Facets.of(surface).closest(wall))
     if callable(surface):
         surface = surface(wall)
         if not hasattr(surface, "shape"):
             raise ValueError(f"`surface` gives {shown(surface)} for the nodes of the wall, not places {wall.shape}.")
     return finite_array("surface", surface, wall.shape)
-
-
-def _nearest(surface: Mesh, wall: np.ndarray) -> np.ndarray:
-    d, linear = wall.shape[1], surface.linear
-    if surface.points.shape[1] != d:
-        raise ValueError(f"`surface` has points in {surface.points.shape[1]}-D, the mesh in {d}-D.")
-    faces = {kind: np.asarray(ids) for kind, ids in linear.cells.items() if DIMENSION[kind] == d - 1 and len(ids)}
-    outer = None if faces else outer_faces(surface)
-    faces = faces if outer is None else outer.corners
-    cut = {"line": [[0, 1]], "triangle": [[0, 1, 2]], "quad": [[0, 1, 2], [0, 2, 3]]}
-    simplices = [ids[:, rows] for kind, ids in faces.items() for rows in cut[kind]]
-    if not sum(map(len, simplices)):
-        raise ValueError(f"`surface` has no faces of {d - 1} dimensions, and no boundary: {surface}.")
-    corners = np.asarray(surface.points, dtype=float)[np.concatenate(simplices)]
-    simplex, weights, _ = closest(corners, wall)
-    return np.einsum("mc,mcd->md", weights, corners[simplex])
 
 
 def _check_reach(mesh: Mesh, nodes: np.ndarray, u: np.ndarray) -> None:
@@ -102,10 +85,10 @@ def _check_reach(mesh: Mesh, nodes: np.ndarray, u: np.ndarray) -> None:
         extent = np.linalg.norm(np.ptp(points[ids], axis=1), axis=1)
         np.maximum.at(reach, ids.ravel(), np.repeat(extent, ids.shape[1]))
     order = max(lagrange_types()[kind].order for kind in mesh.cells)
-    far = np.flatnonzero(np.linalg.norm(u, axis=1) > order * reach[nodes])
-    if len(far):
-        raise MeshError(
-            f"{len(far)} of {len(nodes)} nodes of the wall are farther from the surface than its faces there are long, the first "
-            f"is node {{node}} at ({place_of(points[nodes[far[0]]])}), {np.linalg.norm(u[far[0]]):.3g} away: is it the wall's?",
-            nodes[far],
-        )
+    away = np.linalg.norm(u, axis=1)
+    check_none(
+        nodes[worst_first(away, order * reach[nodes])],
+        f"{{count}} of {len(nodes)} nodes of the wall are farther from the surface than its faces there are long, the worst is "
+        f"node {{node}} at ({{place}}), {away.max():.3g} away: is it the wall's?",
+        points,
+    )

@@ -1,6 +1,5 @@
 """Better cells for given boundary nodes: inner nodes where the distortion of all cells is least."""
 
-import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
@@ -10,24 +9,24 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Int, Real
 
-from .._boundary.boundary import Boundary
-from .._boundary.names import check_finite
+from .._boundary.boundary import Boundary, check_finite
 from .._host.cells.pieces import owners
 from .._host.package.arguments import between, checked, whole
 from .._kernels.module import Module
 from .._kernels.values import is_known
 from .._mesh.mesh import Mesh
-from .._plan.plan import Plan
-from .._quality.proof.proof import proven_margin
+from .._quality.proof import proven_margin
 from .._quality.quality import check_solid, places, quality
 from .._quality.report import QualityReport
-from .constraints import Constraints, constraints_of, prepared
+from .constraints import prepared
 from .stages import Minimum, Search, judged, softened, stiffened
 
 MINIMUM = 1e-2
 
 SAME = 1e-6  # difference of two margins that is round-off
 GAIN = 5e-3  # relative gain in the smallest Jacobian ratio that pays for a larger skewness
+
+Count = Int[Array, ""]
 
 
 class Improvement(Module):
@@ -48,14 +47,14 @@ class Improvement(Module):
     """
 
     points: Float[Array, "n d"]
-    before: Int[Array, ""]
-    after: Int[Array, ""]
-    unproven: Int[Array, ""]
-    from_start: Int[Array, ""]
-    lost: Int[Array, ""]
+    before: Count
+    after: Count
+    unproven: Count
+    from_start: Count
+    lost: Count
     energy: Float[Array, ""]
     residual: Float[Array, ""]
-    steps: Int[Array, ""]
+    steps: Count
     cells: int = eqx.field(static=True)
 
     def __str__(self) -> str:
@@ -77,25 +76,16 @@ class Improvement(Module):
         )
 
 
-@dataclasses.dataclass(frozen=True)
-class ImproveOptions:
-    ideal: bool = False
-    size_weight: float = 0.5
-    worst: bool = False
-    tolerance: float = 0.03
-    max_steps: int = 60
-
-
 @checked
 def improve(
     mesh: Mesh | Boundary,
     points: Real[ArrayLike, "n d"] | Sequence[Any],
     *,
     ideal: bool = False,
-    size_weight: float = ImproveOptions.size_weight,
-    worst: bool = ImproveOptions.worst,
-    tolerance: float = ImproveOptions.tolerance,
-    max_steps: int = ImproveOptions.max_steps,
+    size_weight: float = 0.5,
+    worst: bool = False,
+    tolerance: float = 0.03,
+    max_steps: int = 60,
 ) -> Improvement:
     """Moves inner nodes to where cells are least distorted, and untangles inverted cells.
 
@@ -145,39 +135,27 @@ def improve(
     **Raises:** `ValueError` for a mesh without cells of its dimension, another shape of `points`, a
     boundary of points alone, and a `size_weight` that is not in 0 to 1.
     """
-    options = ImproveOptions(ideal, size_weight, worst, tolerance, max_steps)
     with jax.ensure_compile_time_eval():  # not folded into the caller's program
         boundary = mesh if isinstance(mesh, Boundary) else Boundary(mesh, ())
-    if boundary.mesh is None:
+    if (own := boundary.mesh) is None:
         raise ValueError("this boundary has points alone: make it of the mesh, jm.Boundary(mesh, ...).")
-    check_solid(boundary.mesh, "there is nothing to improve")
-    start = places(boundary.mesh, points)
+    check_solid(own, "there is nothing to improve")
+    start = places(own, points)
     if is_known(start):
         check_finite(np.asarray(start))
     if is_known(size_weight):
         between("size_weight", size_weight, 0, 1, "[]")
     between("tolerance", tolerance, 0, ends="[)")
     whole("max_steps", max_steps)
-    with jax.ensure_compile_time_eval():
-        constraints = constraints_of(boundary, boundary.mesh)
-    return _improved(boundary.mesh, start, constraints, options)
-
-
-def improve_of(plan: Plan, mesh: Mesh, points: Float[Array, "n d"]) -> Improvement:
-    """Improves a plan's deformed mesh; its surface stays, or moves along walls and in pairs."""
-    return _improved(mesh, points, constraints_of(plan.boundary, mesh), ImproveOptions())
-
-
-def _improved(mesh: Mesh, start: Array, constraints: Constraints, options: ImproveOptions) -> Improvement:
     base = start.astype(jnp.promote_types(start.dtype, jnp.result_type(float)))
     with jax.ensure_compile_time_eval():
-        distortion, blocks = prepared(mesh, base.dtype, constraints, options.ideal, options.size_weight)
-    search = Search(blocks, jnp.asarray(options.tolerance, base.dtype), options.max_steps)
+        distortion, blocks = prepared(boundary, own, base.dtype, ideal, size_weight)
+    search = Search(blocks, jnp.asarray(tolerance, base.dtype), max_steps)
     plain = softened(distortion, base, search)
-    found, report = _ended(mesh, start, plain, plain)
-    if not options.worst:
+    found, report = _ended(own, start, plain, plain)
+    if not worst:
         return found
-    stiff, stiff_report = _ended(mesh, start, plain, stiffened(plain, base, search))
+    stiff, stiff_report = _ended(own, start, plain, stiffened(plain, base, search))
     gain = stiff_report.min_jacobian_ratio - report.min_jacobian_ratio
     is_round = stiff_report.max_skewness <= report.max_skewness
     is_better = jnp.where(is_round, gain >= 0, gain > GAIN * jnp.abs(report.min_jacobian_ratio))
@@ -190,7 +168,7 @@ def _ended(mesh: Mesh, start: Array, plain: Minimum, minimum: Minimum) -> tuple[
     distortion = plain.distortion
     energy, slope, improved, fixed = judged(distortion, minimum, start.astype(minimum.y.dtype))
     moved = jnp.where(distortion.free[:, None], improved.astype(start.dtype), start)
-    moved = moved if distortion.ways is None else distortion.ways.matched(start, moved)
+    moved = distortion.ways.matched(start, moved)
     report = quality(mesh, moved)
     before, is_inverted = (_inverted(mesh, *pair) for pair in ((start, quality(mesh, start)), (moved, report)))
     margin = proven_margin(mesh, moved, depth=1)

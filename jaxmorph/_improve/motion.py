@@ -1,22 +1,23 @@
 """The energy of `improve` by the motion of the free nodes; its second derivatives."""
 
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float, Integer
 
 from .._boundary.periodic import Pairing
 from .._boundary.tracks import Track
 from .._host.cells.topology import CORNERS, DIMENSION
+from .._host.linear.products import determinant
 from .._quality import measures
 from .._quality.distortion import Bounds, Target, energy, energy_of_cells, samples, stiffened, stretch
 from .._quality.vector import Vector, corners
-from .hessian import blocks
+
+Nodal = Float[Array, "n d"]  # a place, or a vector, of every node
 
 
 class Ways(eqx.Module):
@@ -30,7 +31,7 @@ class Ways(eqx.Module):
     follows: Bool[Array, " n"]
     normals: Float[Array, "n q d"]
 
-    def at(self, start: Float[Array, "n d"]) -> "Ways":
+    def at(self, start: Nodal) -> "Ways":
         n, d = start.shape
         normals = jnp.zeros((n, d - 1, d), start.dtype)
         for track in self.tracks:
@@ -45,9 +46,7 @@ class Ways(eqx.Module):
     def off(self) -> Float[Array, "n d d"]:
         return jnp.einsum("nqa,nqb->nab", self.normals, self.normals, precision="highest")
 
-    def __call__(
-        self, start: Float[Array, "n d"], step: Float[Array, "n d"], change: Float[Array, "n d"]
-    ) -> Float[Array, "n d"]:
+    def __call__(self, start: Nodal, step: Nodal, change: Nodal) -> Nodal:
         """Turns steps into displacements from `start`. `change` is zero in value, and has the
         derivative of the starting places: a change off a wall, or a difference between partners,
         remains.
@@ -62,7 +61,7 @@ class Ways(eqx.Module):
             motion = pairing.led(motion)
         return motion + change
 
-    def matched(self, start: Float[Array, "n d"], points: Float[Array, "n d"]) -> Float[Array, "n d"]:
+    def matched(self, start: Nodal, points: Nodal) -> Nodal:
         for pairing in self.pairings:
             points = pairing.matched(start, points)
         return points
@@ -81,21 +80,20 @@ class Distortion(eqx.Module):
     scale: Float[Array, " n"]
     free: Bool[Array, " n"]
     softness: Float[Array, ""]
-    ways: Ways | None
+    ways: Ways
     size: float = eqx.field(static=True)
     bounds: Bounds | None = None
 
-    def points(self, y: Float[Array, "n d"], base: Float[Array, "n d"]) -> Float[Array, "n d"]:
+    def points(self, y: Nodal, base: Nodal) -> Nodal:
         """Places the nodes; fixed nodes stay at `base`, bit for bit."""
-        start, step = jax.lax.stop_gradient(base), self.scale[:, None] * y
-        if self.ways is not None:
-            step = self.ways(start, step, base - start)
+        start = jax.lax.stop_gradient(base)
+        step = self.ways(start, self.scale[:, None] * y, base - start)
         return jnp.where(self.free[:, None], start + step, base)
 
-    def __call__(self, y: Float[Array, "n d"], base: Float[Array, "n d"]) -> Float[Array, ""]:
+    def __call__(self, y: Nodal, base: Nodal) -> Float[Array, ""]:
         return self._energy(self.points(y, base))
 
-    def _energy(self, points: Float[Array, "n d"]) -> Float[Array, ""]:
+    def _energy(self, points: Nodal) -> Float[Array, ""]:
         total = jnp.zeros((), points.dtype)
         for kind, ids in self.cells.items():
             x, goal = corners(points, ids), self.targets[kind]
@@ -104,26 +102,23 @@ class Distortion(eqx.Module):
 
     def shift(self) -> Float[Array, " n"]:
         """The diagonal's term (n,): 1 for nodes at rest or led, `SHIFT` for others."""
-        moves = self.free & (self.scale > 0)
-        moves = moves if self.ways is None else moves & ~self.ways.follows
+        moves = self.free & (self.scale > 0) & ~self.ways.follows
         return jnp.where(moves, SHIFT, 1.0).astype(self.scale.dtype)
 
-    def _samples(self, points: Float[Array, "n d"]) -> Iterator[tuple[str, Array, Array, Array]]:
-        """Each type with the mask of samples that count, |T|^2 / d and det T."""
-        for kind, ids in self.cells.items():
-            goal = self.targets[kind]
-            yield kind, goal.counts > 0, *samples(kind, corners(points, ids), goal)
+    def _samples(self, points: Nodal) -> tuple[Array, Array, Array]:
+        """The mask of samples that count, |T|^2 / d and det T, of all types."""
+        rows = [samples(kind, corners(points, ids), self.targets[kind]) for kind, ids in self.cells.items()]
+        parts = ([self.targets[kind].counts > 0 for kind in self.cells], *zip(*rows, strict=True))
+        counts, squared, tau = (jnp.concatenate([part.ravel() for part in every]) for every in parts)
+        return counts, squared, tau
 
-    def least(self, y: Float[Array, "n d"], base: Float[Array, "n d"]) -> Float[Array, ""]:
-        rows = self._samples(self.points(y, base))
-        return jnp.min(jnp.stack([jnp.min(jnp.where(counts, tau, 1)) for _, counts, _, tau in rows]))
+    def least(self, y: Nodal, base: Nodal) -> Float[Array, ""]:
+        counts, _, tau = self._samples(self.points(y, base))
+        return jnp.min(jnp.where(counts, tau, 1))
 
-    def worst(self, y: Float[Array, "n d"], base: Float[Array, "n d"]) -> Float[Array, ""]:
-        worst = []
-        for _, counts, squared, tau in self._samples(self.points(y, base)):
-            values = energy(squared, tau, self.softness, self.size, y.shape[1])
-            worst.append(jnp.max(jnp.where(counts, values, 0), initial=0))
-        return jnp.max(jnp.stack(worst))
+    def worst(self, y: Nodal, base: Nodal) -> Float[Array, ""]:
+        counts, squared, tau = self._samples(self.points(y, base))
+        return jnp.max(jnp.where(counts, energy(squared, tau, self.softness, self.size, y.shape[1]), 0), initial=0)
 
     def movable(self) -> "Distortion":
         """Leaves out samples whose nodes are all held: no motion lowers their distortion."""
@@ -133,67 +128,43 @@ class Distortion(eqx.Module):
             targets[kind] = self.targets[kind]._replace(counts=self.targets[kind].counts * moves)
         return dataclasses.replace(self, targets=targets)
 
-    def lost(self, points: Float[Array, "n d"]) -> dict[str, Bool[Array, " _k"]]:
+    def lost(self, points: Nodal) -> dict[str, Bool[Array, " _k"]]:
         """Marks the cells with an inverted sample whose nodes are all held, by type."""
-        movable = self.movable().targets
-        return {
-            kind: jnp.any(counts & (movable[kind].counts == 0) & (tau <= 0), axis=0)
-            for kind, counts, _, tau in self._samples(points)
-        }
+        lost, movable = {}, self.movable().targets
+        for kind, ids in self.cells.items():
+            is_held = (self.targets[kind].counts > 0) & (movable[kind].counts == 0)
+            tau = samples(kind, corners(points, ids), self.targets[kind])[1]
+            lost[kind] = jnp.any(is_held & (tau <= 0), axis=0)
+        return lost
 
-    def blocks(self, y: Float[Array, "n d"], base: Float[Array, "n d"], floor: Any = 0.0) -> Float[Array, "d d pairs"]:
+    def blocks(self, y: Nodal, base: Nodal, floor: Any = 0.0) -> Float[Array, "d d pairs"]:
         """Second derivatives by pairs of corners, or by nodes of `ways`; eigenvalues from
         `floor`.
         """
-        # A sample has second derivatives by its edges. An edge is a sum of corners (`share`), which
-        # gives derivatives by corners. The last axis of the result runs over cells fastest, then
-        # over the second corner z, then over the first corner c, type after type: the order of
-        # `Pattern`.
-        points, parts = self.points(y, base), []
-        moves, d = self.scale * self.free, base.shape[1]
+        # The stretch T = A W^-1 of a sample is linear in the corners. The last axis of the result
+        # runs over cells fastest, then over the second corner z, then over the first corner c, type
+        # after type: the order of `Pattern`.
+        points, parts, d = self.points(y, base), [], base.shape[1]
         # Derivatives of places by y, whose axis is the last; a partner moves by its first node's y.
-        slopes = None if self.ways is None else _columns(lambda y: self.points(y, base), y)
+        slopes = _columns(lambda y: self.points(y, base), y)
 
-        def cell_energy(squared, tau):
+        def of_sample(squared, tau):
             value = energy(squared, tau, self.softness, self.size, d)
             return value if self.bounds is None else stiffened(value, tau, self.bounds)
 
-        by_kind = self._by_edges(points, cell_energy, floor)
-        for (kind, ids), derivatives in zip(self.cells.items(), by_kind, strict=True):
-            share, scale = _shares(kind), moves[ids].T
-            sums = jnp.einsum("sce,szf->czefs", share, share).reshape(scale.shape[0] ** 2, -1)
-            whole = jnp.einsum("pq,abqk->abpk", sums, derivatives.reshape(d, d, -1, derivatives.shape[-1]))
-            if slopes is None:
-                whole = whole * (scale[:, None] * scale[None]).reshape(1, 1, -1, scale.shape[1])
-            else:
-                pairs, slope = whole.reshape(d, d, *scale.shape[:1] * 2, -1), slopes[ids]
-                whole = jnp.einsum("kcxa,xycek,keyb->abcek", slope, pairs, slope, precision="highest")
-            parts.append(whole.reshape(d, d, -1))
-        if self.ways is not None:
-            parts.append(jnp.moveaxis(self._alone(y, base, floor), 0, 2))
+        for kind, ids in self.cells.items():
+            goal, share, slope = self.targets[kind], _shares(kind), slopes[ids]
+            matrices = _stacked(stretch(kind, corners(points, ids), goal)).transpose(2, 3, 1, 0)
+            second = _convex(of_sample, matrices, floor) * (goal.counts / len(share))[..., None, None, None, None]
+            by_corner = jnp.einsum("sce,ebsk->skcb", share, _stacked(goal.inverse), precision="highest")
+            pairs = jnp.einsum("skcb,skabfg,skzg->kcazf", by_corner, second, by_corner, precision="highest")
+            pairs = jnp.einsum("kcax,kcazf,kzfy->xyczk", slope, pairs, slope, precision="highest")
+            parts.append(pairs.reshape(d, d, -1))
+        parts.append(jnp.moveaxis(self._alone(y, base, floor), 0, 2))
         return jnp.concatenate(parts, axis=2)
 
-    def _by_edges(
-        self, points: Float[Array, "n d"], energy: Callable, floor: Any
-    ) -> list[Float[Array, "d d d d _s _k"]]:
-        """Second derivatives by the edges of samples: of all types in one program."""
-        rows, counts = [], [self.targets[kind].counts for kind in self.cells]
-        for kind, ids in self.cells.items():
-            goal = self.targets[kind]
-            columns = stretch(kind, corners(points, ids), goal)
-            rows.append(([tuple(column) for column in columns], goal.inverse))
-        joined = jax.tree.map(lambda *parts: jnp.concatenate([part.ravel() for part in parts])[None], *rows)
-        every = blocks(energy, list(map(Vector, joined[0])), joined[1], floor)[..., 0, :]
-        ends = np.cumsum([count.size for count in counts])[:-1]
-        pairs = zip(jnp.split(every, ends, axis=-1), counts, strict=True)
-        return [
-            part.reshape(*part.shape[:4], *count.shape) * (count / len(count))[None, None, None, None]
-            for part, count in pairs
-        ]
-
-    def _alone(self, y: Float[Array, "n d"], base: Float[Array, "n d"], floor: Any) -> Float[Array, "n d d"]:
+    def _alone(self, y: Nodal, base: Nodal, floor: Any) -> Float[Array, "n d d"]:
         """Second derivatives of single nodes: one along normals, and walls' curvature."""
-        assert self.ways is not None
         added = self.ways.off
         if self.ways.is_linear:
             return added
@@ -202,7 +173,25 @@ class Distortion(eqx.Module):
         return added + jnp.where(jnp.asarray(floor) < 0, (curved + jnp.swapaxes(curved, 1, 2)) / 2, 0)
 
 
-def _columns(function: Callable, y: Float[Array, "n d"]) -> Float[Array, "n d d"]:
+def _convex(energy: Callable, stretch: Float[Array, "s k d d"], floor: Any) -> Float[Array, "s k d d d d"]:
+    """Second derivatives of energy(|T|^2 / d, det T) by entries of T, with eigenvalues from `floor`
+    (Teran et al., Robust quasistatic finite elements and flesh simulation, SCA 2005).
+    """
+    d = stretch.shape[-1]
+
+    def of_entries(entries):
+        return energy(jnp.sum(entries**2) / d, determinant(list(entries.reshape(d, d))))
+
+    values, vectors = jnp.linalg.eigh(jax.vmap(jax.hessian(of_entries))(stretch.reshape(-1, d * d)))
+    scaled = vectors * jnp.maximum(values, floor)[:, None]
+    return jnp.matmul(scaled, vectors.mT, precision="highest").reshape(*stretch.shape, d, d)
+
+
+def _stacked(rows: Any) -> Array:
+    return jnp.stack(list(map(jnp.stack, rows)))
+
+
+def _columns(function: Callable, y: Nodal) -> Float[Array, "n d d"]:
     """Derivatives of a function row by row; the last axis is the axis of y."""
 
     def column(axis):
@@ -213,5 +202,5 @@ def _columns(function: Callable, y: Float[Array, "n d"]) -> Float[Array, "n d d"
 
 def _shares(kind: str) -> Float[Array, "s c e"]:
     """The corners' coefficients in all samples' edges: `frames` is linear in corners."""
-    edges = measures.frames(kind, [Vector([jnp.asarray(row)] * DIMENSION[kind]) for row in np.eye(CORNERS[kind])])
+    edges = measures.frames(kind, Vector([jnp.eye(CORNERS[kind])] * DIMENSION[kind]))
     return jnp.stack([edge[0] for edge in edges], axis=2)

@@ -15,7 +15,7 @@ from .._host.linear.hessians import Pattern, solve, solve_exactly
 from .._kernels.callback import host_call
 from .._kernels.compile import compiled
 from .._quality.distortion import Bounds
-from .motion import Distortion, Ways
+from .motion import Distortion, Nodal, Ways
 
 QUARTER = 0.05  # least cosine between a wall's normals at a node's start and end; below it, no minimum
 
@@ -40,15 +40,14 @@ class Search(NamedTuple):
 
 class Minimum(NamedTuple):
     distortion: Distortion
-    y: Float[Array, "n d"]
+    y: Nodal
     steps: Int[Array, ""] | int
 
 
-def softened(distortion: Distortion, base: Float[Array, "n d"], search: Search) -> Minimum:
+def softened(distortion: Distortion, base: Nodal, search: Search) -> Minimum:
     """Finds the minimum in stages, in which the barrier at det T = 0 sharpens."""
     softness, held = jnp.asarray(1 / GENTLER), jax.lax.stop_gradient(base)
-    if distortion.ways is not None:
-        distortion = eqx.tree_at(lambda it: it.ways, distortion, _ways_at(distortion.ways, held))
+    distortion = eqx.tree_at(lambda it: it.ways, distortion, _ways_at(distortion.ways, held))
     y, count, stage = jnp.zeros_like(base), 0, distortion
     for last in (False,) * (STAGES - 1) + (True,):
         before, least = softness, SHARPEST if last else -2 * _least(distortion, y, held)
@@ -60,7 +59,7 @@ def softened(distortion: Distortion, base: Float[Array, "n d"], search: Search) 
     return Minimum(stage, y, count)
 
 
-def stiffened(plain: Minimum, base: Float[Array, "n d"], search: Search) -> Minimum:
+def stiffened(plain: Minimum, base: Nodal, search: Search) -> Minimum:
     """Finds the minimum within the closest feasible bounds on distortion and size. Bounds stand on
     rungs. Between jumps they do not depend on the points, so the derivative of the last minimum is
     the derivative of the whole search.
@@ -135,11 +134,11 @@ _least = compiled(Distortion.least)
 
 
 @compiled
-def judged(plain: Distortion, minimum: Minimum, base: Float[Array, "n d"]):
+def judged(plain: Distortion, minimum: Minimum, base: Nodal):
     distortion, y, _ = minimum
     value, slope = plain(y, base), jax.grad(distortion)(y, base)
     points, ways = distortion.points(y, base), distortion.ways
-    if ways is not None and not ways.is_linear:
+    if not ways.is_linear:
         # A quarter of a turn from its start, a node's slope vanishes, at a minimum or not.
         along = jnp.abs(jnp.sum(ways.normals * ways.at(points).normals, axis=2))
         along = jnp.where(jnp.sum(ways.normals**2, axis=2) > 0, along, 1)
@@ -151,31 +150,9 @@ def judged(plain: Distortion, minimum: Minimum, base: Float[Array, "n d"]):
 NEAR = 1.0  # largest derivative (order one) at which the whole Hessian is taken: quadratic convergence
 
 
-def _on_host(solver: Callable, pattern: Pattern, blocks, shift, right: Float[Array, "n d"]) -> Float[Array, "n d"]:
+def _on_host(solver: Callable, pattern: Pattern, blocks, shift, right: Nodal) -> Nodal:
     structure = jax.ShapeDtypeStruct(right.shape, right.dtype)
     return host_call(solver, structure, *pattern, blocks, shift, right)
-
-
-class _Inverse(lx.AbstractLinearOperator):
-    pattern: Pattern
-    blocks: Float[Array, "d d pairs"]
-    shift: Float[Array, " n"]
-    structure: Any = eqx.field(static=True)
-
-    def mv(self, vector):
-        return _on_host(solve, self.pattern, self.blocks, self.shift, vector)
-
-    def as_matrix(self):
-        return jax.vmap(self.mv)(jnp.eye(self.in_size()).reshape(-1, *self.structure.shape)).reshape(self.in_size(), -1)
-
-    def transpose(self):
-        return self
-
-    def in_structure(self):
-        return self.structure
-
-    def out_structure(self):
-        return self.structure
 
 
 class HessianSolver(lx.AbstractLinearSolver):
@@ -184,7 +161,7 @@ class HessianSolver(lx.AbstractLinearSolver):
     """
 
     distortion: Distortion
-    base: Float[Array, "n d"]
+    base: Nodal
     pattern: Pattern
 
     def init(self, operator: Any, options):
@@ -204,11 +181,6 @@ class HessianSolver(lx.AbstractLinearSolver):
         return True
 
 
-@lx.is_symmetric.register(_Inverse)
-def _(operator):
-    return True
-
-
 class ProjectedNewton(optx.AbstractQuasiNewton):
     """Newton's method; far from a minimum without negative curvature, so that steps descend (Teran
     et al., Robust quasistatic finite elements and flesh simulation, SCA 2005).
@@ -218,7 +190,7 @@ class ProjectedNewton(optx.AbstractQuasiNewton):
     atol: Any
     norm: Callable
     distortion: Distortion
-    base: Float[Array, "n d"]
+    base: Nodal
     pattern: Pattern
     verbose: Callable
     use_inverse: bool = True
@@ -235,5 +207,8 @@ class ProjectedNewton(optx.AbstractQuasiNewton):
         return self._information(f_eval_info.f, f_eval_info.grad, blocks), None
 
     def _information(self, f, grad, blocks):
-        inverse = _Inverse(self.pattern, blocks, self.distortion.shift(), jax.ShapeDtypeStruct(grad.shape, grad.dtype))
-        return optx.FunctionInfo.EvalGradHessianInv(f, grad, inverse)
+        inverse = eqx.Partial(_on_host, solve, self.pattern, blocks, self.distortion.shift())
+        structure = jax.ShapeDtypeStruct(grad.shape, grad.dtype)
+        # not converted: a closure converted anew would be another type, and so another state
+        operator = lx.FunctionLinearOperator(inverse, structure, lx.symmetric_tag, closure_convert=False)
+        return optx.FunctionInfo.EvalGradHessianInv(f, grad, operator)

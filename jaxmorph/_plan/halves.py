@@ -10,8 +10,7 @@ import jax
 import numpy as np
 from jaxtyping import Array, ArrayLike, Int, Integer, PyTree, Real
 
-from .._boundary.boundary import Boundary, changed, with_faces
-from .._boundary.names import checked_points
+from .._boundary.boundary import Boundary, changed, checked_points, with_faces
 from .._boundary.outer_faces import OuterFaces
 from .._host.cells.topology import solid
 from .._host.package.arguments import as_array, checked, rows_of, whole

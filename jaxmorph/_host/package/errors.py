@@ -43,5 +43,14 @@ def worst_first(off: np.ndarray, allowed: Any) -> np.ndarray:
     return wrong[np.argsort(-off[wrong], kind="stable")]
 
 
+def check_none(wrong: np.ndarray, message: str, points: np.ndarray | None = None) -> None:
+    """Raises a `MeshError` if there are `wrong` nodes, the worst first: `{count}` of them, of which
+    the worst is `{node}` at `{place}`.
+    """
+    if len(wrong):
+        place = "" if points is None else place_of(points[wrong[0]])
+        raise MeshError(message.replace("{count}", str(len(wrong))).replace("{place}", place), wrong)
+
+
 def place_of(point: np.ndarray) -> str:
     return ", ".join(f"{x:.6g}" for x in point)
