@@ -56,14 +56,9 @@ class Attempt:
     def path(self, steps: int = 1) -> Float[np.ndarray, "k m d"]:
         return self.motion.path(self.base[self.patches.nodes], steps)
 
-    def with_fewest_steps(self, plan: jm.Plan, done: Callable[[float], None]) -> "Attempt":
+    def with_fewest_steps(self, plan: jm.Plan) -> "Attempt":
         wall, least = self.base[self.patches.nodes], self.request.gates.min_jacobian_ratio or 0.0
-        solves = itertools.count(1)
-
-        def moves(share: float) -> np.ndarray:
-            done(min(next(solves) / (MOST * (MOST + 1) / 2), 1))
-            return self.motion.at(wall, share)
-
+        moves = lambda share: self.motion.at(wall, share)  # noqa: E731
         found = jm.fewest_steps(plan, self.patches.mesh, moves, min_jacobian_ratio=least, max_steps=MOST)
         request = dataclasses.replace(self.request, steps=found.count)
         return dataclasses.replace(self, request=request, reached=found.fraction)
@@ -96,7 +91,8 @@ def deform(request: Deform, out: Output) -> int:
 
 
 def _deform(request: Deform, mesh: Mesh, out: Output) -> int:
-    check(request, mesh)
+    io.check_output(request.output, mesh)
+    check_picture(request.picture, mesh)
     judging = in_background(jm.judge, mesh, None, request.gates.limits)
     patches = patches_of(request, mesh)
     attempt = Attempt(request, patches, motion(request, mesh, patches.nodes), judging)
@@ -104,8 +100,8 @@ def _deform(request: Deform, mesh: Mesh, out: Output) -> int:
         chunks = patches.chunks(request.chunk)
         nodes, plan = next(chunks)
     if request.steps == AUTO:
-        with out.progress("seeking the fewest steps") as stage:
-            attempt = attempt.with_fewest_steps(plan, stage.done)
+        with out.progress("seeking the fewest steps"):
+            attempt = attempt.with_fewest_steps(plan)
             request = attempt.request
     n, d = mesh.points.shape
     cells = ", ".join(f"{number} {kind}" for kind, number in mesh.cell_counts.items())
@@ -126,8 +122,7 @@ def _written(attempt: Attempt, way: Way, nodes: np.ndarray, plan: jm.Plan, out: 
     request, judging = attempt.request, in_background(attempt.judge, way)
     off = distances(request, way.mesh, way.stored)
     with out.progress("inspecting the motion"):
-        known = way.stored[nodes] if request.step_count == 1 and plan.points.dtype == way.stored.dtype else None
-        inspection = jm.inspect(plan, attempt.path()[-1], mesh=way.mesh, nodes=nodes, moved=known)
+        inspection = jm.inspect(plan, attempt.path()[-1], mesh=way.mesh, nodes=nodes)
         for warning in inspection.warnings:
             out.warn(warning)
         boundary = jm.boundary_quality(plan, way.stored[nodes]).renumbered(nodes)
@@ -178,18 +173,6 @@ def _wall_rows(attempt: Attempt, points: np.ndarray) -> list[tuple[str, int, flo
         ("max wall angle", 0, float(angle.max()), steepest),
         ("min first-cell height", 1, float(height.min()), lowest),
     ]
-
-
-def check(request: Deform, mesh: Mesh) -> None:
-    """Raises `ValueError` or `ImportError` for what is sure to fail, before any work."""
-    if not request.decomposed:
-        io.check_output(request.output, mesh)
-    for group in request.groups:
-        if group.lattice is not None:
-            io.check_lattice_output(group.lattice)
-        if group.patches and not len(mesh.patch(*group.patches)):
-            raise ValueError(f"--moving {' '.join(group.patches)}: there are no nodes in it.")
-    check_picture(request.picture, mesh)
 
 
 def say_motion(request: Deform, patches: Patches, plan: jm.Plan, u: np.ndarray, out: Output) -> None:
