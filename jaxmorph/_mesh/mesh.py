@@ -133,9 +133,8 @@ class Mesh(Module):
         """Numbers of cells by type in the file; cut cells count as `polyhedron` or `polygon`."""
         counts = exchange.numbers_of_cells(self.cells)
         if self.polyhedra is not None:
-            cut = np.isin(self.cell_ids, self.polyhedra.cut)
-            pieces = np.split(cut, np.cumsum(list(counts.values()))[:-1])
-            counts = {kind: int((~is_piece).sum()) for kind, is_piece in zip(counts, pieces, strict=True)}
+            is_whole = ~np.isin(self.cell_ids, self.polyhedra.cut)
+            counts = {kind: int(is_whole[first:][: counts[kind]].sum()) for kind, first in self._firsts.items()}
             counts["polygon" if self.points.shape[1] == 2 else "polyhedron"] = len(self.polyhedra.cut)
         return {kind: count for kind, count in counts.items() if count}
 
