@@ -320,7 +320,7 @@ def elevate(mesh: Mesh, order: int) -> Mesh:
 
 
 def _lattices(mesh: Mesh, steps: int) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Points (p, d) of the lattices of all cells, `steps` to an edge, and their ids (k, s) by type."""
+    """Points (p, d) of lattices of all cells, `steps` to an edge, and their ids (k, s) by type."""
     # A point between corners is known by these and their weights, in ascending order: cells that
     # share a face agree on it. The corners come first.
     points, shapes = np.asarray(mesh.points), {kind: SHAPES[kind] for kind in mesh.cells}
