@@ -1,10 +1,10 @@
 """JAX operations with hand-written transposes: linear ones, and the product of a few rows."""
 
 import functools
-import inspect
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.extend.core import Primitive
@@ -25,18 +25,6 @@ def _changed(compute: Callable, primals: Sequence[Any], tangents: Sequence[Any])
         return compute(*arguments.values())
 
     return jax.jvp(of_moving, [primals[i] for i in moving], [tangents[i] for i in moving])[1]
-
-
-def _program(primitive: Primitive, compute: Callable) -> Callable:
-    parameters = inspect.signature(compute).parameters.values()
-    static = tuple(option.name for option in parameters if option.kind is option.KEYWORD_ONLY)
-    program = jax.jit(primitive.bind, static_argnames=static)  # platforms have lowerings of the primitive
-
-    def evaluated(*arguments, **options):
-        # Without `jit`, the program would call itself.
-        return (compute if jax.config.values["jax_disable_jit"] else program)(*arguments, **options)
-
-    return evaluated
 
 
 def linear_primitive(name: str, compute: Callable, rows: Callable, turned: Callable) -> Primitive:
@@ -76,7 +64,13 @@ def linear_primitive(name: str, compute: Callable, rows: Callable, turned: Calla
         varies = {"vma": values.vma.union(*(other.vma for other in others))} if hasattr(values, "vma") else {}
         return values.update(shape=(rows(*others, **options), values.shape[1]), weak_type=False, **varies)
 
-    primitive.def_impl(_program(primitive, compute))
+    program = eqx.filter_jit(primitive.bind)  # platforms have lowerings of the primitive
+
+    def evaluated(*arguments, **options):
+        # Without `jit`, the program would call itself.
+        return (compute if jax.config.values["jax_disable_jit"] else program)(*arguments, **options)
+
+    primitive.def_impl(evaluated)
     primitive.def_abstract_eval(abstract)
     ad.primitive_jvps[primitive] = jvp
     ad.primitive_transposes[primitive] = transposed
