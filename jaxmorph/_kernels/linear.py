@@ -27,6 +27,16 @@ def _changed(compute: Callable, primals: Sequence[Any], tangents: Sequence[Any])
     return jax.jvp(of_moving, [primals[i] for i in moving], [tangents[i] for i in moving])[1]
 
 
+def _program(primitive: Primitive, compute: Callable) -> Callable:
+    program = eqx.filter_jit(primitive.bind)  # platforms have lowerings of the primitive
+
+    def evaluated(*arguments, **options):
+        # Without `jit`, the program would call itself.
+        return (compute if jax.config.values["jax_disable_jit"] else program)(*arguments, **options)
+
+    return evaluated
+
+
 def linear_primitive(name: str, compute: Callable, rows: Callable, turned: Callable) -> Primitive:
     """Makes a primitive of `compute(values, *others, **options)`, linear in `values` (b, c). Its
     transpose is the primitive with other arguments, `turned(*others, **options)`. Derivatives by
@@ -64,13 +74,7 @@ def linear_primitive(name: str, compute: Callable, rows: Callable, turned: Calla
         varies = {"vma": values.vma.union(*(other.vma for other in others))} if hasattr(values, "vma") else {}
         return values.update(shape=(rows(*others, **options), values.shape[1]), weak_type=False, **varies)
 
-    program = eqx.filter_jit(primitive.bind)  # platforms have lowerings of the primitive
-
-    def evaluated(*arguments, **options):
-        # Without `jit`, the program would call itself.
-        return (compute if jax.config.values["jax_disable_jit"] else program)(*arguments, **options)
-
-    primitive.def_impl(evaluated)
+    primitive.def_impl(_program(primitive, compute))
     primitive.def_abstract_eval(abstract)
     ad.primitive_jvps[primitive] = jvp
     ad.primitive_transposes[primitive] = transposed
