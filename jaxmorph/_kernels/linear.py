@@ -1,10 +1,10 @@
 """JAX operations with hand-written transposes: linear ones, and the product of a few rows."""
 
 import functools
-import inspect
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.extend.core import Primitive
@@ -28,9 +28,7 @@ def _changed(compute: Callable, primals: Sequence[Any], tangents: Sequence[Any])
 
 
 def _program(primitive: Primitive, compute: Callable) -> Callable:
-    parameters = inspect.signature(compute).parameters.values()
-    static = tuple(option.name for option in parameters if option.kind is option.KEYWORD_ONLY)
-    program = jax.jit(primitive.bind, static_argnames=static)  # platforms have lowerings of the primitive
+    program = eqx.filter_jit(primitive.bind)  # platforms have lowerings of the primitive
 
     def evaluated(*arguments, **options):
         # Without `jit`, the program would call itself.

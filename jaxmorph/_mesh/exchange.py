@@ -18,7 +18,7 @@ from .._host.cells.topology import (
     SHAPES,
     VTK_QUADRATIC,
     canonical_type,
-    filling,
+    solid,
 )
 from .._host.package.arguments import has_type, native, real_array, shown
 
@@ -219,7 +219,8 @@ def parts(grid: Grid, more: Iterable[Patch] = ()) -> Parts:
 
 
 def _cells(grid: Grid) -> ByName:
-    cells = filling(gathered((kind, ids) for kind, ids in grid.blocks if len(ids) and kind in DIMENSION))
+    found = gathered((kind, ids) for kind, ids in grid.blocks if len(ids) and kind in DIMENSION)
+    cells = solid(found, max((2, *(DIMENSION[kind] for kind in found))))
     if not cells:
         there = ", ".join(dict.fromkeys(kind for kind, _ in grid.blocks)) or "nodes"
         raise ValueError(f"no cells of an area or a volume, only {there}.")

@@ -62,9 +62,9 @@ def handedness(cells: ByType, neighbour: np.ndarray, flipped: np.ndarray) -> Pai
     `neighbour` and `flipped` of `neighbours`: ids alone decide, no coordinates. A part that cannot
     be oriented (a Moebius strip) has sign 1 throughout.
     """
-    count = sum(len(corners) for corners in cells.values())
-    faces = [np.full(len(corners), len(FACES[kind])) for kind, corners in cells.items()]
-    owner = np.repeat(np.arange(count), np.concatenate([np.zeros(0, dtype=int), *faces]))
+    sizes = np.array([(len(FACES[kind]), len(corners)) for kind, corners in cells.items()], int).reshape(-1, 2)
+    count, faces = int(sizes[:, 1].sum()), np.repeat(sizes[:, 0], sizes[:, 1])
+    owner = np.repeat(np.arange(count), faces)
     inner = (neighbour >= 0) & (owner < neighbour)
     a, b, other = owner[inner], neighbour[inner], flipped[inner] * count
     if not other.any():

@@ -53,12 +53,6 @@ def _node_areas(x: Any, slopes: Any) -> Any:
     return a[..., after] * b[..., before] - a[..., before] * b[..., after]
 
 
-def _slopes(kind: str) -> np.ndarray:
-    """Derivatives at the nodes of a side; of a linear side their mean, the whole face's."""
-    slopes = derivatives_at_nodes(kind)
-    return slopes if lagrange_types()[kind].order > 1 else np.broadcast_to(slopes.mean(axis=0), slopes.shape)
-
-
 def first_lines(cells: ByType, points: np.ndarray, wall: np.ndarray) -> Lines:
     """Picks, for every wall node, the grid line off the wall that is nearest to the wall's normal.
     From a node inside of an edge or a side, a line goes to the node opposite. Raises `ValueError`
@@ -103,11 +97,13 @@ def _sides(cells: ByType, points: np.ndarray, wall: np.ndarray) -> dict[str, Wal
     corners = [points[ids[:, : CORNERS[SHAPES[kind]]]].mean(axis=1) for kind, ids in cells.items()]
     centre, result = np.concatenate(corners or [points[:0]]), {}
     for side, (ids, owner) in owned_sides(cells, len(points), wall).items():
-        area = _node_areas(points[ids], _slopes(side)).mean(axis=1)
+        slopes = derivatives_at_nodes(side)
+        if SHAPES[side] == side:  # of a linear side their mean, the whole face's
+            slopes = np.broadcast_to(slopes.mean(axis=0), slopes.shape)
+        area = _node_areas(points[ids], slopes).mean(axis=1)
         inward = centre[owner] - points[ids[:, : CORNERS[SHAPES[side]]]].mean(axis=1)
-        upward = np.sum(area * inward, axis=1)
-        sign = np.where(upward < 0, -1, 1) * (0.5 if SHAPES[side] == "triangle" else 1)
-        result[side] = WallSides(ids, ids, sign, _slopes(side))
+        sign = np.where(np.sum(area * inward, axis=1) < 0, -1, 1) * (0.5 if SHAPES[side] == "triangle" else 1)
+        result[side] = WallSides(ids, ids, sign, slopes)
     return result
 
 

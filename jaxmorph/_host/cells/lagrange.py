@@ -172,8 +172,9 @@ def jacobian_samples(kind: str) -> Pair:
     if cell.shape != "pyramid":  # a pyramid has a lattice in its own coordinates
         grid = grid[depth(cell.shape, fine, grid) >= 0]
     nodes, weights = legendre.leggauss(-(-d * cell.order // 2))
-    places = np.array(list(itertools.product((nodes + 1) / 2, repeat=d)))
-    weight = np.array(list(itertools.product(weights / 2, repeat=d))).prod(axis=1)
+    pairs = zip((nodes + 1) / 2, weights / 2, strict=True)
+    places, factors = np.moveaxis(np.array(list(itertools.product(pairs, repeat=d))), 2, 0)
+    weight = factors.prod(axis=1)
     # Of a square or cube, coordinates shrink towards an edge, a corner or an apex.
     for axis in range(1, {"triangle": 2, "wedge": 2, "tetra": 3}.get(cell.shape, 1)):
         places[:, :axis] *= 1 - places[:, axis, None]

@@ -52,11 +52,6 @@ def canonical_type(name: str) -> str:
     return name
 
 
-def filling(cells: Mapping[str, Any]) -> dict[str, Any]:
-    highest = max((DIMENSION[kind] for kind, corners in cells.items() if len(corners)), default=0)
-    return {kind: corners for kind, corners in cells.items() if DIMENSION[kind] == highest >= 2}
-
-
 def numbers(words: str) -> Any:
     """Reads rows of digits: "03 1a" is ((0, 3), (1, 10))."""
     return tuple(tuple(int(digit, 36) for digit in word) for word in words.split())

@@ -86,5 +86,5 @@ class Agreement:
         answers = self.ranks.alltoall([self.values[np.searchsorted(self.ids, names)] for names, _ in received])
         common = values.copy()
         for row, answer in zip(rows, answers, strict=True):
-            common[row] = answer if len(row) else common[row]
+            common[row] = answer
         return common

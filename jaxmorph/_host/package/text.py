@@ -1,5 +1,6 @@
 """What users write: endings of files, TOML, mistyped names. It needs no NumPy."""
 
+import contextlib
 import difflib
 import pathlib
 import re
@@ -116,25 +117,17 @@ def patch_names(names: Sequence[str], patches: Collection[str], groups: Mapping[
     """
     listed: list[str] = []
     for name in names:
+        found = [patch for patch in groups.get(name, ()) if patch in patches]
         if name in patches:
-            listed.append(name)
-        elif name in groups:
-            listed += [patch for patch in groups[name] if patch in patches]
-        else:
-            listed += _matched(name, patches, groups)
+            found = [name]
+        elif name not in groups:
+            with contextlib.suppress(re.error):
+                found = [patch for patch in patches if re.fullmatch(name, patch)]
+            if not found:
+                known = _known(patches, groups)
+                raise ValueError(f"no patch is called {name!r}{_hint(name, [*patches, *groups])}; {known}.")
+        listed += found
     return tuple(dict.fromkeys(listed))
-
-
-def _matched(pattern: str, patches: Collection[str], groups: Mapping[str, Sequence[str]]) -> list[str]:
-    try:
-        matched = [name for name in patches if re.fullmatch(pattern, name)]
-    except re.error:
-        matched = []
-    if not matched:
-        raise ValueError(
-            f"no patch is called {pattern!r}{_hint(pattern, [*patches, *groups])}; {_known(patches, groups)}."
-        )
-    return matched
 
 
 def _hint(name: str, known: Sequence[str]) -> str:

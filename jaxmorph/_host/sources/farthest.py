@@ -68,7 +68,7 @@ class Filled(AbstractReduction):
         return KDTree(self.leaves, extremes=True, crowded=self.crowded)
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
-        return self.beside(points, np.zeros((0, np.shape(points)[1])))
+        return self.beside(points, points[:0])
 
     def beside(self, points: np.ndarray, others: np.ndarray) -> np.ndarray:
         def chosen(points, order):

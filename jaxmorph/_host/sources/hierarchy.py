@@ -28,7 +28,7 @@ def farthest_first(points: np.ndarray, earlier: np.ndarray, images: np.ndarray) 
     # A batch holds the nodes with the largest distances. Independent ones are picked together. Only
     # nodes within the distance of a picked node can come nearer to it.
     rank = canonical_order(points)
-    place, ordered, of_image = np.argsort(rank), points[rank].astype(float), images[rank]
+    place, ordered = np.argsort(rank), points[rank].astype(float)
     distance, nearest, radius = np.full(len(points), np.inf), np.arange(len(points)), np.zeros(len(points))
 
     def approach(near: np.ndarray, node: np.ndarray) -> None:
@@ -40,7 +40,7 @@ def farthest_first(points: np.ndarray, earlier: np.ndarray, images: np.ndarray) 
         closer = closer[np.argsort(-node[closer], kind="stable")]  # the first of equals is written last
         nearest[near[closer]] = node[closer]
 
-    approach(*_pairs_of_equals(of_image))
+    approach(*_pairs_of_equals(images[rank]))
     start = place[earlier]
     if not len(earlier):
         start = np.array([first_largest(np.linalg.norm(ordered - ordered.mean(axis=0), axis=1))])

@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 
 from ..cells.topology import Pair
-from ..linear.products import cofactor_rows, cross_rows, normals
+from ..linear.products import cofactor_rows, cross_rows
 from ..package.rounding import Tree, morton_order
 
 CLOSEST = 12  # faces of other walls, of nearest middles, to which a node's distance is measured
@@ -159,25 +159,13 @@ def overlapping_boxes(corners: np.ndarray, is_moving: np.ndarray) -> np.ndarray:
 
 def _meeting(corners: np.ndarray, slack: float) -> np.ndarray:
     """Where pairs (k, 2, c, d) of faces meet (k, d); NaN for none, or in one plane."""
-    where, left = np.full((len(corners), corners.shape[3]), np.nan), np.arange(len(corners))
-    both_ways = corners, corners[:, ::-1]
-    for pairs in both_ways:
-        left = left[~_is_aside(*pairs[left].swapaxes(0, 1), slack)]
-    for pairs in both_ways:
-        edges, others = pairs[left].swapaxes(0, 1)
+    where = np.full((len(corners), corners.shape[3]), np.nan)
+    for pairs in (corners, corners[:, ::-1]):
+        edges, others = pairs.swapaxes(0, 1)
         for start, end in zip(edges.swapaxes(0, 1), np.roll(edges, -1, axis=1).swapaxes(0, 1), strict=True):
-            share = _share(start, end - start, others, slack)
-            hits = np.isfinite(share)
-            where[left[hits]] = start[hits] + share[hits, None] * (end - start)[hits]
+            share = _share(start, end - start, others, slack)[:, None]
+            where = np.where(np.isfinite(share), start + share * (end - start), where)
     return where
-
-
-def _is_aside(first: np.ndarray, second: np.ndarray, slack: float) -> np.ndarray:
-    """Marks pairs of which the second face lies on one side of the first."""
-    normal, arms = normals(first), second - first[:, :1]
-    height = np.einsum("kcd,kd->kc", arms, normal)
-    scale = slack * np.sqrt(np.einsum("kd,kd->k", normal, normal) * np.einsum("kcd,kcd->kc", arms, arms).max(axis=1))
-    return (height.min(axis=1) > scale) | (height.max(axis=1) < -scale)
 
 
 def _share(start: np.ndarray, along: np.ndarray, corners: np.ndarray, slack: float) -> np.ndarray:

@@ -154,9 +154,9 @@ def locate(graph: Graph, points: np.ndarray, wanted: np.ndarray) -> np.ndarray:
         simplex[poor], smallest[poor] = _repair(graph, targets[poor], simplex[poor])
         still = poor[~(smallest[poor] >= -TOLERANCE)]
         _check_inside(points, wanted[still], _beyond_hull(graph, targets[still]) * graph.size - graph.slack)
-        simplex[still], beyond = _search(graph, targets[still], simplex[still])
-        beyond_sides = np.where(beyond > graph.flat + JITTER, beyond, 0)
-        _check_inside(points, wanted[still], beyond_sides * graph.size - graph.slack)
+        simplex[still], beyond = _search(graph, targets[still])
+        beyond[beyond <= graph.flat + JITTER] = 0
+        _check_inside(points, wanted[still], beyond * graph.size - graph.slack)
     return graph.unique.astype(np.int32)[graph.delaunay.simplices][simplex]
 
 
@@ -176,12 +176,12 @@ def _repair(graph: Graph, points: np.ndarray, simplex: np.ndarray) -> Pair:
     return simplex, best
 
 
-def _search(graph: Graph, points: np.ndarray, simplex: np.ndarray) -> Pair:
+def _search(graph: Graph, points: np.ndarray) -> Pair:
     heights = smallest_height(graph.nodes[graph.delaunay.simplices])
     sound = np.flatnonzero(heights > graph.flat)
     corners, margin = graph.nodes[graph.delaunay.simplices[sound]], 2 * JITTER + graph.flat
     low, high = corners.min(axis=1) - margin, corners.max(axis=1) + margin
-    simplex, beyond = simplex.copy(), np.full(len(points), np.inf)
+    simplex, beyond = np.zeros(len(points), dtype=np.int64), np.zeros(len(points))
     for i, point in enumerate(points):
         near = sound[((point >= low) & (point <= high)).all(axis=1)]
         near = near if near.size else sound
