@@ -141,8 +141,8 @@ def _checked_motions(motions: Any, expected: tuple[int, int]) -> np.ndarray:
 def _makers(boundary: Boundary, methods: Mapping[str, AbstractMethod] | None) -> dict[str, Any]:
     if methods is None:
         size = float(np.ptp(boundary.points[boundary.moving], axis=0).max())
-        makers = {name: functools.partial(entry.make, size) for name, entry in METHODS.items() if entry.is_tried}
-        makers = {name: functools.partial(_small_enough, make, boundary) for name, make in makers.items()}
+        listed = {name: entry.make for name, entry in METHODS.items() if entry.is_tried}
+        makers = {name: functools.partial(_small_enough, make, size, boundary) for name, make in listed.items()}
         interpolated = functools.partial(SurfaceReconstruction, RBF(reduction=KDTree(64, extremes=True)))
         return {"default": SurfaceReconstruction, "interpolated": interpolated} | makers
     if not methods:
@@ -154,8 +154,8 @@ def _makers(boundary: Boundary, methods: Mapping[str, AbstractMethod] | None) ->
     return {name: lambda method=method: method for name, method in methods.items()}
 
 
-def _small_enough(make: Any, boundary: Boundary) -> AbstractMethod:
-    method, (n, d) = make(), boundary.points.shape
+def _small_enough(make: Any, size: float, boundary: Boundary) -> AbstractMethod:
+    method, (n, d) = make(size), boundary.points.shape
     if method.needs_cells and n > MOST_POINTS[d]:
         raise ValueError(f"skipped: {n} points; a solve on the cells is tried up to {MOST_POINTS[d]}")
     if isinstance(method, InverseDistance) and n * len(boundary.nodes) > MOST_PAIRS:

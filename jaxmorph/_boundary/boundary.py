@@ -404,18 +404,25 @@ def by_kinds(mesh: Any, moving: Any, periodic: Sequence[Periodic]) -> tuple[list
     names = names_in(moving)
     if not isinstance(mesh, Mesh) or names is None:
         return [], []
-    elsewhere = {*mesh.patch_names(*names)}.union(*(pair.patches for pair in periodic))
-    kinds = {name: kind for name, kind in mesh.kinds.items() if name not in elsewhere and not kind.startswith(INSIDE)}
-    kinds = {name: kind for name, kind in kinds.items() if len(mesh.patches[name])}
+    kinds = _outer_kinds(mesh, {*mesh.patch_names(*names)}.union(*(pair.patches for pair in periodic)))
     symmetry = [name for name in kinds if kinds[name] in SYMMETRY]
-    chosen = {"fixed": [name for name in kinds if name not in symmetry], "symmetry": _in_planes(mesh, symmetry)}
-    shown = {name: ", ".join(f"{patch!r} ({kinds[patch]})" for patch in patches) for name, patches in chosen.items()}
-    clauses = " and ".join(f"`{name}` are {patches}" for name, patches in shown.items() if patches)
+    fixed, symmetry = [name for name in kinds if name not in symmetry], _in_planes(mesh, symmetry)
+    clauses = _clauses(kinds, fixed=fixed, symmetry=symmetry)
     if clauses:
         warn(
             f"No patches beside `moving` are named. By their kinds in the file {clauses}. Name the patches to choose otherwise."
         )
-    return chosen["fixed"], chosen["symmetry"]
+    return fixed, symmetry
+
+
+def _clauses(kinds: Mapping[str, str], **lists: list[str]) -> str:
+    shown = {name: ", ".join(f"{patch!r} ({kinds[patch]})" for patch in patches) for name, patches in lists.items()}
+    return " and ".join(f"`{name}` are {patches}" for name, patches in shown.items() if patches)
+
+
+def _outer_kinds(mesh: Mesh, elsewhere: set[str]) -> dict[str, str]:
+    kinds = {name: kind for name, kind in mesh.kinds.items() if not kind.startswith(INSIDE) and len(mesh.patches[name])}
+    return {name: kinds[name] for name in kinds if name not in elsewhere}
 
 
 def _in_planes(mesh: Mesh, names: list[str]) -> list[str]:
