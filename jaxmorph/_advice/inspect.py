@@ -262,7 +262,6 @@ def inspect(
 
 
 def _ids(plan: Plan, mesh: Mesh | None, nodes: Any) -> np.ndarray:
-    plan.check_surface("inspect")
     count = len(plan.points)
     if mesh is not None and nodes is None:
         plan.check_mesh(mesh)

@@ -346,21 +346,17 @@ def names_in(values: Any) -> tuple[str, ...] | None:
 def nodes_named(values: Any, name: str, mesh: Mesh | None, n: int) -> Ids:
     names = names_in(values)
     if names is None:
-        return node_ids(values, name, n)
+        if values is None or isinstance(values, Mesh | Plane):
+            raise ValueError(f"`{name}` must be node ids or names of patches, not {shown(values)}. Call {USE}.")
+        if n == 0:
+            raise ValueError(f"the mesh has no points. Call {USE}.")
+        return rows_of(name, values, n)
     if mesh is None:
         raise ValueError(
             f"`{name}` names patches ({', '.join(map(repr, names))}), but points alone have no patches: pass the mesh, "
             f"prepare(mesh, ...), or node ids, mesh.patch({names[0]!r})."
         )
     return mesh.patch(*names).astype(np.int64)
-
-
-def node_ids(values: Any, name: str, n: int) -> Ids:
-    if values is None or isinstance(values, Mesh | Plane):
-        raise ValueError(f"`{name}` must be node ids or names of patches, not {shown(values)}. Call {USE}.")
-    if n == 0:
-        raise ValueError(f"the mesh has no points. Call {USE}.")
-    return rows_of(name, values, n)
 
 
 def several(name: str, value: Any, kinds: type | tuple[type, ...], example: str) -> list[Any]:

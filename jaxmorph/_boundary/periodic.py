@@ -223,16 +223,13 @@ def across_one_layer(planes: Sequence[Plane], points: Points) -> tuple[Pairing, 
     """Pairs the nodes of two parallel planes that hold all nodes, around one layer of cells. The
     pairs move alike, and make no images. There are none where the planes' nodes do not match.
     """
-    nodes = [np.flatnonzero(plane.holds(points)) for plane in planes]
-    for k, other in itertools.combinations(range(len(planes)), 2):
-        normal, first, second = planes[k].normal, nodes[k], nodes[other]
-        if len(first) != len(second) or len(first) + len(second) != len(points):
-            continue
-        if abs(normal @ planes[other].normal) > 0.5:
-            translation = (planes[other].origin - planes[k].origin) @ normal * normal
+    for one, other in itertools.combinations(planes, 2):
+        normal = one.normal
+        first, second = (np.flatnonzero(plane.holds(points)) for plane in (one, other))
+        if abs(normal @ other.normal) > 0.5 and 2 * len(first) == 2 * len(second) == len(points):
+            pair = Periodic(first, second, translation=(other.origin - one.origin) @ normal * normal)
             with contextlib.suppress(ValueError):
-                found = _paired(Periodic(first, second, translation=translation), first, second, points)
-                return (dataclasses.replace(found, copies=0),)
+                return (dataclasses.replace(_paired(pair, first, second, points), copies=0),)
     return ()
 
 
