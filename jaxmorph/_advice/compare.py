@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import ArrayLike, Float, Real
 
 from .._boundary.boundary import Boundary
-from .._host.package.arguments import checked, shown
+from .._host.package.arguments import checked, finite_array, shown
 from .._host.sources.reduction import KDTree
 from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod, check_kind
@@ -111,7 +111,9 @@ def compare(
             "compare judges cells: give it the boundary of a mesh, compare(jm.Boundary(mesh, ...), motions)."
         )
     boundary.warn_of_free_faces()
-    motions = _checked_motions(motions, (len(boundary.moving), boundary.points.shape[1]))
+    motions = finite_array("motions", motions, (None, len(boundary.moving), boundary.points.shape[1])).astype(float)
+    if not motions.any():
+        raise ValueError("`motions` is zero: no method moves a node. Give what the mesh is to bear, (s, m, d).")
     pairs = []
     for name, make in _makers(boundary, methods).items():
         plan = _plan(boundary, make)
@@ -122,20 +124,6 @@ def compare(
     if plans[0] is None:
         raise ValueError(f"every method is refused. {rows[0].method}: {rows[0].refused}")
     return Comparison(rows, plans)
-
-
-def _checked_motions(motions: Any, expected: tuple[int, int]) -> np.ndarray:
-    motions = np.asarray(motions, dtype=float)
-    if motions.ndim != 3 or motions.shape[1:] != expected or not np.any(motions):
-        raise ValueError(
-            f"`motions` has shape {motions.shape}; expected (s, {expected[0]}, {expected[1]}), not all zero."
-        )
-    bad = np.argwhere(~np.isfinite(motions))
-    if len(bad):
-        raise ValueError(
-            f"{len(bad)} components of `motions` are not finite, the first in motion {bad[0, 0]}, of moving node {bad[0, 1]}."
-        )
-    return motions
 
 
 def _makers(boundary: Boundary, methods: Mapping[str, AbstractMethod] | None) -> dict[str, Any]:

@@ -127,11 +127,7 @@ class Boundary:
         guided = _guided(pairings, tracks, moving, fixed, points)
         lists = {"moving": moving, "fixed": fixed, "free": free, "guided": guided}
         made = boundary_of_lists(points, mesh=patches, planes=planes, pairings=pairings, tracks=tracks, **lists)
-        self._fill(vars(made if patches is None else with_cells(made, patches, outer)))
-
-    def _fill(self, fields: Mapping[str, Any]) -> None:
-        for name, value in fields.items():
-            object.__setattr__(self, name, value)
+        vars(self).update(vars(made if patches is None else with_cells(made, patches, outer)))
 
     def __repr__(self) -> str:
         n, d = self.points.shape
@@ -201,7 +197,7 @@ def changed(boundary: Boundary, **fields: Any) -> Boundary:
 def boundary_of_lists(points: np.ndarray, **fields: Any) -> Boundary:
     """Makes a boundary of lists that were checked before; a list that is not given is empty."""
     boundary = object.__new__(Boundary)
-    boundary._fill(_EMPTY | {"points": points} | fields)
+    vars(boundary).update(_EMPTY | {"points": points} | fields)
     return boundary
 
 

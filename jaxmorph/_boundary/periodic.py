@@ -11,12 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from .._host.package.arguments import between, check_patch, finite_array, whole
+from .._host.package.arguments import between, check_patch, whole
 from .._host.package.errors import check_none, worst_first
 from .._host.package.rounding import Tree, spacing
 from .._kernels.values import Either
 from .outer_faces import Ids, Points
-from .symmetry import Plane, tolerance
+from .symmetry import Plane, optional, tolerance
 
 Nodal = Float[Array, "n d"]  # a place, or a displacement, of every node
 
@@ -62,11 +62,9 @@ class Periodic:
         if rotation is not None:
             between("rotation", rotation)
             rotation = float(rotation)
-        for name, value in {"translation": translation, "about": about, "axis": axis}.items():
-            vector = None if value is None else finite_array(name, value, (2,), (3,)).astype(float)
-            object.__setattr__(self, name, vector)
-        for name, value in {"patch": patch, "partner": partner, "rotation": rotation, "copies": int(copies)}.items():
-            object.__setattr__(self, name, value)
+        vectors = {"translation": translation, "about": about, "axis": axis}
+        vectors = {name: optional(name, value, (2,), (3,)) for name, value in vectors.items()}
+        vars(self).update(patch=patch, partner=partner, rotation=rotation, copies=int(copies), **vectors)
 
     @property
     def name(self) -> str:

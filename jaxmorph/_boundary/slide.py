@@ -13,13 +13,13 @@ from .._host.cells.adjacency import parts_of
 from .._host.cells.pieces import boundary_sides, linear_cells
 from .._host.cells.topology import solid
 from .._host.linear.products import normals, unit_rows
-from .._host.package.arguments import check_patch, finite_array
+from .._host.package.arguments import check_patch
 from .._host.package.errors import MeshError, check_none, place_of, worst_first
 from .._host.package.rounding import canonical_order
 from .._host.surface.walls import in_order
 from .._mesh.mesh import Mesh
 from .outer_faces import Faces, Ids, row_of
-from .symmetry import Plane
+from .symmetry import Plane, optional
 from .tracks import SMOOTH
 from .walls import ALONG_AXIS, AbstractWall, CurvedFaces, Faceted, Flat, FlatFaces, Round, faces_around
 
@@ -49,15 +49,13 @@ class Revolution:
     profile: np.ndarray | None
 
     def __init__(self, axis=None, origin=None, profile=None):
-        axis = None if axis is None else finite_array("axis", axis, (3,)).astype(float)
-        origin = None if origin is None else finite_array("origin", origin, (2,), (3,)).astype(float)
-        profile = None if profile is None else finite_array("profile", profile, (None, 2)).astype(float)
+        axis, origin = optional("axis", axis, (3,)), optional("origin", origin, (2,), (3,))
+        profile = optional("profile", profile, (None, 2))
         if axis is not None and not np.any(axis):
             raise ValueError(f"the axis of a surface of revolution is a direction in 3-D that is not zero, not {axis}.")
         if profile is not None and not (np.diff(profile[:, 0]) > 0).all():
             raise ValueError("`profile` must be (k, 2): places along the axis, ascending, and radii.")
-        for name, value in {"axis": axis, "origin": origin, "profile": profile}.items():
-            object.__setattr__(self, name, value)
+        vars(self).update(axis=axis, origin=origin, profile=profile)
 
 
 @dataclasses.dataclass(frozen=True, eq=False, init=False)
@@ -86,8 +84,7 @@ class Slide:
         check_patch("patch", patch)
         if not (on is None or isinstance(on, Plane | Revolution)):
             raise ValueError(f"a patch slides on a jm.Plane, a jm.Revolution or its own faces (None), not {on!r}.")
-        object.__setattr__(self, "patch", patch)
-        object.__setattr__(self, "on", on)
+        vars(self).update(patch=patch, on=on)
 
     @property
     def name(self) -> str:

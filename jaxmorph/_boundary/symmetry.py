@@ -2,6 +2,7 @@
 
 import contextlib
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool
@@ -141,6 +142,10 @@ def _candidates(points: Points, nodes: Ids, faces: Iterable[np.ndarray]) -> list
     return planes
 
 
+def optional(name: str, value: Any, *shapes: tuple[int | None, ...]) -> np.ndarray | None:
+    return None if value is None else finite_array(name, value, *shapes).astype(float)
+
+
 def tolerance(points: np.ndarray) -> float:
     return max(TOLERANCE * float(np.ptp(points, axis=0).max()), roundoff(points))
 
@@ -188,8 +193,3 @@ def _check_bounds(plane: Plane, points: np.ndarray) -> None:
 
 def facing(planes: Sequence[Plane]) -> Bool[np.ndarray, " p"]:
     return np.array([sum(abs(plane.normal @ other.normal) > 0.5 for other in planes) > 1 for plane in planes], bool)
-
-
-def on_facing(planes: Sequence[Plane], points: Points) -> Bool[np.ndarray, " n"]:
-    on = [plane.holds(points) for plane, has_other in zip(planes, facing(planes), strict=True) if has_other]
-    return np.logical_or.reduce([np.zeros(len(points), dtype=bool), *on])

@@ -46,7 +46,7 @@ def _held(boundary: Boundary, mesh: Mesh) -> tuple[np.ndarray, tuple[Track, ...]
     """Nodes that do not move, and tracks of those that slide."""
     points, held = boundary.points, [boundary.moving, boundary.fixed]
     sliding = mask(len(points), *(track.rows for track in boundary.tracks))
-    on_plane = [plane.holds(points) for plane in boundary.planes]
+    on_plane = boundary.on_planes.T
     pairs = zip(boundary.planes, on_plane, strict=True)
     walls = [(Flat(plane.normal, plane.origin), np.flatnonzero(is_on & ~sliding)) for plane, is_on in pairs]
     tracks, corners = tracks_of(walls, (), points)
